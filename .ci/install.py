@@ -11,7 +11,7 @@ SIZE = 130  # MB that pip downloads for `make demo`, about, if its cache has not
 DOWNLOADING = re.compile(r"\s*(Downloading|Using cached) \S+ \((?P<size>[\d.]+) (?P<unit>bytes|kB|MB)\)\n")
 UNITS = {"bytes": 1e-6, "kB": 1e-3, "MB": 1.0}
 LOG_EVERY = 5.0  # s
-PIP = ("-m", "pip", "install", "--disable-pip-version-check", "--progress-bar=off", "--editable")
+PIP = ("-P", "-m", "pip", "install", "--disable-pip-version-check", "--progress-bar=off", "--editable")
 
 
 class Progress:

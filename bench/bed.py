@@ -12,9 +12,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_console.bench import loopback, processes
+from rsb_console.bench import loopback
 from rsb_console.bench.loopback import TOPIC, Bed, ready
-from rsb_console.bench.processes import free_port
+from rsb_console.bench.processes import Process, free_port
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -39,14 +39,11 @@ ROOT = Path(__file__).parents[1]
 NEAR, FAR = 94, 95
 
 
-class Process(processes.Process):
-    """A child in the project's folder, where it finds `bench`."""
-
-    def __init__(self, *command: str, log: Path | None = None) -> None:
-        super().__init__(*command, log=log, folder=ROOT)
+# Children don't look for `bench` in their working folder.
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
 
 
-def bridged(protocol: str, client: Callable[[Path], processes.Process] | None = None) -> AbstractContextManager[Bed]:
+def bridged(protocol: str, client: Callable[[Path], Process] | None = None) -> AbstractContextManager[Bed]:
     """Put our bridge between talker and listener: two processes, encrypted; `client` may start another client."""
     return loopback.bridged(protocol, NEAR, FAR, side=headless, client=client)
 

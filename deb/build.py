@@ -57,7 +57,7 @@ def install_wheels(wheel: Path, target: Path, python: str, architecture: str) ->
     """Let pip unpack what the lock file names, checked by its hashes, and then the wheel."""
     machine = MACHINES[architecture]
     platforms = [f"--platform=manylinux_2_{minor}_{machine}" for minor in range(5, GLIBC + 1)]
-    pip = (sys.executable, "-m", "pip", "install", "--disable-pip-version-check", "--no-deps", "--no-compile")
+    pip = (sys.executable, "-P", "-m", "pip", "install", "--disable-pip-version-check", "--no-deps", "--no-compile")
     kind = ("--only-binary=:all:", "--implementation=cp", f"--python-version={python}", *platforms)
     into = (*pip, *kind, f"--platform=manylinux2014_{machine}", f"--target={target}")
     subprocess.run([*into, "--require-hashes", f"--requirement={ROOT / 'locks/fleet.txt'}"], check=True)

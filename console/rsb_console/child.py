@@ -23,7 +23,7 @@ _ENDS_WITHIN = 8.0
 
 
 class ChildProcess(subprocess.Popen[str]):
-    """Runs a module as ``python -m`` does.
+    """Runs a module as ``python -P -m`` does: modules in the working folder are not found.
 
     Args:
         module: its name.
@@ -35,7 +35,7 @@ class ChildProcess(subprocess.Popen[str]):
         watched, held = os.pipe()
         weakref.finalize(self, os.close, held)
         try:
-            command = [sys.executable, "-m", __name__, str(watched), module, *arguments]
+            command = [sys.executable, "-P", "-m", __name__, str(watched), module, *arguments]
             super().__init__(command, text=True, pass_fds=(watched,), **options)
         finally:
             os.close(watched)

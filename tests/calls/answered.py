@@ -31,7 +31,7 @@ DEFAULT_DEPTH = 10
 """Requests or responses that rclpy's services hold, unless told otherwise."""
 
 
-# --- processes: each begins, says so on a line, and ends with a line of JSON once its input ends or its work is done
+# --- processes: each prints a line when it is ready, and a line of JSON once its input ends or its work is done
 
 
 def serve(domain_id: int, depth: int) -> None:
@@ -152,13 +152,13 @@ class Child:
         )  # fmt: skip
 
     def ready(self) -> None:
-        """Wait until it says so."""
+        """Wait for its line."""
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         assert line == '"ready"\n', line
 
     def result(self, *, end: bool) -> dict[str, Any]:
-        """What it says in the end; `end` ends it."""
+        """Return its line of JSON; `end` ends it."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         if end:

@@ -1,4 +1,4 @@
-"""Nodes beside the bridge: callers in the client's domain, servers in the server's, each in a process of its own."""
+"""Nodes on both sides: callers in the client's domain, servers in the server's, each in a process of its own."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def _far(_pc_domain: object, _domains: int) -> Iterator[CallNode]:
 
 @pytest.fixture
 def near(_near: CallNode) -> Iterator[CallNode]:
-    """Beside the client."""
+    """Start nodes in the client's domain."""
     yield _near
     _near.clear()
 
 
 @pytest.fixture
 def far(_far: CallNode) -> Iterator[CallNode]:
-    """Beside the server."""
+    """Start nodes in the server's domain."""
     yield _far
     _far.clear()
 

@@ -1,8 +1,8 @@
 """A Fibonacci action over an outage of so many seconds: ``python -m tests.calls.cutting 30``.
 
-Three outages: the link is cut without a word; the bridge beside the callers is killed (-9), and started again; the one
-beside the server is. Each time there are three goals: one ends meanwhile, one computes all the time, and one is
-cancelled by its client. docs/services.md says what survives.
+Three outages: the link is cut silently; the callers' bridge is killed (-9) and restarted; the provider's bridge is.
+Each time there are three goals: one ends meanwhile, one computes all the time, and one is cancelled by its client.
+docs/calls.md lists what survives.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ _EVERY = 0.1
 _KEPT_AFTER = 60.0
 """s that a server keeps a result after the outage."""
 _FORGOTTEN_AFTER = 0.2
-"""Likewise, where the bridge has to have kept what the server has not."""
+"""s that it is kept where the bridge has to keep it for longer."""
 
 
 class Came(NamedTuple):
-    """What clients had of one outage.
+    """The times of one outage, as its clients see them.
 
     Attributes:
         outage: s, from when its clients saw no action server until it was ended.
         result: s until the result of the goal that ended meanwhile had come, from when the outage was ended.
-        cancel: likewise, until its client knew that the goal which it wanted to have cancelled is.
+        cancel: likewise, until its client knew that the goal was cancelled.
         feedback: likewise, until feedback came again.
         numbers: of the sequence that was computed all the time, and came whole.
     """
@@ -62,12 +62,12 @@ class Came(NamedTuple):
 
 
 class Scene:
-    """An action server beside the robot, and a client beside the PC.
+    """An action server in the robot's domain, and a client in the PC's.
 
     Args:
         bridge: makes both sides.
         relay: is the network between them.
-        programs: runs those that are killed.
+        programs: starts the programs that are killed.
         kept: s that the server keeps results; 0.0: it has forgotten them before the outage is over.
     """
 
@@ -84,7 +84,7 @@ class Scene:
         self._due = 0.0
 
     def begin(self, *engines: Engine) -> None:
-        """Send all goals, and have what becomes of them asked for, as these sides know."""
+        """Send all goals, and ask for their results."""
         goals = self.over, self.runs, self.unwanted = tuple(self.client.send(_ORDER).ask() for _ in range(3))
         self._numbers = tuple(self.server.number_of(goal) for goal in goals)
         for engine in engines:
@@ -115,7 +115,7 @@ class Scene:
         return True
 
     def finishes(self) -> int:
-        """End what is left; the numbers of the sequence that its client got."""
+        """End the last goal, and return the sequence that its client got."""
         sequence = fibonacci(self._computed)
         self.server.finish(*sequence, number=self._numbers[1])
         assert self.runs.result() == ("succeeded", sequence)
@@ -147,7 +147,7 @@ class Scene:
 
 
 def link_cut(scene: Scene, seconds: float) -> Came:
-    """Nothing crosses, and nobody is told. The cancel waits, and is delivered; the node takes it in its own order."""
+    """Nothing crosses, silently. The cancel waits, and is delivered; the node takes it in its own order."""
     engines = scene.bridge.both(FIBONACCI)
     scene.begin(*engines)
     scene.relay.stall(new=True)
@@ -172,7 +172,7 @@ def link_cut(scene: Scene, seconds: float) -> Came:
 
 
 def callers_bridge_killed(scene: Scene, seconds: float) -> Came:
-    """What its clients asked is gone with it, as with any server of ROS that dies: they ask again, by the goal's id."""
+    """The requests of its clients are lost, as with any ROS server that dies. They ask again, by the goal's id."""
     engine = scene.bridge.client(FIBONACCI)
     victim = scene.programs.start(scene.bridge.server_session())
     scene.begin(engine)
@@ -194,7 +194,7 @@ def callers_bridge_killed(scene: Scene, seconds: float) -> Came:
 
 
 def providers_bridge_killed(scene: Scene, seconds: float) -> Came:
-    """Who waits gets the result, as the server still has it."""
+    """A waiting client gets the result, which the server still has."""
     engine = scene.bridge.server()
     victim = scene.programs.start(scene.bridge.client_session(FIBONACCI))
     scene.begin(engine)

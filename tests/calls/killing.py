@@ -33,15 +33,15 @@ if TYPE_CHECKING:
 
 _AT_ONCE = 20
 _DELAY = (0.0, 0.05)
-"""s until the server answers, so that there are always calls under way."""
+"""s until the server answers, so that calls are always in flight."""
 _TIMEOUT = 5.0
 
 
 class Tally(NamedTuple):
-    """What there was in all.
+    """The counts of a run.
 
     Attributes:
-        calls: by what became of them, over all callers.
+        calls: by outcome, over all callers.
         back: s from each start of a killed side until a call was answered again.
         grown: threads, descriptors and bytes of this process, after the last kill against those after the first ones.
     """
@@ -84,7 +84,7 @@ class Killing:
         return self._server, self._client
 
     def once(self) -> None:
-        """Start the mortal halves, and kill them while calls of all callers are under way."""
+        """Start the halves, and kill them while calls of all callers are in flight."""
         began = time.monotonic()
         victims = [self._programs.start(session) for session in self._sessions]
         for service in self._services:

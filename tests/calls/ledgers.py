@@ -1,4 +1,4 @@
-"""What both sides count of a service's calls, against what its callers and servers know."""
+"""Compares both sides' counts of a service's calls with those of its callers and servers."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def called(name: str, **more: object) -> Topic:
 
 
 def counts(engine: EngineApi, name: str) -> CallsSnapshot:
-    """What a side counts of a service's calls."""
+    """Return a side's counts of a service's calls."""
     found = route(engine, name).calls
     assert found is not None
     return found
 
 
 class Counts(NamedTuple):
-    """What became of calls.
+    """Calls, by outcome.
 
     Attributes:
         asked: they came.
@@ -54,7 +54,7 @@ class Counts(NamedTuple):
 
 
 def settled(engine: EngineApi, name: str, **expected: int) -> CallsSnapshot:
-    """Wait until a side counts this and has nothing under way; what is not named is 0."""
+    """Wait until a side counts this, with nothing in flight; counts that are not named are 0."""
     wanted = Counts(**expected)
 
     def done() -> CallsSnapshot | None:
@@ -110,7 +110,7 @@ def _faults(before: CallsSnapshot | None, now: CallsSnapshot) -> list[str]:
 
 
 def nothing_left(*engines: Engine) -> None:
-    """Wait until no call is under way, nor anything of the links' budgets for them taken."""
+    """Wait until no call is in flight, and the links' budgets for calls are free."""
     for engine in engines:
         assert engine._bridge is not None
         for link in engine._bridge.links():

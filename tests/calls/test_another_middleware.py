@@ -1,6 +1,6 @@
-"""Where calls cannot be carried raw, as with another middleware, rclpy carries those of installed types.
+"""rclpy carries calls of installed types where they cannot be carried raw, as with another middleware.
 
-No other one comes as a wheel, so the bridge is told that it has one.
+No other middleware is available as a wheel, so the test makes the bridge take this one for another.
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ def test_calls_beyond_the_bytes_of_responses_are_refused(
 def test_calls_beyond_those_of_a_second_are_refused(
     bridge: Bridge, near: CallNode, far: CallNode, service: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of all services of a link together, or of one that has a max_rate."""
+    """The limit is that of a link's services together, or a service's max_rate."""
     slow = f"{service}_slow"
     monkeypatch.setattr(_LIMITS + "CALLS_A_SECOND", 100.0)
     far.serve(service, slow)
@@ -134,7 +134,7 @@ def test_a_paused_service_is_not_offered_and_a_resumed_one_is(
 def test_a_service_is_not_offered_again_before_the_other_side_has_resumed_it(
     bridge: Bridge, relay: Relay, near: CallNode, far: CallNode, service: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What it said before the pause is no longer true: a call would be refused there."""
+    """Its report from before the pause is outdated: a call would be refused there."""
     monkeypatch.setattr(_SILENT, 60.0)
     far.serve(service)
     engines = server, client = bridge.both(called(service))
@@ -157,13 +157,13 @@ def test_a_service_is_not_offered_again_before_the_other_side_has_resumed_it(
 
 
 def _over(client: Engine, service: str, asked: int) -> CallsSnapshot | None:
-    """What became of so many calls, once none is under way."""
+    """Wait until no call is in flight, and return the counts of so many calls."""
     found = counts(client, service)
     return found if found.asked == asked and not found.in_flight else None
 
 
 def _answered(server: Engine, service: str, answered: int) -> CallsSnapshot | None:
-    """What became of a service's calls, once so many have been answered, and none is under way.
+    """Wait until so many calls are answered and none is in flight, and return the counts.
 
     There may be more: the server's side refuses some, too, where they come to it at once that were made one by one.
     """

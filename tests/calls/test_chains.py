@@ -81,7 +81,7 @@ def test_a_ring_of_bridges_offers_nothing_that_nobody_serves(
 def test_two_links_that_offer_one_service_do_not_both_answer(
     bridge: Bridge, near: CallNode, far: CallNode, service: str
 ) -> None:
-    """A second bridge between the same domains is told in words that the service is there already."""
+    """A second bridge between the same domains gets the reason that the service exists already."""
     far.serve(service)
     first = bridge.both(called(service))
     near.waits_for(service)

@@ -1,4 +1,4 @@
-"""Callers that go with their calls under way take nothing with them."""
+"""Callers that end while their calls are in flight leave nothing behind."""
 
 from __future__ import annotations
 

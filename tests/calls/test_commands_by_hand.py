@@ -43,7 +43,7 @@ VALUES: dict[str, tuple[Parameter.Type, Any]] = {
 
 
 class Said:
-    """What a command exits with and prints."""
+    """The exit code and the output of a command."""
 
     def __init__(self, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
         parsed = parser_and_commands()[0].parse_args(words)
@@ -167,7 +167,7 @@ def test_who_may_not_call_sets_nothing(
 def test_a_goal_is_sent_its_result_waited_for_and_cancelled_by_commands(
     bridge: Bridge, machine: Machine, pc: Domain, run: Callable[..., Said]
 ) -> None:
-    """Longer than the route's timeout; whoever has no time is told that the goal goes on."""
+    """It takes longer than the route's timeout; a command that stops waiting reports that the goal goes on."""
     fibonacci: Any = pytest.importorskip("tests.support.fibonacci")
     served = fibonacci.FibonacciServer(pc.id)
     printed: Any = sys.stderr  # as `capsys` has it until somebody reads it

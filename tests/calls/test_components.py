@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class Arm(LifecycleNode):  # type: ignore[misc]
-    """Does what it is told, and fails to activate the first time."""
+    """A lifecycle node that fails to activate the first time."""
 
     def __init__(self, *args: Any, **how: Any) -> None:
         self.did: list[str] = []

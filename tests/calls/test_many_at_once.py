@@ -18,7 +18,7 @@ _LARGE = 5_000_000
 def test_a_thousand_calls_of_two_callers_are_answered_in_any_order(
     bridge: Bridge, near: CallNode, far: CallNode, another: Callable[[int], CallNode], service: str
 ) -> None:
-    """No answer is given before all thousand have arrived: they are under way together."""
+    """No answer is given before all thousand have arrived."""
     far.serve(service, gather=1000, delay=(0.0, 0.2))
     second = another(bridge.robot.id)
     engines = server, client = bridge.both(called(service))

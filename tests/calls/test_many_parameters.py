@@ -23,7 +23,7 @@ WITHIN = 400.0
 
 
 def _subscriptions(domain: Domain) -> int:
-    """Of bridges: those of rclpy's nodes belong to listeners."""
+    """Return the bridges' subscriptions, without those of rclpy's nodes."""
     found = domain.node.get_subscriptions_info_by_topic("/parameter_events")
     return sum(each.node_name.startswith("rsb_robot1") for each in found)
 

@@ -23,7 +23,7 @@ _FORGOTTEN_AFTER = 15.0
 def test_two_hundred_services_of_ten_nodes_are_there_at_once_and_stay(
     bridge: Bridge, near: CallNode, far: CallNode, service: str
 ) -> None:
-    """As zenoh-plugin-ros2dds #326: what was discovered at once was forgotten ten seconds later."""
+    """In zenoh-plugin-ros2dds #326, services discovered together were forgotten ten seconds later."""
     names = [f"{service}_{node}_{number}" for node in range(_NODES) for number in range(_EACH)]
     for node in range(_NODES):
         far.serve(*(name for name in names if name.startswith(f"{service}_{node}_")), node=f"server{node}")

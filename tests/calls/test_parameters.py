@@ -57,19 +57,19 @@ def parameters(node: str, **changes: Any) -> Topic:
 
 
 def client_of(spun: Spun, node: str) -> AsyncParameterClient:
-    """What a program makes of a far node's parameters, once they are there."""
+    """Return a program's client of a far node's parameters, once they exist."""
     client = AsyncParameterClient(spun.node, node)
     eventually(client.services_are_ready, what=f"the parameters of {node}")
     return client
 
 
 def heard(listener: Listener) -> list[ParameterEvent]:
-    """What a listener to /parameter_events has heard."""
+    """Return the events that a listener to /parameter_events has heard."""
     return [deserialize_message(each, ParameterEvent) for each in listener.payloads]
 
 
 def crosses(spun: Spun, listener: Listener, node: str) -> None:
-    """Wait until a node's events come to a listener: whoever is about to be discovered misses some."""
+    """Wait until a node's events reach a listener: a listener that is not discovered yet misses some."""
     numbers = itertools.count(1000)
 
     def set_one() -> bool:
@@ -136,7 +136,7 @@ def test_what_ros2_param_dump_and_load_do(bridge: Bridge, start: Callable[..., S
 def test_the_events_of_that_node_alone_come_under_its_name_there(
     bridge: Bridge, start: Callable[..., Spun], camera: Spun, robot: Domain, pc: Domain
 ) -> None:
-    """Of two nodes that are bridged and one that is not."""
+    """Two nodes are bridged, and one is not."""
     lidar, other = start(robot, "lidar"), start(robot, "other")
     for each in (lidar, other):
         each.node.declare_parameter("rate", 1)

@@ -1,4 +1,4 @@
-"""Who may call and who may serve, on real links: refused on both sides in words, changed by a reload."""
+"""Rights to call and to serve on real links: refused on both sides with a reason, changed by a reload."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_server_calls_on_a_robot_only_what_its_file_lists(
 def test_a_client_calls_and_serves_what_the_server_allows(
     bridge: Bridge, near: CallNode, far: CallNode, service: str, tmp_path: Path
 ) -> None:
-    """Who may have all topics may call nothing by that; a reload allows it, limits it and ends it."""
+    """A right to all topics is no right to call; a reload grants it, limits it and ends it."""
     file, key = tmp_path / "pc.yaml", "robot1.key"
     far.serve(service)
     server = bridge.server(clients=(Client("robot1", key_file=key, allow=("/*",)),))
@@ -97,7 +97,7 @@ def test_a_client_calls_and_serves_what_the_server_allows(
 def test_a_reload_adds_changes_and_removes_services(
     bridge: Bridge, near: CallNode, far: CallNode, service: str, tmp_path: Path
 ) -> None:
-    """What a change of the timeout does to the route is core's; the others stay as they are."""
+    """Only the route whose timeout changes is replaced."""
     file, other = tmp_path / "robot1.yaml", f"{service}/other"
     far.serve(service, other)
     server, client = bridge.both()

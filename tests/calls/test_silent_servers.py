@@ -1,4 +1,4 @@
-"""Servers that do not answer, that go with calls under way, and that come back."""
+"""Servers that do not answer, that end while calls are in flight, and that come back."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def test_calls_that_are_never_answered_expire_and_leave_nothing(
     bridge: Bridge, near: CallNode, far: CallNode, service: str
 ) -> None:
-    """Both sides count them and say so; the next server's calls are answered."""
+    """Both sides count and report them; the next server's calls are answered."""
     far.serve(service, delay=None)
     engines = server, client = bridge.both(called(service, timeout=4.0))
     with balanced(*engines):
@@ -42,7 +42,7 @@ def test_calls_that_are_never_answered_expire_and_leave_nothing(
 
 
 def test_an_offer_comes_and_goes_with_the_server(bridge: Bridge, near: CallNode, far: CallNode, service: str) -> None:
-    """Each time at once; calls that are under way when it goes are lost, and no later one is."""
+    """Each time at once; calls in flight are lost when it ends, and no later call is."""
     far.serve(service, delay=None)
     engines = server, client = bridge.both(called(service))
     with balanced(*engines):

@@ -22,6 +22,20 @@ EXTRAS = {
     "ros": ("ros", "zenoh", "metrics"),
     "dev": ("ros", "ros-test", "zenoh", "metrics", "dev"),
 }
+BUILD = PROJECT["build-system"]["requires"]
+NAMED = {
+    "build": BUILD,
+    "checks": PROJECT["dependency-groups"]["checks"],
+    **{
+        lock: [
+            *PROJECT["project"]["dependencies"],
+            *BUILD,
+            *(line for extra in extras for line in PROJECT["project"]["optional-dependencies"][extra]),
+        ]
+        for lock, extras in EXTRAS.items()
+    },
+}
+"""The requirements of pyproject.toml that each lock has to meet."""
 _LINE = re.compile(r"(?P<name>[a-z0-9-]+)==(?P<version>\S+)( ; (?P<marker>.+))?")
 
 
@@ -39,26 +53,18 @@ def entries(lock: str) -> list[tuple[str, str, str, list[str]]]:
     return found
 
 
-def named(lock: str) -> list[Requirement]:
-    """What pyproject.toml says that is needed."""
-    project = PROJECT["project"]
-    lines = [*project["dependencies"], *PROJECT["build-system"]["requires"]]
-    lines += [line for extra in EXTRAS[lock] for line in project["optional-dependencies"][extra]]
-    return [Requirement(line) for line in lines]
-
-
-@pytest.mark.parametrize("lock", EXTRAS)
+@pytest.mark.parametrize("lock", NAMED)
 def test_a_lock_has_all_that_is_named_with_hashes(lock: str) -> None:
     """If this fails after a change of pyproject.toml: `make lock`."""
     locked = entries(lock)
     assert all(hashes and all(re.fullmatch(r"sha256:[0-9a-f]{64}", each) for each in hashes) for *_, hashes in locked)
-    for requirement in named(lock):
+    for requirement in map(Requirement, NAMED[lock]):
         versions = [version for name, version, *_ in locked if name == canonicalize_name(requirement.name)]
         assert versions, f"{requirement.name} is not in locks/{lock}.txt"
         assert all(requirement.specifier.contains(version) for version in versions)
 
 
-@pytest.mark.parametrize("lock", EXTRAS)
+@pytest.mark.parametrize("lock", NAMED)
 def test_a_lock_has_all_that_its_packages_need(lock: str) -> None:
     """By what is installed here: pip takes nothing that has no hash."""
     locked = {name for name, _, marker, _ in entries(lock) if not marker or Marker(marker).evaluate()}

@@ -38,7 +38,7 @@ EACH_WAY = (
 _COMMAND = Path(sys.executable).with_name("rsb-console")
 _STOPS_WITHIN = 20.0
 _MEMORY = 256 << 20
-"""Bytes: what waits is bounded, whatever the network does (a program that bridges nothing has 65 MiB)."""
+"""Bytes: queues are bounded on any network (a program that bridges nothing has 65 MiB)."""
 _LEDGER_FIELDS = ("offered", "delivered", "throttled", "expired", "in_flight", "dropped", "unknown", "lost_in_dds")
 
 
@@ -93,7 +93,7 @@ class Program:
         return found or {"links": {}, "routes": []}
 
     def route(self, topic: str) -> dict[str, Any]:
-        """What the newest status says of a topic; empty: nothing."""
+        """Return a topic of the newest status, or an empty row."""
         return next((each for each in self.status()["routes"] if each["topic"] == topic), {})
 
     def sees_subscriber(self, topic: str) -> None:
@@ -116,7 +116,7 @@ class Program:
         self._process.wait()
 
     def again(self) -> Program:
-        """The same program, started anew."""
+        """Start the same program again."""
         return Program(self._host, self._session)
 
     def close(self) -> None:
@@ -137,7 +137,7 @@ class Program:
 
 @dataclass
 class Bridge:
-    """Two programs with a node beside each.
+    """Two programs, each with a node in its domain.
 
     Attributes:
         client: bridges the robot's domain.
@@ -152,7 +152,7 @@ class Bridge:
     pc: Node
 
     def listen(self, *, pc: tuple[str, ...] = (), robot: tuple[str, ...] = ()) -> None:
-        """Have the nodes listen, and wait until the bridge's publishers know: nobody hears what comes before."""
+        """Have the nodes listen, and wait until the bridge's publishers know them: earlier messages would be lost."""
         for node, side, topics in ((self.pc, self.server, pc), (self.robot, self.client, robot)):
             node.listen(*topics)
             for topic in topics:
@@ -177,7 +177,7 @@ class Bridge:
 
         Args:
             topics: their names.
-            since: what was published from then on (s since the epoch) is the client's.
+            since: s since the epoch; later messages are the present client's.
             within: s.
 
         Returns:

@@ -53,7 +53,7 @@ class Network:
         return bridge
 
     def callers_and_servers(self, robot: Host, pc: Host) -> tuple[CallNode, CallNode]:
-        """A node that calls beside the client, and one that answers beside the server."""
+        """Start a calling node in the client's domain, and an answering one in the server's."""
         self._nodes += (CallNode(domain, host.start) for domain, host in zip(_DOMAINS, (robot, pc), strict=True))
         return self._nodes[-2], self._nodes[-1]
 

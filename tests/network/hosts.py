@@ -1,7 +1,7 @@
 """Machines on a network of their own: Linux network namespaces, joined by veth cables that can be cut and slowed.
 
 Each has its own `/dev/shm` too, or DDS would reach from one to the other by shared memory. Both last as long as the
-process that holds them, which dies with this one: nothing is left, whatever happens.
+process that holds them, which dies with this one, so nothing is left behind.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Host:
 
     @property
     def pid(self) -> int:
-        """Of the process that holds its namespaces."""
+        """The id of the process that holds its namespaces."""
         return self._holder.pid
 
     def start(self, *command: str, **how: Any) -> subprocess.Popen[str]:
@@ -56,7 +56,7 @@ class Host:
         return subprocess.Popen((*enter, *_DIES_WITH_US, *command), text=True, **how)
 
     def run(self, *command: str) -> str:
-        """What a command prints; AssertionError where it fails."""
+        """Run a command and return its output, or raise AssertionError if it fails."""
         process = self.start(*command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
         printed = process.communicate(timeout=60)[0]
         assert process.returncode == 0, f"{self.name}: {' '.join(command)}: {printed}"

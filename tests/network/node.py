@@ -63,7 +63,7 @@ class Node:
             topic: where.
             rate: Hz.
             size: bytes, about.
-            count: how many; None: until told to hush.
+            count: how many, or None until `hush`.
         """
         self._ask(do="talk", topic=topic, rate=rate, size=size, count=count)
 
@@ -88,7 +88,7 @@ class Node:
         return [Heard(*each) for each in self._ask(do="tell", topic=topic)]
 
     def hears(self, topic: str, within: float = 180.0, *, after: float | None = None) -> Heard:
-        """Wait for a message published later than `after` (s since the epoch; None: now)."""
+        """Wait for a message published later than `after` (s since the epoch, now by default)."""
         after = time.time() if after is None else after
 
         def new() -> Heard | None:

@@ -26,7 +26,7 @@ _LOSS, _DOUBLED, _DELAY, _JITTER = "0.05", "0", "0.2", "0"
 
 
 def test_calls_over_a_wire_that_loses_and_delays(network: Network, robot: Host, pc: Host) -> None:
-    """5 % lost, 200 ms late each way: every call is answered, once, and the way's share of the time is told apart."""
+    """5 % lost, 200 ms late each way: every call is answered once, and the network's share of the time is shown."""
     wire = network.host("wire")
     Cable(robot, wire)
     Cable(wire, pc)
@@ -54,7 +54,7 @@ def test_calls_over_a_wire_that_loses_and_delays(network: Network, robot: Host, 
 
 
 def test_a_cut_takes_the_offer_and_the_calls_under_way(network: Network, robot: Host, pc: Host, cable: Cable) -> None:
-    """A short cut delays the calls; a long one is the end of those under way, on both sides, and of the offer."""
+    """A short cut delays the calls; a long one ends the offer, and the calls in flight on both sides."""
     near, far = network.callers_and_servers(robot, pc)
     far.serve("/map")
     bridge = network.bridge(robot, pc, _PC, services=(_SERVICE,))

@@ -29,7 +29,7 @@ def test_a_short_cut_is_survived_and_a_long_one_comes_back(
     time.sleep(1.0)  # to cut and mend it takes four processes, within the 5 s of silence that end a link
     cable.mend()
     bridge.all_flow(_BACK_WITHIN)
-    for side, topic in ((bridge.client, "/scan"), (bridge.server, "/cmd")):  # what is lost is known by a report
+    for side, topic in ((bridge.client, "/scan"), (bridge.server, "/cmd")):  # a report has the lost messages
         eventually(lambda: side.ledger(topic).dropped.get("lost on the way"), what=f"{topic} lost some")  # noqa: B023
     assert not bridge.client.happened(EventCode.LINK_LOST)
 

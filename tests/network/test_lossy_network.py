@@ -17,7 +17,7 @@ _LOSS, _DOUBLED, _DELAY, _JITTER = "0.05", "0.05", "0.01", "0.05"
 
 
 def test_every_message_is_accounted_for(network: Network, robot: Host, pc: Host) -> None:
-    """5 % lost, 5 % doubled, 10 to 60 ms late; what comes is whole, and comes once (`Bridge.settled` sees to it)."""
+    """5 % lost, 5 % doubled, 10 to 60 ms late: messages arrive whole and once (`Bridge.settled` checks it)."""
     wire = network.host("wire")
     for cable in (Cable(robot, wire), Cable(wire, pc)):
         cable.single()

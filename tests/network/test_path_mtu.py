@@ -1,4 +1,4 @@
-"""Packets vanish on the way, and nobody says so: both sides name it, on their screens and as JSON, with the remedy."""
+"""Large packets vanish silently: both sides show the cause and the remedy, on their screens and as JSON."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_large_packets_that_vanish_without_a_word(
     statuses = [each["status"]["routes"] for each in bridge.client.log if "status" in each]
     odom = [(each["cause"], each["reason"]) for routes in statuses for each in routes if each["topic"] == "/odom"]
     first = next(reason for cause, reason in odom if cause == Cause.NO_PATH)
-    assert StreamTrouble.STUCK() in first, "it is told before the kernel gives the connection up"
+    assert StreamTrouble.STUCK() in first, "it is shown before the kernel gives the connection up"
     pc.nft("delete table inet narrow")
     for topic in ("/scan", "/odom"):
         for side in (bridge.client, bridge.server):
@@ -101,7 +101,7 @@ def _remedied(side: Program, topic: str, state: str, cause: Cause, remedy: str) 
 
 
 def _why(side: Program, topic: str, state: str, cause: Cause) -> str:
-    """Why a topic is in a state; empty: it is not, or for another cause."""
+    """Return the reason of a topic's state, or an empty string if it has another state or cause."""
     shown = side.route(topic)
     return shown["reason"] if (shown.get("state"), shown.get("cause")) == (state, cause) else ""
 

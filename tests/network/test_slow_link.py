@@ -19,7 +19,7 @@ _FRAMES = 45
 def test_bulk_that_does_not_fit_is_dropped_and_holds_up_nothing(
     network: Network, robot: Host, pc: Host, cable: Cable
 ) -> None:
-    """4 Mbit/s of pictures by TCP beside a control topic and a scan; then as much by UDP."""
+    """4 Mbit/s of pictures by TCP next to a control topic and a scan; then as much by UDP."""
     cable.slow("1mbit", queue="50ms")
     bridge = network.bridge(
         robot,

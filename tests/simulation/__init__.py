@@ -1,16 +1,17 @@
-"""The engine on a clock, a network and a ROS of its own: days in seconds, and a seed is a world.
+"""The engine on a simulated clock, network and ROS: a day takes a minute, and a seed decides all that happens.
 
 Read in this order:
 
 - `loop`: time.
-- `network`: what lies between the machines; `machine`: they and their processes; `streams` and `sockets`: what a
-  program sees of all that.
-- `ros`: a ROS domain; `node`: what an engine sees of it; `station`: a machine with an engine in a domain.
-- `flows`: topics, with what is counted at both ends; `services` and `exchanges`: services, and their calls;
-  `action_server` and `errands`: actions, and their goals; `sessions` and `world`: all of these from a seed;
-  `chronicle`: what has happened there.
-- `climate`, `faults` and `operators`: what happens; `invariants`, `call_invariants`, `action_invariants` and `tables`:
-  what must hold all along.
+- `network`: the paths between machines; `machine`: machines and their processes; `streams` and `sockets`: the sockets
+  of a process.
+- `ros`: a ROS domain; `node`: an engine's view of it; `engine_host`: a machine with an engine in a domain.
+- `flow`: a route's nodes; `topic_flow`, `service_flow` and `action_flow`: those of topics, services and actions, with
+  their counts; `services` and `action_server`: servers and clients; `sessions` and `world`: all of these from a seed;
+  `world_log`: what happened.
+- `conditions`, `faults` and `operators`: causes of change; `invariants`, `call_invariants`, `action_invariants` and
+  `tables`: conditions that are checked every few seconds.
+- `call_harness`: one service in a world without faults.
 
 ``python -m tests.simulation SEED`` plays a world.
 """

@@ -25,7 +25,7 @@ def main() -> int:
         failure = violation
     spent = time.process_time() - began
     if failure is not None:
-        sys.stdout.write("".join(f"{line}\n" for line in list(world.chronicle.lines)[-arguments.log :]))
+        sys.stdout.write("".join(f"{line}\n" for line in list(world.log.lines)[-arguments.log :]))
         sys.stdout.write(f"\n{failure}\n\n")
     sys.stdout.write(f"{world.summary()}\n{spent:.1f} s of CPU time\n")
     return 1 if failure else 0

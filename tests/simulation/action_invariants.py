@@ -1,4 +1,4 @@
-"""What must hold of actions all along, beside what holds of all calls (`tests.simulation.call_invariants`)."""
+"""Invariants of actions, in addition to those of all calls (`tests.simulation.call_invariants`)."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from rsb_bridge.route.calls.providing import ProvidingRoute
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from tests.simulation.errands import Errand
+    from tests.simulation.action_flow import ActionFlow
+    from tests.simulation.engine_host import Run
     from tests.simulation.goals import Goal
-    from tests.simulation.station import Run
     from tests.simulation.world import World
 
     from rsb_bridge.link.link import Link
@@ -28,7 +28,7 @@ REACHED_WITHIN = 15.0
 WITHDRAWN_WITHIN = 45.0
 """s until a server that was killed is seen no more, and is offered no more."""
 TOLD_WITHIN = 10.0
-"""s from then, or from when something has happened, until whoever waits for it knows."""
+"""s from then, or from an event, until everybody who waits for it knows."""
 _BEFORE = 1.0
 """s before an opening in which what is asked may not be with the bridge yet."""
 _MUCH_LATER = 0.9 * INTERRUPTION
@@ -39,49 +39,49 @@ class ActionInvariants:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._patience = world.climate.patience
-        self._can_be_reached: dict[Errand, float] = {}
+        self._patience = world.conditions.patience
+        self._can_be_reached: dict[ActionFlow, float] = {}
         self._openings: dict[ProvidingRoute, tuple[int, bool, set[bytes]]] = {}
 
     def check(self) -> None:
         """Check everything once."""
-        for errand in self._world.errands.values():
-            self._check_errand(errand)
+        for action in self._world.action_flows.values():
+            self._check_action(action)
 
-    def _check_errand(self, errand: Errand) -> None:
+    def _check_action(self, action: ActionFlow) -> None:
         world, now = self._world, self._world.loop.time()
-        robot = world.robot(errand.robot)
+        robot = world.robot(action.robot)
         ends = world.link_ends(robot)
-        halves = halves_of(world, errand)
-        near, _ = near_and_far(world, errand)
-        dead_is_seen = errand.dead_is_seen
-        gone = errand.server is None and not dead_is_seen
-        if near is not None and _offered(near, errand):
+        halves = halves_of(world, action)
+        near, _ = near_and_far(world, action)
+        dead_is_seen = action.dead_is_seen
+        gone = action.server is None and not dead_is_seen
+        if near is not None and _offered(near, action):
             if not any(link.linked for link in near.links() if link.name == robot.name):
-                world.wrong(f"{errand}: clients see a server, and the link is down")
-            waited = now - max(errand.changed, world.clear_since(robot))
+                world.wrong(f"{action}: clients see a server, and the link is down")
+            waited = now - max(action.changed, world.clear_since(robot))
             if gone and waited > self._patience * WITHDRAWN_WITHIN and not robot.troubles:
-                world.wrong(f"{errand}: clients see a server, and it has been gone for {waited:.1f} s")
+                world.wrong(f"{action}: clients see a server, and it has been gone for {waited:.1f} s")
         if (
-            ends is None or robot.troubles or errand.troubles or errand.server is None or dead_is_seen
+            ends is None or robot.troubles or action.troubles or action.server is None or dead_is_seen
             or len(halves) < len(ends)
             or not all(link.linked for link in ends) or any(half.paused for half in halves)
         ):  # fmt: skip
-            self._can_be_reached.pop(errand, None)
+            self._can_be_reached.pop(action, None)
             return
-        since = self._can_be_reached.setdefault(errand, now)
-        clear = max(since, errand.changed, robot.commanded, world.clear_since(robot)) + self._patience * REACHED_WITHIN
+        since = self._can_be_reached.setdefault(action, now)
+        clear = max(since, action.changed, robot.commanded, world.clear_since(robot)) + self._patience * REACHED_WITHIN
         if now > clear:
             assert near is not None
-            self._check_reached(errand, near, clear)
+            self._check_reached(action, near, clear)
 
-    def _check_reached(self, errand: Errand, near: Run, clear: float) -> None:
-        world, now, server = self._world, self._world.loop.time(), errand.server
+    def _check_reached(self, action: ActionFlow, near: Run, clear: float) -> None:
+        world, now, server = self._world, self._world.loop.time(), action.server
         assert server is not None
-        if not _offered(near, errand):
-            world.wrong(f"{errand}: it can be reached, and is not offered; {said(world, errand)}")
+        if not _offered(near, action):
+            world.wrong(f"{action}: it can be reached, and is not offered; {said(world, action)}")
         soon = self._patience * TOLD_WITHIN
-        for goal in errand.waiting():
+        for goal in action.waiting():
             if now - goal.sent > _MUCH_LATER:
                 goal.result = "given up"
                 continue
@@ -91,32 +91,32 @@ class ActionInvariants:
             else:
                 waited = now - max(clear, asked.at, goal.ended)
             if waited > soon and not server.runs(goal.id):
-                world.wrong(f"{errand}: {goal} waits for its result for {waited:.1f} s; {said(world, errand)}")
-        for goal in errand.to_cancel():
+                world.wrong(f"{action}: {goal} waits for its result for {waited:.1f} s; {said(world, action)}")
+        for goal in action.to_cancel():
             assert goal.cancel is not None
             waited = now - max(clear, goal.cancel.at or 0.0)
             if waited > soon:
-                world.wrong(f"{errand}: {goal} is to be cancelled for {waited:.1f} s; {said(world, errand)}")
+                world.wrong(f"{action}: {goal} is to be cancelled for {waited:.1f} s; {said(world, action)}")
         waited = now - max(clear, server.said_at)
-        if waited > soon and server.said and errand.heard != server.said:
-            world.wrong(f"{errand}: clients hear another status than the server's; {said(world, errand)}")
+        if waited > soon and server.said and action.heard != server.said:
+            world.wrong(f"{action}: clients hear another status than the server's; {said(world, action)}")
 
-    def explains(self, errand: Errand, goal: Goal) -> bool:
+    def explains(self, action: ActionFlow, goal: Goal) -> bool:
         """Whether what happened explains that nobody knows the result of a goal."""
         world = self._world
-        _, far = near_and_far(world, errand)
-        if goal.server is not errand.server or far is None or far.began > goal.sent:
-            return True  # whoever knew it has been started again
-        if errand.server is not None and errand.server.remembers(goal.id):
+        _, far = near_and_far(world, action)
+        if goal.server is not action.server or far is None or far.began > goal.sent:
+            return True  # the process that knew it was restarted
+        if action.server is not None and action.server.remembers(goal.id):
             return False
-        robot = world.robot(errand.robot)
-        return max(robot.commanded, errand.changed) > goal.sent or world.loop.time() - goal.sent > _MUCH_LATER
+        robot = world.robot(action.robot)
+        return max(robot.commanded, action.changed) > goal.sent or world.loop.time() - goal.sent > _MUCH_LATER
 
     # --- on the wire
 
     @contextlib.contextmanager
     def tapped(self) -> Iterator[None]:
-        """See what comes over the links to where the servers are."""
+        """Watch the messages that reach the servers' engines over the links."""
         take = ProvidingRoute._take
 
         def tap(route: ProvidingRoute, frame: CallFrame, *, readable: bool = True) -> None:
@@ -128,51 +128,51 @@ class ActionInvariants:
 
     def _came(self, route: ProvidingRoute, frame: CallFrame) -> None:
         """A cancel that was asked before an opening began comes before everything else."""
-        errand = next((each for each in self._world.errands.values() if _is_half(route, each)), None)
-        if errand is None:
+        action = next((each for each in self._world.action_flows.values() if _is_half(route, each)), None)
+        if action is None:
             return
         opening, begun, cancels = self._openings.get(route, (0, False, set()))
         if opening != route.id:
             opening, begun, cancels = route.id, False, set()
         about = frame.content[4:20]
-        goal = errand.goals.get(about)
+        goal = action.goals.get(about)
         if frame.lane == CANCEL_GOAL and goal is not None and goal.cancel is not None and goal.cancel.at is not None:
             if begun and about not in cancels and goal.cancel.at < route.opened_at - _BEFORE:
                 self._world.wrong(
-                    f"{errand}: the cancel of {goal} comes after other calls: {said(self._world, errand)}"
+                    f"{action}: the cancel of {goal} comes after other calls: {said(self._world, action)}"
                 )
             cancels.add(about)
         self._openings[route] = opening, begun or frame.lane in (SEND_GOAL, GET_RESULT), cancels
 
 
-def _is_half(route: CallsRoute, errand: Errand) -> bool:
-    return (route.topic == errand.near_name and route.remote_topic == errand.far_name) or (
-        route.local_topic == errand.far_name and route.peer.name == errand.robot
+def _is_half(route: CallsRoute, action: ActionFlow) -> bool:
+    return (route.topic == action.near_name and route.remote_topic == action.far_name) or (
+        route.local_topic == action.far_name and route.peer.name == action.robot
     )
 
 
-def near_and_far(world: World, errand: Errand) -> tuple[Run | None, Run | None]:
+def near_and_far(world: World, action: ActionFlow) -> tuple[Run | None, Run | None]:
     """The engines on the clients' and on the server's side."""
-    ends = world.robot(errand.robot).station.run, world.server.run
-    return ends if errand.topic.direction == "transmit" else ends[::-1]
+    ends = world.robot(action.robot).host.run, world.server.run
+    return ends if action.topic.direction == "transmit" else ends[::-1]
 
 
-def halves_of(world: World, errand: Errand) -> list[CallsRoute]:
+def halves_of(world: World, action: ActionFlow) -> list[CallsRoute]:
     """The halves of its route."""
-    links: list[Link] = list(world.link_ends(world.robot(errand.robot)) or ())
-    found: list[Any] = [route for link in links for route in link.routes.values() if route.topic == errand.near_name]
+    links: list[Link] = list(world.link_ends(world.robot(action.robot)) or ())
+    found: list[Any] = [route for link in links for route in link.routes.values() if route.topic == action.near_name]
     return [route for route in found if isinstance(route, (CallingRoute, ProvidingRoute)) and route.action is not None]
 
 
-def said(world: World, errand: Errand) -> str:
-    """What both sides say of an action."""
-    shown = [half.snapshot() for half in halves_of(world, errand)]
+def said(world: World, action: ActionFlow) -> str:
+    """Return both sides' states of an action."""
+    shown = [half.snapshot() for half in halves_of(world, action)]
     return "; ".join(f"{each.state} {each.reason!r} {each.calls} {each.goals}" for each in shown)
 
 
-def _offered(run: Run, errand: Errand) -> bool:
-    servers, node = run.station.domain.services.servers, f"/{run.node.node_name}"
-    return any(each.node == node for each in servers[errand.near_services[0]])
+def _offered(run: Run, action: ActionFlow) -> bool:
+    servers, node = run.host.domain.services.servers, f"/{run.node.node_name}"
+    return any(each.node == node for each in servers[action.near_services[0]])
 
 
 def in_flight(route: CallsRoute) -> int:
@@ -183,7 +183,7 @@ def in_flight(route: CallsRoute) -> int:
 
 
 def left_of_ended_calls(route: CallsRoute) -> list[str]:
-    """What a half still has of calls that are over."""
+    """Return tables of a half that still hold ended calls."""
     pending = route._pending  # type: ignore[attr-defined]
     found = [
         f"{frame.what.name} {frame.call} in the outbox"
@@ -200,7 +200,7 @@ def left_of_ended_calls(route: CallsRoute) -> list[str]:
 
 
 def left_at_rest(route: CallsRoute) -> list[str]:
-    """What a half has though no goal runs, nobody asks anything, and whatever may be asked again has been forgotten."""
+    """Return tables of a half that are not empty although no goal runs and no request can be repeated any more."""
     found = left_of_ended_calls(route)
     tables: dict[str, object] = {
         "calls in flight": route.calls.in_flight,

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.ros.ros_interface import Request
 
-TYPE = "sim_msgs/action/Errand"
+TYPE = "sim_msgs/action/Patrol"
 CDR = b"\0\1\0\0"
 SERVICES = (SEND_GOAL, CANCEL_GOAL, GET_RESULT)
 RESULT_TIMEOUT = 10.0
@@ -34,11 +34,11 @@ _OF_NOBODY = contextvars.Context()
 
 
 class Plan(NamedTuple):
-    """What a server does with a goal.
+    """A server's behaviour for one goal.
 
     Attributes:
-        accepts: it, or rejects it.
-        after: s, how long it thinks about that; None: it never answers.
+        accepts: whether it accepts the goal.
+        after: s until it answers, or None if it never does.
         runs: s.
         state: in which it ends, unless it is cancelled.
     """
@@ -50,7 +50,7 @@ class Plan(NamedTuple):
 
 
 class Watcher(Protocol):
-    """Hears of what comes to a server and what becomes of it."""
+    """Gets a server's requests, and the outcome of each goal."""
 
     def arrived(self, server: ActionServer, goal: bytes) -> Plan:
         """A goal has come."""
@@ -70,7 +70,7 @@ class Watcher(Protocol):
 
 
 def names(action: str) -> list[str]:
-    """Of an action's services and topics, by lane."""
+    """Return the names of an action's services and topics, by lane."""
     return [name_of(lane, action) for lane in LANES["action"]]
 
 
@@ -81,11 +81,11 @@ def lane_type(lane: int) -> tuple[str, str]:
 
 
 class ActionServer:
-    """One.
+    """A server of an action.
 
     Attributes:
         closed: it is gone.
-        said: its last status message; empty: none yet.
+        said: its last status message, or empty before the first.
         said_at: s, when that was.
     """
 
@@ -111,17 +111,12 @@ class ActionServer:
         self.closed = True
         ends: list[Server | Writer] = [*self._servers.values(), *self._writers.values()]
         for end in ends:
-            if killed:
-                end.closed = True
-                self._domain.forget_later(end)
-            else:
-                end.close()
+            end.close(killed=killed)
 
     @property
     def seen(self) -> bool:
         """Whether others see it."""
-        servers = self._domain.services.servers
-        return any(server in servers[server.service] for server in self._servers.values())
+        return any(server.seen for server in self._servers.values())
 
     def remembers(self, goal: bytes) -> bool:
         """Whether it knows a goal, over or not."""
@@ -131,7 +126,7 @@ class ActionServer:
         """Whether a goal goes on."""
         return not self.closed and self._states.get(goal) in _RUNNING
 
-    # --- what comes
+    # --- requests
 
     def _send_goal(self, batch: Sequence[Request]) -> None:
         for request in batch:
@@ -168,7 +163,7 @@ class ActionServer:
             else:
                 self._tell(request.caller, goal)
 
-    # --- what becomes of it
+    # --- outcomes
 
     def _feed(self, goal: bytes, part: int) -> None:
         if self.runs(goal):

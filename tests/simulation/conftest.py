@@ -1,4 +1,4 @@
-"""What was played is told at the end of every run: how much time lived, what it cost, and what was done to it."""
+"""Reports the simulated time of a run, its cost, and the numbers of faults, commands and checks."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Play(Protocol):
     """Plays worlds, and notes what that cost."""
 
     def __call__(self, world: World, seconds: float, *doings: Coroutine[None, None, None]) -> None:
-        """As `World.play`."""
+        """Play a world, as `World.play` does."""
         ...
 
 
@@ -62,15 +62,15 @@ def play(request: pytest.FixtureRequest) -> Play:
         try:
             world.play(seconds, *doings)
         finally:
-            chronicle = world.chronicle
+            log = world.log
             played.append(
                 Played(
                     request.node.name,
                     world.loop.time(),
                     time.process_time() - cpu,
                     time.monotonic() - real,
-                    chronicle.faults.total(),
-                    chronicle.commands.total(),
+                    log.faults.total(),
+                    log.commands.total(),
                     world.invariants.checks,
                 )
             )
@@ -79,7 +79,7 @@ def play(request: pytest.FixtureRequest) -> Play:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Tell what was played: a line for each test function, and their sum."""
+    """Report a line for each test function, and the sum of all."""
     played = config.stash.get(_PLAYED, [])
     if not played:
         return

@@ -1,4 +1,4 @@
-"""What is made to happen in a world: waits that no test could wait for, and courses of events that are rare."""
+"""Courses of events in a world: long waits, and rare coincidences."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import contextlib
 from typing import TYPE_CHECKING
 from unittest.mock import patch
 
-from tests.simulation import station
+from tests.simulation import engine_host
 from tests.simulation.action_server import Plan
 
 from rsb_bridge.engine import bridge
@@ -49,23 +49,23 @@ async def tunnelled(world: World, seconds: float, speed: float = 5_000.0, fresh_
         world: in which.
         seconds: for how long.
         speed: bytes/s.
-        fresh_within: s within which what comes out at all comes out.
+        fresh_within: s, the greatest age of a message on arrival.
     """
     (robot,) = world.robots
-    ends = robot.station.machine, world.server.machine
+    ends = robot.host.machine, world.server.machine
     for machine in ends:
         machine.stream_buffer = 4 << 20
     await asyncio.sleep(20.0)
     for path in world.network.both_ways(*ends):
         path.bandwidth = speed
     with world.trouble("tunnel", robot):  # it may look slow, and it may be given up: its messages stay fresh
-        for flow in robot.flows:
+        for flow in robot.topic_flows:
             flow.vanish()
             flow.fresh_within = fresh_within
-            flow.size, flow.period = 500, 500 * len(robot.flows) / (3 * speed)
+            flow.size, flow.period = 500, 500 * len(robot.topic_flows) / (3 * speed)
             flow.appear()
         await asyncio.sleep(seconds)
-        for flow in robot.flows:
+        for flow in robot.topic_flows:
             flow.vanish()
         for path in world.network.both_ways(*ends):
             path.bandwidth = None
@@ -81,12 +81,12 @@ async def delayed(world: World, seconds: float, delay: float = 3.0) -> None:
     """
     (robot,) = world.robots
     await asyncio.sleep(20.0)
-    for flow in robot.flows:
+    for flow in robot.topic_flows:
         flow.vanish()
         flow.size, flow.period = 100, 0.4
         flow.appear()
     await asyncio.sleep(20.0)
-    paths = world.network.both_ways(robot.station.machine, world.server.machine)
+    paths = world.network.both_ways(robot.host.machine, world.server.machine)
     for path in paths:
         path.latency = (delay, delay + 0.01)
     with world.trouble("delayed", robot):
@@ -103,8 +103,8 @@ async def aged(world: World, rounds: int = 25) -> None:
         rounds: how often.
     """
     random = world.random("ages")
-    (robot,), (flow,) = world.robots, world.flows.values()
-    ends = robot.station.machine, world.server.machine
+    (robot,), (flow,) = world.robots, world.topic_flows.values()
+    ends = robot.host.machine, world.server.machine
     ways = world.network.both_ways(*ends)
     await asyncio.sleep(10.0)
     with world.trouble("ages", robot):
@@ -114,7 +114,7 @@ async def aged(world: World, rounds: int = 25) -> None:
             whats = ["hold", "hold one way", "cut", "narrow", "freeze", "step", "kill"]
             whats += ["pause"] if flow.ordered else []  # datagrams: what is paused is judged in its own process only
             what = random.choice(whats)
-            world.chronicle.fault(what)
+            world.log.fault(what)
             slow = ways if what == "hold" else ways[:1] if random.random() < 0.5 else ways[1:]
             match what:
                 case "hold" | "hold one way":
@@ -125,24 +125,26 @@ async def aged(world: World, rounds: int = 25) -> None:
                 case "narrow":
                     for path in ways:
                         path.bandwidth = 2_000.0
-                case "freeze":  # of the ROS thread: what it takes then is as old as that, and stamped anew
-                    flow.source.taking = (seconds, seconds)
+                case (
+                    "freeze"
+                ):  # of the ROS thread: the messages that it takes then are as old as that, and get new stamps
+                    flow.near.taking = (seconds, seconds)
                 case "pause":
                     await _pause_all(world, paused=True)
                 case "kill":
-                    random.choice((robot.station, world.server)).kill()
+                    random.choice((robot.host, world.server)).kill()
             if what == "step" or random.random() < 0.5:
                 await asyncio.sleep(random.uniform(0.0, 0.5))
-                clock = random.choice((robot.station, world.server)).clock
+                clock = random.choice((robot.host, world.server)).clock
                 clock.offset += random.choice((-1, 1)) * 10 ** random.uniform(-1.5, 2)
             await asyncio.sleep(seconds)
-            flow.source.taking = (0.0001, 0.002)
+            flow.near.taking = (0.0001, 0.002)
             world.network.heal(*ends)
             for path in ways:
                 path.mend()
-            for station in (robot.station, world.server):
-                if station.run is None:
-                    station.start()
+            for host in (robot.host, world.server):
+                if host.run is None:
+                    host.start()
             await _pause_all(world, paused=False)
         await asyncio.sleep(30.0)
 
@@ -150,14 +152,14 @@ async def aged(world: World, rounds: int = 25) -> None:
 async def linked_by_a_slow_way(world: World) -> None:
     """The link comes up while one direction takes longer than `max_age`: the offset of the clocks is measured wrong."""
     (robot,) = world.robots
-    ends = robot.station.machine, world.server.machine
+    ends = robot.host.machine, world.server.machine
     await asyncio.sleep(10.0)
     with world.trouble("a slow way", robot):
         for slow in world.network.both_ways(*ends):
             slow.latency = (0.55, 0.65)
-            robot.station.kill()
+            robot.host.kill()
             await asyncio.sleep(1.0)
-            robot.station.start()
+            robot.host.start()
             await asyncio.sleep(60.0)
             slow.mend()
         await asyncio.sleep(30.0)
@@ -197,9 +199,9 @@ async def shut_down_for(world: World, seconds: float, *, cuts: int) -> None:
         await server.command(server.bridge.do(ShutDown()))
         for _ in range(cuts):
             await asyncio.sleep(seconds / cuts - 60.0)
-            world.network.cut(robot.station.machine, world.server.machine)
+            world.network.cut(robot.host.machine, world.server.machine)
             await asyncio.sleep(60.0)
-            world.network.heal(robot.station.machine, world.server.machine)
+            world.network.heal(robot.host.machine, world.server.machine)
         await asyncio.sleep(0.0 if cuts else seconds)
         await server.command(server.bridge.do(Retry()))
         await asyncio.sleep(1.2 * ASKED_EVERY)
@@ -211,64 +213,65 @@ async def client_restarts(world: World, times: int) -> None:
     for _ in range(times):
         await asyncio.sleep(60.0)
         with world.trouble("client stopped", robot):
-            await robot.station.stop()
+            await robot.host.stop()
             await asyncio.sleep(10.0)
-            robot.station.start()
+            robot.host.start()
 
 
 async def cancelled_while_cut(world: World) -> None:
     """A robot's network is gone for half a minute; meanwhile one of its goals is over, and another one cancelled."""
-    (errand,), (robot,) = world.errands.values(), world.robots
-    ends = robot.station.machine, world.server.machine
+    (action,), (robot,) = world.action_flows.values(), world.robots
+    ends = robot.host.machine, world.server.machine
     await asyncio.sleep(20.0)
-    goals = [errand.send(Plan(runs=runs)) for runs in (5.0, 600.0, 45.0)]
+    goals = [action.send(Plan(runs=runs)) for runs in (5.0, 600.0, 45.0)]
     await asyncio.sleep(1.0)
-    errand.send(Plan(after=20.0))
+    action.send(Plan(after=20.0))
     await asyncio.sleep(0.3)
     with world.trouble("cut", robot):
         world.network.cut(*ends)
         await asyncio.sleep(10.0)
         if goals[1] is not None:
-            errand.cancel(goals[1])
+            action.cancel(goals[1])
         await asyncio.sleep(20.0)
         world.network.heal(*ends)
 
 
 async def type_differs_for(world: World, seconds: float) -> None:
     """The two sides disagree on what a type is from the beginning, so that its topic is refused; then they agree."""
-    flow = world.robots[0].flows[0]
+    flow = world.robots[0].topic_flows[0]
     with world.flow_trouble(flow, "type differs"):
-        flow.update_sink(1)
+        flow.update_listener(1)
         await asyncio.sleep(seconds)
-        flow.update_sink(0)
+        flow.update_listener(0)
 
 
 async def restarted_while_cut(world: World) -> None:
     """A robot's network comes and goes, and its engine is killed and started again around that."""
     random = world.random("restarts")
     robot = world.robots[0]
-    ends = robot.station.machine, world.server.machine
+    ends = robot.host.machine, world.server.machine
     with world.trouble("restarted while cut", robot):
         while True:
             await asyncio.sleep(random.uniform(1.0, 6.0))
             world.network.cut(*ends)
             if random.random() < 0.2:
-                robot.station.kill()
+                robot.host.kill()
                 await asyncio.sleep(random.uniform(0.0, 2.0))
-                robot.station.start()
+                robot.host.start()
             await asyncio.sleep(random.uniform(0.0, 8.0))
             world.network.heal(*ends)
 
 
 @contextlib.contextmanager
 def slow_motion(tick: float) -> Iterator[None]:
-    """Have engines do every `tick` s what they do once a second, and ask for what was refused no more often than that.
+    """Slow the engines' periodic work from once a second to once in `tick` s, and repeat refused requests no more
+    often.
 
     A month of pings, answers, reports and refusals alone would take ten minutes, and is none of what a month is about.
     """
     slower = {
         (bridge, "_TICK"): tick,
-        (station, "_SNAPSHOT_EVERY"): tick,
+        (engine_host, "_SNAPSHOT_EVERY"): tick,
         (graph_watch, "_ALWAYS_AFTER"): tick,
         (keepalive, "DEAD_AFTER"): 5 * tick,
         (route, "_LONGEST_PAUSE"): tick,

@@ -1,8 +1,8 @@
-"""What goes wrong in a world: on the network, with machines and processes, with clocks and names, in ROS.
+"""Faults of a world: of the network, machines and processes, clocks and names, and of ROS.
 
-Each fault is a coroutine that does something to one robot, or to the server and so to all, and mends it again. While it
-lasts, and only then, the robots concerned need not be linked (`World.trouble`). Faults of one robot follow each other;
-those of different robots, and the server's, come at the same time.
+Each fault is a coroutine that breaks something for one robot, or for the server and so for all, and mends it again.
+While it lasts, and only then, the robots concerned may be unlinked (`World.trouble`). Faults of one robot follow each
+other; those of different robots, and the server's, come at the same time.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from collections.abc import Coroutine, Iterator
     from random import Random
 
-    from tests.simulation.errands import Errand
-    from tests.simulation.exchanges import Exchange
-    from tests.simulation.flows import Flow
+    from tests.simulation.action_flow import ActionFlow
+    from tests.simulation.engine_host import EngineHost
+    from tests.simulation.service_flow import ServiceFlow
     from tests.simulation.services import Client, Server
-    from tests.simulation.station import Station
+    from tests.simulation.topic_flow import TopicFlow
     from tests.simulation.world import Robot, World
 
 _MINUTE, _HOUR = 60.0, 3600.0
@@ -35,7 +35,7 @@ _LATEST = 25.0
 
 
 def duration(random: Random) -> float:
-    """How long (s) something is broken: mostly seconds, sometimes hours."""
+    """Draw the duration (s) of a fault: mostly seconds, sometimes hours."""
     return random.choices(
         (
             random.uniform(0.05, 1.0),
@@ -54,14 +54,14 @@ def duration(random: Random) -> float:
 async def cut(world: World, robot: Robot, random: Random) -> None:
     """A cable is pulled, and put back."""
     with world.trouble("cut", robot):
-        world.network.cut(robot.station.machine, world.server.machine)
+        world.network.cut(robot.host.machine, world.server.machine)
         await asyncio.sleep(duration(random))
-        world.network.heal(robot.station.machine, world.server.machine)
+        world.network.heal(robot.host.machine, world.server.machine)
 
 
 async def cut_one_way(world: World, robot: Robot, random: Random) -> None:
-    """What one side sends does not arrive, while it hears the other."""
-    ends = [robot.station.machine, world.server.machine]
+    """Cut one direction only."""
+    ends = [robot.host.machine, world.server.machine]
     random.shuffle(ends)
     with world.trouble("one-way cut", robot):
         world.network.cut_one_way(*ends)
@@ -73,15 +73,15 @@ async def flap(world: World, robot: Robot, random: Random) -> None:
     """The network comes and goes every 3 s."""
     with world.trouble("flapping", robot):
         for _ in range(random.randrange(3, 40)):
-            world.network.cut(robot.station.machine, world.server.machine)
+            world.network.cut(robot.host.machine, world.server.machine)
             await asyncio.sleep(random.choice((3.0, random.uniform(0.0, 6.0))))
-            world.network.heal(robot.station.machine, world.server.machine)
+            world.network.heal(robot.host.machine, world.server.machine)
             await asyncio.sleep(random.choice((3.0, random.uniform(0.0, 6.0))))
 
 
 async def bad_network(world: World, robot: Robot, random: Random) -> None:
     """Packets are late, lost, doubled, in another order, large ones do not fit, and there is little room."""
-    paths = world.network.both_ways(robot.station.machine, world.server.machine)
+    paths = world.network.both_ways(robot.host.machine, world.server.machine)
     with world.trouble("bad network", robot):
         for path in paths:
             shortest = 10 ** random.uniform(-4, 0)
@@ -100,16 +100,16 @@ async def refused(world: World, robot: Robot, random: Random) -> None:
     """A firewall at the server refuses connections."""
     with world.trouble("refused connects", *world.robots):
         world.server.machine.refuses = True
-        world.network.cut(robot.station.machine, world.server.machine)
+        world.network.cut(robot.host.machine, world.server.machine)
         await asyncio.sleep(7.0)
-        world.network.heal(robot.station.machine, world.server.machine)
+        world.network.heal(robot.host.machine, world.server.machine)
         await asyncio.sleep(duration(random))
         world.server.machine.refuses = False
 
 
 async def no_such_name(world: World, robot: Robot, random: Random) -> None:
     """The name server does not know the server's name, or does not answer at all."""
-    name = robot.station.session.server_ip
+    name = robot.host.session.server_ip
     if name not in world.network.names:
         return
     addresses = world.network.names[name]
@@ -118,16 +118,16 @@ async def no_such_name(world: World, robot: Robot, random: Random) -> None:
             del world.network.names[name]
         else:
             world.network.names[name] = None
-        world.network.cut(robot.station.machine, world.server.machine)
+        world.network.cut(robot.host.machine, world.server.machine)
         await asyncio.sleep(random.uniform(1.0, 10.0))
-        world.network.heal(robot.station.machine, world.server.machine)
+        world.network.heal(robot.host.machine, world.server.machine)
         await asyncio.sleep(duration(random))
         world.network.names[name] = addresses
 
 
 async def move(world: World, robot: Robot, random: Random) -> None:
     """The robot gets another address, as a phone does between two networks."""
-    machine = robot.station.machine
+    machine = robot.host.machine
     with world.trouble("another address", robot):
         machine.move(f"10.{random.randrange(1, 200)}.{random.randrange(256)}.{machine.address.rpartition('.')[2]}")
 
@@ -138,66 +138,66 @@ async def move(world: World, robot: Robot, random: Random) -> None:
 async def kill(world: World, robot: Robot, random: Random) -> None:
     """The robot's engine is killed, and started again."""
     with world.trouble("client killed", robot):
-        robot.station.kill()
+        robot.host.kill()
         await asyncio.sleep(random.choice((0.0, duration(random))))
-        robot.station.start()
+        robot.host.start()
 
 
 async def power_cut(world: World, robot: Robot, random: Random) -> None:
     """The robot is switched off, and on again."""
     with world.trouble("client switched off", robot):
-        robot.station.power_off()
+        robot.host.power_off()
         await asyncio.sleep(duration(random))
-        robot.station.machine.power_on()
+        robot.host.machine.power_on()
         await asyncio.sleep(random.choice((0.0, random.uniform(0.0, 30.0))))
-        robot.station.start()
+        robot.host.start()
 
 
 async def night(world: World, robot: Robot, random: Random) -> None:
     """The robot is switched off for hours, and on again."""
     with world.trouble("client switched off for the night", robot):
-        await robot.station.stop()
-        robot.station.power_off()
+        await robot.host.stop()
+        robot.host.power_off()
         await asyncio.sleep(random.uniform(0.4, 1.6) * _NIGHT)
-        robot.station.machine.power_on()
-        robot.station.start()
+        robot.host.machine.power_on()
+        robot.host.start()
 
 
 async def upgrade(world: World, robot: Robot, random: Random) -> None:
     """The robot's engine is stopped in good order, and started again, while the others run."""
     with world.trouble("client restarted", robot):
-        await robot.station.stop()
+        await robot.host.stop()
         await asyncio.sleep(duration(random))
-        robot.station.start()
+        robot.host.start()
 
 
 async def twin(world: World, robot: Robot, random: Random) -> None:
     """A second client of the same name and key comes, and goes."""
-    with world.trouble("two of one name", robot), world.twin(robot) as station:
-        station.start()
+    with world.trouble("two of one name", robot), world.twin(robot) as host:
+        host.start()
         await asyncio.sleep(random.uniform(1.0, 2.0 * _MINUTE))
         if random.random() < 0.5:
-            station.kill()
+            host.kill()
         else:
-            await station.stop()
+            await host.stop()
 
 
 async def wrong_key(world: World, robot: Robot, random: Random) -> None:
     """The robot is started with a wrong key, or a name that the server does not know, until somebody sees it."""
-    station = robot.station
-    session, keys = station.session, station.keys
+    host = robot.host
+    session, keys = host.session, host.keys
     with world.trouble("wrong key or name", robot):
-        await station.stop()
+        await host.stop()
         if () in keys.values() or random.random() < 0.5:
-            station.session = msgspec.structs.replace(session, name="stranger")
-            station.keys = {"stranger": keys[session.name]}
+            host.session = msgspec.structs.replace(session, name="stranger")
+            host.keys = {"stranger": keys[session.name]}
         else:
-            station.keys = {session.name: (Key(random.randbytes(32)),)}
-        station.start()
+            host.keys = {session.name: (Key(random.randbytes(32)),)}
+        host.start()
         await asyncio.sleep(duration(random))
-        await station.stop()
-        station.session, station.keys = session, keys
-        station.start()
+        await host.stop()
+        host.session, host.keys = session, keys
+        host.start()
 
 
 async def server_killed(world: World, random: Random) -> None:
@@ -229,18 +229,18 @@ async def server_upgrade(world: World, random: Random) -> None:
 # --- clocks
 
 
-def _set_clock(world: World, station: Station, random: Random) -> None:
+def _set_clock(world: World, host: EngineHost, random: Random) -> None:
     """Somebody, or NTP, sets a wall clock: by milliseconds, or by years."""
-    world.chronicle.fault("clock set")
+    world.log.fault("clock set")
     step = random.choice((-1, 1)) * 10 ** random.uniform(-3, 8)
-    station.clock.offset = min(max(station.clock.offset + step, -1e9), 1e9)
-    world.chronicle.tell(f"{station.name}: its clock is set by {step:.3f} s")
+    host.clock.offset = min(max(host.clock.offset + step, -1e9), 1e9)
+    world.log.tell(f"{host.name}: its clock is set by {step:.3f} s")
 
 
 # --- ROS
 
 
-async def publisher_gone(world: World, flow: Flow, random: Random) -> None:
+async def publisher_gone(world: World, flow: TopicFlow, random: Random) -> None:
     """A node that publishes ends, and is started again."""
     with world.flow_trouble(flow, "publisher gone"):
         flow.vanish()
@@ -248,7 +248,7 @@ async def publisher_gone(world: World, flow: Flow, random: Random) -> None:
         flow.appear()
 
 
-async def listener_gone(world: World, flow: Flow, random: Random) -> None:
+async def listener_gone(world: World, flow: TopicFlow, random: Random) -> None:
     """A node that subscribes ends, and is started again."""
     with world.flow_trouble(flow, "listener gone"):
         flow.deafen()
@@ -256,75 +256,75 @@ async def listener_gone(world: World, flow: Flow, random: Random) -> None:
         flow.listen()
 
 
-async def type_differs(world: World, flow: Flow, random: Random) -> None:
+async def type_differs(world: World, flow: TopicFlow, random: Random) -> None:
     """The two sides have different versions of a type installed, for long."""
     with world.flow_trouble(flow, "type differs"):
-        flow.update_sink(1)
+        flow.update_listener(1)
         await asyncio.sleep(random.choice((duration(random), random.uniform(0.1, 4.0) * _HOUR)))
-        flow.update_sink(0)
+        flow.update_listener(0)
 
 
-async def take_fails(world: World, flow: Flow, random: Random) -> None:
+async def take_fails(world: World, flow: TopicFlow, random: Random) -> None:
     """The middleware fails to take from the bridge's subscription."""
     with world.flow_trouble(flow, "take fails"):
-        for reader in tuple(flow.source.readers(flow.source_topic)):
+        for reader in tuple(flow.near.readers(flow.near_name)):
             reader.fail()
 
 
-async def server_ends(world: World, exchange: Exchange | Errand, random: Random) -> None:
+async def server_ends(world: World, service: ServiceFlow | ActionFlow, random: Random) -> None:
     """A node that serves ends, and is started again."""
-    with world.flow_trouble(exchange, "server gone"):
-        exchange.vanish()
+    with world.flow_trouble(service, "server gone"):
+        service.vanish()
         await asyncio.sleep(duration(random))
-        exchange.appear()
+        service.appear()
 
 
-async def server_dies(world: World, exchange: Exchange | Errand, random: Random) -> None:
+async def server_dies(world: World, service: ServiceFlow | ActionFlow, random: Random) -> None:
     """A node that serves is killed, which others see late, and is started again."""
-    with world.flow_trouble(exchange, "server killed"):
-        exchange.vanish(killed=True)
+    with world.flow_trouble(service, "server killed"):
+        service.vanish(killed=True)
         await asyncio.sleep(random.choice((duration(random), random.uniform(0.0, 2.0))))
-        exchange.appear()
+        service.appear()
 
 
-async def server_hesitates(world: World, exchange: Exchange | Errand, random: Random) -> None:
+async def server_hesitates(world: World, service: ServiceFlow | ActionFlow, random: Random) -> None:
     """A node that serves takes its time, and leaves some calls without an answer."""
-    with world.flow_trouble(exchange, "slow server"):
-        exchange.hesitate(slow=True)
+    with world.flow_trouble(service, "slow server"):
+        service.hesitate(slow=True)
         await asyncio.sleep(random.uniform(1.0, 60.0))
-        exchange.hesitate(slow=False)
+        service.hesitate(slow=False)
         await asyncio.sleep(_SLOW_ANSWERS)
 
 
-async def caller_restarts(world: World, exchange: Exchange | Errand, random: Random) -> None:
-    """A node that calls ends, with calls under way, and is started again."""
-    world.chronicle.fault("caller restarts")
-    exchange.call()
+async def caller_restarts(world: World, service: ServiceFlow | ActionFlow, random: Random) -> None:
+    """Restart a calling node while its calls are in flight."""
+    world.log.fault("caller restarts")
+    service.call()
     await asyncio.sleep(random.uniform(0.0, 1.0))
 
 
-async def offer_fails(world: World, exchange: Exchange | Errand, random: Random) -> None:
+async def offer_fails(world: World, service: ServiceFlow | ActionFlow, random: Random) -> None:
     """The middleware fails to take from the bridge's server, or from its client."""
-    with world.flow_trouble(exchange, "taking calls fails"):
-        near, far = exchange.near.services, exchange.far.services
-        service = random.randrange(len(exchange.near_services)) if len(exchange.near_services) > 1 else 0
-        servers = near.servers[exchange.near_services[service]]
-        clients = far.clients[exchange.far_services[service]]
+    with world.flow_trouble(service, "taking calls fails"):
+        near, far = service.near.services, service.far.services
+        lane = random.randrange(len(service.near_services)) if len(service.near_services) > 1 else 0
+        servers = near.servers[service.near_services[lane]]
+        clients = far.clients[service.far_services[lane]]
         ends: tuple[tuple[Server | Client, ...], ...] = (tuple(servers), tuple(clients))
         for end in random.choice(ends):
             if end.node.startswith("/rsb_"):
                 end.fail()
 
 
-async def busy_ros(world: World, flow: Flow, random: Random) -> None:
+async def busy_ros(world: World, flow: TopicFlow, random: Random) -> None:
     """The ROS thread has much to do, while a burst of messages comes."""
-    world.chronicle.fault("burst")
-    before = flow.source.taking
-    flow.source.taking = random.choice((before, (0.0, 0.2)))
+    world.log.fault("burst")
+    before = flow.near.taking
+    flow.near.taking = random.choice((before, (0.0, 0.2)))
     for _ in range(random.randrange(10, 200)):
         flow.publish()
         await asyncio.sleep(random.choice((0.0, random.uniform(0.0, 0.05))))
-    flow.source.taking = before
+    flow.near.taking = before
 
 
 # --- all of it
@@ -349,15 +349,15 @@ _FLOW = {publisher_gone: 4, listener_gone: 2, type_differs: 1, take_fails: 1, bu
 
 
 def of(world: World) -> Iterator[Coroutine[None, None, None]]:
-    """All that goes wrong in a world, as its climate has it."""
-    pause = world.climate.faults
+    """All that goes wrong in a world, as its conditions have it."""
+    pause = world.conditions.faults
     if pause:
         yield _befall_server(world, 5 * pause)
         yield _set_clocks(world, 3 * pause)
         for robot in world.robots:
             yield _befall_robot(world, robot, pause)
             yield _befall_topics(world, robot, pause)
-            if robot.exchanges or robot.errands:
+            if robot.service_flows or robot.action_flows:
                 yield _befall_services(world, robot, pause)
 
 
@@ -368,7 +368,7 @@ async def _befall_robot(world: World, robot: Robot, pause: float) -> None:
         await asyncio.sleep(random.expovariate(1 / pause))
         (fault,) = random.choices(tuple(_ROBOT), tuple(_ROBOT.values()))
         await fault(world, robot, random)
-        nights = world.climate.nights
+        nights = world.conditions.nights
         if nights and random.random() < nights / (1 - nights) * pause / _NIGHT:
             await night(world, robot, random)
 
@@ -386,7 +386,7 @@ async def _befall_topics(world: World, robot: Robot, pause: float) -> None:
     while True:
         await asyncio.sleep(random.expovariate(1 / pause))
         (fault,) = random.choices(tuple(_FLOW), tuple(_FLOW.values()))
-        await fault(world, random.choice(robot.flows), random)
+        await fault(world, random.choice(robot.topic_flows), random)
 
 
 async def _befall_services(world: World, robot: Robot, pause: float) -> None:
@@ -394,7 +394,7 @@ async def _befall_services(world: World, robot: Robot, pause: float) -> None:
     while True:
         await asyncio.sleep(random.expovariate(1 / pause))
         (fault,) = random.choices(tuple(_EXCHANGE), tuple(_EXCHANGE.values()))
-        called: list[Exchange | Errand] = [*robot.exchanges, *robot.errands]
+        called: list[ServiceFlow | ActionFlow] = [*robot.service_flows, *robot.action_flows]
         await fault(world, random.choice(called), random)
 
 
@@ -402,4 +402,4 @@ async def _set_clocks(world: World, pause: float) -> None:
     random = world.random("clocks")
     while True:
         await asyncio.sleep(random.expovariate(1 / pause))
-        _set_clock(world, random.choice([world.server, *(robot.station for robot in world.robots)]), random)
+        _set_clock(world, random.choice([world.server, *(robot.host for robot in world.robots)]), random)

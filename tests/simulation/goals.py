@@ -15,9 +15,9 @@ class Asked:
     """A cancel or a result that a goal's client asks for.
 
     Attributes:
-        at: s, when it was asked last; None: not yet.
-        servers: that took that.
-        done: it is answered.
+        at: s, time of the last request, or None before the first.
+        servers: that got this request.
+        done: whether it is answered.
     """
 
     at: float | None = None
@@ -26,29 +26,29 @@ class Asked:
 
     @property
     def is_lost(self) -> bool:
-        """Whether it has to be asked again, as whoever took it is gone."""
+        """Whether it has to be repeated, because the servers that got it are gone."""
         return not self.done and all(each.closed for each in self.servers)
 
 
 @dataclass(eq=False)
 class Goal:
-    """As its client and its server know it.
+    """A goal's state at its client and its server.
 
     Attributes:
         id: of the goal.
         plan: what its server does with it.
         sent: s, when its client sent it.
         client: the number of its client's life.
-        server: that accepted it; None: none yet.
+        server: that accepted it, or None.
         arrived: times that it came to a server.
-        state: in which it ended there; empty: it goes on.
+        state: in which it ended there, or empty while it runs.
         ended: s, when that was.
-        told: its client, whether it was accepted; None: not yet.
-        result: the state that its client was told; empty: none yet.
-        cancelled: a cancel has come to its server.
+        told: whether its client got "accepted" or "rejected", or None before the answer.
+        result: the state that reached its client, or empty before that.
+        cancelled: whether a cancel reached its server.
         fed: the last feedback that its client heard.
-        cancel: asked for by its client; None: it is not.
-        asks: for the result; None: not yet.
+        cancel: its client's request for a cancel, or None.
+        asks: its client's request for the result, or None.
     """
 
     id: bytes
@@ -71,5 +71,5 @@ class Goal:
 
     @property
     def is_over(self) -> bool:
-        """Nobody waits for anything about it."""
+        """Whether its client waits for nothing any more."""
         return self.told is False or bool(self.result)

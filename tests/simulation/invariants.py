@@ -1,8 +1,8 @@
-"""What must hold all along, whatever happens.
+"""Invariants of links and topics.
 
-Each check looks at the engines' own state from outside and at what the flows have counted, every few seconds. It says
-nothing as long as an explanation is left: a robot in trouble need not be linked, a topic whose publisher is away need
-not flow. What has had no explanation for longer than an engine is allowed to take is wrong, and ends the world.
+Every few seconds, each check compares the engines' state with the flows' counts. It allows
+what has an explanation: a robot in trouble may be unlinked, a topic without a publisher may be silent. A state without
+an explanation that lasts longer than an engine may take is a violation, and ends the world.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from rsb_bridge.route.calls.kept_calls import MOST_KEPT
 from rsb_bridge.transport.transport import DatagramTransport
 
 if TYPE_CHECKING:
-    from tests.simulation.flows import Account, Flow
-    from tests.simulation.station import Run
+    from tests.simulation.engine_host import Run
+    from tests.simulation.topic_flow import Account, TopicFlow
     from tests.simulation.world import Robot, World
 
     from rsb_bridge.link.link import Link
@@ -77,12 +77,12 @@ class Invariants:
         self.checks = 0
         self.worst_recovery = 0.0
         self._world = world
-        self._patience = world.climate.patience
+        self._patience = world.conditions.patience
         self._random = world.random("invariants")
         self._linked: set[Robot] = set()
         self._agreed: dict[Robot, float] = {}
-        self._can_flow: dict[Flow, float] = {}
-        self._said: dict[Flow, tuple[float, tuple[str, ...]]] = {}
+        self._can_flow: dict[TopicFlow, float] = {}
+        self._said: dict[TopicFlow, tuple[float, tuple[str, ...]]] = {}
         self._next_sweep = _SWEEP_EVERY
         self._calls = CallInvariants(world)
         self.actions = ActionInvariants(world)
@@ -90,7 +90,7 @@ class Invariants:
     async def watch(self) -> None:
         """Check everything, again and again."""
         while True:
-            await asyncio.sleep(self._random.uniform(*self._world.climate.checks))
+            await asyncio.sleep(self._random.uniform(*self._world.conditions.checks))
             self.check()
 
     def check(self) -> None:
@@ -100,8 +100,8 @@ class Invariants:
         for robot in world.robots:
             self._check_linked(robot)
             self._check_agreement(robot)
-            for flow in robot.flows:
-                self._check_flow(robot, flow)
+            for flow in robot.topic_flows:
+                self._check_topic(robot, flow)
                 self._check_verdicts(robot, flow)
                 self._check_lateness(robot, flow)
         self._check_ledgers()
@@ -119,7 +119,9 @@ class Invariants:
     # --- links
 
     def _check_linked(self, robot: Robot) -> None:
-        """Whoever can be linked is linked within 15 s, and stays so; who cannot does not seem to be."""
+        """Check that robots without trouble are linked within 15 s and stay linked, and that no other robot seems
+        linked.
+        """
         world, now = self._world, self._world.loop.time()
         ends = world.link_ends(robot)
         cut_off_at = world.cut_off_at(robot)
@@ -177,7 +179,7 @@ class Invariants:
         ):
             world.wrong(f"{robot.name} and the server disagree on which routes there are, and paused: {wrong}")
 
-    def _check_flow(self, robot: Robot, flow: Flow) -> None:
+    def _check_topic(self, robot: Robot, flow: TopicFlow) -> None:
         """A topic that can flow flows."""
         world, now = self._world, self._world.loop.time()
         if not self._can_flow_now(robot, flow):
@@ -199,12 +201,12 @@ class Invariants:
                 f"{now - flow.last_sent:.1f} s ago, the newest that came out are {flow.newest}; {world.state(flow)}"
             )
 
-    def _check_verdicts(self, robot: Robot, flow: Flow) -> None:
+    def _check_verdicts(self, robot: Robot, flow: TopicFlow) -> None:
         """Both sides show the same state of a topic, for the same cause, once they have told each other."""
         world, now = self._world, self._world.loop.time()
         ends = world.link_ends(robot)
         routes = [route_of(link, flow) for link in ends] if ends and all(link.linked for link in ends) else []
-        runs = [run for run in (robot.station.run, world.server.run) if run is not None]
+        runs = [run for run in (robot.host.run, world.server.run) if run is not None]
         shown = [
             each.judged.shown(run.process.context.copy().run(each.verdict)).verdict
             for run, each in zip(runs, routes, strict=False)
@@ -220,7 +222,7 @@ class Invariants:
         elif now - max(since, robot.commanded, world.clear_since(robot)) > self._patience * SAME_VERDICT_WITHIN:
             world.wrong(f"the two sides do not agree on {flow} since {now - since:.1f} s: {world.state(flow)}")
 
-    def _check_lateness(self, robot: Robot, flow: Flow) -> None:
+    def _check_lateness(self, robot: Robot, flow: TopicFlow) -> None:
         """No side shows a topic as ok while its messages keep coming out late."""
         world, now = self._world, self._world.loop.time()
         if flow.latched or flow.late < _LATE_MESSAGES or now - flow.last_heard > _COMES:
@@ -233,7 +235,7 @@ class Invariants:
             if route is not None and route.judged.shown(route.verdict()).verdict.state is State.OK:
                 world.wrong(f"{flow} comes out late since {lasted:.1f} s, and {link.address} shows it as ok")
 
-    def _can_flow_now(self, robot: Robot, flow: Flow) -> bool:
+    def _can_flow_now(self, robot: Robot, flow: TopicFlow) -> bool:
         ends = self._world.link_ends(robot)
         if ends is None or robot.troubles or flow.troubles or not all(link.linked for link in ends):
             return False
@@ -245,7 +247,7 @@ class Invariants:
     # --- the ledger
 
     def _check_ledgers(self) -> None:
-        """The parts of each ledger sum up, none is negative, and they are what was counted outside."""
+        """Check that the parts of each ledger sum up, that none is negative, and that they equal the flows' counts."""
         world = self._world
         current = {id(route) for run in world.runs() for link in run.links() for route in link.routes.values()}
         for route, account in tuple(world.accounts.items()):
@@ -277,9 +279,9 @@ class Invariants:
         elif ledger.delivered > account.published:
             wrong = f"{account.published} messages were published"
         elif ledger.unknown and not account.forgotten:
-            wrong = "something is unknown, and whoever published it is still there"
+            wrong = "something is unknown, though the engine that published it still runs"
         elif not datagrams and ledger.delivered + open_ends < account.published - account.removed:
-            wrong = f"{account.published} messages were published, and some of them are said to be lost"
+            wrong = f"{account.published} messages were published, and some of them are counted as lost"
         else:
             robot = world.robot(route.peer.name)
             last = max(account.last_offered, route.opened_at, world.clear_since(robot))
@@ -287,7 +289,7 @@ class Invariants:
                 if ledger.delivered < account.published - account.unreported:
                     wrong = f"{account.published} messages were published, of which {account.unreported} may be unknown"
                 elif ledger.delivered + ledger.unknown < account.published - account.removed:
-                    wrong = f"{account.published} messages were published, and some of them are said to be lost"
+                    wrong = f"{account.published} messages were published, and some of them are counted as lost"
                 elif ledger.in_flight:
                     wrong = f"nothing was sent for {now - last:.1f} s, and something is in flight"
         if wrong:
@@ -298,7 +300,7 @@ class Invariants:
 
     def _check_tasks(self, run: Run) -> None:
         """No task dies unseen, and there are not more tasks and descriptors than topics explain."""
-        world, name, process = self._world, run.station.name, run.process
+        world, name, process = self._world, run.host.name, run.process
         for failed_at, task in process.failed:
             if world.loop.time() - failed_at > _SEEN_WITHIN and task._log_traceback:
                 world.wrong(f"{name}: a task has died of {task._exception!r}, and nobody has looked: {task}")
@@ -315,12 +317,12 @@ class Invariants:
         most = _ITEMS + _ITEMS_EACH * (len(links) + sum(len(link.routes) for link in links))
         for way, length in tables(run.bridge).items():
             if length > max(most, next((bound for end, bound in _BOUNDED.items() if way.endswith(end)), 0)):
-                self._world.wrong(f"{run.station.name} keeps {length} items in {way}")
+                self._world.wrong(f"{run.host.name} keeps {length} items in {way}")
         for link in links:
             unfinished = link.budget.unfinished.held
             if not link.routes and (unfinished or link.budget.kept.held):
                 self._world.wrong(
-                    f"{run.station.name}: without a route, {link.name} is said to hold {unfinished} bytes "
+                    f"{run.host.name}: without a route, {link.name} reports that it holds {unfinished} bytes "
                     f"of unfinished messages and {link.budget.kept.held} of latched ones"
                 )
 
@@ -332,12 +334,12 @@ class Invariants:
             most = _TIMERS + 4 * (len(links) + sum(len(link.routes) for link in links))
             if timers[run.process] > most:
                 callbacks = Counter(str(each) for each in world.loop.timers() if each.program() is run.process)
-                world.wrong(f"{run.station.name} has {timers[run.process]} timers: {callbacks.most_common(5)}")
+                world.wrong(f"{run.host.name} has {timers[run.process]} timers: {callbacks.most_common(5)}")
 
 
-def route_of(link: Link, flow: Flow) -> Route | None:
+def route_of(link: Link, flow: TopicFlow) -> Route | None:
     """A link's route that carries a flow."""
     for route in link.routes.values():
-        if route.topic == flow.source_topic and route.from_client == (flow.topic.direction == "transmit"):
+        if route.topic == flow.near_name and route.from_client == (flow.topic.direction == "transmit"):
             return route
     return None

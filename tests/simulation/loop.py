@@ -43,7 +43,7 @@ class Livelock(Exception):  # noqa: N818 — it says how things are
 
 
 class Program(Protocol):
-    """What the loop asks of the program that is running (`tests.simulation.machine.Process`)."""
+    """The loop's view of a running program (`tests.simulation.machine.Process`)."""
 
     def getaddrinfo(self, host: str | None, port: int | None, kind: int) -> list[tuple[Any, ...]]:
         """Look a name up."""
@@ -55,7 +55,7 @@ class Program(Protocol):
 
 
 PROGRAM: contextvars.ContextVar[Program] = contextvars.ContextVar("program")
-"""Which program the running callback belongs to. Tasks and timers inherit it from whoever makes them."""
+"""The program of the running callback. Tasks and timers inherit it from their maker."""
 
 
 class Timer(asyncio.TimerHandle):
@@ -99,12 +99,12 @@ class Timer(asyncio.TimerHandle):
         return self._when
 
     def program(self) -> Program | None:
-        """Which program it belongs to."""
+        """The program that it belongs to."""
         return self.context.get(PROGRAM)
 
 
 class SimulatedLoop(asyncio.AbstractEventLoop):
-    """Runs callbacks at once, and timers as soon as there is nothing else to run.
+    """Runs callbacks at once, and timers as soon as no callback waits.
 
     Attributes:
         on_error: called with what asyncio tells an exception handler: an exception that nobody caught. By default the
@@ -275,16 +275,16 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
         return False
 
     async def shutdown_asyncgens(self) -> None:
-        """There are none that it would have to know of."""
+        """Do nothing: the engine has no asynchronous generators."""
 
     async def shutdown_default_executor(self) -> None:
-        """There is none."""
+        """Do nothing: it has no executor."""
 
     def call_exception_handler(self, context: dict[str, Any]) -> None:
         self.on_error(context)
 
     def fail(self, error: BaseException) -> None:
-        """Stop, and have whoever runs the loop get an exception."""
+        """Stop, and raise an exception in the caller of `run_until_complete`."""
         if self._failure is None:
             self._failure = error
         self.stop()
@@ -324,7 +324,7 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
                 return
             try:
                 future.set_result(func(*args))
-            except Exception as error:  # noqa: BLE001 — it is for whoever waits
+            except Exception as error:  # noqa: BLE001 — it is for the waiter
                 future.set_exception(error)
 
         self.call_later(self._random.uniform(*_EXECUTOR), run)
@@ -350,7 +350,7 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
     async def create_connection(
         self, protocol_factory: Callable[[], Any], host: Any = None, port: Any = None, *, sock: Any = None, **_: Any
     ) -> tuple[Any, Any]:
-        """Have a protocol get what comes on a socket that is connected; it has been told of it on return."""
+        """Attach a protocol to a connected socket; `connection_made` has been called on return."""
         protocol = protocol_factory()
         transport = sock.attach(protocol)
         await asyncio.sleep(0)
@@ -359,7 +359,7 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
     async def connect_accepted_socket(
         self, protocol_factory: Callable[[], Any], sock: Any, **_: Any
     ) -> tuple[Any, Any]:
-        """As `create_connection`, for a socket that was accepted."""
+        """Attach a protocol to an accepted socket, like `create_connection`."""
         return await self.create_connection(protocol_factory, sock=sock)
 
     def add_reader(self, fd: Any, callback: Callable[[*Ts], Any], *args: *Ts) -> None:
@@ -378,4 +378,4 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
 
 
 def _nothing() -> None:
-    """What is left of a callback that was cancelled."""
+    """Do nothing, in place of a cancelled callback."""

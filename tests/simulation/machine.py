@@ -24,7 +24,7 @@ _FIRST_EPHEMERAL, _EPHEMERAL_PORTS = 32_768, 28_000
 
 
 class Descriptor(Protocol):
-    """What a process has open."""
+    """A socket or connection of a process."""
 
     def killed(self) -> None:
         """Its process was killed: the kernel closes it."""
@@ -42,12 +42,12 @@ class Machine:
         name: in failures.
         network: it is on.
         address: its IPv4 address.
-        off_at: s, since when it is switched off; None: it is on.
+        off_at: s, when it was switched off, or None while it is on.
         stream_buffer: bytes of a stream that its kernel takes before the peer's has acknowledged them.
         receive_buffer: bytes of datagrams that its kernel keeps for a socket (net.core.rmem_max).
-        refuses: a firewall here answers connects with a refusal.
+        refuses: whether its firewall refuses connections.
         bound: sockets by their type and port.
-        processes: those that run.
+        processes: the running ones.
     """
 
     def __init__(self, name: str, network: Network, address: str) -> None:
@@ -106,10 +106,10 @@ class Process:
         loop: the world's.
         context: to run its code in; tasks and timers inherit it.
         descriptors: its sockets and connections.
-        tasks: those that have not ended.
-        failed: those that ended with an exception, and when (s).
+        tasks: the running ones.
+        failed: tasks that raised an exception, and when (s).
         most_descriptors: as `ulimit -n` has it.
-        alive: it has not been killed. What is left of its code may still run, but reaches nobody.
+        alive: whether it has not been killed. Tasks of a killed process may still run, but reach nobody.
     """
 
     def __init__(self, machine: Machine) -> None:
@@ -130,7 +130,7 @@ class Process:
         self.end(lambda descriptor: descriptor.killed())
 
     def exit(self) -> list[Descriptor]:
-        """End in good order; what was left open is returned, and closed by the kernel."""
+        """End in good order, and return the descriptors that the kernel had to close."""
         left = list(self.descriptors)
         self.kill()
         return left

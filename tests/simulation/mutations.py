@@ -1,7 +1,7 @@
 """Mistakes put back on purpose, to show that the simulation finds them.
 
-Some stood in the program until somebody looked (the first three), the others are of the kind that nobody sees in a
-minute: something that is never cleared, closed, or told.
+The first three are old defects of the program. The others need hours to show: something is never cleared, closed or
+reported.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from unittest.mock import patch
 
 import msgspec
-from tests.simulation.climate import ACTIONS, CALLS, LIVELY, STILL, STORM, Climate
+from tests.simulation.conditions import ACTIONS, CALLS, LIVELY, STILL, STORM, Conditions
 from tests.simulation.episodes import (
     cancelled_while_cut,
     delayed,
@@ -55,7 +55,7 @@ class Mutation(NamedTuple):
         what: it is.
         changes: what is put in the place of which attribute of which class or module.
         finds: part of the violation, a regular expression.
-        climate: of the world.
+        conditions: of the world.
         seed: of the world.
         hours: that the world lives, at most.
         doing: what is made to happen in it.
@@ -64,7 +64,7 @@ class Mutation(NamedTuple):
     what: str
     changes: tuple[tuple[object, str, object], ...]
     finds: str
-    climate: Climate
+    conditions: Conditions
     seed: int
     hours: float
     doing: Callable[[World], Coroutine[None, None, None]] | None = None
@@ -79,19 +79,19 @@ class Mutation(NamedTuple):
 
 
 def _overflowing(self: Any, at_most: float = float("inf")) -> float:
-    """As `Backoff.next` was: from the 1,025th attempt on it raises OverflowError."""
+    """Replace `Backoff.next` by its old form, which raises OverflowError from the 1,025th attempt on."""
     self.attempts = getattr(self, "attempts", 0) + 1
     delay: float = min(at_most, self._longest, 0.5 * 2 ** (self.attempts - 1))
     return delay
 
 
 def _unsupervised(self: Any, make: Callable[[], Coroutine[None, None, None]], _: Backoff) -> None:
-    """As tasks were: they ended, and nobody looked."""
+    """Replace the supervision of tasks: nobody notices that one fails."""
     self.kept = [*getattr(self, "kept", []), self._loop.create_task(make())]
 
 
 def _settled_by_id(self: Any, final: Any, _: str) -> bool:
-    """As `RouteLedger.settle` was: the report of whatever process has the same route id."""
+    """Replace `RouteLedger.settle` by its old form, which trusts any process with the same route id."""
     opening = self._unsettled
     if opening is not None and final is not None and final.route == opening.route_id:
         opening.instance = _
@@ -99,7 +99,7 @@ def _settled_by_id(self: Any, final: Any, _: str) -> bool:
 
 
 def _settled_as_lost(self: Any, final: Any, instance: str) -> bool:
-    """As `RouteLedger.settle` was: whatever a process that is gone did not confirm is lost."""
+    """Replace `RouteLedger.settle` by its old form, which counts unconfirmed messages of an ended process as lost."""
     before = self.unknown
     plausible = bool(_settle(self, final, instance))
     self.drop("link lost", self.unknown - before)
@@ -108,17 +108,17 @@ def _settled_as_lost(self: Any, final: Any, instance: str) -> bool:
 
 
 def _settled_as_unknown(self: Any, final: Any, _: str) -> bool:
-    """As `RouteLedger.settle`, but it trusts no process."""
+    """Replace `RouteLedger.settle` by a form that trusts no process."""
     return bool(_settle(self, final, "another"))
 
 
 def _counted_before(self: Any) -> Any:
-    """As the receiver's last count was: told to whatever process asks."""
+    """Replace the receiver's last count by its old form, which any process gets."""
     return self._before[1] if self._before is not None else None
 
 
 def _end_oldest(self: Any, number: int) -> Any:
-    """As `PendingCalls.end`, but of the oldest call: answers in order, whoever asked."""
+    """Replace `PendingCalls.end` by a form that ends the oldest call."""
     return _end(self, next(iter(self._calls), number))
 
 
@@ -131,34 +131,34 @@ async def _delay(world: World) -> None:
 
 
 def _took_in_time(self: Any, count: int, sent: int, now: float) -> None:
-    """As `Window.acknowledge`, but all that is under way seems new."""
+    """Replace `Window.acknowledge` by a form that takes everything in flight for new."""
     self._marks.clear()
     _took(self, count, sent, now)
 
 
 def _end_for_nothing(self: Any, number: int) -> Any:
-    """As `PendingCalls.end`, without giving back what the call held."""
+    """Replace `PendingCalls.end` by a form that keeps the call's part of the budget."""
     return self._calls.pop(number, None)
 
 
 def _ask_again_anyway(self: Any, question: Any, call: int, *, again: bool) -> Any:
-    """As `KeptAnswers.take`, but whatever is asked again goes to the server again."""
+    """Replace `KeptAnswers.take` by a form that passes repeated requests to the server."""
     return AnswerAction.ASK if again and question.lane == SEND_GOAL else _take(self, question, call, again=again)
 
 
 def _answer_oldest(self: Any, lane: int, number: int, *rest: Any, **linked: Any) -> Any:
-    """As `KeptAnswers.answered`, but of the oldest result that is awaited."""
+    """Replace `KeptAnswers.answered` by a form that answers the oldest request for a result."""
     oldest = next((each for kind, each in self._by_number if kind == lane == GET_RESULT), number)
     return _answered(self, lane, oldest, *rest, **linked)
 
 
 def _keep_no_cancel(self: Any, call: Any, now: float) -> Any:
-    """As `KeptCalls.keep`, but cancels are given up."""
+    """Replace `KeptCalls.keep` by a form that drops cancels."""
     return call.lane != CANCEL_GOAL and _keep(self, call, now)
 
 
 def _forget_all(self: Any, _: float) -> None:
-    """As `KeptAnswers.interrupted`, but what the server has answered is forgotten."""
+    """Replace `KeptAnswers.interrupted` by a form that forgets the server's answers."""
     for question in [each for each, kept in self._kept.items() if kept.answer is not None]:
         self._forget(question)
 
@@ -173,18 +173,18 @@ _propose = RouteTable._propose
 
 
 def _nothing(*_: object, **__: object) -> None:
-    """What was forgotten."""
+    """Do nothing, in place of the work that a mutation leaves out."""
 
 
 def _kept(self: Any, work: Coroutine[None, None, None]) -> Any:
-    """As `Tasks._add`, without taking out what has ended."""
+    """Replace `Tasks._add` by a form that keeps ended tasks."""
     task = self._loop.create_task(work)
     self._tasks.add(task)
     return task
 
 
 async def _unpaused(self: Any, route: Any, route_id: int, who: str, *, edited: bool) -> None:
-    """As `RouteTable._propose`, but never paused."""
+    """Replace `RouteTable._propose` by a form that never pauses the route."""
     send = self._link.send
 
     def unpaused(message: Any) -> None:
@@ -223,19 +223,19 @@ MUTATIONS = (
         "nobody caught OverflowError", STILL, 1, 1.0, _away,
     ),
     Mutation(
-        "a count is taken from whatever process has the same route id",
+        "a count is taken from any process with the same route id",
         ((RouteLedger, "settle", _settled_by_id), (IncomingRoute, "_counted_before", _counted_before)),
         "the ledger of", _MANY, 1, 4.0, restarted_while_cut,
     ),
     Mutation(
         "what a process that was killed did not confirm is taken for lost",
         ((RouteLedger, "settle", _settled_as_lost),),
-        "some of them are said to be lost", _MANY, 1, 4.0, restarted_while_cut,
+        "some of them are counted as lost", _MANY, 1, 4.0, restarted_while_cut,
     ),
     Mutation(
-        "what was not confirmed is unknown, though its receiver says what arrived",
+        "unconfirmed messages are unknown, though their receiver reports its count",
         ((RouteLedger, "settle", _settled_as_unknown),),
-        "whoever published it is still there", STORM, 2, 2.0,
+        "the engine that published it still runs", STORM, 2, 2.0,
     ),
     Mutation(
         "the ids of routes that were closed are never forgotten",
@@ -278,7 +278,7 @@ MUTATIONS = (
         "do not agree on", _SILENT, 1, 0.5,
     ),
     Mutation(
-        "a stream takes whatever its buffers hold",
+        "a stream takes as much as its buffers hold",
         ((WindowedSender, "begin_window", _nothing),),
         "s after it was published", STILL, 1, 0.05, _tunnel,
     ),
@@ -293,14 +293,14 @@ MUTATIONS = (
         "shows it as ok", _WATCHED, 1, 0.05, _delay,
     ),
     Mutation(
-        "an answer goes to whoever asked first",
+        "an answer goes to the first caller",
         ((PendingCalls, "end", _end_oldest),),
         "got for call", CALLS, 1, 1.0,
     ),
     Mutation(
         "a call that is over keeps its place in the budget",
         ((PendingCalls, "end", _end_for_nothing),),
-        "calls are under way, and", CALLS, 1, 1.0,
+        "calls are in flight, and", CALLS, 1, 1.0,
     ),
     Mutation(
         "a service is still offered when the link is down",
@@ -308,12 +308,12 @@ MUTATIONS = (
         "without a link|and the link is down", CALLS, 1, 1.0,
     ),
     Mutation(
-        "a goal that was under way is sent to the server again",
+        "a goal in flight is sent to the server again",
         ((KeptAnswers, "take", _ask_again_anyway),),
         "came to the server 2 times", replace(ACTIONS, faults=20.0), 4, 0.1,
     ),
     Mutation(
-        "a result goes to whoever asked first",
+        "a result goes to the first caller",
         ((KeptAnswers, "answered", _answer_oldest),),
         "got the result of another goal", ACTIONS, 1, 1.0,
     ),

@@ -1,8 +1,8 @@
-"""What lies between the machines: which addresses there are, and what happens to what is sent.
+"""The network between the machines: addresses, names, delay and loss.
 
-A `Path` is one direction between two machines. It knows nothing of connections: it says how long a packet takes and
-whether it arrives, and whoever sent it (`tests.simulation.sockets`) does as a kernel would. A path that is cut swallows
-everything without a word, as a pulled cable or a firewall that drops does.
+A `Path` is one direction between two machines. It has no connections: it decides whether and when a packet arrives, and
+the sender (`tests.simulation.sockets`) acts as a kernel would. A cut path drops everything silently, as a pulled cable
+or a firewall does.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class Path:
         latency: s, between which each packet takes; datagrams overtake each other within it.
         loss: part of the datagrams that are lost; a stream's bytes come 0.2 s later instead.
         duplicates: part of the datagrams that come twice.
-        bandwidth: bytes/s; None: no limit that matters.
+        bandwidth: bytes/s, or None for no limit.
         mtu: bytes of the largest packet.
-        cut_at: s, since when nothing arrives; None: packets do.
+        cut_at: s, when it was cut, or None.
     """
 
     latency: tuple[float, float] = _GOOD
@@ -45,7 +45,7 @@ class Path:
     _when_healed: dict[Callable[[], None], None] = field(default_factory=dict)
 
     def delay(self, size: int, now: float, random: Random) -> float:
-        """How long (s) a packet of `size` bytes takes that is sent at `now` (s)."""
+        """Return the delay (s) of a packet of `size` bytes that is sent at `now` (s)."""
         latency = random.uniform(*self.latency)
         if self.bandwidth is None:
             return latency
@@ -77,7 +77,8 @@ class Network:
     Attributes:
         loop: the world's.
         random: decides what each packet meets.
-        names: what name servers say; None: they do not answer at all. A name that is not listed is not known.
+        names: the addresses that name servers give, or None if they do not answer. They do not know names that are
+            missing.
     """
 
     def __init__(self, loop: SimulatedLoop, random: Random) -> None:
@@ -97,11 +98,11 @@ class Network:
         del self._machines[address]
 
     def machine_at(self, address: str) -> Machine | None:
-        """Who has an address."""
+        """Return the machine that has an address."""
         return self._machines.get(address)
 
     def look_up(self, host: str) -> list[str] | None:
-        """The addresses of a host; an address in numbers needs no name server. None: nobody answers.
+        """Return the addresses of a host, or None if no name server answers. A numeric address needs none.
 
         Raises:
             socket.gaierror: the name is not known.
@@ -143,7 +144,7 @@ class Network:
         return source.up and destination.up and self.path(source, destination).cut_at is None
 
     def woke(self, machine: Machine) -> None:
-        """A machine is up again: what was on its way there may arrive."""
+        """A machine is on again: packets in flight to it may arrive."""
         for ends, path in tuple(self._paths.items()):
             if machine in ends:
                 path.healed()

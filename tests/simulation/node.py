@@ -98,9 +98,7 @@ class Node:
         self._domain.unwatch(self)
         self._stopped = True
         for end in self._ends():
-            if not end.closed:
-                end.closed = True
-                self._domain.forget_later(end)
+            end.close(killed=True)
 
     def _ends(self) -> list[Writer | Reader | Server | Client]:
         return [*self.writers, *self.readers, *self.servers_of_ours, *self.clients_of_ours]

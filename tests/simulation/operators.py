@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Coroutine, Iterator
     from random import Random
 
-    from tests.simulation.station import Run
+    from tests.simulation.engine_host import Run
     from tests.simulation.world import Robot, World
 
     from rsb_bridge.link.link import Link
@@ -65,17 +65,19 @@ class Operator:
         run = self._some_run()
         if run is None or len(self._routes(run)) >= _MOST_TOPICS:
             return
-        gone = [flow for flow in self._robot.flows if not any(r.topic == flow.source_topic for r in self._routes(run))]
+        gone = [
+            flow for flow in self._robot.topic_flows if not any(r.topic == flow.near_name for r in self._routes(run))
+        ]
         calls = [
-            each for each in self._robot.exchanges if not any(r.topic == each.near_name for r in self._routes(run))
+            each for each in self._robot.service_flows if not any(r.topic == each.near_name for r in self._routes(run))
         ]
         if calls and self._random.random() < 0.5:
             topic = self._random.choice(calls).topic
         elif gone and self._random.random() < 0.7:
             topic = self._random.choice(gone).topic
-        elif len(self._robot.flows) < _MOST_TOPICS:
-            topic = some_topic(self._robot.name, len(self._robot.flows), self._random)
-            flow = self._world.add_flow(self._robot, topic, self._random)
+        elif len(self._robot.topic_flows) < _MOST_TOPICS:
+            topic = some_topic(self._robot.name, len(self._robot.topic_flows), self._random)
+            flow = self._world.add_topic_flow(self._robot, topic, self._random)
             flow.listen()
             flow.appear()
         else:
@@ -102,7 +104,7 @@ class Operator:
     async def _pause_crossing(self) -> None:
         """Two people at both ends, at the same time."""
         run, route = self._some_route()
-        other = self._world.server.run if run is self._robot.station.run else self._robot.station.run
+        other = self._world.server.run if run is self._robot.host.run else self._robot.host.run
         if run is None or route is None or other is None:
             return
         one, another = self._random.choice(((True, False), (False, True), (True, True), (False, False)))
@@ -131,7 +133,7 @@ class Operator:
         """Close the links and open them again."""
         run = self._some_run()
         if run is not None:
-            robots = [self._robot] if run is self._robot.station.run else self._world.robots
+            robots = [self._robot] if run is self._robot.host.run else self._world.robots
             with self._world.trouble("restart", *robots, fault=False):
                 await self._command("restart", run, run.bridge.do(Restart()))
 
@@ -140,20 +142,20 @@ class Operator:
         run = self._some_run()
         if run is None:
             return
-        robots = [self._robot] if run is self._robot.station.run else self._world.robots
+        robots = [self._robot] if run is self._robot.host.run else self._world.robots
         with self._world.trouble("shut down", *robots, fault=False):
             await self._command("shut down", run, run.bridge.do(ShutDown()))
             await asyncio.sleep(duration(self._random))
-            for _ in range(_LOOKS):  # one may be told of it later, over a bad network
-                for station in (self._world.server, *(robot.station for robot in robots)):
-                    if (shut := station.run) is not None and any(is_shut_down(link) for link in shut.links()):
+            for _ in range(_LOOKS):  # one may learn of it later, over a bad network
+                for host in (self._world.server, *(robot.host for robot in robots)):
+                    if (shut := host.run) is not None and any(is_shut_down(link) for link in shut.links()):
                         await self._command("retry", shut, shut.bridge.do(Retry()))
                 await asyncio.sleep(1.0)
 
     # --- how
 
     def _some_run(self) -> Run | None:
-        return self._random.choice((self._robot.station.run, self._world.server.run))
+        return self._random.choice((self._robot.host.run, self._world.server.run))
 
     def _routes(self, run: Run) -> list[Route]:
         return [route for link in run.links() if link.name == self._robot.name for route in link.routes.values()]
@@ -165,8 +167,8 @@ class Operator:
 
     async def _command(self, what: str, run: Run, work: Coroutine[None, None, object]) -> None:
         world, robot = self._world, self._robot
-        world.chronicle.commands[what] += 1
-        world.chronicle.tell(f"{run.station.name}: the operator's command is {what}")
+        world.log.commands[what] += 1
+        world.log.tell(f"{run.host.name}: the operator's command is {what}")
         robot.commanded = world.loop.time()
         with contextlib.suppress(EngineError):
             await run.command(work)
@@ -179,8 +181,8 @@ def is_shut_down(link: Link) -> bool:
 
 
 def of(world: World) -> Iterator[Coroutine[None, None, None]]:
-    """All that operators do in a world, as its climate has it."""
-    pause = world.climate.commands
+    """All that operators do in a world, as its conditions have it."""
+    pause = world.conditions.commands
     if pause:
         for robot in world.robots:
             yield Operator(world, robot).work(pause)

@@ -132,7 +132,7 @@ class Domain:
                 writer.matched.pop(reader, None)
 
     def watch(self, node: Node, on_change: Callable[[], None]) -> None:
-        """Tell a node when endpoints come or go; several changes of a moment are told of once."""
+        """Call a node when endpoints come or go, once for several changes of a moment."""
         self._watchers[node] = on_change
 
     def unwatch(self, node: Node) -> None:
@@ -140,7 +140,7 @@ class Domain:
         self._watchers.pop(node, None)
 
     def changed(self) -> None:
-        """The graph has changed: the nodes are told soon."""
+        """Call the nodes soon, because the graph has changed."""
         if self._watchers and not self._telling:
             self._telling = True
             self.loop.call_later(self.random.uniform(*_DISCOVERY), self._tell, context=_OF_NOBODY)
@@ -229,9 +229,13 @@ class Writer:
     def acknowledged(self) -> bool:
         return True
 
-    def close(self) -> None:
-        if not self.closed:
-            self.closed = True
+    def close(self, *, killed: bool = False) -> None:
+        if self.closed:
+            return
+        self.closed = True
+        if killed:
+            self._domain.forget_later(self)
+        else:
             self.matched.clear()
             self._domain.remove_writer(self)
 
@@ -245,7 +249,7 @@ class Reader:
         lost: messages that came and could not be kept until they were taken.
         taken: messages so far.
         on_take: told of each batch, before the sink.
-        stalled: whether the thread that takes stands still; what comes is kept as usual.
+        stalled: whether the taking thread is stopped; arriving messages are kept as usual.
     """
 
     def __init__(
@@ -308,7 +312,7 @@ class Reader:
         self._draining = False
         if self.closed or self.stalled:
             return
-        now = self._domain.wall_ns()  # a process that was frozen receives then what came meanwhile
+        now = self._domain.wall_ns()  # a process that was frozen receives then what arrived meanwhile
         batch = [each._replace(stamp=now) for each in itertools.islice(self._pending, _BATCH)]
         for _ in batch:
             self._pending.popleft()
@@ -319,9 +323,13 @@ class Reader:
             self.on_take(batch)
         self._sink(batch)
 
-    def close(self) -> None:
-        if not self.closed:
-            self.closed = True
+    def close(self, *, killed: bool = False) -> None:
+        if self.closed:
+            return
+        self.closed = True
+        if killed:
+            self._domain.forget_later(self)
+        else:
             self._domain.remove_reader(self)
 
     def fail(self) -> None:

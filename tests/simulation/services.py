@@ -100,7 +100,7 @@ class Services:
 
 
 class _End(Generic[T]):
-    """What servers and clients share."""
+    """The common part of servers and clients."""
 
     def __init__(
         self,
@@ -153,10 +153,14 @@ class _End(Generic[T]):
             if self._on_failure is not None:
                 self._context.run(self._on_failure, RosError(f"{self.service}: taking failed"))
 
-    def close(self) -> None:
-        """Free it."""
-        if not self.closed:
-            self.closed = True
+    def close(self, *, killed: bool = False) -> None:
+        """Free it; where its process is killed, others see it for a while."""
+        if self.closed:
+            return
+        self.closed = True
+        if killed:
+            self._services.domain.forget_later(self)  # type: ignore[arg-type]
+        else:
             self._services.remove(self)  # type: ignore[arg-type]
 
 
@@ -175,6 +179,11 @@ class Server(_End[Request]):
     ) -> None:
         super().__init__(services, node, service, type_name, type_hash, sink, on_failure)
         services.add(self)
+
+    @property
+    def seen(self) -> bool:
+        """Whether other nodes see it."""
+        return self in self._services.servers[self.service]
 
     def answer(self, caller: bytes, payload: bytes) -> None:
         if not self.closed:

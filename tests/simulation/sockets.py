@@ -47,7 +47,7 @@ class Socket:
         family: always AF_INET.
         type: SOCK_STREAM or SOCK_DGRAM.
         process: whose it is.
-        options: those that were set.
+        options: by name, as far as they were set.
     """
 
     def __init__(
@@ -166,7 +166,7 @@ class Socket:
     # --- readiness
 
     def when_readable(self, wake: Callable[[], object] | None) -> None:
-        """Whom to tell as long as datagrams or connections wait; None: nobody."""
+        """Set the function to call while datagrams or connections wait, or None."""
         self._wake = wake
         self._context = contextvars.copy_context()
         self._rouse()
@@ -208,7 +208,7 @@ class Socket:
         """Ask a peer for a connection, which stays even if the answer gets lost.
 
         Returns:
-            Whether there is one; None: too many wait there already, and it does not answer.
+            Whether it listens, or None if its queue is full and it does not answer.
         """
         if self._transport is not None:
             return True
@@ -232,7 +232,7 @@ class Socket:
         """The connection that has waited longest.
 
         Raises:
-            OSError: there is none, or no descriptor is left.
+            OSError: no connection waits, or no descriptor is left.
         """
         if not self._backlog:
             raise BlockingIOError
@@ -300,7 +300,7 @@ class Socket:
         """The oldest datagram that waits.
 
         Raises:
-            BlockingIOError: there is none.
+            BlockingIOError: no datagram waits.
         """
         if not self._queue:
             raise BlockingIOError
@@ -320,7 +320,7 @@ _OF_NOBODY = contextvars.Context()
 
 
 def current_process() -> Process:
-    """Whose code runs."""
+    """Return the process whose code runs."""
     process = PROGRAM.get()
     assert isinstance(process, Process)
     return process

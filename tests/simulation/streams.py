@@ -31,10 +31,10 @@ _RESET = 0.3
 
 
 class _Segment:
-    """What was written in one moment, on its way.
+    """The bytes that were written in one moment, in flight.
 
     Attributes:
-        pieces: as they were written; None: the end of the stream.
+        pieces: as they were written, or None for the end of the stream.
         size: bytes.
         sent: s, when.
     """
@@ -94,7 +94,7 @@ class StreamTransport(asyncio.Transport):
         return one, other
 
     def begin(self, sock: Socket, protocol: asyncio.Protocol) -> None:
-        """Tell a protocol of the connection, and of whatever comes on it."""
+        """Attach a protocol to the connection."""
         self._sock = sock
         self._context = contextvars.copy_context()
         self._protocol = protocol
@@ -107,7 +107,7 @@ class StreamTransport(asyncio.Transport):
         self._catch_up()
 
     def _catch_up(self) -> None:
-        """Take what came before anybody wanted it."""
+        """Deliver bytes that arrived before a protocol was attached."""
         while self._early and self._reading and not self._gone:
             data = self._early.popleft()
             self.peer._acknowledged(len(data) if data else 0)
@@ -270,7 +270,7 @@ class StreamTransport(asyncio.Transport):
             self._run(self._protocol.resume_writing)
 
     def _refused(self) -> None:
-        """The other kernel knows of no such connection, and says so."""
+        """The other kernel resets the connection, which it does not know."""
         back = self._loop.time() + self.peer._path.delay(40, self._loop.time(), self._random)
 
         def reset() -> None:
@@ -282,7 +282,7 @@ class StreamTransport(asyncio.Transport):
     # --- the kernel: receiving
 
     def _hand(self, data: bytes | None) -> None:
-        """Give the program what came; None: the end."""
+        """Give the program bytes that arrived, or None for the end."""
         if self._gone or self._closing:
             if data is not None and self._gone:
                 self.peer._refused()
@@ -333,7 +333,7 @@ class StreamTransport(asyncio.Transport):
             self._dispatch(_Segment(None, 0, self._loop.time()))
 
     def _lose(self, error: OSError) -> None:
-        """The connection is over, whatever the program thinks of it."""
+        """End the connection without regard to the program."""
         self._on_its_way.clear()
         self._unstick()
         self._waiting.clear()
@@ -360,7 +360,7 @@ class StreamTransport(asyncio.Transport):
             self._dispatch(_Segment(None, 0, self._loop.time()))
 
     def vanished(self) -> None:
-        """The machine lost its power: nothing of it is left, and nobody is told."""
+        """The machine lost its power: the connection is gone, silently."""
         self._gone = self._closing = True
         self._free()
         self._on_its_way.clear()

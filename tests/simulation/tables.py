@@ -1,6 +1,7 @@
-"""How much an engine holds: every table that can be reached from it, by the way that leads there.
+"""Lengths of all tables of an engine, by their path of attributes.
 
-A table that is never cleared shows here whatever it is called, so nothing has to be listed.
+It finds every table that can be reached from the engine, so a new table that is never cleared shows without being
+listed.
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-_OWN = ("rsb_bridge.", "tests.simulation.station")
+_OWN = ("rsb_bridge.", "tests.simulation.engine_host")
 _NOT_HELD = (asyncio.Future, asyncio.AbstractEventLoop, type)
 
 
 def tables(root: object, name: str = "engine") -> dict[str, int]:
-    """The length of each table, by its way from `root`; all elements of a table share the way that leads through it."""
+    """Return the length of each table, by its path from `root`; all elements of a table share one path."""
     found: dict[str, int] = {}
     seen: set[int] = set()
     waiting: deque[tuple[str, object]] = deque([(name, root)])

@@ -13,7 +13,7 @@ import pytest
 from tests.simulation import action_invariants, faults
 from tests.simulation.action_invariants import halves_of, left_at_rest, said
 from tests.simulation.action_server import Plan
-from tests.simulation.climate import STILL
+from tests.simulation.conditions import STILL
 from tests.simulation.services import Server
 from tests.simulation.world import World
 from tests.support.long import long
@@ -26,10 +26,10 @@ from rsb_bridge.route.lease import Lease
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator
 
+    from tests.simulation.action_flow import ActionFlow
     from tests.simulation.conftest import Play
-    from tests.simulation.errands import Errand
+    from tests.simulation.engine_host import EngineHost
     from tests.simulation.goals import Goal
-    from tests.simulation.station import Station
 
 _HOUR = 120.0
 """s for which what outlives an interruption is kept here, so that its end can be waited for."""
@@ -47,7 +47,7 @@ class Court:
 
     Attributes:
         world: in which it is.
-        errand: the action.
+        action: the action.
         near: the client's computer.
         far: the server's.
     """
@@ -57,37 +57,37 @@ class Court:
         (robot,) = self.world.robots
         self.robot = robot
         action = Topic("/do", "transmit" if provider == "server" else "receive", kind="action", **spec)
-        robot.station.session = msgspec.structs.replace(robot.station.session, topics=(action,))
-        self.errand: Errand = self.world.add_errand(robot, action, 0.0)
-        ends: tuple[Station, Station] = robot.station, self.world.server
+        robot.host.session = msgspec.structs.replace(robot.host.session, topics=(action,))
+        self.action: ActionFlow = self.world.add_action_flow(robot, action, 0.0)
+        ends: tuple[EngineHost, EngineHost] = robot.host, self.world.server
         self.near, self.far = ends if provider == "server" else ends[::-1]
 
     async def begin(self) -> None:
         """Wait until the client sees a server."""
-        await until(lambda: self.errand.ready, 30.0)
+        await until(lambda: self.action.ready, 30.0)
 
     async def goal(self, **plan: Any) -> Goal:
         """Send a goal that is accepted."""
-        goal = self.errand.send(Plan(**plan))
+        goal = self.action.send(Plan(**plan))
         assert goal is not None
         await until(lambda: goal.told, 5.0)
         return goal
 
     @contextlib.contextmanager
     def cut(self) -> Iterator[None]:
-        """There is no network."""
+        """Cut the network between both hosts."""
         ends = self.near.machine, self.far.machine
         with self.world.trouble("cut", self.robot):
             self.world.network.cut(*ends)
             yield
             self.world.network.heal(*ends)
 
-    async def restart(self, station: Station) -> None:
+    async def restart(self, host: EngineHost) -> None:
         """A bridge is killed and started again."""
         with self.world.trouble("killed", self.robot):
-            station.kill()
+            host.kill()
             await asyncio.sleep(2.0)
-            station.start()
+            host.start()
 
 
 async def until(condition: Callable[[], object], within: float) -> None:
@@ -99,7 +99,7 @@ async def until(condition: Callable[[], object], within: float) -> None:
 
 @contextlib.contextmanager
 def short_interruptions() -> Iterator[None]:
-    """What outlives an interruption does so for minutes instead of an hour."""
+    """Shorten the hour for which goals outlive an interruption to minutes."""
     with contextlib.ExitStack() as stack:
         for module in (kept_calls, calling, providing):
             stack.enter_context(patch.object(module, "INTERRUPTION", _HOUR))
@@ -108,26 +108,26 @@ def short_interruptions() -> Iterator[None]:
 
 
 def lived(play: Play, court: Court, life: Coroutine[None, None, None], seconds: float = 500.0) -> None:
-    """Play a world until a life is over, and whatever it leaves behind has been forgotten."""
+    """Play a world until a life is over and everything that it leaves behind is forgotten."""
     over: list[bool] = []
 
     async def live() -> None:
         await court.begin()
         await life
-        court.errand.rest()
-        await until(lambda: not court.errand.goes_on, 250.0)
+        court.action.rest()
+        await until(lambda: not court.action.goes_on, 250.0)
         await asyncio.sleep(_HOUR + kept_calls.SENT_KEPT + 10.0)
-        halves = halves_of(court.world, court.errand)
+        halves = halves_of(court.world, court.action)
         assert len(halves) == 2
         for half in halves:
             if left := left_at_rest(half):
-                court.world.wrong(f"at rest, {half.key} still has {left}; {said(court.world, court.errand)}")
+                court.world.wrong(f"at rest, {half.key} still has {left}; {said(court.world, court.action)}")
         over.append(True)
 
     async def guarded() -> None:
         try:
             await live()
-        except Exception as error:  # noqa: BLE001 — whatever fails in it fails here
+        except Exception as error:  # noqa: BLE001 — its failure is the test's
             court.world.loop.fail(error)
 
     with short_interruptions():
@@ -146,7 +146,7 @@ def test_a_goal_that_was_accepted_goes_on_over_a_cut(provider: str, play: Play) 
             await asyncio.sleep(40.0)
             assert [each.state for each in goals] == ["aborted", ""]
             assert not goals[0].result
-            assert not court.errand.server.remembers(goals[0].id)  # type: ignore[union-attr]
+            assert not court.action.server.remembers(goals[0].id)  # type: ignore[union-attr]
         await until(lambda: goals[0].result, 15.0)
         await until(lambda: goals[1].result, 30.0)
         assert [each.result for each in goals] == ["aborted", "succeeded"]
@@ -162,16 +162,16 @@ def test_a_cancel_of_the_cut_comes_before_anything_else(provider: str, play: Pla
         first, second = await court.goal(runs=300.0), await court.goal(runs=100.0)
         with court.cut():
             await asyncio.sleep(10.0)
-            assert court.errand.send() is None, "nobody can send a goal now"
-            court.errand.cancel(first)
+            assert court.action.send() is None, "nobody can send a goal now"
+            court.action.cancel(first)
             await asyncio.sleep(20.0)
             assert not first.cancelled
-        await until(lambda: court.errand.ready, 15.0)
-        third = court.errand.send()
+        await until(lambda: court.action.ready, 15.0)
+        third = court.action.send()
         await until(lambda: first.result and third and third.told, 5.0)
         assert first.result == "canceled"
-        assert [what for what, _ in court.errand.log] == ["goal", "goal", "cancel", "goal"]
-        assert court.errand.log[2][1] is first
+        assert [what for what, _ in court.action.log] == ["goal", "goal", "cancel", "goal"]
+        assert court.action.log[2][1] is first
         assert not second.result
 
     lived(play, court, live())
@@ -179,15 +179,15 @@ def test_a_cancel_of_the_cut_comes_before_anything_else(provider: str, play: Pla
 
 @pytest.mark.parametrize("provider", SIDES)
 def test_a_goal_on_its_way_begins_once_or_never(provider: str, play: Play) -> None:
-    """One that came before the cut is accepted, and its client is told so; one that did not is rejected."""
+    """A goal that arrived before the cut is accepted at both ends; another is rejected."""
     court = Court(provider, timeout=60.0)
 
     async def live() -> None:
-        came = court.errand.send(Plan(after=15.0, runs=5.0))
+        came = court.action.send(Plan(after=15.0, runs=5.0))
         assert came is not None
         await until(lambda: came.arrived, 5.0)
         with court.cut():
-            late = court.errand.send()
+            late = court.action.send()
             assert late is not None
             await asyncio.sleep(20.0)
             assert came.server is not None
@@ -201,22 +201,22 @@ def test_a_goal_on_its_way_begins_once_or_never(provider: str, play: Play) -> No
 @pytest.mark.parametrize("provider", SIDES)
 @pytest.mark.parametrize("end", ["near", "far"])
 def test_a_bridge_that_is_killed_and_started_again(provider: str, end: str, play: Play) -> None:
-    """Beside the client, the client asks again; beside the server, the bridge does."""
+    """At the client's end, the client asks again; at the server's, the bridge does."""
     court = Court(provider)
 
     async def live() -> None:
         goal = await court.goal(runs=60.0)
         cancelled = await court.goal(runs=300.0)
-        station: Station = getattr(court, end)
+        host: EngineHost = getattr(court, end)
         if end == "far":
             with court.cut():
                 await asyncio.sleep(8.0)
-                court.errand.cancel(cancelled)
-                await court.restart(station)
+                court.action.cancel(cancelled)
+                await court.restart(host)
         else:
-            await court.restart(station)
-            await until(lambda: court.errand.ready, 30.0)
-            court.errand.cancel(cancelled)
+            await court.restart(host)
+            await until(lambda: court.action.ready, 30.0)
+            court.action.cancel(cancelled)
         await until(lambda: cancelled.result, 30.0)
         assert cancelled.result == "canceled"
         await until(lambda: goal.result, 90.0)
@@ -230,12 +230,12 @@ def test_a_server_that_does_not_answer_leaves_nothing_behind(play: Play) -> None
 
     async def live() -> None:
         for _ in range(5):
-            court.errand.send(Plan(after=None))
+            court.action.send(Plan(after=None))
         await asyncio.sleep(5.0)
-        expired = [half.calls.expired for half in halves_of(court.world, court.errand)]
+        expired = [half.calls.expired for half in halves_of(court.world, court.action)]
         assert expired == [5, 5]
         await asyncio.sleep(kept_calls.SENT_KEPT + 5.0)
-        await court.goal(runs=1.0)  # the server says that it has no other goals
+        await court.goal(runs=1.0)  # the server reports that it has no other goals
 
     lived(play, court, live())
 
@@ -246,13 +246,13 @@ def test_a_goal_that_is_asked_about_again_in_vain_leaves_nothing_behind(provider
     court = Court(provider, timeout=20.0)
 
     async def live() -> None:
-        goal = court.errand.send(Plan(after=None))
+        goal = court.action.send(Plan(after=None))
         assert goal is not None
         await until(lambda: goal.arrived, 5.0)
         with court.cut():
             await asyncio.sleep(10.0)
-        await until(lambda: all(half.calls.expired for half in halves_of(court.world, court.errand)), 45.0)
-        await court.goal(runs=1.0)  # the server says that it has no other goals
+        await until(lambda: all(half.calls.expired for half in halves_of(court.world, court.action)), 45.0)
+        await court.goal(runs=1.0)  # the server reports that it has no other goals
         assert goal.arrived == 1
 
     lived(play, court, live())
@@ -264,18 +264,18 @@ def test_a_server_that_is_replaced_unseen_leaves_nothing_behind(provider: str, p
     court = Court(provider, timeout=100.0)
 
     async def live() -> None:
-        goal = court.errand.send(Plan(after=None))
+        goal = court.action.send(Plan(after=None))
         assert goal is not None
         await until(lambda: goal.arrived, 5.0)
-        court.errand.vanish(killed=True)
-        court.errand.appear()
+        court.action.vanish(killed=True)
+        court.action.appear()
         await asyncio.sleep(1.0)
-        court.errand.vanish()  # it may have got the call, too, as it was there when the bridge looked next
+        court.action.vanish()  # it may have got the call, too, as it was there when the bridge looked next
         await asyncio.sleep(1.0)
-        court.errand.appear()
-        await until(lambda: not court.errand.dead_is_seen, 60.0)
-        await until(lambda: all(half.calls.lost for half in halves_of(court.world, court.errand)), 5.0)
-        await court.goal(runs=1.0)  # the server says that it has no other goals
+        court.action.appear()
+        await until(lambda: not court.action.dead_is_seen, 60.0)
+        await until(lambda: all(half.calls.lost for half in halves_of(court.world, court.action)), 5.0)
+        await court.goal(runs=1.0)  # the server reports that it has no other goals
 
     lived(play, court, live())
 
@@ -284,27 +284,27 @@ def test_a_server_that_is_replaced_unseen_leaves_nothing_behind(provider: str, p
 def test_nothing_is_left_over_after_a_course_of_faults(seed: int, play: Play) -> None:
     """Links drop, bridges and servers are killed, at either end, while goals are sent, and cancelled, all the time."""
     court = Court(SIDES[seed % 2], seed, timeout=(None, 5.0)[seed // 2 % 2])
-    errand, world = court.errand, court.world
+    action, world = court.action, court.world
 
     async def live() -> None:
-        errand.busy(2.0)
+        action.busy(2.0)
         random = world.random("course")
         courses: list[Callable[[], Coroutine[None, None, None]]] = [
             lambda: faults.cut(world, court.robot, random),
             lambda: faults.cut(world, court.robot, random),
             lambda: faults.kill(world, court.robot, random),
             lambda: faults.server_killed(world, random),
-            lambda: faults.server_ends(world, errand, random),
-            lambda: faults.server_dies(world, errand, random),
-            lambda: faults.offer_fails(world, errand, random),
+            lambda: faults.server_ends(world, action, random),
+            lambda: faults.server_dies(world, action, random),
+            lambda: faults.offer_fails(world, action, random),
         ]
         with patch.object(faults, "duration", lambda random: random.uniform(0.5, 20.0)):
             for _ in range(8):
                 await random.choice(courses)()
                 await asyncio.sleep(random.uniform(0.0, 25.0))
-        assert errand.answered > 10
-        errand.rest()
-        await until(lambda: not errand.goes_on, 250.0)
+        assert action.answered > 10
+        action.rest()
+        await until(lambda: not action.goes_on, 250.0)
         await asyncio.sleep(_SETTLED)
         # A goal whose call was given up counts as running until the server's next status message. A server that has
         # replaced another unseen publishes none before its first goal.
@@ -327,7 +327,7 @@ def test_a_goal_right_after_arming_is_accepted(mistaken: bool, play: Play) -> No
         for _ in range(6):
             (route,) = [route for link in run.links() for route in link.routes.values()]
             arms = court.world.loop.create_task(run.command(run.bridge.do(ArmTopic(route.key))))
-            while (goal := court.errand.send(Plan(runs=0.1))) is None:
+            while (goal := court.action.send(Plan(runs=0.1))) is None:
                 Server(services, "/passer_by", "/else", "std_srvs/srv/Empty", "", lambda _: None).close()
                 await asyncio.sleep(0.02)  # the providing side has reasons to look at its graph meanwhile
             await arms
@@ -337,7 +337,7 @@ def test_a_goal_right_after_arming_is_accepted(mistaken: bool, play: Play) -> No
             await asyncio.sleep(3.0)
 
     async def troubled() -> None:
-        with court.world.flow_trouble(court.errand, "armed at times"):
+        with court.world.flow_trouble(court.action, "armed at times"):
             await live()
 
     with contextlib.ExitStack() as stack:

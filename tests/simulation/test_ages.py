@@ -1,5 +1,4 @@
-"""No message of a topic with `max_age` is published when it is older, by true time, whatever happens; and rules that
-each keep one from being published are each needed."""
+"""No message of a topic with `max_age` is published when it is older by true time, and each rule for that is needed."""
 
 from __future__ import annotations
 
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.simulation.climate import STILL
+from tests.simulation.conditions import STILL
 from tests.simulation.episodes import aged, linked_by_a_slow_way
 from tests.simulation.mutations import Mutation
 from tests.simulation.world import Violation, World
@@ -22,7 +21,7 @@ from rsb_bridge.route.age import MessageAge, PublisherClocks
 
 if TYPE_CHECKING:
     from tests.simulation.conftest import Play
-    from tests.simulation.flows import Flow
+    from tests.simulation.topic_flow import TopicFlow
 
     from rsb_bridge.model.session import Protocol
 
@@ -31,14 +30,14 @@ _AGES = replace(STILL, checks=(5.0, 5.0), patience=20.0)
 _SECONDS = 400.0
 
 
-def aging_world(seed: int, protocol: Protocol = "tcp", max_rate: float | None = None) -> tuple[World, Flow]:
+def aging_world(seed: int, protocol: Protocol = "tcp", max_rate: float | None = None) -> tuple[World, TopicFlow]:
     """A world with one topic of `MAX_AGE`, 20 messages a second."""
     world = World(seed, _AGES)
-    (robot,), (flow,) = world.robots, world.flows.values()
+    (robot,), (flow,) = world.robots, world.topic_flows.values()
     topic = msgspec.structs.replace(
         flow.topic, protocol=protocol, port=None, qos="auto", paused=False, max_age=MAX_AGE, max_rate=max_rate
     )
-    robot.station.session = msgspec.structs.replace(robot.station.session, topics=(topic,))
+    robot.host.session = msgspec.structs.replace(robot.host.session, topics=(topic,))
     flow.topic, flow.period, flow.max_age = topic, 0.05, MAX_AGE
     return world, flow
 
@@ -53,11 +52,11 @@ def test_nothing_old_is_published(seed: int, protocol: Protocol, play: Play) -> 
 
 
 def _any_age(self: Any, stamp: int) -> None:
-    """As `MessageAge.why_old`, but the receiver asks nothing."""
+    """Replace `MessageAge.why_old` by a form in which the receiver checks nothing."""
 
 
 def _exact(self: Any, stamp: int) -> Any:
-    """As `MessageAge.why_old`, but the other side's clock is taken for known exactly."""
+    """Replace `MessageAge.why_old` by a form that takes the other side's clock for exact."""
     offset = self._peer.stamps.offset
     if offset is None:
         return None
@@ -65,17 +64,17 @@ def _exact(self: Any, stamp: int) -> Any:
 
 
 def _wall(self: Any) -> int:
-    """As `StampClock.now`, but somebody may set it."""
+    """Replace `StampClock.now` by a clock that can be set."""
     return int(self._clock.time_ns())
 
 
 def _unseen(self: Any) -> None:
-    """As `StampClock.look`, but a step is no reason for doubt."""
+    """Replace `StampClock.look` by a form that ignores steps."""
     self.shift = self._measure()[0]
 
 
 def _taken(self: Any, source: int, taken: int, publisher: bytes) -> int:
-    """As `PublisherClocks.born`, but what the publisher says does not matter."""
+    """Replace `PublisherClocks.born` by a form that ignores the publisher's stamp."""
     return taken
 
 

@@ -6,7 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
-from tests.simulation.booths import Booth
+from tests.simulation.call_harness import CallHarness
 from tests.simulation.test_calls import lived, until
 from tests.support.goals import cancel_request, goal, goal_request
 
@@ -19,7 +19,7 @@ from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
     import pytest
-    from tests.simulation.booths import Asker, Teller
+    from tests.simulation.call_harness import ScriptedClient, ScriptedServer
     from tests.simulation.conftest import Play
 
 _ACTION = "test_msgs/action/Fibonacci"
@@ -28,161 +28,161 @@ _ACTION = "test_msgs/action/Fibonacci"
 def test_a_service_that_cannot_be_called_ends_its_route_and_not_the_link(
     play: Play, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    booth = Booth()
+    harness = CallHarness()
 
     async def live() -> None:
-        _, far = booth.halves()
+        _, far = harness.halves()
         connections = far.peer.connections
 
         def fails(*_: Any) -> None:
             raise RosError("another version is installed")
 
         monkeypatch.setattr(far.context.ros, "call_service", fails)
-        booth.teller()
+        harness.server()
         await asyncio.sleep(30.0)
-        _, far = booth.halves()
+        _, far = harness.halves()
         assert far.peer.connections == connections
-        assert "another version is installed" in booth.shown()[0].reason
-        assert "another version is installed" in booth.shown()[1].reason
+        assert "another version is installed" in harness.shown()[0].reason
+        assert "another version is installed" in harness.shown()[1].reason
         monkeypatch.undo()
-        await booth.ready(booth.asker())
+        await harness.ready(harness.client())
 
-    lived(play, booth, live())
+    lived(play, harness, live())
 
 
-def _action(booth: Booth) -> list[Teller]:
-    """An action's server, which answers when it is told to."""
+def _action(harness: CallHarness) -> list[ScriptedServer]:
+    """Add the servers of an action, which answer on `answer`."""
     return [
-        booth.teller(suffix=lane.suffix, type_name=lane.type_name or _ACTION + lane.type_suffix, waits=True)
+        harness.server(suffix=lane.suffix, type_name=lane.type_name or _ACTION + lane.type_suffix, waits=True)
         for lane in LANES["action"]
         if not lane.is_topic
     ]
 
 
-def _asker_of(booth: Booth, lane: int) -> Asker:
+def _client_of(harness: CallHarness, lane: int) -> ScriptedClient:
     kind = LANES["action"][lane]
-    return booth.asker(f"/asker{lane}", suffix=kind.suffix, type_name=kind.type_name or _ACTION + kind.type_suffix)
+    return harness.client(f"/client{lane}", suffix=kind.suffix, type_name=kind.type_name or _ACTION + kind.type_suffix)
 
 
-def test_endpoints_that_fail_are_made_anew_while_goals_run(play: Play) -> None:
-    """What an interruption of an action leaves open has to work."""
-    booth = Booth(kind="action")
+def test_endpoints_that_fail_are_replaced_while_goals_run(play: Play) -> None:
+    """Endpoints that an interruption leaves open have to work."""
+    harness = CallHarness(kind="action")
 
     async def live() -> None:
-        tellers, asker = _action(booth), _asker_of(booth, GET_RESULT)
-        await booth.ready(asker)
-        asker.ask(bytes(16))
-        await until(lambda: tellers[GET_RESULT].asked, 2.0)
-        near, far = booth.halves()
+        servers, client = _action(harness), _client_of(harness, GET_RESULT)
+        await harness.ready(client)
+        client.ask(bytes(16))
+        await until(lambda: servers[GET_RESULT].asked, 2.0)
+        near, far = harness.halves()
         assert isinstance(near, CallingRoute)
         assert isinstance(far, ProvidingRoute)
         far._clients.clients[CANCEL_GOAL].fail()  # type: ignore[attr-defined]
-        await until(lambda: not booth.counted()[1].in_flight and far._clients.ready, 15.0)
-        await booth.ready(asker)
+        await until(lambda: not harness.counted()[1].in_flight and far._clients.ready, 15.0)
+        await harness.ready(client)
         near._offers.servers[GET_RESULT].fail()  # type: ignore[attr-defined]
         await asyncio.sleep(1.0)
         await until(lambda: bool(near._offers), 15.0)
-        await booth.ready(asker)
+        await harness.ready(client)
         await until(
-            lambda: len(tellers[GET_RESULT].asked) == 2, 15.0
+            lambda: len(servers[GET_RESULT].asked) == 2, 15.0
         )  # the first client's question is as lost as it is
-        tellers[GET_RESULT].answer()
-        await until(lambda: asker.answers, 5.0)
+        servers[GET_RESULT].answer()
+        await until(lambda: client.answers, 5.0)
 
-    lived(play, booth, live())
+    lived(play, harness, live())
 
 
 def test_a_new_cancel_to_an_action_whose_server_has_gone_is_refused(play: Play) -> None:
     """It says what one said that was answered, and is no repetition of it."""
-    booth = Booth(kind="action")
+    harness = CallHarness(kind="action")
 
     async def live() -> None:
-        tellers, asker = _action(booth), _asker_of(booth, CANCEL_GOAL)
-        await booth.ready(asker)
+        servers, client = _action(harness), _client_of(harness, CANCEL_GOAL)
+        await harness.ready(client)
         content = bytes(24)
-        asker.ask(content)
-        await until(lambda: tellers[CANCEL_GOAL].asked, 2.0)
-        tellers[CANCEL_GOAL].answer()
-        await until(lambda: asker.right, 2.0)
-        near, far = booth.halves()
+        client.ask(content)
+        await until(lambda: servers[CANCEL_GOAL].asked, 2.0)
+        servers[CANCEL_GOAL].answer()
+        await until(lambda: client.right, 2.0)
+        near, far = harness.halves()
         connections = far.peer.connections
-        for teller in tellers:
-            teller.server.close()
+        for server in servers:
+            server.endpoint.close()
         await until(lambda: not near.offered, 2.0)
         assert near.channel is not None
-        near.channel.send([(CallFrame(What.CALL, CANCEL_GOAL, 1000, 0, asker.requests[1]).pack(), 0, 0)])
+        near.channel.send([(CallFrame(What.CALL, CANCEL_GOAL, 1000, 0, client.requests[1]).pack(), 0, 0)])
         await asyncio.sleep(2.0)
         assert far.peer.connections == connections
         assert far.calls.snapshot().refused == {"provider gone": 1}
 
-    lived(play, booth, live())
+    lived(play, harness, live())
 
 
 def test_calls_that_expire_while_nothing_gets_through_hold_nothing(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
-    booth = Booth(timeout=1.0)
+    harness = CallHarness(timeout=1.0)
 
     async def live() -> None:
-        teller, asker = booth.teller(waits=True), booth.asker()
-        await booth.ready(asker)
-        for half, answers in zip(booth.halves(), (False, True), strict=True):
+        server, client = harness.server(waits=True), harness.client()
+        await harness.ready(client)
+        for half, answers in zip(harness.halves(), (False, True), strict=True):
             with monkeypatch.context() as stuck:
                 for _ in range(100):
-                    asker.ask()
+                    client.ask()
                 if answers:
-                    await until(lambda: len(teller.asked) == 100, 1.0)
+                    await until(lambda: len(server.asked) == 100, 1.0)
                 stuck.setattr(type(half.channel), "congested", True)
-                teller.answer()
+                server.answer()
                 await asyncio.sleep(5.0)
-                assert booth.counted()[answers].expired == 100
+                assert harness.counted()[answers].expired == 100
                 assert not half._outbox._frames
 
-    lived(play, booth, live())
+    lived(play, harness, live())
 
 
 def test_more_goals_run_than_answers_are_kept(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kept_calls, "MOST_KEPT", 8)
-    booth = Booth(kind="action")
+    harness = CallHarness(kind="action")
 
     async def live() -> None:
-        tellers, asker = _action(booth), _asker_of(booth, GET_RESULT)
-        await booth.ready(asker)
+        servers, client = _action(harness), _client_of(harness, GET_RESULT)
+        await harness.ready(client)
         for number in range(20):
-            asker.client.call(goal_request(goal(number)))
-        await until(lambda: len(tellers[GET_RESULT].asked) == 20, 2.0)
-        tellers[GET_RESULT].answer()
-        await until(lambda: len(asker.answers) == 20, 2.0)
+            client.endpoint.call(goal_request(goal(number)))
+        await until(lambda: len(servers[GET_RESULT].asked) == 20, 2.0)
+        servers[GET_RESULT].answer()
+        await until(lambda: len(client.answers) == 20, 2.0)
 
-    lived(play, booth, live())
+    lived(play, harness, live())
 
 
 def test_a_cancel_that_the_link_has_no_room_for_after_an_outage_is_asked_again(play: Play) -> None:
-    booth = Booth(kind="action")
+    harness = CallHarness(kind="action")
 
     async def live() -> None:
-        tellers, asker = _action(booth), _asker_of(booth, CANCEL_GOAL)
-        await booth.ready(asker)
-        near, _ = booth.halves()
-        asker.client.call(cancel_request(goal(1)))
-        await until(lambda: tellers[CANCEL_GOAL].asked, 1.0)
+        servers, client = _action(harness), _client_of(harness, CANCEL_GOAL)
+        await harness.ready(client)
+        near, _ = harness.halves()
+        client.endpoint.call(cancel_request(goal(1)))
+        await until(lambda: servers[CANCEL_GOAL].asked, 1.0)
         with patch.object(near.peer.budget.asked, "take", lambda *_: Refused.CALLS_UNDER_WAY):
             connections = near.peer.connections
             near.peer.control.abort("cut")  # type: ignore[attr-defined]
             await until(lambda: near.peer.connections > connections and near.offered, 30.0)
             await asyncio.sleep(2.0)
-            assert len(tellers[CANCEL_GOAL].asked) == 1
-        tellers[CANCEL_GOAL].answer()
-        await until(lambda: asker.answers, 5.0)
+            assert len(servers[CANCEL_GOAL].asked) == 1
+        servers[CANCEL_GOAL].answer()
+        await until(lambda: client.answers, 5.0)
 
-    lived(play, booth, live())
+    lived(play, harness, live())
 
 
 def test_what_is_kept_of_a_peers_messages_is_in_its_budget(play: Play) -> None:
-    booth = Booth(kind="action")
+    harness = CallHarness(kind="action")
 
     async def live() -> None:
-        _action(booth)
-        await booth.ready(_asker_of(booth, CANCEL_GOAL))
-        near, _ = booth.halves()
+        _action(harness)
+        await harness.ready(_client_of(harness, CANCEL_GOAL))
+        near, _ = harness.halves()
         assert isinstance(near, CallingRoute)
         budget = near.peer.budget.kept
         for size in (1000, 10, budget.limit + 1, 100):
@@ -191,26 +191,26 @@ def test_what_is_kept_of_a_peers_messages_is_in_its_budget(play: Play) -> None:
         near.close("over")
         assert budget.held == 0
 
-    lived(play, booth, live())
+    lived(play, harness, live())
 
 
 def test_a_peer_that_refuses_a_call_on_another_lane_does_not_upset_the_counts(play: Play) -> None:
-    booth = Booth(kind="action")
+    harness = CallHarness(kind="action")
 
     async def live() -> None:
-        tellers, asker = _action(booth), _asker_of(booth, CANCEL_GOAL)
-        await booth.ready(asker)
-        asker.client.call(cancel_request(goal(1)))
-        await until(lambda: tellers[CANCEL_GOAL].asked, 1.0)
-        near, far = booth.halves()
+        servers, client = _action(harness), _client_of(harness, CANCEL_GOAL)
+        await harness.ready(client)
+        client.endpoint.call(cancel_request(goal(1)))
+        await until(lambda: servers[CANCEL_GOAL].asked, 1.0)
+        near, far = harness.halves()
         first = near.id
         assert far.channel is not None
         far.channel.send([(CallFrame(What.REFUSED, GET_RESULT, 1, 0, b"provider gone").pack(), 0, 0)])
         await until(lambda: near.id != first and near.offered, 15.0)
-        await until(lambda: booth.counted()[0].in_flight == 1, 5.0)
-        tellers[CANCEL_GOAL].answer()
-        await until(lambda: asker.answers, 5.0)
-        assert booth.counted()[0].in_flight == 0
-        assert booth.counted()[0].answered == 1
+        await until(lambda: harness.counted()[0].in_flight == 1, 5.0)
+        servers[CANCEL_GOAL].answer()
+        await until(lambda: client.answers, 5.0)
+        assert harness.counted()[0].in_flight == 0
+        assert harness.counted()[0].answered == 1
 
-    lived(play, booth, live())
+    lived(play, harness, live())

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.simulation.climate import ACTIONS, CALLS
+from tests.simulation.conditions import ACTIONS, CALLS
 from tests.simulation.world import Violation, World
 from tests.support.long import long
 
@@ -24,7 +24,7 @@ def test_no_answer_is_wrong_and_nothing_is_left_over(seed: int, play: Play) -> N
         play(world, _HOURS[seed] * 3600)
     except Violation as violation:
         pytest.fail(str(violation), pytrace=False)
-    assert sum(exchange.answered for exchange in world.exchanges.values()) > 100
+    assert sum(service.answered for service in world.service_flows.values()) > 100
 
 
 @pytest.mark.parametrize("seed", [1, *long(4, 5)])
@@ -34,4 +34,4 @@ def test_goals_outlive_whatever_goes_wrong(seed: int, play: Play) -> None:
         play(world, _OF_ACTIONS[seed] * 3600)
     except Violation as violation:
         pytest.fail(str(violation), pytrace=False)
-    assert sum(errand.answered for errand in world.errands.values()) > 30
+    assert sum(action.answered for action in world.action_flows.values()) > 30

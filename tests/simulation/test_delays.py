@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.simulation.climate import STILL
+from tests.simulation.conditions import STILL
 from tests.simulation.episodes import delayed
-from tests.simulation.flows import LATE
 from tests.simulation.invariants import route_of
+from tests.simulation.topic_flow import LATE
 from tests.simulation.world import World
 
 from rsb_bridge.model.snapshot import State
@@ -30,7 +30,7 @@ def test_both_sides_say_that_messages_are_late(seed: int, protocol: str, directi
     """Within 5 s of the first message that comes out late; and both are content again 8 s after the way is fast."""
     world = World(seed, replace(STILL, checks=(1.0, 1.0)))
     (robot,) = world.robots
-    (flow,) = robot.flows
+    (flow,) = robot.topic_flows
     assert (flow.topic.protocol, flow.topic.direction) == (protocol, direction), "the seed's topic is another one"
     said: dict[bool, float] = {}
     content: dict[bool, float] = {}

@@ -1,4 +1,4 @@
-"""Names that either session demands to be armed, while operators of both sides edit whatever they like.
+"""Names that either session demands to be armed, while operators of both sides edit entries at random.
 
 Nobody arms anything, and no edit drops a demand by name. So no message of such a name may ever cross: the nodes at the
 other end count.
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from tests.simulation.conftest import Play
-    from tests.simulation.station import Run
+    from tests.simulation.engine_host import Run
 
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.session import Direction
@@ -171,11 +171,11 @@ def test_what_either_session_demands_never_crosses_unarmed(seed: int, play: Play
 
 
 def _forgotten(self: RunningDemands, sources: object, who: str) -> None:
-    """As edits were: an entry that goes takes its demand along."""
+    """Replace edits by their old form, in which a removed entry takes its demand along."""
 
 
 def _of_the_entry(self: LinkArming, route: Route) -> Demand:
-    """As it was: only the entry that has made the route counts."""
+    """Replace the check by its old form, which asks only the entry that made the route."""
     if not route.proposed_here or not route.spec.arm:
         return NO_DEMAND
     deadman = route.spec.deadman_seconds
@@ -183,7 +183,7 @@ def _of_the_entry(self: LinkArming, route: Route) -> Demand:
 
 
 def _first(self: Demands, kind: object, name: str) -> Iterator[object]:
-    """As it was: of the patterns, the first that matches counts; of those that demand nothing there is no trace."""
+    """Replace the check by its old form, which asks only the first pattern that matches."""
     yield from (each for each in list(_matching(self, kind, name))[:1] if not each.is_pattern)  # type: ignore[arg-type]
 
 

@@ -1,4 +1,4 @@
-"""What an engine says while nothing happens: no more than the other side needs to know."""
+"""The messages of an idle engine: no more than the other side needs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 from unittest.mock import patch
 
-from tests.simulation.climate import STILL
+from tests.simulation.conditions import STILL
 from tests.simulation.episodes import type_differs_for
 from tests.simulation.world import World
 
@@ -49,7 +49,7 @@ def test_each_message_is_reported_and_no_more(play: Play) -> None:
     """The receiver's count, the sender's ledger with it, and the sender's before: three reports for a message."""
     world = World(1, replace(STILL, topics=(1,), periods=(10.0, 10.0)))
     sent = count_messages(play, world, _WHILE)
-    (flow,) = world.flows.values()
+    (flow,) = world.topic_flows.values()
     assert flow.heard > 0.8 * _WHILE / 10.0
     assert sent[Report] <= 4 * flow.heard
 

@@ -1,4 +1,4 @@
-"""Whatever happens on the way: what is published last on a latched topic is what late joiners get on the far side."""
+"""Late joiners on the far side get the last message of a latched topic, through all faults."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
-from tests.simulation.climate import STILL
+from tests.simulation.conditions import STILL
 from tests.simulation.world import World
 
 from rsb_bridge.model.qos import Qos
 
 if TYPE_CHECKING:
     from tests.simulation.conftest import Play
-    from tests.simulation.flows import Flow
+    from tests.simulation.topic_flow import TopicFlow
 
     from rsb_bridge.model.session import Protocol
 
 _BURST = 7
 
 
-def latched_world(seed: int, protocol: Protocol, max_rate: float | None, *, numbers: bool) -> tuple[World, Flow]:
+def latched_world(seed: int, protocol: Protocol, max_rate: float | None, *, numbers: bool) -> tuple[World, TopicFlow]:
     """A world with one latched topic, of which one message is kept and only a test publishes."""
     world = World(seed, replace(STILL, periods=(1e9, 1e9)))
-    (robot,), (flow,) = world.robots, world.flows.values()
+    (robot,), (flow,) = world.robots, world.topic_flows.values()
     topic = msgspec.structs.replace(
         flow.topic, protocol=protocol, port=None, qos="auto", max_rate=max_rate, paused=False
     )
-    robot.station.session = msgspec.structs.replace(robot.station.session, topics=(topic,))
+    robot.host.session = msgspec.structs.replace(robot.host.session, topics=(topic,))
     flow.topic, flow.qos, flow.period = topic, Qos(durability="transient_local", depth=1), 1e9
-    flow.source.numbers = numbers
+    flow.near.numbers = numbers
     return world, flow
 
 
@@ -44,7 +44,7 @@ def test_a_burst_that_is_reordered(seed: int, numbers: bool, play: Play) -> None
 
     async def burst() -> None:
         await asyncio.sleep(30.0)
-        for path in world.network.both_ways(world.robots[0].station.machine, world.server.machine):
+        for path in world.network.both_ways(world.robots[0].host.machine, world.server.machine):
             path.latency = (0.01, 0.4)
         for _ in range(_BURST):
             flow.publish()
@@ -79,7 +79,7 @@ def test_a_burst_that_is_throttled(seed: int, play: Play) -> None:
 
 
 def test_the_last_publisher_has_gone(play: Play) -> None:
-    """Who joins late on the far side then gets nothing, as on the near side."""
+    """Late joiners on the far side then get nothing, like those on the near side."""
     world, flow = latched_world(1, "tcp", None, numbers=False)
     late: list[list[int]] = []
 

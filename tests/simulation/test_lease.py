@@ -1,5 +1,5 @@
-"""An armed topic in a world where engines, threads and networks stand still: what is published is never older than a
-second, nothing made before a disarm is published after it, and what has stood still has to be armed anew.
+"""An armed topic in a world where engines, threads and networks stall: no message is published that is older than a
+second or was made before a disarm, and a stalled topic has to be armed again.
 
 The topic has no `max_age`, so the lease alone has to see to it. Each of its rules is taken away once, and is missed.
 """
@@ -15,7 +15,7 @@ from unittest.mock import patch
 
 import msgspec
 import pytest
-from tests.simulation.climate import STILL
+from tests.simulation.conditions import STILL
 from tests.simulation.invariants import route_of
 from tests.simulation.mutations import Mutation
 from tests.simulation.world import Violation, World
@@ -34,29 +34,28 @@ if TYPE_CHECKING:
     from random import Random
 
     from tests.simulation.conftest import Play
+    from tests.simulation.engine_host import EngineHost, Run
     from tests.simulation.machine import Machine
-    from tests.simulation.station import Run, Station
 
     from rsb_bridge.model.session import Protocol
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire import messages as wire
 
 SECONDS = 90.0
-_CLIMATE = replace(STILL, checks=(1.0, 1.0), patience=4.0)
+_CONDITIONS = replace(STILL, checks=(1.0, 1.0), patience=4.0)
 _DDS = 0.1
 """Seconds that a message takes in both domains."""
 _LOOKS = 0.02
 """Seconds from one look at the screens to the next."""
 _TAKEN = 0.01
-"""Seconds that a message may have waited for the ROS thread, beside the second that the lease allows."""
+"""Seconds that a message may wait for the ROS thread, in addition to the second that the lease allows."""
 _ARMED_WITHIN = 30.0
 _FASTEST = 800.0
 """Messages a second, at most: the bridge keeps as many until they are taken."""
 
 
 class Heartbeats:
-    """The numbers that sides have sent, and the newest of each that came back: what a lease is made of, seen by true
-    time, whatever the lease makes of it."""
+    """The numbers that each side has sent, and the newest that came back, by true time: the inputs of a lease."""
 
     def __init__(self) -> None:
         self._sent: defaultdict[Lease, dict[int, float]] = defaultdict(dict)
@@ -97,10 +96,10 @@ class Armed:
     """
 
     def __init__(self, seed: int, protocol: Protocol, direction: str) -> None:
-        self.world = World(seed, _CLIMATE)
+        self.world = World(seed, _CONDITIONS)
         (self.robot,) = self.world.robots
-        self.robot.flows.clear()
-        self.world.flows.clear()
+        self.robot.topic_flows.clear()
+        self.world.topic_flows.clear()
         entry = Topic(
             "/cmd",
             "transmit" if direction == "transmit" else "receive",
@@ -110,8 +109,8 @@ class Armed:
             max_age=0.0,
             expected_rate=_FASTEST,
         )
-        self.robot.station.session = msgspec.structs.replace(self.robot.station.session, topics=(entry,))
-        self.flow = self.world.add_flow(self.robot, entry, self.world.random("flows"))
+        self.robot.host.session = msgspec.structs.replace(self.robot.host.session, topics=(entry,))
+        self.flow = self.world.add_topic_flow(self.robot, entry, self.world.random("flows"))
         self.flow.period, self.flow.fresh_within, self.flow.max_age = 0.05, LASTS + _DDS, LASTS + _TAKEN
         self._count_published = self.flow.published
         self.flow.published = self._published  # type: ignore[method-assign]
@@ -126,24 +125,24 @@ class Armed:
     # --- who is there
 
     @property
-    def source(self) -> Station:
+    def source(self) -> EngineHost:
         """The computer where the topic's messages are made."""
-        return self.robot.station if self.flow.topic.direction == "transmit" else self.world.server
+        return self.robot.host if self.flow.topic.direction == "transmit" else self.world.server
 
     @property
-    def sink(self) -> Station:
+    def sink(self) -> EngineHost:
         """The computer where they are published."""
-        return self.world.server if self.flow.topic.direction == "transmit" else self.robot.station
+        return self.world.server if self.flow.topic.direction == "transmit" else self.robot.host
 
     @property
     def machines(self) -> tuple[Machine, Machine]:
         """Both computers, the one where messages are made first."""
         return self.source.machine, self.sink.machine
 
-    def run(self, station: Station) -> Run:
+    def run(self, host: EngineHost) -> Run:
         """The engine of a computer, which is there."""
-        assert station.run is not None
-        return station.run
+        assert host.run is not None
+        return host.run
 
     def runs(self) -> list[Run]:
         """The engines that are not frozen."""
@@ -174,7 +173,7 @@ class Armed:
         assert made is not None
         for run in self.runs():
             if self.state(run) is State.DISARMED:
-                wrong(f"{self.flow}: published while {run.station.name} shows it as disarmed")
+                wrong(f"{self.flow}: published while {run.host.name} shows it as disarmed")
         if made < self._disarmed_at:
             wrong(f"{self.flow}: published {now - self._disarmed_at:.3f} s after a disarm, made before it")
         if self._asked_at < self._stood_still_at:
@@ -223,9 +222,9 @@ class Armed:
     async def arm(self, run: Run) -> None:
         """Try to arm it on one side."""
         half = self.half(run)
-        if run.station.name in self._asking or half is None:
+        if run.host.name in self._asking or half is None:
             return
-        self._asking.add(run.station.name)
+        self._asking.add(run.host.name)
         self._asked_at = self.world.loop.time()
         try:
             await run.command(run.bridge.do(ArmTopic(half.key)))
@@ -233,7 +232,7 @@ class Armed:
         except EngineError:
             pass
         finally:
-            self._asking.discard(run.station.name)
+            self._asking.discard(run.host.name)
 
     async def disarm(self, run: Run) -> None:
         """Disarm it on one side; when the command has ended, nothing that was made before it is published."""
@@ -245,39 +244,39 @@ class Armed:
             await run.command(run.bridge.do(DisarmTopic(half.key)))
             self._disarmed_at = max(self._disarmed_at, asked_at)
 
-    async def flows(self, station: Station | None = None) -> None:
+    async def flows(self, host: EngineHost | None = None) -> None:
         """Have it armed, by an operator of one side or of either, until messages come out."""
         heard = self.flow.heard
         async with asyncio.timeout(_ARMED_WITHIN):
             while not (self.stands and self.flow.heard > heard + 5):
                 if not self.stands:
                     heard = self.flow.heard
-                    run = (station or self.random.choice((self.source, self.sink))).run
+                    run = (host or self.random.choice((self.source, self.sink))).run
                     if run is not None and self.state(run) is State.DISARMED:
                         await self.arm(run)
                 await asyncio.sleep(0.1)
 
-    # --- what goes wrong
+    # --- faults
 
     @contextlib.asynccontextmanager
     async def stood_still(self, seconds: float, longest: float) -> Any:
-        """Have something stand still for so long; if that is longer than `longest`, it has to be armed anew."""
+        """Stall something for so long; after more than `longest`, it has to be armed again."""
         stood, began = self.stands, self.world.loop.time()
         yield
         if stood and seconds > longest:
             self._stood_still_at = max(self._stood_still_at, began)
 
-    async def freeze(self, station: Station, seconds: float, *, reads_first: bool) -> None:
+    async def freeze(self, host: EngineHost, seconds: float, *, reads_first: bool) -> None:
         """Stop an engine's process, and have it go on."""
-        process = self.run(station).process
+        process = self.run(host).process
         async with self.stood_still(seconds, LASTS):
             self.world.loop.freeze(process)
             await asyncio.sleep(seconds)
         self.world.loop.thaw(process, reads_first=reads_first)
 
-    async def stall(self, station: Station, seconds: float) -> None:
+    async def stall(self, host: EngineHost, seconds: float) -> None:
         """Have the thread that takes from ROS stand still, while the loop goes on."""
-        node = self.run(station).node
+        node = self.run(host).node
         async with self.stood_still(seconds, 2 * LASTS):
             node.stall()
             await asyncio.sleep(seconds)
@@ -288,7 +287,7 @@ class Armed:
 
         Args:
             seconds: how long.
-            back: whether only what goes to where the messages are made is held, or None for both directions.
+            back: whether only the direction towards the publisher is held, or None for both directions.
         """
         network, ends = self.world.network, self.machines
         async with self.stood_still(seconds, GIVEN_UP_AFTER + LASTS):
@@ -300,7 +299,7 @@ class Armed:
         network.heal(*ends)
 
     async def slow(self, shortest: float, longest: float, seconds: float = 0.0) -> None:
-        """Have what goes to where the messages are published take its time; 0 s: until `mend`."""
+        """Slow down the direction towards the publisher, for 0 s until `mend`."""
         path = self.world.network.path(*self.machines)
         path.latency = (shortest, longest)
         if seconds:
@@ -311,11 +310,11 @@ class Armed:
         """Have a good network again."""
         self.world.network.path(*self.machines).mend()
 
-    async def restart(self, station: Station) -> None:
+    async def restart(self, host: EngineHost) -> None:
         """Kill an engine, and start it again."""
-        station.kill()
+        host.kill()
         await asyncio.sleep(self.random.uniform(0.0, 1.0))
-        station.start()
+        host.start()
 
     # --- lives
 
@@ -345,12 +344,12 @@ class Armed:
         while loop.time() < SECONDS:
             await asyncio.sleep(random.uniform(0.5, 6.0))
             seconds = random.choice([0.4, 0.9, 1.2, 2.5, 4.5])
-            station = random.choice((self.source, self.sink))
+            host = random.choice((self.source, self.sink))
             match random.choice(["freeze", "stall", "hold", "hold", "hold one way", "slow", "restart"]):
                 case "freeze":
-                    await self.freeze(station, seconds, reads_first=random.random() < 0.5)
+                    await self.freeze(host, seconds, reads_first=random.random() < 0.5)
                 case "stall":
-                    await self.stall(station, seconds)
+                    await self.stall(host, seconds)
                 case "hold":
                     await self.hold(seconds)
                 case "hold one way":
@@ -358,7 +357,7 @@ class Armed:
                 case "slow":
                     await self.slow(*random.choice([(0.4, 0.5), (0.0, 0.6)]), 3.0)
                 case _:
-                    await self.restart(station)
+                    await self.restart(host)
 
 
 CASES: list[Any] = [
@@ -378,22 +377,22 @@ def test_what_is_armed_comes_out_young_or_not_at_all(protocol: Protocol, directi
 
 
 async def disarmed_on_a_slow_way(armed: Armed) -> None:
-    """Messages are under way when an operator disarms."""
-    for station in (armed.source, armed.sink):
-        await armed.flows(station)
+    """Messages are in flight when an operator disarms."""
+    for host in (armed.source, armed.sink):
+        await armed.flows(host)
         await armed.slow(0.5, 0.5)
         await asyncio.sleep(1.0)
-        await armed.disarm(armed.run(station))
+        await armed.disarm(armed.run(host))
         await asyncio.sleep(1.0)
         armed.mend()
 
 
 async def disarmed_at_once(armed: Armed) -> None:
     """An operator of the other side disarms what has just been armed."""
-    stations = armed.source, armed.sink
+    hosts = armed.source, armed.sink
     for number in range(6):
         await asyncio.sleep(2.0)
-        arming, disarming = stations if number % 2 else reversed(stations)
+        arming, disarming = hosts if number % 2 else reversed(hosts)
         asyncio.ensure_future(armed.arm(armed.run(arming)))  # noqa: RUF006
         await asyncio.sleep(armed.random.uniform(0.0, 0.2))
         await armed.disarm(armed.run(disarming))
@@ -438,18 +437,18 @@ async def stalled_with_a_backlog(armed: Armed) -> None:
 
 async def stalled_for_long(armed: Armed) -> None:
     """The ROS thread of either side stands still, while the two hear each other."""
-    for station in (armed.source, armed.sink):
+    for host in (armed.source, armed.sink):
         await armed.flows()
-        await armed.stall(station, 2.5)
+        await armed.stall(host, 2.5)
         await asyncio.sleep(1.0)
 
 
 async def frozen_for_long(armed: Armed) -> None:
     """The process of either side stands still, not for so long that the other one gives it up."""
-    for station in (armed.source, armed.sink):
+    for host in (armed.source, armed.sink):
         for reads_first in (True, False):
             await armed.flows()
-            await armed.freeze(station, 1.6, reads_first=reads_first)
+            await armed.freeze(host, 1.6, reads_first=reads_first)
             await asyncio.sleep(1.0)
 
 
@@ -469,7 +468,7 @@ async def held_one_way(armed: Armed) -> None:
 
 
 async def numbers_held(armed: Armed) -> None:
-    """What says that the two sides hear each other is held back for longer than messages are."""
+    """The heartbeats of the two sides are held back for longer than messages are."""
     for _ in range(8):
         await armed.flows()
         await armed.hold(0.9, back=False)
@@ -478,9 +477,9 @@ async def numbers_held(armed: Armed) -> None:
 
 async def connected_anew(armed: Armed) -> None:
     """Either engine is killed, and started again."""
-    for station in (armed.source, armed.sink):
+    for host in (armed.source, armed.sink):
         await armed.flows()
-        await armed.restart(station)
+        await armed.restart(host)
 
 
 EPISODES = (
@@ -509,18 +508,18 @@ def test_one_standstill_after_the_other(protocol: Protocol, direction: str, play
 
 
 def _any_number(self: Lease, number: int) -> bool:
-    """As `Lease.passes`, but the age of the number does not matter."""
+    """Replace `Lease.passes` by a form that ignores the age of the number."""
     return number in self._sent and self.alive
 
 
 def _any_time(self: Lease, number: int) -> bool:
-    """As `Lease.passes`, but of the number alone, for as long as the lease is not given up."""
+    """Replace `Lease.passes` by a form that checks the number alone, as long as the lease is held."""
     sent = self._sent.get(number)
     return sent is not None and self.alive and self._steady() - sent <= GIVEN_UP_AFTER
 
 
 def _blind_to(where: Standstill) -> Callable[[Lease], None]:
-    """As `Lease._look`, but one kind of standstill is not noticed."""
+    """Replace `Lease._look` by a form that does not notice one kind of stall."""
 
     def look(self: Lease) -> None:
         ended: list[bool] = []
@@ -535,22 +534,22 @@ def _blind_to(where: Standstill) -> Callable[[Lease], None]:
 
 
 def _newest_number(self: Marker, taken: Any) -> Any:
-    """As `Marker.marked`, with the number that is the newest now."""
+    """Replace `Marker.marked` by a form that takes the newest number."""
     return [each._replace(lease=self._lease.newest_before(float("inf"))) for each in taken]
 
 
 def _each_turn(self: Marker, taken: Any) -> Any:
-    """As `Marker.marked`, but what is left of a batch counts as from the turn in which it is taken."""
+    """Replace `Marker.marked` by a form that gives the rest of a batch the turn in which it is taken."""
     self._is_empty = True
     return _marked(self, taken)
 
 
 async def _at_once(self: Settling) -> None:
-    """As `Settling.wait`, which does not wait."""
+    """Replace `Settling.wait` by a form that does not wait."""
 
 
 def _nothing(*_: Any) -> None:
-    """What was forgotten."""
+    """Do nothing, in place of the work that a mutation leaves out."""
 
 
 _look = Lease._look
@@ -572,7 +571,7 @@ _MISTAKES = (
     ("messages carry the newest number", (Marker, "marked", _newest_number), stalled_on_a_slow_way, _OLD),
     ("a backlog counts as new", (Marker, "marked", _each_turn), stalled_with_a_backlog, _OLD),
     ("the command that disarms does not wait", (Settling, "wait", _at_once), disarmed_on_a_slow_way, _AFTER),
-    ("what is under way is not waited for", (Settling, "begin", _nothing), disarmed_on_a_slow_way, "as disarmed"),
+    ("messages in flight are not waited for", (Settling, "begin", _nothing), disarmed_on_a_slow_way, "as disarmed"),
 )
 # fmt: on
 
@@ -581,6 +580,6 @@ _MISTAKES = (
 def test_each_rule_is_needed(what: str, change: Any, episode: Any, finds: str, play: Play) -> None:
     # A stream's window would keep a burst from being sent at once.
     armed = Armed(3, "udp" if episode is stalled_with_a_backlog else "tcp", "transmit")
-    mutation = Mutation(what, (change,), finds, _CLIMATE, 3, 0.02)
+    mutation = Mutation(what, (change,), finds, _CONDITIONS, 3, 0.02)
     with mutation.made(), pytest.raises(Violation, match=mutation.finds):
         armed.play(play, 80.0, episode(armed))

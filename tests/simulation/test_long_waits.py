@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.simulation.climate import STILL
+from tests.simulation.conditions import STILL
 from tests.simulation.episodes import server_away, slow_motion, type_differs_for
 from tests.simulation.world import World
 
@@ -27,7 +27,7 @@ def test_a_server_that_is_away_for_two_days(play: Play) -> None:
     world = World(1, _SLOW)
     with slow_motion(_TICK):
         play(world, 2.1 * _DAY, server_away(world, 2 * _DAY, machine=True))
-    assert world.chronicle.events[EventCode.LINK_UNREACHABLE] > 28_000
+    assert world.log.events[EventCode.LINK_UNREACHABLE] > 28_000
     assert world.invariants.worst_recovery <= _TICK  # when it is looked at next
 
 
@@ -35,7 +35,7 @@ def test_a_server_that_is_away_for_two_days(play: Play) -> None:
 def test_a_topic_that_is_refused_for_a_month(play: Play) -> None:
     """It is asked for all that time, and flows soon after the reason is gone."""
     world = World(1, _SLOW)
-    (flow,) = world.flows.values()
+    (flow,) = world.topic_flows.values()
     with slow_motion(_TICK):
         play(world, 30.5 * _DAY, type_differs_for(world, 30 * _DAY))
     assert flow.heard

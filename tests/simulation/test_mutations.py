@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda mutation: mutation.what)
 def test_it_is_found(mutation: Mutation, play: Play) -> None:
     """The world in which it is made ends with a violation that names it."""
-    world = World(mutation.seed, mutation.climate)
+    world = World(mutation.seed, mutation.conditions)
     doings = [mutation.doing(world)] if mutation.doing else []
     with mutation.made(), pytest.raises(Violation, match=mutation.finds):
         play(world, mutation.hours * 3600, *doings)

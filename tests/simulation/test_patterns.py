@@ -9,7 +9,7 @@ from unittest.mock import patch
 
 import msgspec
 import pytest
-from tests.simulation.climate import STILL
+from tests.simulation.conditions import STILL
 from tests.simulation.ros import STRING, Writer, hash_of
 from tests.simulation.test_calls import until
 from tests.simulation.world import World
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Coroutine
 
     from tests.simulation.conftest import Play
-    from tests.simulation.station import Station
+    from tests.simulation.engine_host import EngineHost
 
     from rsb_bridge.link.link import Link
     from rsb_bridge.route.route import Route
@@ -54,13 +54,13 @@ class Yard:
     Attributes:
         world: in which they are.
         robot: the client.
-        server: likewise.
+        server: the server's host.
     """
 
     def __init__(self, *listed: Topic) -> None:
         self.world = World(1, replace(STILL, topics=(0,)))
-        self.robot: Station = self.world.robots[0].station
-        self.server: Station = self.world.server
+        self.robot: EngineHost = self.world.robots[0].host
+        self.server: EngineHost = self.world.server
         self.robot.session = msgspec.structs.replace(self.robot.session, topics=listed)
         self._name = self.world.robots[0].name
 
@@ -84,13 +84,13 @@ class Yard:
         return list(self.link().snapshot().patterns)
 
     def codes(self) -> list[str]:
-        """What the robot's engine has said."""
+        """Return the codes of the robot's events."""
         assert self.robot.run is not None
         return [event.code for event in self.robot.run.events.after(0)]
 
 
 def lived(play: Play, yard: Yard, life: Coroutine[None, None, None], seconds: float) -> None:
-    """Play a world until a life is over; whatever fails in it fails here."""
+    """Play a world until a life is over, and raise its exception."""
     outcome: list[BaseException | None] = []
 
     async def live() -> None:
@@ -134,7 +134,9 @@ def test_a_topic_that_is_gone_keeps_its_route_for_a_while(play: Play) -> None:
 
 
 def test_a_link_that_is_down_is_no_reason_to_take_topics_for_gone(play: Play) -> None:
-    """What the server has is not known then; what is gone once it is back is counted from there on."""
+    """While the link is down, the server's topics are unknown; a topic that is missing afterwards counts as gone from
+    then on.
+    """
     yard = Yard(Topic("/cmd/*", "receive"))
 
     async def live() -> None:
@@ -169,7 +171,7 @@ def test_a_pattern_ends_at_its_limit_and_says_so(play: Play) -> None:
         await until(lambda: len(yard.routes(on_server=True)) == ROUTES_PER_PATTERN, 30.0)
         bridged = [writer for writer in writers if writer.topic in yard.routes()]
         for writer in bridged[:20]:
-            writer.close()  # what is gone makes room at once for what is there
+            writer.close()  # a topic that is gone makes room at once
         await until(lambda: yard.patterns()[0].beyond == 0, _SEEN)
         assert {writer.topic for writer in bridged[:20]}.isdisjoint(yard.routes())
         assert yard.codes().count(EventCode.LINK_PATTERN_ROOM) == 1
@@ -249,7 +251,7 @@ def test_what_an_edited_pattern_cannot_bridge_any_more_is_named(play: Play) -> N
 
 
 def test_operators_of_neither_side_make_a_session_that_cannot_be_read(play: Play) -> None:
-    """A pattern has room for so many exceptions, whoever removes what it matches."""
+    """A pattern has a limited number of exceptions, for removals by both sides."""
     full = tuple(f"/gone/t{n}" for n in range(EXCEPTIONS_PER_PATTERN))
     yard = Yard(Topic("/a/*", "transmit", excepts=full))
 

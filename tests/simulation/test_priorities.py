@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
-from tests.simulation.climate import STILL
+from tests.simulation.conditions import STILL
 from tests.simulation.invariants import route_of
 from tests.simulation.world import World
 
@@ -47,22 +47,22 @@ class Slow:
 
     Attributes:
         rates: Hz that come out, by topic, while it is slow.
-        lost: messages dropped likewise, whatever for.
+        lost: messages dropped likewise, for any cause.
         shown: each topic's route on the sending side at the end.
     """
 
     def __init__(self, seed: int, topics: Sequence[Asked], protocol: Protocol = "tcp") -> None:
         self.world = World(seed, replace(STILL, patience=4.0))
         (self.robot,) = self.world.robots
-        self.robot.flows.clear()
-        self.world.flows.clear()
+        self.robot.topic_flows.clear()
+        self.world.topic_flows.clear()
         entries = [
             Topic(topic=f"/topic{number}", direction="transmit", protocol=protocol, priority=asked.priority)
             for number, asked in enumerate(topics)
         ]
-        self.robot.station.session = msgspec.structs.replace(self.robot.station.session, topics=tuple(entries))
+        self.robot.host.session = msgspec.structs.replace(self.robot.host.session, topics=tuple(entries))
         for entry, asked in zip(entries, topics, strict=True):
-            flow = self.world.add_flow(self.robot, entry, self.world.random("flows"))
+            flow = self.world.add_topic_flow(self.robot, entry, self.world.random("flows"))
             flow.qos, flow.period, flow.size = asked.qos, 1.0 / asked.rate, asked.size
         self.rates: list[float] = []
         self.lost: list[int] = []
@@ -71,14 +71,14 @@ class Slow:
     async def live(self, again: float = 0.0) -> None:
         """Get slow, settle, and count; then be fast again for so many s."""
         await asyncio.sleep(_BEGIN)
-        ends = self.robot.station.machine, self.world.server.machine
+        ends = self.robot.host.machine, self.world.server.machine
         with self.world.trouble("narrow", self.robot):
             self.world.network.path(*ends).bandwidth = _BANDWIDTH
             await asyncio.sleep(_SETTLED)
-            before = [flow.heard for flow in self.robot.flows]
+            before = [flow.heard for flow in self.robot.topic_flows]
             dropped = [shown.ledger.dropped_total for shown in self.snapshots()]
             await asyncio.sleep(_SECONDS)
-            counts = [flow.heard - count for flow, count in zip(self.robot.flows, before, strict=True)]
+            counts = [flow.heard - count for flow, count in zip(self.robot.topic_flows, before, strict=True)]
             self.rates = [count / _SECONDS for count in counts]
             self.shown = self.snapshots()
             self.lost = [shown.ledger.dropped_total - was for shown, was in zip(self.shown, dropped, strict=True)]
@@ -88,22 +88,24 @@ class Slow:
     async def cut_off(self, seconds: float) -> None:
         """Have nothing cross for some s, and count a while later."""
         await asyncio.sleep(_BEGIN)
-        ends = self.robot.station.machine, self.world.server.machine
+        ends = self.robot.host.machine, self.world.server.machine
         with self.world.trouble("cut", self.robot):
             self.world.network.cut(*ends)
             await asyncio.sleep(seconds)
             self.world.network.heal(*ends)
             await asyncio.sleep(_BACK_WITHIN)
-            before = [flow.heard for flow in self.robot.flows]
+            before = [flow.heard for flow in self.robot.topic_flows]
             await asyncio.sleep(_COUNTED)
-            self.rates = [(flow.heard - count) / _COUNTED for flow, count in zip(self.robot.flows, before, strict=True)]
+            self.rates = [
+                (flow.heard - count) / _COUNTED for flow, count in zip(self.robot.topic_flows, before, strict=True)
+            ]
             self.shown = self.snapshots()
 
     def snapshots(self) -> list[RouteSnapshot]:
         """Each topic's route on the sending side."""
         here, _ = self.world.link_ends(self.robot) or (None, None)
         assert here is not None
-        routes = [route_of(here, flow) for flow in self.robot.flows]
+        routes = [route_of(here, flow) for flow in self.robot.topic_flows]
         return [route.snapshot() for route in routes if route is not None]
 
 

@@ -1,4 +1,4 @@
-"""A gap between two cells of a phone network costs no connection, where the profile says that it is one."""
+"""A gap between two cells of a phone network costs no connection under the profile `lte`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
-from tests.simulation.climate import STILL
+from tests.simulation.conditions import STILL
 from tests.simulation.world import World
 
 from rsb_bridge.model.codes import EventCode
@@ -24,18 +24,18 @@ _GAP = 9.0
 def test_a_gap(profile: ProfileName | None, connections: int, play: Play) -> None:
     world = World(1, STILL)
     (robot,) = world.robots
-    for station in (robot.station, world.server):
-        station.session = msgspec.structs.replace(station.session, profile=profile)
+    for host in (robot.host, world.server):
+        host.session = msgspec.structs.replace(host.session, profile=profile)
     linked: list[int] = []
 
     async def live() -> None:
         await asyncio.sleep(20.0)
         with world.trouble("gap", robot):
-            world.network.cut(robot.station.machine, world.server.machine)
+            world.network.cut(robot.host.machine, world.server.machine)
             await asyncio.sleep(_GAP)
-            world.network.heal(robot.station.machine, world.server.machine)
+            world.network.heal(robot.host.machine, world.server.machine)
             await asyncio.sleep(20.0)
-        linked.append(world.chronicle.events[EventCode.LINK_UP])
+        linked.append(world.log.events[EventCode.LINK_UP])
 
     play(world, 60.0, live())
     assert linked == [2 * connections]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 import pytest
-from tests.simulation.climate import STILL
+from tests.simulation.conditions import STILL
 from tests.simulation.episodes import shut_down_for
 from tests.simulation.world import World
 from tests.support.long import long
@@ -43,7 +43,7 @@ def test_a_client_that_is_shut_down_for_hours_asks_all_that_time_and_comes_back(
         tick(self)
         if 60.0 + 2 * 36.0 < world.loop.time() < 60.0 + _SHUT_DOWN:
             assert not self.linked
-            client = world.robots[0].station.run
+            client = world.robots[0].host.run
             assert client is not None
             shown.update(str(link.snapshot().cause) for link in (self, *client.links()))
             assert not client.links()[0].shut_down  # `run --no-ui` would end

@@ -1,4 +1,4 @@
-"""A tunnel that carries less than is published, and has room for minutes of it: what comes out is fresh."""
+"""A tunnel that carries less than is published, and can hold minutes of it: messages arrive fresh."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.simulation.climate import STILL
+from tests.simulation.conditions import STILL
 from tests.simulation.episodes import tunnelled
 from tests.simulation.invariants import route_of
 from tests.simulation.world import World
@@ -29,7 +29,7 @@ def test_messages_stay_fresh(topics: int, speed: float, play: Play) -> None:
         assert here is not None
         assert there is not None
         assert (here.connections, there.connections) == (1, 1)
-        for flow in robot.flows:
+        for flow in robot.topic_flows:
             half = next(route for link in (here, there) if (route := route_of(link, flow)) and route.outgoing)
             ledger = half.snapshot().ledger
             parts = ledger.delivered + ledger.throttled + ledger.expired + ledger.dropped_total + ledger.in_flight

@@ -38,7 +38,7 @@ BEGINNINGS = {
     ("seed", "days"), [*BEGINNINGS.items(), *(pytest.param(*each, marks=pytest.mark.long) for each in DAYS.items())]
 )
 def test_nothing_stays_wrong(seed: int, days: float, play: Play) -> None:
-    """Every invariant holds all along, whatever happens."""
+    """Every invariant holds all along."""
     world = World(seed)
     try:
         play(world, days * 86_400)
@@ -47,7 +47,7 @@ def test_nothing_stays_wrong(seed: int, days: float, play: Play) -> None:
 
 
 def test_a_day_and_a_half_is_played() -> None:
-    """What `make test-all` plays of such worlds is not little."""
+    """`make test-all` plays at least a day and a half of such worlds."""
     assert sum(DAYS.values()) >= 1.5
 
 
@@ -58,7 +58,7 @@ def test_a_seed_is_a_world() -> None:
 
 
 def played(hash_seed: str) -> str:
-    """What the command says of a world, without the CPU time."""
+    """Return the command's output for a world, without the CPU time."""
     done = subprocess.run(
         [sys.executable, "-m", "tests.simulation", "4", "--days", "0.005"],
         cwd=Path(__file__).parents[2],

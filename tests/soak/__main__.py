@@ -34,7 +34,7 @@ def main() -> int:
     """Run both parts, print the figures, and say whether a bound is broken."""
     parser = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
     parser.add_argument("--seconds", type=float, default=1800.0, help="how long (default: 1800)")
-    parser.add_argument("--seed", type=int, default=None, help="of what goes wrong when (default: a new one)")
+    parser.add_argument("--seed", type=int, default=None, help="of the faults (default: a new one)")
     parser.add_argument("--only", choices=("worlds", "processes"), help="one of the two parts")
     arguments = parser.parse_args()
     seed = random.SystemRandom().randrange(10**6) if arguments.seed is None else arguments.seed

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from tests.soak.ledgers import Row, parts
 
 if TYPE_CHECKING:
-    from tests.soak.ears import Ear
+    from tests.soak.listener import TopicListener
     from tests.soak.messages import Kind
     from tests.soak.stage import Stage
 
@@ -19,7 +19,7 @@ _ANSWERS_WITHIN = 30.0
 
 @dataclass(frozen=True, slots=True)
 class _Counts:
-    """Of one topic while nobody talks.
+    """Counts of one topic while nobody talks.
 
     Attributes:
         said: messages published by the talker.
@@ -54,22 +54,22 @@ def audit(stage: Stage, seconds: float) -> list[str]:
 
 
 def _late(stage: Stage, counts: dict[str, _Counts]) -> list[str]:
-    """What those miss who join the latched topics only now that nobody talks."""
-    ears = stage.late_ears()
-    missing = [ear for ear in ears if ear.name in counts]
+    """Return what late listeners of the latched topics miss while nobody talks."""
+    listeners = stage.late_listeners()
+    missing = [listener for listener in listeners if listener.name in counts]
 
     def heard() -> bool:
-        for ear in ears:
-            ear.take(time.time)
-        missing[:] = [ear for ear in missing if ear.newest != counts[ear.name].said]
+        for listener in listeners:
+            listener.take(time.time)
+        missing[:] = [listener for listener in missing if listener.newest != counts[listener.name].said]
         return not missing
 
     stage.live_until(heard, _ANSWERS_WITHIN)
-    for ear in ears:
-        ear.close()
+    for listener in listeners:
+        listener.close()
     return [
-        f"{ear.name}: who joins late gets message {ear.newest} as the newest of {counts[ear.name].said}"
-        for ear in missing
+        f"{listener.name}: a late listener gets message {listener.newest} as the newest of {counts[listener.name].said}"
+        for listener in missing
     ]
 
 
@@ -110,37 +110,41 @@ def _settled(stage: Stage) -> tuple[dict[str, _Counts], list[str]]:
         The counts by the topic's name on the server, and for each topic that does not settle what is wrong.
     """
     said, hushed = _tell(stage, "hush"), time.time()
-    if not stage.live_until(lambda: not any(_open(stage, ear, hushed) for ear in stage.ears), _SETTLES_WITHIN):
-        return {}, [words for ear in stage.ears if (words := _open(stage, ear, hushed))]
+    if not stage.live_until(
+        lambda: not any(_open(stage, listener, hushed) for listener in stage.listeners), _SETTLES_WITHIN
+    ):
+        return {}, [words for listener in stage.listeners if (words := _open(stage, listener, hushed))]
     counts = {}
-    for ear in stage.ears:
-        here, _ = _rows(stage, ear)
+    for listener in stage.listeners:
+        here, _ = _rows(stage, listener)
         assert here is not None
-        counts[ear.name] = _Counts(said[ear.name], ear.heard, ear.newest, here, ear.kind)
+        counts[listener.name] = _Counts(said[listener.name], listener.heard, listener.newest, here, listener.kind)
     return counts, []
 
 
-def _open(stage: Stage, ear: Ear, hushed: float) -> str:
-    """Why a topic has not settled since everybody was hushed; empty: it has."""
+def _open(stage: Stage, listener: TopicListener, hushed: float) -> str:
+    """Return why a topic has not settled since everybody was hushed, or an empty string if it has."""
     if any(program.told_at < hushed + 1.0 for program in stage.programs):
-        return f"{ear.name}: no newer status"
-    here, there = _rows(stage, ear)
+        return f"{listener.name}: no newer status"
+    here, there = _rows(stage, listener)
     if here is None or there is None:
-        return f"{ear.name}: no route on one of the sides"
+        return f"{listener.name}: no route on one of the sides"
     if here["in_flight"]:
-        return f"{ear.name}: {here['in_flight']} in flight long after the last message: {dict(parts(here))}"
+        return f"{listener.name}: {here['in_flight']} in flight long after the last message: {dict(parts(here))}"
     if parts(here) != parts(there):
-        return f"{ear.name}: the sides differ: sender {dict(parts(here))}, receiver {dict(parts(there))}"
+        return f"{listener.name}: the sides differ: sender {dict(parts(here))}, receiver {dict(parts(there))}"
     return ""
 
 
-def _rows(stage: Stage, ear: Ear) -> tuple[Row | None, Row | None]:
+def _rows(stage: Stage, listener: TopicListener) -> tuple[Row | None, Row | None]:
     """A topic's routes on its sending and its receiving side."""
-    robot = ear.name.split("/")[1]
+    robot = listener.name.split("/")[1]
     client = next(each for each in stage.clients if each.name == robot)
     rows = {
-        True: next((row for row in client.routes if row["topic"] == ear.kind.topic), None),
-        False: next((row for row in stage.server.routes if (row["link"], row["topic"]) == (robot, ear.name)), None),
+        True: next((row for row in client.routes if row["topic"] == listener.kind.topic), None),
+        False: next(
+            (row for row in stage.server.routes if (row["link"], row["topic"]) == (robot, listener.name)), None
+        ),
     }
-    from_client = ear.kind.direction == "transmit"
+    from_client = listener.kind.direction == "transmit"
     return rows[from_client], rows[not from_client]

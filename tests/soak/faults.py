@@ -1,4 +1,4 @@
-"""What goes wrong on a stage, one after another: whose turn it is, and for how long, is left to a seed."""
+"""Faults of a stage, one after another; a seed decides whose turn it is, and for how long."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _frozen(stage: Stage, place: int, seconds: float) -> None:
 
 
 def _cut(stage: Stage, place: int, seconds: float) -> None:
-    """Nothing is carried, and nobody is told."""
+    """Drop everything, silently."""
     path = stage.network.paths[place - 1]
     path.become("cut")
     stage.live(seconds)

@@ -20,7 +20,7 @@ class Book:
     Attributes:
         newest: rows by route.
         checked: rows that were looked at.
-        wrong: what was wrong with them, in words.
+        wrong: their errors, in words.
     """
 
     def __init__(self, process: str) -> None:
@@ -40,7 +40,7 @@ class Book:
                 self.wrong.append(f"{self._process}: {row['topic']}: {problem}")
             last = self.newest.get(key)
             if last is not None and row["offered"] < last["offered"]:
-                self._before.update(parts(last))  # the route was made anew
+                self._before.update(parts(last))  # a new route
             self.newest[key] = row
 
     def totals(self) -> Counter[str]:
@@ -53,14 +53,14 @@ class Book:
 
 
 def parts(row: Row) -> Counter[str]:
-    """A ledger's counts, those of drops by cause."""
+    """Return a ledger's counts, with those of drops by cause."""
     counts: Counter[str] = Counter({name: row[name] for name in ("offered", "lost_in_dds", *_PARTS)})
     counts.update({f"dropped: {cause}": count for cause, count in row["dropped"].items()})
     return counts
 
 
 def mistake(row: Row) -> str:
-    """What is wrong with a ledger, in words; empty: it balances."""
+    """Return a ledger's error in words, or an empty string if it balances."""
     counts = parts(row)
     if negative := [name for name, count in counts.items() if count < 0]:
         return f"negative: {', '.join(negative)} in {dict(counts)}"

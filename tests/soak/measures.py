@@ -1,4 +1,4 @@
-"""What a process holds over its life: memory, descriptors, threads."""
+"""Samples of a process over its life: memory, descriptors, threads."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import NamedTuple
 _PAGE_KB = os.sysconf("SC_PAGE_SIZE") / 1024
 _LONGEST_WARM_UP = 180.0
 _CALM_AT_LEAST = 6
-"""Calm moments in a life before anything is said about growth."""
+"""Calm moments in a life before its growth is judged."""
 
 
 class Sample(NamedTuple):
@@ -30,7 +30,7 @@ class Sample(NamedTuple):
 
 
 def sample(pid: int, now: float) -> Sample | None:
-    """What a process holds now (s); None: it has ended."""
+    """Return a sample of a process at a time (s), or None if it has ended."""
     folder = Path(f"/proc/{pid}")
     try:
         pages = int((folder / "statm").read_text().split()[1])
@@ -64,7 +64,7 @@ class Life:
 
     @property
     def seconds(self) -> float:
-        """How long it was watched."""
+        """Return for how long (s) it was watched."""
         return self.samples[-1].time - self.samples[0].time if self.samples else 0.0
 
     @property
@@ -77,7 +77,7 @@ class Life:
 
     @property
     def warm_minutes(self) -> float:
-        """How long the warm part is."""
+        """Return the length (min) of the warm part."""
         warm = self.warm
         return (warm[-1].time - warm[0].time) / 60 if warm else 0.0
 
@@ -97,7 +97,7 @@ class Life:
 
 
 def slope(points: list[tuple[float, float]]) -> float:
-    """Of the straight line through some points with the least squares."""
+    """Return the slope of the least-squares line through some points."""
     if not points:
         return 0.0
     mean_x, mean_y = (sum(values) / len(points) for values in zip(*points, strict=True))

@@ -1,4 +1,4 @@
-"""What is talked: topics of every kind, and messages that can be counted and checked."""
+"""Topics of every kind, and messages that can be counted and checked."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Kind:
 
     @property
     def spec(self) -> dict[str, Any]:
-        """As it stands in a session file."""
+        """Return its entry of a session file."""
         return {"topic": self.topic, "direction": self.direction, "protocol": self.protocol}
 
 

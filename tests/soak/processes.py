@@ -51,7 +51,7 @@ class Process:
 
     Attributes:
         name: for people.
-        ready: whether the present process has said something.
+        ready: whether the present process has printed something.
         frozen: whether it is stopped by a signal.
     """
 
@@ -65,7 +65,7 @@ class Process:
 
     @property
     def pid(self) -> int:
-        """Of the present process."""
+        """The id of the present process."""
         assert self._child is not None
         return self._child.pid
 
@@ -139,7 +139,7 @@ class Program(Process):
         lives: what each process held.
         books: the ledgers of each.
         wrong: what it said or did that it must not.
-        lines: the last things it said, but for status lines.
+        lines: the last lines of its output, without status lines.
     """
 
     def __init__(self, name: str, session: Path, clock: Callable[[], float] = time.time) -> None:
@@ -162,7 +162,7 @@ class Program(Process):
 
     @property
     def routes(self) -> list[dict[str, Any]]:
-        """As the newest status line has them."""
+        """Return the routes of the newest status line."""
         rows: list[dict[str, Any]] = self._status["status"]["routes"]
         return rows
 
@@ -225,7 +225,7 @@ class Talkers(Process):
         Args:
             name: for people.
             domain_id: where.
-            topics: of each, what stands before its name in this domain, and its kind's name.
+            topics: the prefix of each in this domain, and the name of its kind.
         """
         named = (word for pair in topics for word in pair)
         super().__init__(name, "-m", "tests.soak.talker", str(domain_id), *named)

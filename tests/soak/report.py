@@ -60,7 +60,7 @@ def leaks(life: Life) -> bool:
 
 
 def write_samples(lives: Iterable[Life], path: Path) -> None:
-    """Save what was measured, a line for each sample."""
+    """Save all samples, one a line."""
     with path.open("w") as file:
         file.write("program,pid,time_s,resident_kb,descriptors,threads\n")
         for life in lives:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _GIVE_UP = 90.0
 _SLOW = 5.0
-"""s after which it is told why not every topic flows."""
+"""s after which the silent topics are printed, with their causes."""
 _FIRST_FLOW = 120.0
 _CLOSE_BEHIND = 0.2
 """How often the next fault comes without waiting for the recovery from this one."""
@@ -31,7 +31,7 @@ class Recovery:
 
     Attributes:
         fault: the last one before it.
-        seconds: from its end until the last topic flowed; None: it never did.
+        seconds: from its end until the last topic flowed, or None if that never happened.
         slowest: the last topic, and why it was slow; or what did not flow and why.
     """
 
@@ -46,7 +46,7 @@ class Outcome:
 
     Attributes:
         wrong: in words.
-        recoveries: after faults, but for those with the next one close behind.
+        recoveries: after faults, except those with another fault close behind.
         faults: how many there were.
         lives: of all processes of the bridge.
         ledger: the sums of what all of them sent.
@@ -124,7 +124,7 @@ def _recover(stage: Stage, fault: Fault) -> Recovery:
     late = "" if stage.live_until(lambda: stage.flows, _SLOW) else f"; {_SLOW:g} s after the fault: {stage.missing()}"
     if late and not stage.live_until(lambda: stage.flows, _GIVE_UP - _SLOW):
         return Recovery(fault, None, stage.missing())
-    last = max(stage.ears, key=lambda ear: ear.flowed_at or 0.0)
+    last = max(stage.listeners, key=lambda listener: listener.flowed_at or 0.0)
     return Recovery(fault, (last.flowed_at or ended) - ended, last.name + late)
 
 
@@ -136,6 +136,6 @@ def _gather(stage: Stage, outcome: Outcome) -> None:
             outcome.wrong += book.wrong
             outcome.checked += book.checked
             outcome.ledger.update(book.totals())
-    for ear in stage.ears:
-        outcome.heard += ear.heard
-        outcome.wrong += ear.wrong
+    for listener in stage.listeners:
+        outcome.heard += listener.heard
+        outcome.wrong += listener.wrong

@@ -6,7 +6,7 @@ import time
 from typing import TYPE_CHECKING
 
 import yaml
-from tests.soak.ears import Ear
+from tests.soak.listener import TopicListener
 from tests.soak.messages import KINDS, Kind
 from tests.soak.network import SERVER, Network
 from tests.soak.processes import Process, Program, Talkers
@@ -33,7 +33,7 @@ class Stage:
         server: the PC's program.
         clients: the robots' programs.
         talkers: the PC's first, then each robot's.
-        ears: of every topic, at its far end.
+        listeners: of every topic, at its far end.
     """
 
     def __init__(self, folder: Path, domains: Iterable[int]) -> None:
@@ -71,7 +71,7 @@ class Stage:
         self.talkers += [
             Talkers(f"{name}'s talkers", each, up) for name, each in zip(names, client_domains, strict=True)
         ]
-        self.ears = [self._ear(name, kind) for name in names for kind in KINDS]
+        self.listeners = [self._listener(name, kind) for name in names for kind in KINDS]
         self._sampled = 0.0
 
     @property
@@ -82,24 +82,28 @@ class Stage:
     @property
     def flows(self) -> bool:
         """Whether on each topic something has come that was published after the moment of `expect`."""
-        return all(ear.flowed_at for ear in self.ears)
+        return all(listener.flowed_at for listener in self.listeners)
 
     def _program(self, folder: Path, name: str, session: dict[str, object]) -> Program:
         path = folder / f"{name}.yaml"
         path.write_text(yaml.safe_dump({"name": name, "domain_id": self._domains[name].id} | session))
         return Program(name, path)
 
-    def _ear(self, robot: str, kind: Kind) -> Ear:
+    def _listener(self, robot: str, kind: Kind) -> TopicListener:
         on_server = f"/{robot}{kind.topic}"
         where, topic = ("pc", on_server) if kind.direction == "transmit" else (robot, kind.topic)
-        return Ear(on_server, self._domains[where], topic, kind)
+        return TopicListener(on_server, self._domains[where], topic, kind)
 
-    def late_ears(self) -> list[Ear]:
-        """Listeners who join the latched topics now, beside those who are there."""
-        return [self._ear(ear.name.split("/")[1], ear.kind) for ear in self.ears if ear.kind.latched]
+    def late_listeners(self) -> list[TopicListener]:
+        """Add a late listener to each latched topic."""
+        return [
+            self._listener(listener.name.split("/")[1], listener.kind)
+            for listener in self.listeners
+            if listener.kind.latched
+        ]
 
     def start(self) -> None:
-        """Start every process, and wait until each has said something."""
+        """Start every process, and wait until each has printed something."""
         processes: list[Process] = [*self.programs, *self.talkers]
         for process in processes:
             process.start()
@@ -108,7 +112,7 @@ class Stage:
             raise TimeoutError(f"not started within {_STARTS_WITHIN:g} s: {', '.join(late)}")
 
     def restart(self, process: Process) -> None:
-        """Start a process again, and wait until it has said something: how long Python needs for that is not ours."""
+        """Restart a process, and wait for its first output, because the start of Python does not count as recovery."""
         process.start()
         if not self.live_until(lambda: process.ready, _STARTS_WITHIN):
             raise TimeoutError(f"{process.name} has not started within {_STARTS_WITHIN:g} s")
@@ -121,8 +125,8 @@ class Stage:
         """Let time go by until something is the case, for `within` s at most. Returns whether it is."""
         deadline = time.monotonic() + within
         while True:
-            for ear in self.ears:
-                ear.take(time.time)
+            for listener in self.listeners:
+                listener.take(time.time)
             now = time.monotonic()
             if now - self._sampled >= _SAMPLE_EVERY:
                 self._sampled = now
@@ -135,10 +139,10 @@ class Stage:
             time.sleep(_TURN)
 
     def expect(self) -> float:
-        """Have all ears wait for what is published from now on. Returns now, in s since the epoch."""
+        """Have all listeners wait for what is published from now on. Returns now, in s since the epoch."""
         now = time.time()
-        for ear in self.ears:
-            ear.expect(now)
+        for listener in self.listeners:
+            listener.expect(now)
         return now
 
     def calm(self) -> None:
@@ -147,20 +151,20 @@ class Stage:
             program.measure(calm=True)
 
     def missing(self) -> str:
-        """What does not flow, and what both sides say of it."""
+        """Return the silent topics, with both sides' states."""
         told = []
-        for ear in self.ears:
-            if ear.flowed_at:
+        for listener in self.listeners:
+            if listener.flowed_at:
                 continue
-            robot, topic = ear.name.strip("/").split("/")
+            robot, topic = listener.name.strip("/").split("/")
             words = [
                 f"{program.name}: {row['state']} {row['reason']!r} missing {row['missing']}"
                 for program in self.programs
                 for row in program.routes
-                if (row["link"], row["topic"]) in ((robot, ear.name), (robot, f"/{topic}"))
+                if (row["link"], row["topic"]) in ((robot, listener.name), (robot, f"/{topic}"))
                 and program.name in ("pc", robot)
             ]
-            told.append(f"{ear.name} ({'; '.join(words) or 'no route on either side'})")
+            told.append(f"{listener.name} ({'; '.join(words) or 'no route on either side'})")
         return ", ".join(told)
 
     def stop(self) -> None:
@@ -169,7 +173,7 @@ class Stage:
             program.stop()
 
     def close(self) -> None:
-        """End everything, whatever state it is in."""
+        """End everything, in any state."""
         for process in (*self.programs, *self.talkers):
             process.close()
         self.network.close()

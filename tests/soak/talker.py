@@ -44,7 +44,7 @@ def main(domain_id: int, *named: str) -> None:
 
     Args:
         domain_id: where.
-        named: ``PREFIX KIND`` each: a topic of `KINDS`, and what stands before its name in this domain.
+        named: ``PREFIX KIND`` each: the prefix of a topic in this domain, and its kind in `KINDS`.
     """
     domain, life = Domain(domain_id), time.time_ns()
     kinds = {kind.topic: kind for kind in KINDS}

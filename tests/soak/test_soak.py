@@ -41,7 +41,7 @@ def test_a_world_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_world_that_ends_without_a_word(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What it printed is reported."""
+    """Its output is reported."""
     monkeypatch.setattr(worlds, "spawn", lambda _: spawn(("-c", "raise SystemExit('a mistake')")))
     soak = worlds.Worlds(Random(1))
     soak.start()
@@ -52,7 +52,7 @@ def test_a_world_that_ends_without_a_word(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_figures() -> None:
-    """What grows is found, and what only warms up is not."""
+    """A process that grows is found; one that only warms up is not."""
     life = Life("pc", 1)
     for second in range(1200):
         life.samples.append(Sample(second, 70_000 + min(second, 150) * 50 + second * 10, 20, 15))
@@ -65,7 +65,7 @@ def test_figures() -> None:
 
 
 def test_a_ledger_that_does_not_balance() -> None:
-    """It is named, as is a negative part; parts are summed over a route that was made anew."""
+    """It is named, as is a negative part; parts are summed over a route and its successor."""
     row = {"link": "robot1", "topic": "/odom", "outgoing": True, "offered": 5, "delivered": 3, "throttled": 0}
     row |= {"expired": 0, "unknown": 0, "in_flight": 2, "dropped": {}, "lost_in_dds": 0}
     book = Book("robot1")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from random import Random
 
 _DAYS = (0.25, 1.0, 1.0, 3.0)
-"""How long worlds live: what goes wrong at the beginning needs many, what grows needs long ones."""
+"""The ages of worlds: many young ones find faults of the beginning, a few old ones find growth."""
 _SILENT_FOR = 300.0
 _DAY = 86_400.0
 
@@ -28,7 +28,7 @@ class Worlds:
     """Plays worlds on a thread until told to stop.
 
     Attributes:
-        failures: of each failed world, what was wrong and the command that plays it again.
+        failures: of each failed world, the violation and the command that plays it again.
         played: worlds that have lived to their end.
     """
 
@@ -47,12 +47,12 @@ class Worlds:
 
     @property
     def days(self) -> float:
-        """Simulated days played, those of a world that is not over among them."""
+        """Simulated days played, including those of a running world."""
         return self._days + float(self._current.get("days", 0.0))
 
     @property
     def faults(self) -> Counter[str]:
-        """What went wrong in them, or was done by an operator, by kind."""
+        """Faults and operators' commands in them, by kind."""
         return self._faults + Counter(self._current.get("faults", {}))
 
     @property
@@ -119,7 +119,7 @@ def main(seed: int, days: float) -> int:
     over = threading.Event()
 
     def tell(**more: str) -> None:
-        line = json.dumps({"days": world.loop.time() / _DAY, "faults": dict(world.chronicle.faults)} | more)
+        line = json.dumps({"days": world.loop.time() / _DAY, "faults": dict(world.log.faults)} | more)
         sys.stdout.write(f"{line}\n")
         sys.stdout.flush()
 

@@ -1,1 +1,1 @@
-"""What tests of the whole bridge share: two ROS domains, engines between them, relays that harm what crosses."""
+"""Shared parts of tests of the whole bridge: ROS domains, engines, processes, and networks that fail."""

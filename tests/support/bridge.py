@@ -77,7 +77,7 @@ class Bridge:
         return path.name
 
     def secret(self) -> str:
-        """What stands in the key file that both sides use."""
+        """Return the content of the key file that both sides use."""
         return (self.folder / self.key_file).read_text().strip()
 
     def server_session(self, **changes: Any) -> Session:
@@ -136,12 +136,12 @@ class Bridge:
 
 
 def protocol_of(topic: str) -> Protocol:
-    """What the topic's name ends with: tests name them ``/tcp``, ``/from_pc_udp`` and the like."""
+    """Return the protocol that a topic's name ends with, as in ``/tcp`` or ``/from_pc_udp``."""
     return "udp" if topic.endswith("udp") else "tcp"
 
 
 def now(engine: EngineApi) -> Snapshot:
-    """How an engine is now, not up to a second ago."""
+    """Return a new snapshot of an engine; the published one may be a second old."""
     asked = time.time()
     return eventually(lambda: new if (new := engine.snapshot()).time > asked or not new.running else None)
 
@@ -164,13 +164,13 @@ def connections(engine: Engine, name: str = "robot1") -> int:
 
 
 def _routes(engine: Engine) -> list[Route]:
-    """Those of all links."""
+    """Return the routes of all links."""
     assert engine._bridge is not None
     return [route for link in engine._bridge.links() for route in tuple(link.routes.values())]
 
 
 def outgoing(engine: Engine, topic: str) -> OutgoingRoute:
-    """What sends a topic, whose counts are newer than the snapshot."""
+    """Return a topic's sending route, whose counts are newer than the snapshot's."""
     return next(route for route in _routes(engine) if isinstance(route, OutgoingRoute) and route.topic == topic)
 
 
@@ -183,7 +183,7 @@ def route(engine: EngineApi, topic: str) -> RouteSnapshot:
 
 
 def find(engine: EngineApi, topic: str) -> RouteSnapshot | None:
-    """As `route`; None where there is none."""
+    """Return the same as `route`, or None if no route matches."""
     return next((each for each in now(engine).routes if each.topic == topic), None)
 
 
@@ -194,7 +194,7 @@ def says(engine: EngineApi, topic: str, *words: str) -> bool:
 
 
 def stage(engine: Engine, topic: str, name: str) -> bool | None:
-    """Whether a message's way is known to lead past a stage; of a topic that goes both ways, both."""
+    """Return whether a stage of a message's path is done, in both directions if the topic has two."""
     found = [
         each.done for route in now(engine).routes if route.topic == topic for each in route.stages if each.name == name
     ]
@@ -242,7 +242,7 @@ def opened(receiver: Engine) -> set[str]:
 
 
 def _senders(receiver: Engine, name: str, route: IncomingRoute) -> list[OutgoingRoute]:
-    """A route's other half; there is none where that is in another process."""
+    """Return a route's other half, or None if it is in another process."""
     bridges = [each._bridge for each in Bridge.started if each is not receiver and each._bridge is not None]
     links = [link for bridge in bridges for link in bridge.links() if link.name == name]
     return [
@@ -269,7 +269,7 @@ def listeners(engine: Engine, topic: str) -> int:
 
 
 def feedback_listeners(engine: Engine) -> int:
-    """Likewise, of the feedback of the only action that an engine offers."""
+    """Return the number of listeners to the feedback of the only action that an engine offers."""
     (found,) = (route for route in _routes(engine) if isinstance(route, CallingRoute) and route.action is not None)
     offered = found._offers.publishers.get(FEEDBACK)
     return offered.subscriber_count if offered else 0
@@ -289,7 +289,7 @@ def settled(engine: Engine, topic: str, offered: int, within: float = 180.0) -> 
 
 
 def balance(ledger: Ledger) -> int:
-    """What the parts of a ledger add up to."""
+    """Return the sum of a ledger's parts."""
     settled = ledger.delivered + ledger.throttled + ledger.dropped_total + ledger.expired
     return settled + ledger.unknown + ledger.in_flight
 

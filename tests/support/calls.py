@@ -39,7 +39,7 @@ _ANSWERS_WITHIN = 60.0
 
 
 class Outcome(NamedTuple):
-    """What became of calls.
+    """The outcomes of calls.
 
     Attributes:
         wanted: calls that were to be made.
@@ -68,12 +68,12 @@ class Outcome(NamedTuple):
 
 
 class Served(NamedTuple):
-    """What a server has had.
+    """The requests that a server has received.
 
     Attributes:
         requests: taken.
-        again: of these, those that it had taken before.
-        broken: of these, those that are not as they were asked.
+        again: how many of these it had received before.
+        broken: how many of these were damaged.
         waiting: not answered yet.
     """
 
@@ -110,7 +110,7 @@ class CallNode:
         Args:
             services: their names.
             node: that serves them.
-            delay: s before an answer, at least and at most; None: never.
+            delay: s before an answer, at least and at most, or None to give no answer.
             gather: answer none before there are so many calls, and then in random order.
             depth: of the QoS.
         """
@@ -123,7 +123,7 @@ class CallNode:
             self._ask(do="unserve", service=service)
 
     def served(self, service: str) -> Served:
-        """What a server has had so far."""
+        """Return the requests that a server has received so far."""
         return Served(*self._ask(do="served", service=service))
 
     def ready(self, *services: str) -> bool:
@@ -132,7 +132,7 @@ class CallNode:
         return ready
 
     def waits_for(self, *services: str, within: float = 180.0) -> float:
-        """As rclpy's wait_for_service, for all of them; s that it took."""
+        """Wait for all services, like rclpy's wait_for_service. Return the seconds that it took."""
         began = time.monotonic()
         eventually(lambda: self.ready(*services), within, f"servers of {services}")
         return time.monotonic() - began
@@ -161,18 +161,18 @@ class CallNode:
             at_once: how many may be without an answer at a time.
             size: bytes of a request beyond its name.
             response: bytes of a response beyond its name.
-            rate: Hz; 0: as fast as `at_once` lets them.
+            rate: Hz, or 0 for as many as `at_once` allows.
         """
         self._ask(
             do="call", service=service, count=count, at_once=at_once, size=size, response=response, rate=rate
         )  # fmt: skip
 
     def outcome(self, service: str) -> Outcome:
-        """What has become so far of the calls that were begun last."""
+        """Return the outcomes of the last calls so far."""
         return Outcome(*self._ask(do="outcome", service=service))
 
     def give_up(self, service: str) -> Outcome:
-        """Forget its client, with all calls that have no answer yet. Returns what became of them."""
+        """Forget its client, with all calls that have no answer yet. Return their outcomes."""
         return Outcome(*self._ask(do="give up", service=service))
 
     def settled(self, service: str, quiet: float = 60.0) -> Outcome:
@@ -226,7 +226,7 @@ def _text(name: str, size: int) -> str:
 
 
 def _bytes(name: str, size: int) -> array.array[int]:
-    """What is in the response to it."""
+    """Return the bytes of the response to a request."""
     return array.array("b", (zlib.crc32(name.encode()).to_bytes(4, "little") * (size // 4 + 1))[:size])
 
 
@@ -253,7 +253,7 @@ class _Server:
         return Served(self._requests, self._again, self._broken, len(self._gathered) + len(self._due))
 
     def work(self) -> float:
-        """Take what there is, and answer what is due; when the next is."""
+        """Take requests and give answers that are due. Return when the next one is due."""
         with self.handle:
             while True:
                 request, header = self.handle.service_take_request(self._kind.Request)
@@ -376,7 +376,7 @@ class _Client:
 
 
 class _Loop:
-    """Does everything in turn: what was told, what came, what is due."""
+    """Carries out commands, takes messages, and gives answers that are due, in turn."""
 
     def __init__(self, domain_id: int) -> None:
         import rclpy
@@ -396,7 +396,7 @@ class _Loop:
         self._numbers = itertools.count()
 
     def listen(self) -> None:
-        """Pass on what comes by standard input, on a thread of its own."""
+        """Pass on lines of standard input, on a thread of its own."""
         for line in itertools.chain(sys.stdin, ("",)):
             self._told.put(line)
             with self._guard:
@@ -419,7 +419,7 @@ class _Loop:
         return [*self._servers.values(), *self._clients.values()]
 
     def _wait(self, seconds: float) -> None:
-        """Until something comes, or is told."""
+        """Wait for a message or a command."""
         with contextlib.ExitStack() as stack:
             for handle in (self._context.handle, self._guard, *(each.handle for each in self._entities())):
                 stack.enter_context(handle)

@@ -1,4 +1,4 @@
-"""Certificates of a test's own: an authority, and what it has signed."""
+"""Makes certificates for a test: an authority, and certificates that it signs."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class Machine:
         return remote
 
     def in_the_end(self, work: Callable[[], object]) -> None:
-        """Do something before what was begun until now is ended."""
+        """Register something to do before everything begun until now is ended."""
         self._resources.callback(work)
 
     def _stop(self) -> None:

@@ -1,7 +1,7 @@
 """Messages counted outside of the bridge: a publisher, a listener and both bridges are processes of their own.
 
 `python -m tests.support.counting publish|listen DOMAIN TOPIC DEPTH` is a publisher or a listener. It prints ``ready``,
-and answers each line of its input with what it has counted so far.
+and answers each line of its input with its count so far.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class _Child:
         return self._process.stdout.readline().strip()
 
     def ask(self, words: str = "count") -> Any:
-        """Tell it something; returns what it has counted."""
+        """Send it a command, and return its count."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{words}\n")
         self._process.stdin.flush()
@@ -136,7 +136,7 @@ class _Bridge:
         self._process.send_signal(number)
 
     def topic(self) -> dict[str, Any] | None:
-        """The topic in the newest status, or None if there is none."""
+        """Return the topic of the newest status, or None before the first status."""
         for line in reversed(self._log.read_text().splitlines(keepends=True)):
             if line.startswith("{") and line.endswith("}\n"):
                 found = json.loads(line)

@@ -53,7 +53,7 @@ class _Spun:
     """A node of its own in a domain, spun until it is closed.
 
     Attributes:
-        node: for whatever else is made on it.
+        node: for further endpoints on it.
     """
 
     def __init__(self, domain_id: int, name: str) -> None:
@@ -100,7 +100,7 @@ class _Spun:
         self._context.destroy()
 
     def _destroy(self) -> None:
-        """Free what is on the node: rclpy leaves actions to whoever made them."""
+        """Destroy the node's endpoints, its actions first: rclpy does not destroy these with the node."""
 
 
 class FibonacciServer(_Spun):
@@ -110,11 +110,11 @@ class FibonacciServer(_Spun):
         domain_id: to join.
         result_timeout: s that it keeps results; rcl_action's default.
         accepts: whether it accepts goals.
-        hesitates: it answers to no goal until the test says so.
+        hesitates: whether it answers no goal until the test allows it.
 
     Attributes:
         goals: the accepted ones, in order.
-        orders: what was asked for, by goals that were rejected, too.
+        orders: the orders of all goals, rejected ones too.
         cancels: the ids of goals that were to be cancelled, in order.
         log: goals and cancels in the order in which they came, in words.
         hesitates: set while it answers to no goal.
@@ -225,7 +225,7 @@ class FibonacciProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """It leaves the domain, whatever it is at."""
+        """Leave the domain in any state."""
         self._end(signal.SIGTERM)
 
     def kill(self) -> None:
@@ -252,7 +252,7 @@ class _Computing(FibonacciServer):
         return Fibonacci.Result(sequence=sequence)
 
     def leave(self) -> None:
-        """Leave the domain, whatever it is at."""
+        """Leave the domain in any state."""
         self._context.shutdown()
         self._thread.join()
         self._destroy()
@@ -262,7 +262,7 @@ class _Computing(FibonacciServer):
 
 
 def fibonacci(order: int) -> list[int]:
-    """What a `FibonacciProcess` computes."""
+    """Return the sequence that a `FibonacciProcess` computes."""
     sequence = [0, 1]
     for _ in range(order):
         sequence.append(sequence[-1] + sequence[-2] & 0x7FFFFFFF)
@@ -300,7 +300,7 @@ class Goal:
         return self
 
     def result(self) -> tuple[str, list[int]]:
-        """How it ended, and with what."""
+        """Return the goal's final state and its sequence."""
         assert self._result is not None
         eventually(self._result.done, what="a result")
         answer = self._result.result()
@@ -337,7 +337,7 @@ class _ActionClient(ActionClient):  # type: ignore[misc]  # rclpy has no types
 
     async def execute(self, taken_data: Any) -> None:
         with self._asking:
-            pass  # whoever has asked has noted it
+            pass  # the caller has noted it
         await super().execute(taken_data)
 
 
@@ -353,7 +353,7 @@ class FibonacciClient(_Spun):
 
     @property
     def ready(self) -> bool:
-        """What `ActionClient.wait_for_server` waits for."""
+        """Whether the condition of `ActionClient.wait_for_server` holds."""
         ready: bool = self.client.server_is_ready()
         return ready
 

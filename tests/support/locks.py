@@ -1,4 +1,4 @@
-"""What one run of these tests has for itself while others run on this machine."""
+"""Locks on resources that only one run of the tests on this machine may use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every line of a bridge's log has to say."""
+"""Checks the format of every line of a bridge's log."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def check_lines(events: Iterable[dict[str, Any]], link: str = "robot1") -> None:
         AssertionError: one does not.
     """
     events = list(events)
-    assert events, "there is nothing to check"
+    assert events, "no lines to check"
     for event in events:
         if event["source"] in ("link", "route"):
             assert event["link"] == link, event

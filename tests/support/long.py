@@ -16,5 +16,5 @@ def long(*values: Any) -> list[ParameterSet]:
 
 
 def long_cases(*cases: tuple[Any, ...]) -> list[ParameterSet]:
-    """As `long`, for several parameters together."""
+    """Mark cases of several parameters as long."""
     return [pytest.param(*case, marks=pytest.mark.long) for case in cases]

@@ -1,4 +1,4 @@
-"""An engine that operators attach to over a network: TCP sockets of this machine stand in for what carries them."""
+"""An engine that operators attach to over a network, by TCP sockets of this machine."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Reachable:
     Args:
         machine: serves it on a control socket, too.
         engine: another one to serve.
-        access: who may attach to that; None: anna and bob.
+        access: who may attach, or None for anna and bob.
         changes: of how it is served, as in `Machine.serve`.
 
     Attributes:
@@ -106,7 +106,7 @@ class Reachable:
         return remote
 
     def events(self, *codes: EventCode) -> list[Event]:
-        """What of these codes was recorded of operators."""
+        """Return the operators' events with these codes."""
         return [event for event in self.access.events.after(0) if event.code in codes]
 
 
@@ -135,7 +135,7 @@ class Stranger:
         self.socket.sendall(data)
 
     def hear(self) -> list[WireEvent]:
-        """What comes next, opened; nothing: the engine has closed the connection."""
+        """Return the next message, decrypted, or nothing if the engine has closed the connection."""
         try:
             data = self.socket.recv(64 << 10)
         except ConnectionResetError:
@@ -146,7 +146,7 @@ class Stranger:
         return events or (self.hear() if data else [])
 
     def is_closed(self) -> bool:
-        """Wait for the engine to close the connection, whatever it says before."""
+        """Wait for the engine to close the connection, and drop its messages before that."""
         try:
             while self.socket.recv(64 << 10):
                 pass

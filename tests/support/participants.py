@@ -1,9 +1,9 @@
-"""The ROS participants of this process: whoever joins a domain gets to know those that are there, and they it.
+"""Makes the ROS participants of this process known to each other before a test goes on.
 
-On a machine that starves them it takes two participants of one process three seconds to know each other, until they are
-announced again, and it is thought that Fast DDS may leave them unknown for good: then nothing of one reaches the other,
-whatever a test does. No robot has two of a domain in one process. So whoever joins one here waits until all know each
-other, and where they do not, it joins anew: nothing has been asked of it by then.
+On a busy machine, two participants of one process need up to three seconds to discover each other, until they are
+announced again. Fast DDS may even leave them undiscovered for good; then no message of one reaches the other. No robot
+has two participants of a domain in one process. So a new participant waits until all know each other. If they do not,
+it leaves and joins again, which no test notices.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def join(domain_id: int, enter: Callable[[], Any], leave: Callable[[], None]) ->
 
 
 def differences() -> str:
-    """What the participants of a domain do not agree about: nodes that one does not know, endpoints that one counts."""
+    """Return the differences between the graphs of a domain's participants: missing nodes, and counts of endpoints."""
     try:
         return "\n".join(_differences()) or "nothing"
     except RuntimeError as error:
@@ -83,7 +83,7 @@ def _endpoints_of(node: Any) -> dict[str, tuple[int, int]]:
 def agree(domain_id: int, topic: str) -> bool:
     """Whether the participants of a domain know of the same endpoints of a topic, as far as their nodes have them.
 
-    One that has just been destroyed counts for those that have not heard of it yet, and one that is new does not.
+    A participant that was just destroyed still counts for the others, and a new one does not count yet.
     """
     nodes = [each for each, where in _present.items() if where == domain_id and not _gone(each)]
     try:
@@ -106,7 +106,7 @@ def _known_of(node: Any, topic: str, names: set[str]) -> frozenset[bytes]:
 
 
 class KnownNode(RosNode):
-    """A bridge's node that is known to the others of this process before the bridge does anything."""
+    """A bridge's node that the others of this process know before the bridge uses it."""
 
     def __init__(self, domain_id: int, name: str) -> None:
         super().__init__(domain_id, name)

@@ -48,7 +48,7 @@ class Programs:
 
         Args:
             session: what to run.
-            descriptors: soft and hard limit of how many the process may have; None: as this one.
+            descriptors: the process's soft and hard limits of descriptors, or None to inherit them.
         """
         assert self._forker.stdin
         assert self._forker.stdout
@@ -123,7 +123,7 @@ class Program:
 def free_shared_memory() -> None:
     """Remove what DDS participants that were killed left: half a megabyte each, which nothing else ever frees.
 
-    Fast DDS holds a lock on a file beside each segment as long as its process lives. It makes the file first, so a new
+    Fast DDS holds a lock on one file for each segment as long as its process lives. It makes the file first, so a new
     one may be that of another run which is about to lock it.
     """
     for path in Path("/dev/shm").glob("fast*_el"):

@@ -1,4 +1,4 @@
-"""What this process holds."""
+"""Counts the resources of this process."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Resources(NamedTuple):
 
 
 def resources() -> Resources:
-    """As they are now."""
+    """Return the present counts."""
     threads, descriptors = (len(list(Path(f"/proc/self/{what}").iterdir())) for what in ("task", "fd"))
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return Resources(threads, descriptors, pages * os.sysconf("SC_PAGE_SIZE"))

@@ -64,7 +64,7 @@ class Rogue:
         self.probes = DatagramWriter(self.keys.route_sealer(PROBE_ROUTE, "client"), self.keys.link_id, PROBE_ROUTE)
 
     def wait_for(self, *kinds: type[T]) -> T:
-        """The next event or control message of one of these kinds; all before it are dropped."""
+        """Return the next event or control message of these kinds, and drop all before it."""
         while True:
             for index, event in enumerate(self._events):
                 said = event.message if isinstance(event, Received) else event
@@ -82,7 +82,7 @@ class Rogue:
             self._control.sendall(b"".join(self._connection.send(message) for message in messages))
 
     def say_raw(self, content: bytes) -> None:
-        """Send a control message that need not be one."""
+        """Send bytes in place of a control message."""
         self._control.sendall(self._connection._seal(content))
 
     def new_route(self) -> int:
@@ -92,7 +92,7 @@ class Rogue:
         return number
 
     def route(self, topic: str, transport: str, qos: Qos, kind: tuple[str, str] = BLOB) -> int:
-        """Have the server open a route for what this side says that it sends, of a type and its hash; its id."""
+        """Have the server open a route for a topic that this side claims to send. Return its id."""
         number, answer = self.describe(topic, transport, qos, kind)
         assert isinstance(answer, Ready)
         return number
@@ -143,7 +143,7 @@ class Rogue:
         return not _closed(stream)
 
     def begin_chunks(self, stream: socket.socket, writer: DataWriter, size: int = MESSAGE_LIMIT) -> bool:
-        """As `begin_frame`, in whole frames of which each says that more are to come."""
+        """Send the first chunks of a message in whole frames, and return whether the connection still stands."""
         try:
             for _ in range((size - 1) >> 18):
                 stream.sendall(writer.write(bytes(1 << 18), 0, MORE))
@@ -152,7 +152,7 @@ class Rogue:
         return not _closed(stream)
 
     def drain_for(self, seconds: float) -> None:
-        """As `drain`, but no longer than that. Another thread may say something meanwhile."""
+        """Drop incoming messages for so many seconds. Another thread may send meanwhile."""
         deadline = time.monotonic() + seconds
         with contextlib.suppress(OSError):
             while (left := deadline - time.monotonic()) > 0:
@@ -165,7 +165,7 @@ class Rogue:
             self.udp.send(datagram)
 
     def datagrams(self, route: int) -> DatagramWriter:
-        """What writes a route's datagrams."""
+        """Return a writer of a route's datagrams."""
         return DatagramWriter(self.keys.route_sealer(route, "client"), self.keys.link_id, route)
 
     def __enter__(self) -> Self:

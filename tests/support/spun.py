@@ -58,7 +58,7 @@ class Spun:
                 raise
 
     def result(self, future: Future, within: float = 180.0) -> Any:
-        """What a call is answered with."""
+        """Return the response to a call."""
         eventually(future.done, within, "an answer")
         return future.result()
 

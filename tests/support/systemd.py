@@ -1,4 +1,4 @@
-"""What systemd says of a unit."""
+"""Reads systemd's assessment of a unit."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def exposure(unit: Path) -> float:
-    """How much a unit's process could do if somebody took it over, of 10 (`systemd-analyze security`)."""
+    """Return the exposure of a unit, of 10, as `systemd-analyze security` computes it."""
     run = subprocess.run(
         ["systemd-analyze", "security", "--offline=true", "--no-pager", str(unit)],
         capture_output=True,

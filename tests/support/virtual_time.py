@@ -59,11 +59,9 @@ class VirtualClock(Clock):
         self._loop = loop
 
     def time_ns(self) -> int:
-        """As `rsb_bridge.model.clock.Clock`."""
         return int((self.epoch + self._loop.time()) * 1e9)
 
     def steady(self) -> float:
-        """As `rsb_bridge.model.clock.Clock`."""
         return self._loop.time()
 
 

@@ -1,4 +1,4 @@
-"""Which of the program's texts a text is, without quoting it."""
+"""Recognizes the program's texts, so that tests do not quote them."""
 
 from __future__ import annotations
 

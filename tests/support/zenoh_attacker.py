@@ -31,7 +31,7 @@ class Stranger:
     """Hears all that a router brings, and publishes under any key.
 
     Attributes:
-        sent: counts of what it has done.
+        sent: counts of its attacks.
         streams: the newest header of each stream, by its key.
         tokens: keys of all tokens that were ever declared by others.
     """
@@ -174,13 +174,13 @@ class Attacker:
         assert self._process.stdout.readline() == "up\n"
 
     def stop(self) -> dict[str, int]:
-        """End it; return what it has sent."""
+        """End it, and return its counts."""
         said, _ = self._process.communicate(timeout=60)
         counts: dict[str, int] = json.loads(said)
         return counts
 
     def close(self) -> None:
-        """End it, whatever it does."""
+        """Kill it."""
         self._process.kill()
         self._process.communicate()
 

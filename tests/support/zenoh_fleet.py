@@ -69,7 +69,7 @@ class Fleet:
             eventually(lambda: announced(somebody) - before)
 
     def begin(self, name: str, engine: ScriptedEngine | None = None, *, host: str = "robot") -> None:
-        """As `add`, and wait for nothing."""
+        """Add an engine without waiting for it."""
         folder = self.folder / host
         folder.mkdir(exist_ok=True)
         engine = engine or ScriptedEngine(msgspec.structs.replace(SESSION, name=name))

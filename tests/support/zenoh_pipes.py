@@ -18,14 +18,14 @@ SECRET = bytes(range(32))
 
 
 class Sent(NamedTuple):
-    """One sample on its way."""
+    """One sample in flight."""
 
     header: Header
     payload: bytes
 
 
 class FakeEndpoint:
-    """What a pipe asks of its endpoint.
+    """The part of an endpoint that a pipe uses.
 
     Attributes:
         address: of its own.
@@ -43,40 +43,34 @@ class FakeEndpoint:
         self.outbox = self
 
     def key(self, to: str, stream: str) -> str:
-        """As `rsb_bridge.transport.zenoh.endpoint.Endpoint.key`."""
         return f"{to}/{self.address}/{stream}"
 
     def add(self, peer: str, stream: str, end: Pipe) -> None:
-        """Likewise."""
         self.end = end
 
     def forget(self, peer: str, stream: str) -> None:
-        """Likewise."""
         self.end = None
 
     def trust(self, peer: str, stream: str) -> None:
-        """Likewise."""
+        pass
 
     def put(self, key: str, payload: bytes, header: Header) -> None:
-        """As `rsb_bridge.transport.zenoh.outbox.Outbox.put`."""
         self.on_its_way.append(Sent(header, bytes(payload)))
         if header.kind == Kind.DATA:
             self.in_flight += len(payload) + OWN_COST
 
     def arrived(self, rank: int, size: int) -> None:
-        """Likewise."""
         self.in_flight -= size
 
     def waiting(self, key: str, rank: int) -> int:
-        """Likewise."""
         return self.backlog
 
 
 class Recorder(asyncio.Protocol):
-    """Keeps what it is told.
+    """Records its calls.
 
     Attributes:
-        calls: names of what was called, but for data.
+        calls: names of the methods that were called, without those for data.
         pieces: data, as delivered.
         error: what ended it.
         pause_after: pause reading when so many pieces have come.
@@ -147,7 +141,7 @@ class Side:
         self.pipe.arrived(Header(kind, 1, number, tag), payload)
 
     def sent(self, kind: Kind) -> list[Sent]:
-        """Return what is on its way, of a kind, without tags."""
+        """Return the samples in flight of a kind, without tags."""
         return [
             Sent(each.header._replace(tag=b""), each.payload)
             for each in self.network.on_its_way
@@ -169,7 +163,7 @@ class Pair:
             self.far.authenticate(opener=False)
 
     def carry(self) -> bool:
-        """Bring what is on its way, of both sides; says whether there was anything."""
+        """Deliver the samples in flight of both sides. Return whether there were any."""
         moved = False
         for here, there in ((self.near, self.far), (self.far, self.near)):
             going, here.network.on_its_way = here.network.on_its_way, []

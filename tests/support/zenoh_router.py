@@ -7,12 +7,11 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import zenoh
 from tests.support.ports import free_port
-from tests.support.waiting import eventually
+from tests.support.stopping import stop
 
 _PROGRAM = """
 import sys, zenoh
@@ -23,10 +22,6 @@ sys.stdin.read()
 """
 _NO_SHARED_MEMORY = {"shared_memory": {"enabled": False}}
 """A process that is killed would leave some behind."""
-
-
-def _state(thread: Path) -> str:
-    return (thread / "stat").read_text().rpartition(")")[2].split()[0]
 
 
 class _Process:
@@ -43,10 +38,7 @@ class _Process:
         os.kill(self._process.pid, number)
 
     def stop(self) -> None:
-        """Stop it, and wait for all its threads: SIGSTOP reaches them one after another."""
-        self.signal(signal.SIGSTOP)
-        threads = Path(f"/proc/{self._process.pid}/task")
-        eventually(lambda: all(_state(each) == "T" for each in threads.iterdir()))
+        stop(self._process.pid)
 
     def kill(self) -> None:
         """End it as a power cut does."""
@@ -59,7 +51,7 @@ class Router:
 
     Args:
         protocol: of its one endpoint.
-        settings: of its configuration, beside what every router here has.
+        settings: of its configuration, in addition to those of every router here.
 
     Attributes:
         port: of its endpoint, which it keeps.
@@ -74,7 +66,7 @@ class Router:
 
     @property
     def endpoint(self) -> str:
-        """Where it is reached."""
+        """Return its address."""
         return f"{self._protocol}/127.0.0.1:{self.port}"
 
     def start(self) -> None:

@@ -1,4 +1,4 @@
-"""What the ledger says against counts from outside, for people: ``python -m tests.system.counting [NAME...]``.
+"""Prints the ledger next to counts from outside: ``python -m tests.system.counting [NAME...]``.
 
 Each case prints its figures: kill -9 and a freeze of the receiving bridge at 2 kHz, over TCP and UDP. ``direct`` has no
 bridge: a listener that is frozen for as long, or gets a burst, to know what DDS itself drops.

@@ -1,4 +1,4 @@
-"""kill -9 of the bridge at either end of an action with goals under way: what outlives it, and what cannot."""
+"""Kills (-9) the bridge at either end of an action with running goals."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_what_became_of_a_goal_is_unknown_once_its_server_and_the_bridge_beside_
 def test_goals_outlive_the_callers_bridge_and_who_asks_again_gets_their_results(
     bridge: Bridge, programs: Programs, client: FibonacciClient, forgetful: FibonacciServer
 ) -> None:
-    """What callers had asked the dead bridge is gone with it, as with any service of ROS whose server dies."""
+    """Requests to the dead bridge are lost, as with any ROS service whose server dies."""
     engine = bridge.client(FIBONACCI)
     victim = programs.start(bridge.server_session())
     over, runs = goals = [client.send(number).ask() for number in range(2)]

@@ -42,7 +42,7 @@ def client(name: str, path: Path, *arguments: str) -> Any:
 
 
 def used(path: Path) -> str:
-    """The mark of the key with which robot1 is linked, as the server's status says it."""
+    """Return the fingerprint of robot1's key in the server's status."""
     command = [COMMAND, "status", "--control", f"{path}.sock", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     link: dict[str, str] = json.loads(done.stdout).get("links", {}).get("robot1", {"state": ""})
@@ -99,7 +99,7 @@ def test_a_key_is_replaced_in_the_documented_steps(bridge: Bridge, programs: Pro
     old = link(robot).fingerprint
     since = link(robot).since
 
-    eventually(lambda: client("list", path)["clients"][0]["state"] == "ok", what="the server says so, too")
+    eventually(lambda: client("list", path)["clients"][0]["state"] == "ok", what="the server's status has it, too")
     begun = client("rekey", path, "--keep-old", "robot1")
     assert "the link stays" in begun["running"]
     (row,) = client("list", path)["clients"]
@@ -112,7 +112,7 @@ def test_a_key_is_replaced_in_the_documented_steps(bridge: Bridge, programs: Pro
     robot.reload().result(60)
     eventually(lambda: linked(robot) and link(robot).fingerprint == begun["fingerprint"])
     since = link(robot).since
-    eventually(lambda: used(path) == begun["fingerprint"], what="the server says so, too")
+    eventually(lambda: used(path) == begun["fingerprint"], what="the server's status has it, too")
     finished = client("rekey", path, "--finish", "robot1")
     assert "the link stays" in finished["running"]
     assert finished["fingerprint"] == begun["fingerprint"]

@@ -1,4 +1,4 @@
-"""What the ledger says of each message against what a publisher and a listener in other processes have counted."""
+"""The ledger against the counts of a publisher and a listener in other processes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def check(count: Count) -> None:
     ledger = count.ledger
     assert ledger["offered"] == ledger["delivered"] + count.ended + ledger["unknown"] + ledger["in_flight"], count
     assert (ledger["in_flight"], count.doubled) == (0, 0), count
-    assert count.received <= ledger["delivered"] + ledger["unknown"], f"what arrived is said to be lost: {count}"
+    assert count.received <= ledger["delivered"] + ledger["unknown"], f"arrived messages are counted as lost: {count}"
     # DDS brings a new publisher's messages only to listeners that have found it: such an outage ends later
     outages = sum(count.gaps[:_OUTAGES])
     known = count.received + count.ended + ledger["lost_in_dds"] + count.never_taken

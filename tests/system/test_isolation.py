@@ -48,7 +48,7 @@ def delay(fast: Publisher, there: Listener, slow: Publisher | None = None) -> fl
     """
     began, sent = time.monotonic(), dict[str, int]()
 
-    def delays() -> list[float]:  # of these only: what was published before may still be coming
+    def delays() -> list[float]:  # of these only: earlier messages may still arrive
         came = zip(there.payloads, there.received, strict=False)  # one more may have come for the second
         said = ((deserialize_message(payload, String).data, got) for payload, got in came)
         return [(got - sent[words]) / 1e9 for words, got in said if words in sent]

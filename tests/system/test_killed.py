@@ -82,7 +82,7 @@ def test_again_and_again(times: int, bridge: Bridge, programs: Programs, robot: 
 
 
 def openings(engine: Engine) -> int:
-    """How often its topic was opened, to the last step that is the bridge's own."""
+    """Return how often its topic was opened, up to the bridge's own last step."""
     return sum(event.code == EventCode.ROUTE_CONNECTED for event in engine.events())
 
 

@@ -90,7 +90,7 @@ class Joystick:
 
 
 class Screen:
-    """What the engine that goes on shows of the topic: when it was seen disarmed."""
+    """Watches the topic in the surviving engine's state, for the time when it is disarmed."""
 
     def __init__(self, engine: Engine) -> None:
         eventually(lambda: route(engine, "/cmd").state != "disarmed")  # a snapshot may be from before it was armed
@@ -220,7 +220,7 @@ def test_nothing_old_is_published_when_a_network_lets_go_what_it_held(
 def test_a_disarm_is_answered_at_once_where_the_other_side_answers(
     bridge: Bridge, motors: Motors, joystick: Joystick, consoles: Consoles
 ) -> None:
-    """And within a second where it does not: what was sent cannot be published any more."""
+    """Within a second where it does not: then no sent message can be published any more."""
     server, _ = bridge.both(Topic("/cmd", "receive", arm=True, deadman=0.0))
     eventually(lambda: route(server, "/cmd").state == "disarmed")
     consoles.arm(server)

@@ -1,4 +1,4 @@
-"""Why a link is down: what both screens say, and the JSON that both programs print, their events and their status.
+"""Causes of a link that is down, on both screens and in the JSON of both programs: events and status.
 
 The programs run headless, and a console in a real terminal is attached to each.
 """
@@ -72,13 +72,13 @@ class Program:
         return [json.loads(line) for line in self._log.read_text().splitlines(keepends=True) if line.endswith("}\n")]
 
     def link(self) -> dict[str, Any]:
-        """What the newest status says of the link."""
+        """Return the link of the newest status."""
         found = [line["status"]["links"] for line in self._lines if "status" in line]
         links: dict[str, dict[str, Any]] = found[-1] if found else {}
         return links.get("robot1", {"state": "", "cause": "", "reason": "", "peer": ""})
 
     def events(self, *codes: EventCode) -> list[dict[str, Any]]:
-        """Those of some kinds, once there are any: a status may be written before the event that it comes of."""
+        """Wait for events of some kinds: a status may be written before the event that causes it."""
         return eventually(lambda: [line for line in self._lines if line.get("code") in codes], what=f"{codes}")
 
     def screen(self, *words: str) -> str:
@@ -128,7 +128,7 @@ class Sides:
         return program
 
     def close(self) -> None:
-        with contextlib.ExitStack() as programs:  # all of them, whatever one has written
+        with contextlib.ExitStack() as programs:  # all of them, in any order
             for program in self._programs:
                 programs.callback(program.stop)
 

@@ -1,4 +1,4 @@
-"""Standard output that nobody reads, or that is full for a while: the bridge goes on, and ends when it is told to."""
+"""Standard output that nobody reads, or that is full for a while: the bridge goes on, and ends on request."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def session(bridge: Bridge) -> Path:
 
 
 def test_a_pipe_that_nobody_reads(bridge: Bridge, session: Path) -> None:
-    """SIGTERM ends the program in time, and its peer is told; what was read meanwhile is whole lines."""
+    """SIGTERM ends the program in time, its peer gets the goodbye, and the output has whole lines."""
     server = bridge.server()
     reader, writer = os.pipe()
     room = fcntl.fcntl(writer, fcntl.F_SETPIPE_SZ, 4096)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import signal
 from typing import TYPE_CHECKING
 
 import pytest
 from geometry_msgs.msg import Vector3
+from tests.support.stopping import stop
 from tests.support.waiting import eventually
 from tests.view.samples import task
 
@@ -51,7 +50,7 @@ def test_a_hung_process_is_replaced(renderer: Renderer, monkeypatch: pytest.Monk
     async def run() -> tuple[str, str]:
         await renderer.draw(tree(1))
         assert renderer.pid is not None
-        os.kill(renderer.pid, signal.SIGSTOP)
+        stop(renderer.pid)
         return (await renderer.draw(tree(1))).problem, (await renderer.draw(tree(1))).problem
 
     first, second = asyncio.run(run())
@@ -67,7 +66,7 @@ def test_a_slow_view_leaves_time_to_the_others(renderer: Renderer, monkeypatch: 
         await renderer.draw(tree(1))
         pauses = [renderer.pause_after(1)]  # it took so long because the process started
         assert renderer.pid is not None
-        os.kill(renderer.pid, signal.SIGSTOP)
+        stop(renderer.pid)
         await renderer.draw(tree(1))
         pauses.append(renderer.pause_after(1))
         await renderer.draw(tree(2))

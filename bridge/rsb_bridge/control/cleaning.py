@@ -15,6 +15,7 @@ import msgspec
 
 from rsb_bridge.control.protocol import Events, Failed, Goodbye, ProtocolError, Refused, Reply, UnexpectedMessage
 from rsb_bridge.model.budgets import TokenBucket
+from rsb_bridge.model.limits import TIME
 from rsb_bridge.model.text import UNPRINTABLE, sanitize_text
 from rsb_bridge.telemetry.event_log import KEPT
 
@@ -31,8 +32,6 @@ ROUTE_BYTES: Final = 32 << 10
 """Of one route in a message: the longest list of nodes, goals and figures takes a few kilobytes."""
 TEXT: Final = 4096
 """Characters of a text."""
-_EARLIEST, _LATEST = -1e10, 2.5e11
-"""Of any figure: as s since the epoch, both are dates that Python can write."""
 _EVENTS, _EVENTS_A_SECOND = 3 * KEPT, 50.0
 """At each start an engine sends all events that it has kept; after that, its own limit is lower than this."""
 _MOST_COUNTED = 10**18
@@ -107,7 +106,7 @@ def _clean(value: Any) -> Any:
         is_plain = len(value) <= TEXT and value.isascii() and value.isprintable()
         return value if is_plain else sanitize_text(value, TEXT)
     if kind is float:
-        return value if _EARLIEST <= value <= _LATEST else _figure(value)
+        return value if value in TIME else _figure(value)  # any figure may be drawn as a date
     if kind is int:
         return min(max(value, 0), _MOST_COUNTED)
     if kind is tuple or kind is list:
@@ -143,4 +142,4 @@ def _lines(text: str) -> str:
 
 
 def _figure(figure: float) -> float:
-    return min(max(figure, _EARLIEST), _LATEST) if math.isfinite(figure) else 0.0
+    return min(max(figure, TIME.low), TIME.high) if math.isfinite(figure) else 0.0

@@ -22,7 +22,7 @@ from rsb_bridge.ros.ros_interface import RosError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-_SELF_TEST = (sys.executable, "-m", "rsb_bridge.ros.self_test")
+_SELF_TEST = (sys.executable, "-P", "-m", "rsb_bridge.ros.self_test")
 _WITHIN = 20.0
 """s for the self-test: to import ROS takes 1 s, on a small computer several."""
 _RANGES = {

@@ -15,6 +15,7 @@ from rsb_bridge.history.state_folder import Claim, Files
 from rsb_bridge.history.timeline import FROM_THE_FUTURE, VERSION, Saved, Timeline
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
+from rsb_bridge.model.limits import TIME
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import Event, Level
@@ -142,8 +143,12 @@ def read_events(path: Path, since: float) -> Iterator[Event]:
             for line in file:
                 with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
                     event = msgspec.convert({**_line.decode(line), "number": 0}, Event)
-                    if event.time >= since:
+                    if event.time >= since and _is_dated(event):
                         yield event
+
+
+def _is_dated(event: Event) -> bool:
+    return event.time in TIME and (event.since is None or event.since in TIME)
 
 
 class HistoryFileError(Exception):
@@ -188,9 +193,12 @@ def read_history(path: Path) -> Saved:
         if version != VERSION:
             age = "an older" if version < VERSION else "a newer"
             raise HistoryFileError(f"it was written by {age} version of rsb-console")
-        return msgspec.msgpack.decode(content, type=Saved)
+        saved = msgspec.msgpack.decode(content, type=Saved)
     except (zstandard.ZstdError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise HistoryFileError(f"it is damaged ({error})") from None
+    if not all(map(_is_dated, saved.actions)):
+        raise HistoryFileError("it is damaged (an event has an impossible time)")
+    return saved
 
 
 def report(files: Files, now: float, seconds: float) -> HistoryReport:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
-from rsb_bridge.history.track_record import OUTAGES_OF_ONE, Ended, Series, TrackRecord
+from rsb_bridge.history.track_record import OUTAGES_OF_ONE, Ended, Series, Time, TrackRecord
 from rsb_bridge.model import history as model
 from rsb_bridge.model.history import KEPT_FOR, LINK, Gap, HistoryReport
 from rsb_bridge.model.session import Kind
@@ -117,8 +117,8 @@ class Saved(msgspec.Struct, frozen=True):
     version: int
     name: str
     role: str
-    time: float
-    runs: tuple[tuple[float, float], ...]
+    time: Time
+    runs: tuple[tuple[Time, Time], ...]
     subjects: tuple[SavedTrack, ...]
     actions: tuple[Event, ...]
 

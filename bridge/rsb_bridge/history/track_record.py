@@ -6,9 +6,12 @@ import math
 import re
 from array import array
 from collections import deque
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypeAlias
+
+from msgspec import Meta
 
 from rsb_bridge.model.history import KEPT_FOR, Outage, Track
+from rsb_bridge.model.limits import TIME
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import sanitize_text
 
@@ -17,6 +20,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.session import Kind
 
+Time: TypeAlias = Annotated[float, Meta(ge=TIME.low, le=TIME.high)]
+"""A time or a duration in a file. The bounds refuse infinity and NaN, which JSON cannot express."""
 MINUTE = 60.0
 MINUTES = round(KEPT_FOR / MINUTE)
 _TRIMMED_AT = MINUTES + 60
@@ -139,7 +144,7 @@ class Series:
         """Restore what `dump` has returned.
 
         Raises:
-            ValueError: the parts do not belong together, or there are too many minutes.
+            ValueError: the parts do not belong together, there are too many minutes, or a rate is infinite.
         """
         series = cls()
         series.first = first
@@ -147,6 +152,8 @@ class Series:
         series._up, series._out, series._waiting = bytearray(up), bytearray(out), bytearray(waiting)
         if not len(series) == len(up) == len(out) == len(waiting) <= _TRIMMED_AT:
             raise ValueError(f"{len(series)} rates, {len(up)}, {len(out)} and {len(waiting)} times")
+        if any(map(math.isinf, series._rates)):
+            raise ValueError("an infinite rate")
         return series
 
     def _insert(self, at: int, minutes: int) -> None:
@@ -165,8 +172,8 @@ class Series:
 class Ended(NamedTuple):
     """An outage that is over; for its fields see `Outage`."""
 
-    start: float
-    seconds: float
+    start: Time
+    seconds: Time
     state: str
     cause: str
     cut_off: bool

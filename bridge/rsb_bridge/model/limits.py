@@ -56,6 +56,8 @@ TEXT_LENGTH = 255
 REASON_LENGTH = 500
 """Characters of a reason or a problem in a control message (PROTOCOL.md section 3)."""
 
+TIME = Range(-1e10, 2.5e11)
+"""Seconds since the epoch that Python can write as a date (1653 to 9892)."""
 DEPTH = Range(1, 100_000)
 """Messages that a QoS may ask for."""
 KEPT_DEPTH = 10_000

@@ -161,7 +161,7 @@ class Renderer:
         return picture
 
     def _start(self) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "rsb_bridge.view.worker"]
+        command = [sys.executable, "-P", "-m", "rsb_bridge.view.worker"]
         if self._is_closed:
             raise _StoppedError(NoPicture.CLOSED())
         try:

@@ -369,5 +369,5 @@ def machine() -> str:
 
 def ros_problem() -> str:
     """Return the reason why no ROS node can run here, or an empty string."""
-    found = subprocess.run([sys.executable, "-c", "import rclpy, std_msgs.msg"], capture_output=True, check=False)
+    found = subprocess.run([sys.executable, "-P", "-c", "import rclpy, std_msgs.msg"], capture_output=True, check=False)
     return "" if found.returncode == 0 else BenchProblem.NO_ROS()

@@ -37,7 +37,6 @@ class Process:
         *command: str,
         log: Path | None = None,
         environ: Mapping[str, str] | None = None,
-        folder: Path | None = None,
     ) -> None:
         """Start the process.
 
@@ -45,7 +44,6 @@ class Process:
             command: arguments of Python: ``-m``, a module and its arguments.
             log: file for all its output, or None to read its answers.
             environ: changes to this process's environment.
-            folder: its working folder, or None for this process's.
         """
         environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"} | dict(environ or {})
         self._name = " ".join(command[:3])
@@ -57,7 +55,6 @@ class Process:
                 stdout=output or subprocess.PIPE,
                 stderr=output or subprocess.DEVNULL,
                 env=environment,
-                cwd=folder,
                 start_new_session=True,
             )
 

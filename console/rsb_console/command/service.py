@@ -254,7 +254,7 @@ def _program() -> tuple[str, ...]:
     found = shutil.which(sys.argv[0])
     if found is not None and Path(found).name == "rsb-console":
         return (os.path.abspath(found),)  # noqa: PTH100
-    return sys.executable, "-m", "rsb_console"
+    return sys.executable, "-P", "-m", "rsb_console"
 
 
 def _own_setup(environ: Mapping[str, str]) -> Path | None:

@@ -6,13 +6,13 @@ import contextlib
 import difflib
 import threading
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Annotated, NamedTuple, Protocol
 
 import msgspec
 from platformdirs import user_state_path
 
 from rsb_bridge.config.files import replace_file
-from rsb_bridge.model.limits import TEXT_LENGTH
+from rsb_bridge.model.limits import TEXT_LENGTH, TIME
 from rsb_bridge.model.names import natural_order
 from rsb_bridge.model.robot_summary import RobotState, RobotSummary, drop_repeated_faults
 from rsb_bridge.model.text import join_first, sanitize_text
@@ -285,7 +285,7 @@ class Remembered(msgspec.Struct, frozen=True):
 
     source: str
     name: str
-    seen: float
+    seen: Annotated[float, msgspec.Meta(ge=TIME.low, le=TIME.high)]
     group: str = ""
     host: str = ""
     version: str = ""

@@ -1,8 +1,7 @@
 """Real programs under attack, for people: ``python -m tests.system.torture all``.
 
-Prints a line for each attack and transport: the messages that reached the robot's node, and of these those that were
-too old, came after a side had shown the topic disarmed, or were published while nobody had armed it. Fails if there are
-any.
+Prints a line for each attack and transport: the messages that reached the robot's node, and how many were too old, came
+after a side had shown the topic disarmed, or were published while nobody had armed it. Fails unless these are 0.
 """
 
 from __future__ import annotations

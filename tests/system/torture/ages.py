@@ -1,4 +1,4 @@
-"""What is done to a topic with `max_age`, and how old the oldest message is that reaches the robot."""
+"""Attacks on a topic with `max_age`, and the age of the oldest message that reaches the robot."""
 
 from __future__ import annotations
 
@@ -157,11 +157,11 @@ STEPS: dict[str, Work] = {
 
 @dataclass(frozen=True)
 class Place:
-    """Where `max_age` is said.
+    """The sessions that have the `max_age`.
 
     Attributes:
         robot: the topic's entry in the robot's session, or None.
-        pc: likewise, in the control PC's.
+        pc: the topic's entry in the control PC's session, or None.
     """
 
     robot: dict[str, Any] | None = None

@@ -1,4 +1,4 @@
-"""Attacks on a bridge whose topic is armed. Afterwards it is disarmed, armed anew, and disarmed again."""
+"""Attacks on a bridge whose topic is armed. Afterwards it is disarmed, armed, and disarmed once more."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     Attack: TypeAlias = Callable[[Stage], None]
 
 STAYS_ARMED = "stays armed"
-"""A note of a case: the attack has not disarmed the topic, as it need not if nothing old crosses."""
-NOT_AGAIN = "cannot be armed anew"
+"""A note of a case: the attack has not disarmed the topic, which is right if no old message crosses."""
+NOT_AGAIN = "cannot be armed again"
 FREEZE = 8.0
 HOLD = 4.0
 _STREAM_GAP = 0.3
@@ -59,14 +59,14 @@ def freeze_pc(stage: Stage, seconds: float = FREEZE) -> None:
 
 
 def freeze_robot_briefly(stage: Stage) -> None:
-    """It stands still for less than the link takes to notice."""
+    """Freeze the robot's bridge for less than the link takes to notice."""
     for _ in range(3):
         freeze_robot(stage, 2.0)
         time.sleep(0.5)
 
 
 def freeze_pc_briefly(stage: Stage) -> None:
-    """Likewise, the control PC's."""
+    """Freeze the control PC's bridge for less than the link takes to notice."""
     for _ in range(3):
         freeze_pc(stage, 2.0)
         time.sleep(0.5)
@@ -164,7 +164,7 @@ def disarm_while_frozen(stage: Stage) -> None:
 
 
 def disarm_at_once(stage: Stage) -> None:
-    """An operator disarms on a network that takes 0.4 s: what is on its way is published before, or never."""
+    """Disarm on a network that takes 0.4 s: messages in flight are published before the answer, or never."""
     stage.relay.delay = lambda: 0.4
     time.sleep(1.0)
     stage.disarm().wait(30)
@@ -217,17 +217,17 @@ def _crawl(bridge: Bridge) -> None:
 
 
 def crawl_pc(stage: Stage) -> None:
-    """The control PC's bridge gets 30 ms of a processor, and then none for 0.8 s, again and again."""
+    """Give the control PC's bridge 30 ms of a processor, and then none for 0.8 s, again and again."""
     _crawl(stage.pc)
 
 
 def crawl_robot(stage: Stage) -> None:
-    """Likewise, the robot's."""
+    """Give the robot's bridge 30 ms of a processor, and then none for 0.8 s, again and again."""
     _crawl(stage.robot)
 
 
 def crawl_ros_of_pc(stage: Stage) -> None:
-    """Likewise, the control PC's ROS thread."""
+    """Stop the control PC's ROS thread for 0.8 s, again and again."""
     deadline = time.monotonic() + 10.0
     while time.monotonic() < deadline:
         _stop_thread(stage.pc, "ros", 0.8)

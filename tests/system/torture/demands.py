@@ -34,7 +34,7 @@ def _entry(topic: str, arm: bool = False, **keys: Any) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Case:
-    """Names and sessions; ``@`` stands for a folder that no other case uses.
+    """Names and sessions; ``@`` is replaced by a folder that no other case uses.
 
     Attributes:
         name: for people.
@@ -254,13 +254,13 @@ class Crossed:
 
 
 def run(nodes: Nodes, cases: Iterable[Case], *, server: Side = "pc", watched: float = _WATCHED) -> dict[str, Crossed]:
-    """Run all cases in one bridge; returns the figures of each by its name, those of `CONTROL` under that name.
+    """Run all cases in one bridge, and return the figures of each and of `CONTROL`, by name.
 
     Args:
         nodes: at both ends.
         cases: each in a folder of its own.
         server: the side that listens for the other one.
-        watched: s in which nothing may cross, three times, beside the time until `CONTROL` does.
+        watched: s in which nothing may cross, three times, not counting the time until `CONTROL` does.
     """
     places = {f"/case{number}": case for number, case in enumerate(cases) if known(case)}
     control = Case(CONTROL, [_entry("@/cmd")])
@@ -282,7 +282,7 @@ def run(nodes: Nodes, cases: Iterable[Case], *, server: Side = "pc", watched: fl
         def watch(since: dict[str, int]) -> dict[str, int]:
             deadline = time.monotonic() + _STARTS_WITHIN
             while count()[CONTROL] <= since[CONTROL] + 5:
-                assert time.monotonic() < deadline, f"what need not be armed does not cross: {stage.describe(CONTROL)}"
+                assert time.monotonic() < deadline, f"a topic without arming does not cross: {stage.describe(CONTROL)}"
                 time.sleep(0.05)
             time.sleep(watched)
             return count()

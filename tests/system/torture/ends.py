@@ -1,7 +1,7 @@
 """The ROS nodes at both ends, each in a process of its own, and what they note.
 
-``python -m tests.system.torture.ends talk PC ROBOT`` publishes in the control PC's domain what the lines of its input
-say, and beside it `WITNESS` in the robot's own domain. ``... listen ROBOT FILE`` notes what reaches the robot.
+``python -m tests.system.torture.ends talk PC ROBOT`` publishes the lines of its input in the control PC's domain, and
+`WITNESS` in the robot's own domain. ``... listen ROBOT FILE`` records the messages that reach the robot.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Talker(_Process):
     Args:
         pc: the control PC's domain.
         robot: the robot's.
-        environ: of the process, beside this one's.
+        environ: of the process, in addition to this one's.
     """
 
     def __init__(self, pc: int, robot: int, environ: Mapping[str, str] | None = None) -> None:
@@ -181,7 +181,7 @@ def talk(pc: int, robot: int) -> None:
 
 
 def listen(robot: int, file: Path) -> None:
-    """Note what comes until the input ends."""
+    """Record messages until the input ends."""
     from std_msgs.msg import String
     from tests.support.domain import RELIABLE, Domain
 

@@ -1,7 +1,8 @@
 """Forks `rsb-console` with any arguments, from an interpreter that has imported everything.
 
-A line of standard input is ``[arguments, output file]``, and its answer the process id. The exit code is written beside
-the output. Threads have their Python names for the kernel, too, so that one of them can be stopped from outside.
+A line of standard input is ``[arguments, output file]``, and its answer the process id. The exit code is written to a
+file next to the output. Threads have their Python names for the kernel, too, so that one of them can be stopped from
+outside.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Command:
 
     @property
     def output(self) -> str:
-        """What it has written so far."""
+        """Return its output so far."""
         return self._output.read_text(errors="replace") if self._output.exists() else ""
 
     @property
@@ -76,7 +77,7 @@ class Forker:
 
     Args:
         folder: for their output.
-        environ: of the commands, beside this process's.
+        environ: of the commands, in addition to this process's.
     """
 
     def __init__(self, folder: Path, environ: Mapping[str, str] | None = None) -> None:

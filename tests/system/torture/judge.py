@@ -1,4 +1,4 @@
-"""Judges what reached the robot, from what was noted outside of the bridge."""
+"""Judges the messages that reached the robot, by records from outside the bridge."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ OLDEST = 1.0
 """s: nothing older may reach a robot on a topic that has to be armed."""
 
 CLOCK_TOLERANCE = 0.02
-"""s that the harness's figures may be off, beside what the witness shows: DDS stamps by another clock, and a bridge has
+"""s by which figures may be off, in addition to the witness's delay: DDS stamps by another clock, and a bridge has
 to get from its last look at the clock to the call that publishes."""
 
 _AROUND = 0.25
@@ -33,8 +33,7 @@ class Window:
         asked: the moment before the operator armed the topic.
         shown: the moment when either side first said that it is disarmed, or None while it is armed.
         by: what said so first.
-        agreed: whether the operator has been told that it is armed. What a console shows before that may be of an
-            earlier arming.
+        agreed: whether the operator got the answer that it is armed. Before that, a console may show an earlier arming.
     """
 
     asked: float
@@ -43,7 +42,7 @@ class Window:
     agreed: bool = False
 
     def show(self, by: str) -> None:
-        """Note that something says now that the topic is disarmed, unless something has said so before."""
+        """Note the time of the first report that the topic is disarmed."""
         if self.shown is None:
             self.by, self.shown = by, time.monotonic()
 

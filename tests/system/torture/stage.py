@@ -38,7 +38,7 @@ TOPIC = "/cmd"
 RATE = 100.0
 
 _SHOW_DISARMED = {"disarmed", "down"}
-"""States in which a console shows what has to be armed as disarmed, if it is not armed: not `disarming`."""
+"""States in which a console shows an unarmed topic as disarmed: not `disarming`."""
 _LOOK_EVERY = 0.02
 _FLOWS_WITHIN = 30.0
 _SIGN_OF_LIFE_EVERY = 0.5
@@ -176,8 +176,8 @@ class Stage:
         nodes: at both ends.
         transport: of the topic.
         server: the side that listens for the other one.
-        entries: what stands in each side's session beside the usual; the default has `TOPIC`, which has to be armed.
-        entry: settings of the topic beside these.
+        entries: of each side's session, in addition to the usual ones; the default has `TOPIC`, which requires arming.
+        entry: further settings of the topic.
 
     Attributes:
         robot: its bridge.
@@ -297,7 +297,7 @@ class Stage:
         eventually(ready, within, f"disarmed on both sides: {self.describe()}")
 
     def describe(self, topic: str = TOPIC) -> str:
-        """What both sides show of a topic."""
+        """Return both sides' states of a topic."""
         lines = []
         for name, bridge in (("robot", self.robot), ("pc", self.pc)):
             shown = [f"{each.state} {each.cause}: {each.reason}" for each in bridge.routes(topic)]
@@ -346,7 +346,7 @@ class Stage:
         return (bridge or self.pc).run("disarm", TOPIC)
 
     def disarmed(self) -> None:
-        """An operator has been told that the topic is disarmed."""
+        """Whether an operator got the answer that the topic is disarmed."""
         with self._lock:
             self.windows[-1].show("the command")
 

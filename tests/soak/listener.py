@@ -1,4 +1,4 @@
-"""Those who listen at the far end of each topic, in this process: what came, when, and whether it was right."""
+"""Listens at the far end of a topic, in this process, and checks what arrives."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 _LATCHED = QoSProfile(depth=100, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class Ear:
+class TopicListener:
     """Listens to one topic.
 
     Attributes:
-        name: ``robot1/scan``: the topic as the server sees it, whichever way it goes.
+        name: the topic's name on the server, in either direction, such as ``robot1/scan``.
         heard: messages so far.
-        wrong: what was wrong with some of them.
+        wrong: errors of some of them.
         flowed_at: s since the epoch, when the first message came that was published after `expect`'s moment.
     """
 

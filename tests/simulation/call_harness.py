@@ -1,4 +1,4 @@
-"""One service between two domains in a world where nothing else goes on, and what happened at both ends of it."""
+"""One service between two domains of a world without faults, with its servers and clients."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-from tests.simulation.climate import STILL
+from tests.simulation.conditions import STILL
 from tests.simulation.ros import hash_of
 from tests.simulation.services import Client, Server
 from tests.simulation.world import World
@@ -18,8 +18,8 @@ from rsb_bridge.route.calls.calls_route import CallsRoute
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from tests.simulation.engine_host import EngineHost
     from tests.simulation.ros import Domain
-    from tests.simulation.station import Station
 
     from rsb_bridge.model.calls import CallsSnapshot
     from rsb_bridge.model.snapshot import RouteSnapshot
@@ -27,24 +27,23 @@ if TYPE_CHECKING:
 
 TYPE = "std_srvs/srv/SetBool"
 SETTLED = 3.0
-"""s in which what is possible has come about: discovery, a look at the graph, a report to the other side."""
+"""s within which a change reaches everybody: discovery, a poll of the graph, a report to the other side."""
 
 
-class Teller:
-    """A server: says of each request what it was, at once or when it is told to.
+class ScriptedServer:
+    """A server that repeats each request in its answer, at once or on `answer`.
 
     Attributes:
-        asked: what it was asked, oldest first.
-        server: as the domain knows it.
+        asked: its requests, oldest first.
+        endpoint: as the domain knows it.
     """
 
     def __init__(self, domain: Domain, service: str, node: str, type_name: str, type_hash: str, *, waits: bool) -> None:
         self.asked: list[bytes] = []
         self.node = node
-        self._domain = domain
         self._waiting: list[Request] = []
         self._waits = waits
-        self.server = Server(domain.services, node, service, type_name, type_hash, self._take)
+        self.endpoint = Server(domain.services, node, service, type_name, type_hash, self._take)
 
     def _take(self, batch: Sequence[Request]) -> None:
         for request in batch:
@@ -54,37 +53,36 @@ class Teller:
             self.answer()
 
     def answer(self, order: Callable[[list[Request]], object] = lambda _: None) -> None:
-        """Answer whatever waits, in the order that a function puts it in."""
+        """Answer all waiting requests, in the order that a function gives them."""
         waiting, self._waiting = self._waiting, []
         order(waiting)
         for request in waiting:
-            self.server.answer(request.caller, answer_to(request.payload, self.node))
+            self.endpoint.answer(request.caller, answer_to(request.payload, self.node))
 
     def die(self) -> None:
-        """Its process is killed: it is seen for a while, and answers nothing."""
-        self.server.closed = True
-        self._domain.forget_later(self.server)
+        """Kill its process: it stays visible for a while, and answers nothing."""
+        self.endpoint.close(killed=True)
 
 
-class Asker:
-    """A client.
+class ScriptedClient:
+    """A client that keeps its requests and answers.
 
     Attributes:
-        client: as the domain knows it.
-        requests: what it has asked, by number.
-        answers: what came, by number; more than one to a call would be wrong.
+        endpoint: as the domain knows it.
+        requests: by number.
+        answers: by the request's number.
     """
 
     def __init__(self, domain: Domain, service: str, node: str, type_name: str, type_hash: str) -> None:
         self.node = node
         self.requests: dict[int, bytes] = {}
         self.answers: dict[int, bytes] = {}
-        self.client = Client(domain.services, node, service, type_name, type_hash, self._take)
+        self.endpoint = Client(domain.services, node, service, type_name, type_hash, self._take)
 
     def ask(self, content: bytes = b"") -> int:
         """Make a call."""
         request = b"\0\1\0\0" + f"{self.node} {len(self.requests)} ".encode() + content
-        number = self.client.call(request)
+        number = self.endpoint.call(request)
         self.requests[number] = request
         return number
 
@@ -95,18 +93,18 @@ class Asker:
 
     @property
     def right(self) -> int:
-        """How many calls had an answer, each of which is the one to what was asked."""
+        """The number of answers, after checking that each belongs to its request."""
         for number, answer in self.answers.items():
             assert answer.startswith(answer_to(self.requests[number], ""))
         return len(self.answers)
 
 
 def answer_to(request: bytes, node: str) -> bytes:
-    """What a server says."""
+    """Return the answer of a server's node to a request."""
     return b"\0\1\0\0you asked " + request + b", says " + node.encode()
 
 
-class Booth:
+class CallHarness:
     """The service of a robot's session.
 
     Args:
@@ -115,37 +113,37 @@ class Booth:
         spec: fields of its entry.
 
     Attributes:
-        world: in which it is.
-        near: the callers' computer.
-        far: the providers'.
+        world: its world.
+        near: the callers' host.
+        far: the provider's host.
     """
 
     def __init__(self, seed: int = 1, provider: str = "server", kind: str = "service", **spec: Any) -> None:
         self.world = World(seed, replace(STILL, topics=(0,)))
         (self.robot,) = self.world.robots
         self.spec = Topic("/set", "transmit" if provider == "server" else "receive", kind=kind, **spec)  # type: ignore[arg-type]
-        station = self.robot.station
-        station.session = msgspec.structs.replace(station.session, topics=(self.spec,))
+        host = self.robot.host
+        host.session = msgspec.structs.replace(host.session, topics=(self.spec,))
         on_server = f"/{self.robot.name}/set"
-        client, server = (station, "/set"), (self.world.server, on_server)
+        client, server = (host, "/set"), (self.world.server, on_server)
         (self.near, self.near_name), (self.far, self.far_name) = (
             (client, server) if provider == "server" else (server, client)
         )
 
-    def teller(
+    def server(
         self,
-        node: str = "/teller",
+        node: str = "/server",
         *,
         far: bool = True,
         waits: bool = False,
         suffix: str = "",
         type_name: str = TYPE,
         type_hash: str | None = None,
-    ) -> Teller:
+    ) -> ScriptedServer:
         """A server on the providing side, or on the callers'."""
-        station, name = (self.far, self.far_name) if far else (self.near, self.near_name)
-        return Teller(
-            station.domain,
+        host, name = (self.far, self.far_name) if far else (self.near, self.near_name)
+        return ScriptedServer(
+            host.domain,
             name + suffix,
             node,
             type_name,
@@ -153,11 +151,11 @@ class Booth:
             waits=waits,
         )
 
-    def asker(
-        self, node: str = "/asker", *, suffix: str = "", type_name: str = TYPE, type_hash: str | None = None
-    ) -> Asker:
+    def client(
+        self, node: str = "/client", *, suffix: str = "", type_name: str = TYPE, type_hash: str | None = None
+    ) -> ScriptedClient:
         """A client on the callers' side."""
-        return Asker(
+        return ScriptedClient(
             self.near.domain,
             self.near_name + suffix,
             node,
@@ -170,12 +168,12 @@ class Booth:
         return _half(self.near), _half(self.far)
 
     def shown(self) -> tuple[RouteSnapshot, RouteSnapshot]:
-        """What both sides show, the callers' first."""
+        """Return both sides' snapshots of the route, the callers' first."""
         near, far = self.halves()
         return near.snapshot(), far.snapshot()
 
     def counted(self) -> tuple[CallsSnapshot, CallsSnapshot]:
-        """What both sides count, the callers' first; each adds up, and what is in flight is held in the budget."""
+        """Return both sides' counts, the callers' first, after checking that each adds up."""
         near, far = (shown.calls for shown in self.shown())
         assert near is not None
         assert far is not None
@@ -190,15 +188,15 @@ class Booth:
         """Whether the bridge offers the service on the callers' side."""
         return any(each.node.startswith("/rsb_") for each in self.near.domain.services.servers[self.near_name])
 
-    async def ready(self, asker: Asker) -> None:
-        """Wait until a call of an asker would reach somebody."""
+    async def ready(self, client: ScriptedClient) -> None:
+        """Wait until the client sees a server."""
         async with asyncio.timeout(30.0):
-            while not asker.client.ready:  # noqa: ASYNC110 — plain state of a simulated world
+            while not client.endpoint.ready:  # noqa: ASYNC110 — plain state of a simulated world
                 await asyncio.sleep(0.05)
 
 
-def _half(station: Station) -> CallsRoute:
-    assert station.run is not None
-    (route,) = [each for link in station.run.links() for each in link.routes.values() if each.proposal.kind != "topic"]
+def _half(host: EngineHost) -> CallsRoute:
+    assert host.run is not None
+    (route,) = [each for link in host.run.links() for each in link.routes.values() if each.proposal.kind != "topic"]
     assert isinstance(route, CallsRoute)
     return route

@@ -77,7 +77,7 @@ class _Events(EventLog):
 
 
 class _Snapshots(SnapshotPublisher):
-    """A snapshot that nobody looks at; it is renewed all the same, now and then, for what that might do."""
+    """A snapshot without readers; it is refreshed now and then all the same, for its side effects."""
 
     async def run(self, bridge: ShownBridge) -> None:
         while True:
@@ -85,7 +85,7 @@ class _Snapshots(SnapshotPublisher):
             await asyncio.sleep(_SNAPSHOT_EVERY)
 
 
-class Station:
+class EngineHost:
     """A computer, its ROS domain, and the session that its engine runs.
 
     Attributes:
@@ -95,7 +95,7 @@ class Station:
         domain: its ROS domain.
         session: what the next engine will run.
         keys: by client's name.
-        run: the engine that runs; None: none does.
+        run: the running engine, or None.
         on_run: told of each engine that begins to run.
         on_end: told of each engine that is about to end.
         on_event: told of each event.
@@ -112,8 +112,8 @@ class Station:
         self.run: Run | None = None
         self.on_run: Callable[[Run], None] = _ignore
         self.on_end: Callable[[Run], None] = _ignore
-        self.on_event: Callable[[Station, Level, EventCode, str, str], None] = _ignore
-        self.on_leak: Callable[[Station, list[Descriptor]], None] = _ignore
+        self.on_event: Callable[[EngineHost, Level, EventCode, str, str], None] = _ignore
+        self.on_leak: Callable[[EngineHost, list[Descriptor]], None] = _ignore
         self.random = random
 
     def start(self) -> Run:
@@ -155,41 +155,41 @@ class Run:
     """One engine process.
 
     Attributes:
-        station: where.
+        host: where.
         process: as its kernel knows it.
         node: in its ROS domain.
-        events: what it says.
+        events: its log.
         bridge: the engine.
         began: s, when.
-        over: it was stopped, or died.
+        over: whether it was stopped or died.
     """
 
-    def __init__(self, station: Station) -> None:
-        self.station = station
-        self.process = Process(station.machine)
+    def __init__(self, host: EngineHost) -> None:
+        self.host = host
+        self.process = Process(host.machine)
         self.loop = self.process.loop
-        self.node = Node(station.domain, station.session.name, f"{station.random.getrandbits(32):08x}")
-        self.events = _Events(station.clock, lambda *event: station.on_event(station, *event))
+        self.node = Node(host.domain, host.session.name, f"{host.random.getrandbits(32):08x}")
+        self.events = _Events(host.clock, lambda *event: host.on_event(host, *event))
         self.began = self.loop.time()
         self.over = False
         self.bridge = self.process.context.run(self._make)
         self._task: asyncio.Task[None] | None = None
 
     def _make(self) -> Bridge:
-        station = self.station
+        host = self.host
         context = Context(
-            station.session,
-            station.session.domain_id or 0,
+            host.session,
+            host.session.domain_id or 0,
             self.node,
             self.events,
             _Queue(self.loop),
             self.loop,
-            station.clock,
-            Random(station.random.random()),
+            host.clock,
+            Random(host.random.random()),
         )
-        session = station.session
+        session = host.session
         blank = Snapshot(0.0, session.name, session.role, "", session.domain_id or 0, running=False)
-        return Bridge(context, station.keys, _Snapshots(blank, self.events, station.clock))
+        return Bridge(context, host.keys, _Snapshots(blank, self.events, host.clock))
 
     def begin(self) -> None:
         """Start the engine."""
@@ -207,7 +207,8 @@ class Run:
         return self.bridge.links()
 
     async def command(self, work: Coroutine[None, None, T]) -> T | None:
-        """Carry out an operator's command, in the engine's process; None: that died before it was done.
+        """Carry out an operator's command in the engine's process. Return None if the process died before the end of
+        it.
 
         Raises:
             EngineError: it cannot be carried out.
@@ -240,10 +241,10 @@ class Run:
             await asyncio.wait(tasks)
         self.node.stop()
         if left := self.process.exit():
-            self.station.on_leak(self.station, left)
+            self.host.on_leak(self.host, left)
 
     def die(self) -> None:
-        """The process is gone. What is left of its code is told to end, and reaches nobody any more."""
+        """End the process as a kill does: its tasks are cancelled, and reach nobody any more."""
         self.over = True
         self.node.die()
         for task in tuple(self.process.tasks):

@@ -1,13 +1,12 @@
-"""Actions with a server at one end and clients at the other, and what they know of their goals: the outside truth."""
+"""Actions of a world: clients at the near end, and a server at the far end."""
 
 from __future__ import annotations
 
-import contextvars
 import struct
-from collections import Counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tests.simulation.action_server import CDR, SERVICES, ActionServer, Plan, lane_type, names
+from tests.simulation.flow import CallFlow
 from tests.simulation.goals import Asked, Goal
 from tests.simulation.ros import Reader
 from tests.simulation.services import Client
@@ -17,77 +16,35 @@ from rsb_bridge.route.calls.goals import STATES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from random import Random
 
-    from tests.simulation.ros import Domain
-
-    from rsb_bridge.model.session import Topic
     from rsb_bridge.ros.ros_interface import RawMessage, Response
 
 _ID = struct.Struct("<4sIII")
 _ASKED_AGAIN_EVERY = 1.0
 """s until a client looks whether the server that it asked is gone, and asks again."""
 _REMEMBERED = 2000
-_OF_NOBODY = contextvars.Context()
 
 
-class Errand:
-    """One action that is to be bridged.
+class ActionFlow(CallFlow[ActionServer]):
+    """An action, with its client and its server.
+
+    Its period may be 0: it sends no goals by itself.
 
     Attributes:
-        number: of the errand.
-        topic: the action as the client's session has it.
-        robot: the client's name.
-        near: where the clients are.
-        far: where the server is.
-        near_name: the action's name there.
-        far_name: likewise.
-        near_services: the names of the services that it consists of there.
-        far_services: likewise.
-        changed: s, when something was last done to its ends.
-        troubles: what goes on that may keep it from being reached.
-        server: None: there is none.
-        dead: servers that were killed, as long as they may be seen.
-        goals: by id, the newest.
-        answered: results that came to those who asked.
-        heard: the last status message that a client of it heard.
-        explains: whether what happened in the world explains that nobody knows the result of a goal.
-        log: what came to its servers, in order: ``goal`` or ``cancel``, and the goal.
+        goals: the newest goals, by id.
+        heard: the last status message that the client heard.
+        explains: whether events of the world explain that a goal's result is unknown.
+        log: goals and cancels that reached its servers, in order: ``goal`` or ``cancel``, and the goal.
     """
 
-    def __init__(
-        self,
-        number: int,
-        topic: Topic,
-        robot: str,
-        ends: tuple[Domain, Domain],
-        action: tuple[str, str],
-        *,
-        random: Random,
-        period: float,
-        on_wrong: Callable[[str], None],
-    ) -> None:
-        self.number = number
-        self.topic = topic
-        self.robot = robot
-        self.near, self.far = ends
-        self.near_name, self.far_name = action
-        self.changed = 0.0
-        self.troubles: Counter[str] = Counter()
-        self.server: ActionServer | None = None
-        self.dead: list[ActionServer] = []
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
         self.goals: dict[bytes, Goal] = {}
-        self.answered = 0
         self.heard = b""
         self.explains: Callable[[Goal], bool] = lambda _: True
         self.log: list[tuple[str, Goal]] = []
         self.near_services = [names(self.near_name)[lane] for lane in SERVICES]
         self.far_services = [names(self.far_name)[lane] for lane in SERVICES]
-        self._random = random
-        self._period = period
-        self._loop = self.near.loop
-        self._on_wrong = on_wrong
-        self._slow = False
         self._life = 0
         self._sent = 0
         self._clients: dict[int, Client] = {}
@@ -99,33 +56,11 @@ class Errand:
 
     # --- the nodes at its ends
 
-    def appear(self) -> None:
-        """A server is there."""
-        if self.server is None:
-            self.changed = self._loop.time()
-            self.server = ActionServer(self.far, self.far_name, f"/doer{self.number}", self)
-
-    def vanish(self, *, killed: bool = False) -> None:
-        """The server is gone, and its goals with it; if it is killed, others see it for a while."""
-        server, self.server = self.server, None
-        if server is not None:
-            self.changed = self._loop.time()
-            server.close(killed=killed)
-            self.dead += [server] if killed else []
-
-    @property
-    def dead_is_seen(self) -> bool:
-        """Whether others see a server that is no more: what they asked it may be asked of another one later only."""
-        self.dead = [each for each in self.dead if each.seen]
-        return bool(self.dead)
-
-    def hesitate(self, slow: bool) -> None:
-        """Whether the server takes its time, and sometimes never answers to a goal."""
-        self._slow = slow
-        self.changed = self._loop.time()
+    def _new_server(self) -> ActionServer:
+        return ActionServer(self.far, self.far_name, f"/doer{self.number}", self)
 
     def call(self) -> None:
-        """A new client is there, in the place of the one before, and sends goals; it knows nothing of earlier ones."""
+        """Start a new client in place of the previous one; it knows none of the earlier goals."""
         for client in self._clients.values():
             client.close()
         for reader in self._readers:
@@ -133,7 +68,7 @@ class Errand:
         self._life += 1
         self._calls.clear()
         self.heard = b""
-        called, node = names(self.near_name), f"/asker{self.number}"
+        called, node = names(self.near_name), f"/client{self.number}"
         takes = {SEND_GOAL: self._take_answer, CANCEL_GOAL: self._take_cancelled, GET_RESULT: self._take_result}
         self._clients = {
             lane: Client(self.near.services, node, called[lane], *lane_type(lane), take) for lane, take in takes.items()
@@ -145,28 +80,28 @@ class Errand:
             if (qos := LANES["action"][lane].qos) is not None
         ]
         life = self._life
-        self._loop.call_later(_ASKED_AGAIN_EVERY, self._look, life, context=_OF_NOBODY)
-        if self._period:
-            self._loop.call_later(self._random.uniform(0.0, self._period), self._beat, life, context=_OF_NOBODY)
+        self._later(_ASKED_AGAIN_EVERY, self._ask_again, life)
+        if self.period:
+            self._later(self._random.uniform(0.0, self.period), self._beat, life)
 
     def rest(self) -> None:
         """Send no more goals."""
-        self._period = 0.0
+        self.period = 0.0
 
     def busy(self, period: float) -> None:
         """Send goals from now on, one every so many s on average."""
-        self._period = period
+        self.period = period
         self._beat(self._life)
 
     def _beat(self, life: int) -> None:
-        if life != self._life or not self._period:
+        if life != self._life or not self.period:
             return
         for _ in range(self._random.choice((1, 1, 1, 4))):
             goal = self.send(self._plan())
             if goal is not None and self._random.random() < 0.3:
                 after = self._random.uniform(0.0, 2.0 * goal.plan.runs)
-                self._loop.call_later(after, self._cancel_if, life, goal, context=_OF_NOBODY)
-        self._loop.call_later(self._period * self._random.uniform(0.5, 1.5), self._beat, life, context=_OF_NOBODY)
+                self._later(after, self._cancel_if, life, goal)
+        self._soon_again(self._beat, life)
 
     def _plan(self) -> Plan:
         random = self._random
@@ -185,7 +120,7 @@ class Errand:
         return self._clients[SEND_GOAL].ready and self._clients[GET_RESULT].ready and self._clients[CANCEL_GOAL].ready
 
     def send(self, plan: Plan | None = None) -> Goal | None:
-        """Send a goal; None: no server is seen."""
+        """Send a goal, and return it, or None if the client sees no server."""
         plan = plan or Plan()
         if not self.ready:
             return None
@@ -217,8 +152,8 @@ class Errand:
             asked.at, asked.servers = self._loop.time(), [each for each in client.matched if not each.closed]
             self._calls[lane, client.call(request)] = goal
 
-    def _look(self, life: int) -> None:
-        """Ask again what was asked of a server that is gone: the bridge beside the client was started again."""
+    def _ask_again(self, life: int) -> None:
+        """Repeat requests whose server is gone because the client's bridge was restarted."""
         if life != self._life:
             return
         for goal in [each for each in self.goals.values() if each.client == life and each.told and not each.result]:
@@ -226,7 +161,7 @@ class Errand:
                 self.cancel(goal)
             if goal.asks is not None and goal.asks.is_lost:
                 self.ask_result(goal)
-        self._loop.call_later(_ASKED_AGAIN_EVERY, self._look, life, context=_OF_NOBODY)
+        self._later(_ASKED_AGAIN_EVERY, self._ask_again, life)
 
     def waiting(self) -> list[Goal]:
         """The goals of the present client that were accepted, and whose result has not come."""
@@ -314,13 +249,13 @@ class Errand:
         if known.arrived > 1:
             self._on_wrong(f"{self}: {known} came to the server {known.arrived} times")
         if known.told is not None:
-            self._on_wrong(f"{self}: {known} came to the server after its client was told {known.told}")
+            self._on_wrong(f"{self}: {known} came to the server after its client got the answer {known.told}")
         return known.plan
 
     def accepted(self, server: ActionServer, goal: bytes) -> None:
         """It goes on from now."""
         if self.goals[goal].told is not None:
-            self._on_wrong(f"{self}: {self.goals[goal]} begins after its client was told {self.goals[goal].told}")
+            self._on_wrong(f"{self}: {self.goals[goal]} begins after its client got the answer {self.goals[goal].told}")
         self.goals[goal].server = server
 
     def ended(self, goal: bytes, state: str) -> None:

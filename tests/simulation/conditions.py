@@ -1,4 +1,4 @@
-"""How much happens in a world, and how much it carries."""
+"""The sizes of a world, and the rates of its messages, faults and commands."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Climate:
-    """How much there is of everything.
+class Conditions:
+    """The ranges from which a world's contents are drawn.
 
     Attributes:
-        name: of the climate.
-        robots: how many there may be.
-        topics: how many each robot's session may have.
-        services: likewise, services.
-        actions: likewise, actions.
+        name: of the conditions.
+        robots: possible numbers of robots.
+        topics: possible numbers of topics in a robot's session.
+        services: possible numbers of services in it.
+        actions: possible numbers of actions in it.
         periods: s, between which the average time from one message of a topic to the next is.
         latched: part of the topics that are latched.
         size: bytes of a message, at most, on average.
-        faults: s from one fault of a robot to the next, on average; 0: there are none. Its topics have as many, and the
-            server a fifth.
-        commands: s from one command of an operator to the next, on average; 0: there are none.
+        faults: s from one fault of a robot to the next, on average, or 0 for no faults. Its topics have as many, and
+            the server a fifth.
+        commands: s from one command of an operator to the next, on average, or 0 for no commands.
         nights: part of the time that each robot is switched off, for hours: an engine that waits alone costs a tenth of
             one that is linked, so more days with faults can be lived in the same time.
         checks: s, between which everything is checked.
@@ -47,17 +47,17 @@ class Climate:
     patience: float = 1.0
 
 
-QUIET = Climate("quiet", topics=(1, 1, 2), periods=(10.0, 300.0), faults=400.0, commands=900.0)
+QUIET = Conditions("quiet", topics=(1, 1, 2), periods=(10.0, 300.0), faults=400.0, commands=900.0)
 """A robot that is used by day, where something happens a few times an hour."""
-LIVELY = Climate("lively", robots=(1, 1, 2))
+LIVELY = Conditions("lively", robots=(1, 1, 2))
 """A robot or two, where something happens every minute."""
-STORM = Climate(
+STORM = Conditions(
     "storm", robots=(1, 1, 2), services=(1, 2), periods=(0.2, 20.0), size=20_000, faults=15.0, commands=30.0
 )
 """Where something happens every few seconds."""
-FLEET = Climate("fleet", robots=(5, 6, 7, 8), topics=(1, 2, 3, 4), periods=(1.0, 60.0), faults=180.0, commands=300.0)
+FLEET = Conditions("fleet", robots=(5, 6, 7, 8), topics=(1, 2, 3, 4), periods=(1.0, 60.0), faults=180.0, commands=300.0)
 """Many robots on one server."""
-STILL = Climate(
+STILL = Conditions(
     "still",
     topics=(1,),
     services=(0,),
@@ -68,19 +68,19 @@ STILL = Climate(
     latched=0.0,
     checks=(60.0, 60.0),
 )
-"""Where nothing happens but what is made to happen."""
+"""Without faults and commands; a test causes all that happens."""
 
-CALLS = Climate("calls", robots=(1, 2), topics=(1,), services=(2, 3), periods=(0.5, 10.0), faults=30.0, nights=0.2)
+CALLS = Conditions("calls", robots=(1, 2), topics=(1,), services=(2, 3), periods=(0.5, 10.0), faults=30.0, nights=0.2)
 """Where services are called all the time."""
 
-ACTIONS = Climate(
+ACTIONS = Conditions(
     "actions", topics=(1,), services=(0,), actions=(1, 2), periods=(10.0, 60.0), faults=60.0, commands=0.0, nights=0.0
 )
 """Where goals are sent all the time, and nobody at a console changes anything."""
 _WITH_ACTIONS = 0.15
 
 
-def climate_of(random: Random) -> Climate:
-    """A climate."""
-    climate = random.choices((QUIET, LIVELY, STORM, FLEET), (4, 4, 2, 1))[0]
-    return ACTIONS if random.random() < _WITH_ACTIONS else climate
+def draw_conditions(random: Random) -> Conditions:
+    """Draw the conditions of a world."""
+    conditions = random.choices((QUIET, LIVELY, STORM, FLEET), (4, 4, 2, 1))[0]
+    return ACTIONS if random.random() < _WITH_ACTIONS else conditions

@@ -1,41 +1,33 @@
-"""Topics with a publisher at one end and a subscription at the other, and what was counted at both: the outside truth.
+"""Topics of a world: a publisher at the near end, and a listener at the far end.
 
-Each message carries which flow it belongs to, which life of the publisher sent it, and its number. So whatever comes
-out at the other end can be checked by itself, whatever the bridge says of it.
+Each message carries its flow, the run of the publisher that sent it, and its number in that run.
 """
 
 from __future__ import annotations
 
-import contextvars
 import struct
-from collections import Counter, OrderedDict
-from typing import TYPE_CHECKING, NamedTuple
+from collections import OrderedDict
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from tests.simulation.flow import CDR, Flow, bound
 from tests.simulation.ros import Reader, Writer, hash_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from random import Random
-
-    from tests.simulation.ros import Domain
+    from collections.abc import Sequence
 
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.model.session import Topic
     from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.outgoing import OutgoingRoute
 
 _HEAD = struct.Struct("<4sIII")
-_CDR = b"\0\1\0\0"
-_REMEMBERED = 4096
 LATE = 2.5
-"""s: a message of this age is late by the default of `late_after`, whatever the clocks' uncertainty."""
+"""s: a message of this age is late by the default of `late_after`, for any uncertainty of the clocks."""
 CLOCKS = 0.005
-"""s that true time and the clocks of stamps may differ by, beside what the engines know of."""
-_OF_NOBODY = contextvars.Context()
+"""s by which true time and the stamps' clocks may differ, in addition to the engines' own estimate."""
 
 
 class Label(NamedTuple):
-    """What a message carries.
+    """The numbers that a message carries.
 
     Attributes:
         flow: its number.
@@ -49,21 +41,21 @@ class Label(NamedTuple):
 
 
 def label_of(payload: bytes) -> Label | None:
-    """The label of a message; None: it is no flow's."""
-    if len(payload) < _HEAD.size or payload[:4] != _CDR:
+    """Return the label of a message, or None if it has none."""
+    if len(payload) < _HEAD.size or payload[:4] != CDR:
         return None
     return Label(*_HEAD.unpack_from(payload)[1:])
 
 
 class Account:
-    """What a route's sending half did, as seen from outside.
+    """Counts of a route's sending half, from outside.
 
     Attributes:
-        offered: messages that it took.
-        published: of those, how many the other side's engine has published.
-        unreported: how many of these the sender may never learn of, because whoever published them is gone.
+        offered: messages that it took from ROS.
+        published: how many of these the other side's engine has published.
+        unreported: how many of these the sender may never learn of, because their publisher's process is gone.
         removed: how many of these the sender may hold for lost, because the receiving half was removed.
-        forgotten: whether whoever published for it was ever gone.
+        forgotten: whether the publishing process was ever gone.
         last_offered: s, when it took the last one.
     """
 
@@ -78,7 +70,7 @@ class Account:
         self.last_offered = 0.0
 
     def forget(self, route: OutgoingRoute, *, removed: bool = False) -> None:
-        """Whoever published for that route is gone, and has reported what the route knows.
+        """Note that the process that published for that route is gone; the route's ledger has its last report.
 
         Args:
             route: the sending half.
@@ -90,64 +82,35 @@ class Account:
             self.removed = self.unreported
 
 
-class Flow:
-    """One topic that is to be bridged.
+class TopicFlow(Flow):
+    """A topic, with its publisher and its listener.
 
     Attributes:
-        number: of the flow.
-        topic: as the client's session has it.
-        robot: the client's name.
-        source: where it is published.
-        sink: where somebody listens.
-        source_topic: its name there.
-        sink_topic: its name there.
-        qos: what its publisher offers.
-        period: s from one message to the next, on average.
+        qos: of the publisher.
         size: bytes of a message, on average.
-        life: of the publisher, from 1; 0: there never was one.
-        changed: s, when something was last done to its ends.
-        sent: by the present publisher.
-        troubles: what goes on that may keep it from flowing.
+        life: number of the present publisher, from 1, or 0 before the first.
+        sent: messages of the present publisher.
         last_sent: s, when the last message was published.
-        last_heard: s, when the last message came out.
-        heard: messages that came out.
-        oldest: s, the age of the oldest of them when it came out.
-        newest: number of the newest message that came out, by life of the publisher.
-        fresh_within: s from when a message is published until it comes out at the latest, if it does.
-        max_age: s that a message may be old when the other side's engine publishes it, by true time.
-        late: messages that came out late, one after the other, as many as there are until now.
-        late_since: s, when the first of them came out.
-        taken: by which sending half of a route each of the last messages was taken.
+        last_heard: s, when the last message arrived.
+        heard: messages that arrived.
+        oldest: s, the greatest age of a message on arrival.
+        newest: the highest number that arrived, by publisher.
+        fresh_within: s, the greatest age on arrival that is allowed.
+        max_age: s, the greatest age that is allowed when the receiving engine publishes, by true time.
+        late: late messages in a row, up to now.
+        late_since: s, when the first of these arrived.
+        taken: the account of the route that took each of the last messages.
     """
 
-    def __init__(
-        self,
-        number: int,
-        topic: Topic,
-        robot: str,
-        ends: tuple[Domain, Domain],
-        names: tuple[str, str],
-        *,
-        random: Random,
-        qos: Qos,
-        period: float,
-        size: int,
-        on_wrong: Callable[[str], None],
-    ) -> None:
-        self.number = number
-        self.topic = topic
-        self.robot = robot
-        self.source, self.sink = ends
-        self.source_topic, self.sink_topic = names
+    def __init__(self, *args: Any, qos: Qos, size: int, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
         self.qos = qos
-        self.period = period
         self.size = size
-        self.type_name = f"flow{number}_msgs/msg/Sample"
-        for domain in ends:
+        self.type_name = f"flow{self.number}_msgs/msg/Sample"
+        for domain in (self.near, self.far):
             domain.installed[self.type_name] = hash_of(self.type_name)
         self.life = 0
         self.sent = 0
-        self.troubles: Counter[str] = Counter()
         self.last_sent = 0.0
         self.last_heard = 0.0
         self.heard = 0
@@ -157,19 +120,15 @@ class Flow:
         self.oldest = 0.0
         self.late = 0
         self.late_since = 0.0
-        self._published_at: OrderedDict[Label, float] = OrderedDict()
         self.taken: OrderedDict[Label, Account] = OrderedDict()
         self.writer: Writer | None = None
         self.reader: Reader | None = None
-        self.changed = 0.0
-        self._random = random
-        self._loop = self.source.loop
-        self._on_wrong = on_wrong
+        self._published_at: OrderedDict[Label, float] = OrderedDict()
         self._seen: OrderedDict[Label, None] = OrderedDict()
 
     def __str__(self) -> str:
         way = "→" if self.topic.direction == "transmit" else "←"
-        return f"{self.robot} {way} {self.source_topic}"
+        return f"{self.robot} {way} {self.near_name}"
 
     @property
     def ordered(self) -> bool:
@@ -178,7 +137,7 @@ class Flow:
 
     @property
     def latched(self) -> bool:
-        """Whether late joiners get what was published last."""
+        """Whether late joiners get the last messages."""
         return self.qos.durability == "transient_local"
 
     # --- the nodes at its ends
@@ -190,14 +149,10 @@ class Flow:
             self.sent = 0
             self.changed = self._loop.time()
             self.writer = Writer(
-                self.source, f"/app{self.number}", self.source_topic, self.type_name, hash_of(self.type_name), self.qos
+                self.near, f"/app{self.number}", self.near_name, self.type_name, hash_of(self.type_name), self.qos
             )
-            self._loop.call_later(
-                0.1 if self.latched else self._random.uniform(0.0, self.period),
-                self._beat,
-                self.life,
-                context=_OF_NOBODY,
-            )
+            first = 0.1 if self.latched else self._random.uniform(0.0, self.period)
+            self._later(first, self._beat, self.life)
 
     def vanish(self) -> None:
         """The publisher is gone."""
@@ -206,11 +161,11 @@ class Flow:
             writer.close()
 
     def listen(self) -> None:
-        """Somebody subscribes at the other end, anew."""
+        """Start a new listener in place of the previous one."""
         self.deafen()
-        type_hash = self.sink.installed[self.type_name]
+        type_hash = self.far.installed[self.type_name]
         self.reader = Reader(
-            self.sink, f"/ear{self.number}", self.sink_topic, self.type_name, type_hash, self.qos, self._heard
+            self.far, f"/listener{self.number}", self.far_name, self.type_name, type_hash, self.qos, self._heard
         )
 
     def deafen(self) -> None:
@@ -221,10 +176,10 @@ class Flow:
         self.newest.clear()
         self._seen.clear()
 
-    def update_sink(self, version: int) -> None:
+    def update_listener(self, version: int) -> None:
         """Another version of the type is installed where the messages come out."""
         self.deafen()
-        self.sink.installed[self.type_name] = hash_of(self.type_name, version)
+        self.far.installed[self.type_name] = hash_of(self.type_name, version)
         self.listen()
 
     def publish(self) -> None:
@@ -233,10 +188,9 @@ class Flow:
             self.sent += 1
             self.last_sent = self._loop.time()
             self._published_at[Label(self.number, self.life, self.sent)] = self.last_sent
-            if len(self._published_at) > _REMEMBERED:
-                self._published_at.popitem(last=False)
+            bound(self._published_at)
             padding = self._random.randrange(2 * self.size)
-            self.writer.publish(_HEAD.pack(_CDR, self.number, self.life, self.sent) + bytes(padding))
+            self.writer.publish(_HEAD.pack(CDR, self.number, self.life, self.sent) + bytes(padding))
 
     def made_at(self, payload: bytes) -> float | None:
         """Return when (s) a message was published by its node, or None if that was too long ago to know."""
@@ -247,7 +201,7 @@ class Flow:
         if self.writer is None or self.life != life:
             return
         self.publish()
-        self._loop.call_later(self.period * self._random.uniform(0.5, 1.5), self._beat, life, context=_OF_NOBODY)
+        self._soon_again(self._beat, life)
 
     def _heard(self, batch: Sequence[RawMessage]) -> None:
         self.heard += len(batch)
@@ -265,8 +219,7 @@ class Flow:
             self._check_age(label)
             self.newest[label.life] = max(newest, label.number)
             self._seen[label] = None
-            if len(self._seen) > _REMEMBERED:
-                self._seen.popitem(last=False)
+            bound(self._seen)
 
     def _check_age(self, label: Label) -> None:
         published_at = self._published_at.get(label)
@@ -293,8 +246,7 @@ class Flow:
             label = label_of(message.payload)
             if label is not None:
                 self.taken[label] = account
-        while len(self.taken) > _REMEMBERED:
-            self.taken.popitem(last=False)
+        bound(self.taken)
 
     def published(self, payload: bytes) -> Account | None:
         """The other side's engine published a message; whose count it belongs to."""

@@ -1,4 +1,4 @@
-"""What has happened in a world: its last lines, for whoever has to understand a failure, and figures of all of it."""
+"""The log of a world: its last lines, to explain a failure, and counts of everything."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 _REMEMBERED = 300
 
 
-class Chronicle:
+class WorldLog:
     """Lines and counts.
 
     Attributes:

@@ -1,0 +1,122 @@
+"""No child of the program runs a module that lies in its working folder, as `python -m` and `python -c` would."""
+
+from __future__ import annotations
+
+import ast
+import asyncio
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from geometry_msgs.msg import Vector3
+from tests.support.waiting import eventually
+from tests.view.samples import task
+
+from rsb_bridge.model.pictures import Wish
+from rsb_bridge.view.renderer import Renderer
+from rsb_console.child import ChildProcess
+from rsb_console.command.service import _program
+
+ROOT = Path(__file__).parents[2]
+SOURCES = [
+    path for folder in (".ci", "bridge", "console", "deb", "docs", "ros") for path in (ROOT / folder).rglob("*.py")
+]
+PLANTED = "import pathlib\npathlib.Path({marker!r}).touch()\nraise ImportError('planted')\n"
+STARTS = {"Popen", "run", "call", "check_call", "check_output", "create_subprocess_exec", "create_subprocess_shell"}
+IN_PYTHON = {"fork", "forkpty", "system", "popen", "startfile"}
+MAY_START = {
+    ".ci/install.py", "bridge/rsb_bridge/doctor/machine.py", "bridge/rsb_bridge/doctor/ros_setup.py",
+    "bridge/rsb_bridge/engine/fault_hook.py", "bridge/rsb_bridge/view/renderer.py",
+    "console/rsb_console/bench/loopback.py",
+    "console/rsb_console/child.py", "console/rsb_console/terminal/driver.py", "deb/build.py",
+}  # fmt: skip
+"""Modules that start children. A new one belongs here once its child does not look into its working folder."""
+
+
+def nodes(path: Path) -> list[ast.AST]:
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+def is_interpreter(node: ast.AST) -> bool:
+    return isinstance(node, ast.Attribute) and node.attr == "executable" and isinstance(node.value, ast.Name)
+
+
+def test_each_command_line_of_python_has_p() -> None:
+    """`-P` comes first, or the interpreter is only named in a text."""
+    checked = []
+    for path in SOURCES:
+        for node in nodes(path):
+            if isinstance(node, ast.List | ast.Tuple) and any(map(is_interpreter, node.elts)):
+                checked.append(path.name)
+                index = next(index for index, each in enumerate(node.elts) if is_interpreter(each))
+                following = node.elts[index + 1]
+                assert isinstance(following, ast.Constant), f"{path}:{node.lineno}"
+                assert following.value == "-P", f"{path}:{node.lineno}: a module of the working folder would run"
+    assert len(checked) >= 5
+
+
+def test_every_module_that_starts_children_is_known() -> None:
+    found = set()
+    for path in SOURCES:
+        for node in nodes(path):
+            name = str(path.relative_to(ROOT))
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                names = [each.name for each in node.names] + [getattr(node, "module", None) or ""]
+                assert not {"multiprocessing", "pty"} & {each.split(".")[0] for each in names}, name
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+                called, of = node.func.attr, getattr(node.func.value, "id", "")
+                assert not (of == "os" and (called in IN_PYTHON or called.startswith(("exec", "spawn", "posix_spawn"))))
+                if of in {"subprocess", "asyncio"} and called in STARTS and (of, called) != ("asyncio", "run"):
+                    found.add(name)
+            if isinstance(node, ast.ClassDef) and any(
+                getattr(b, "attr", "") == "Popen"
+                or (isinstance(b, ast.Subscript) and getattr(b.value, "attr", "") == "Popen")
+                for b in node.bases
+            ):
+                found.add(name)
+    assert found == MAY_START
+
+
+@pytest.fixture
+def planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with modules that the program imports; each leaves a mark if it runs."""
+    marker = tmp_path / "ran"
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    for name in ("msgspec", "resource", "rclpy", "std_msgs", "runpy", "signal", "numpy", "yaml", "weakref"):
+        (folder / f"{name}.py").write_text(PLANTED.format(marker=str(marker)))
+    monkeypatch.chdir(folder)
+    return marker
+
+
+def test_doctor_runs_nothing_of_its_folder(planted: Path) -> None:
+    program = "import sys; sys.argv = ['rsb-console', 'doctor', '--json']; from rsb_console.cli import main; main()"
+    ran = subprocess.run(
+        [sys.executable, "-P", "-c", program], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert '"ros"' in ran.stdout
+    assert not planted.exists()
+
+
+def test_the_drawing_process_runs_nothing_of_its_folder(planted: Path) -> None:
+    renderer = Renderer()
+    try:
+        picture = asyncio.run(renderer.draw(task(Wish(how="tree"), Vector3(x=1.0))))
+    finally:
+        renderer.close()
+        eventually(lambda: renderer.pid is None)
+    assert not picture.problem
+    assert not planted.exists()
+
+
+def test_a_module_in_a_child_runs_nothing_of_its_folder(planted: Path) -> None:
+    with ChildProcess("rsb_console", "--version", stdout=subprocess.PIPE) as child:
+        assert child.communicate(timeout=60)[0].startswith("rsb-console ")
+    assert not planted.exists()
+
+
+def test_a_service_runs_nothing_of_its_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    """systemd's working folder of a user's service is the user's home."""
+    monkeypatch.setattr(sys, "argv", ["/nowhere/pytest"])
+    assert _program() == (sys.executable, "-P", "-m", "rsb_console")
