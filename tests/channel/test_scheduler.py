@@ -39,7 +39,7 @@ def test_a_joystick_goes_before_maps(two: bool) -> None:
 
 @pytest.mark.parametrize(("two", "tunnel"), [(False, 0), (True, 200_000)])
 def test_routes_that_want_more_than_their_share_get_equal_ones(two: bool, tunnel: int) -> None:
-    """With two streams, that needs a path that takes more than it carries; elsewhere the kernel shares between these."""
+    """With two streams on a path that takes more than it carries; elsewhere the kernel shares between them."""
     routes = [
         Route(1, always=100_000, outgoing=True),
         Route(2, always=5_000, outgoing=True),

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
 import pytest
+from rsb_bridge.route.thinning import Share, Thinning, Traffic
 
 from rsb_bridge.link.contention import Contention, LinkFullness, _Asking
 from rsb_bridge.link.proposals import proposal_of
@@ -15,7 +16,6 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.sending import OutgoingPath
-from rsb_bridge.route.thinning import Share, Thinning, Traffic
 from rsb_bridge.transport.registry import default_transports
 
 if TYPE_CHECKING:

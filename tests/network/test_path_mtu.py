@@ -7,11 +7,11 @@ import shutil
 from typing import TYPE_CHECKING
 
 import pytest
+from rsb_bridge.channel.stream import StreamTrouble
 from tests.console.side import Side, in_order
 from tests.support.log_lines import check_lines
 from tests.support.waiting import eventually
 
-from rsb_bridge.channel.stream import StreamTrouble
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.topic_verdict import USE_TCP

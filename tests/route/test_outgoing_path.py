@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 import zstandard
+from rsb_bridge.route.thinning import Share
 from tests.route.test_loop_filter import FIRST, World, world
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.route.lease import Lease
-from rsb_bridge.route.thinning import Share
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 if TYPE_CHECKING:

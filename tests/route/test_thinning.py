@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, cast
 
+from rsb_bridge.route.thinning import Share, Thinning
+
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RawMessage
-from rsb_bridge.route.thinning import Share, Thinning
 
 if TYPE_CHECKING:
     from rsb_bridge.channel.channel import SendingChannel

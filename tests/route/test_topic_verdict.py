@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rsb_bridge.route.thinning import Share, ThinningShare, why
 
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.limits import REASON_LENGTH
@@ -21,7 +22,6 @@ from rsb_bridge.route.blocking_rules import ACCEPTED, RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_of
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill
-from rsb_bridge.route.thinning import Share, ThinningShare, why
 from rsb_bridge.route.topic_verdict import (
     LOWER_MTU,
     PUBLISHED_NOTHING,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from unittest.mock import patch
 
 import msgspec
+from rsb_bridge.channel.stream import StreamReceiver, StreamSender
 from tests.simulation.conditions import ACTIONS, CALLS, LIVELY, STILL, STORM, Conditions
 from tests.simulation.episodes import (
     cancelled_while_cut,
@@ -23,7 +24,6 @@ from tests.simulation.episodes import (
 )
 
 from rsb_bridge.channel.receipts import WindowedSender
-from rsb_bridge.channel.stream import StreamReceiver, StreamSender
 from rsb_bridge.channel.udp_channel import UdpChannel
 from rsb_bridge.channel.window import Window
 from rsb_bridge.link.base_link import RouteIds

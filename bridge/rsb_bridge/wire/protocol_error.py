@@ -43,11 +43,9 @@ class Broken(Wording):
     PROBE_INVALID = "a probe of {length} bytes"
     RECEIPT_UNKNOWN = "a receipt of kind {kind}"
     OPERATOR_TOO_SHORT = "an OPERATOR frame ends before its {field}"
-    PREAMBLE_ON_OPEN_STREAM = "unexpected preamble frame on an open stream"
     EMPTY_RECORD = "an empty record"
     UNEXPECTED_FROM_OPERATOR = "unexpected {kind} frame: operators attach here, not links"
     DATA_AGAINST_ROUTE = "data on route {route}, which goes the other way"
-    DATA_AGAINST_STREAM = "the peer sent data on a stream that goes the other way"
     FRAME_OF_UNKNOWN_ROUTE = "a frame of type {kind}, route {route} on a stream that does not carry it"
     HOST_NAME_TOO_LONG = "the console's host name is too long"
 
