@@ -58,6 +58,8 @@ class Context:
         suggester: suggests services, actions and nodes for a misspelt name.
         renderer: draws pictures of messages for viewers.
         demands: the names that have to be armed, as the running session demands it.
+        moved_by: the rest messages of the routes that have moved a topic last, by the topic's name.
+        rests: tasks that publish rests after an arming, to be awaited before the ROS side stops.
         names_changed: to be called when another set of names of the graph is followed (`rsb_bridge.link.name_watch`).
     """
 
@@ -81,6 +83,8 @@ class Context:
     suggester: NameSuggester = field(init=False)
     renderer: Renderer = field(init=False)
     demands: RunningDemands = field(init=False)
+    moved_by: dict[str, object] = field(default_factory=dict)
+    rests: set[asyncio.Task[None]] = field(default_factory=set)
     names_changed: Callable[[], None] = lambda: None
 
     def __post_init__(self) -> None:

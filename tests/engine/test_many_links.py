@@ -66,7 +66,7 @@ class Link:
 class Route:
     def __init__(self, turns: Turns) -> None:
         self.snapshot = turns.called
-        self.rests = False
+        self.idle = False
         self.shown = True
 
 
@@ -148,7 +148,7 @@ def test_routes_that_rest_are_shown_anew_while_somebody_looks_often(
     resting, awake = Turns(loop), Turns(loop)
     links = [Link(resting, routes=1) for _ in range(LINKS)]
     for link in links:
-        link.routes["0"].rests = True
+        link.routes["0"].idle = True
         link.snapshot = lambda: None  # type: ignore[method-assign]
     links[0].routes["awake"] = Route(awake)
 

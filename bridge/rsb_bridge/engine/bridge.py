@@ -260,6 +260,8 @@ class Bridge:
         await self._publishing.close()
         self.context.descriptions.close()
         await self._role.stop()
+        if self.context.rests:  # a publisher that closes at once may take its message with it
+            await asyncio.wait(self.context.rests)
         self.context.announcements.stop()
         self.context.events.add(Level.INFO, EventCode.ENGINE_STOPPED, "stopped")
         self._snapshots.refresh_now(self._role, running=False)

@@ -27,8 +27,10 @@ from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.route.arming import without_history
+from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.peeking import PeekError
+from rsb_bridge.route.source_publishers import PublicationSpec
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.wire.messages import ByHand
 
@@ -64,6 +66,7 @@ _LONG = 4_096
 """Characters of fields that take 20 ms to read. Such messages are read one at a time, beside the short ones."""
 _REST_CROSSES = 0.1
 """s in which the message that ends a motion gets on its way, before its topic is disarmed or the bridge stops."""
+_EVERY_TOPIC = ""
 _STAMP = {"sec", "nanosec"}
 
 
@@ -78,6 +81,7 @@ class PublishProblem(Wording):
     OTHER_TYPE = "{topic} has the type {actual}, not {wanted}"
     OTHER_VERSION = "{type_name} is installed here in another version than {topic} has: install that one"
     NOT_ARMED = "{topic} has to be armed{reason}: arm it first"
+    ENDING = "{topic} is about to be disarmed, or the bridge to stop: nothing more is published by hand"
     NO_ROUTE_TO_ARM = "{topic} has to be armed, and no route of it is open: nothing can arm it"
     NO_DEADMAN = "{topic} cannot be driven: that needs arm: true and max_age on the topic, so that the robot stops"
 
@@ -151,6 +155,7 @@ class Publishing:
         self._log = log
         self._peeking = peeking
         self._publications: dict[str, _Publication] = {}
+        self._ending: Counter[str] = Counter()  # topics whose motions end; `_EVERY_TOPIC` for all
         self._long = asyncio.Lock()
         self._first_ticket = context.random.getrandbits(40)  # tickets of another engine, or an earlier one, are void
 
@@ -221,6 +226,7 @@ class Publishing:
         if armed and not 0 <= self._ticket() - command.ticket <= TICKET_LIFE * 1e3:
             return Published(is_done=False, ticket=self._ticket(), type_name=resolved.type_name)
         publication.publisher.publish(payload)
+        self._note_moved(topic, resolved, payload, armed)
         if driven:
             publication.take_rest()
             timer = context.loop.call_later(command.rest_after, self._rest, publication, topic)
@@ -230,27 +236,45 @@ class Publishing:
         links = tuple(sorted({route.peer.name for route in taking}))
         return Published(True, self._ticket(), resolved.type_name, publication.publisher.subscriber_count, links)
 
+    def _note_moved(
+        self, topic: str, resolved: _Resolved, payload: bytes, armed: Iterable[TopicRoute[DataChannel]]
+    ) -> None:
+        """Have a rest follow in this domain once the arming of a message ends that robots on this side have heard."""
+        spec = PublicationSpec(topic, *resolved)
+        for route in armed:
+            if isinstance(route, IncomingRoute):
+                route.moved(spec, payload)
+
     def _rest(self, publication: _Publication, topic: str) -> None:
-        """Publish the message that ends a motion, if the arming of the motion still holds."""
+        """Publish the message that ends a motion. Nothing of it crosses after the arming of the motion has ended."""
         rest, now = publication.take_rest(), self._context.now()
         if rest is None or publication.publisher is None:
             return
+        ended = not any(route.id == opening and route.arming.passes(now) for route, opening in rest.openings)
+        if ended and any(route.arming.passes(now) for route, _ in rest.openings):
+            return  # somebody else has armed it since, and may be driving
         try:
-            if not any(route.id == opening and route.arming.passes(now) for route, opening in rest.openings):
-                raise LinkError(PublishProblem.NOT_ARMED(topic=topic, reason=""))
             publication.publisher.publish(rest.payload)
             publication.count += 1
-        except (LinkError, RosError) as error:
+        except RosError as error:
             self._context.log(Level.WARNING, EventCode.OPERATOR_PUBLISH_ENDED, f"{topic}: {error}", topic=topic)
 
     async def end_motions(self, topics: Collection[str] | None = None) -> None:
-        """End the motions on topics that are about to be disarmed, or all: later, nothing could stop the robots."""
-        named = self._publications if topics is None else topics
-        moving = {topic: each for topic, each in self._publications.items() if topic in named and each.rest}
-        for topic, publication in moving.items():
-            self._rest(publication, topic)
-        if moving:
-            await asyncio.sleep(_REST_CROSSES)
+        """End the motions on topics that are about to be disarmed, or all: later, nothing could stop the robots.
+
+        No command is taken until the caller has disarmed them, which it has to do before it waits for anything.
+        """
+        ending = Counter((_EVERY_TOPIC,) if topics is None else topics)
+        self._ending += ending
+        try:
+            named = self._publications if topics is None else topics
+            moving = {topic: each for topic, each in self._publications.items() if topic in named and each.rest}
+            for topic, publication in moving.items():
+                self._rest(publication, topic)
+            if moving:
+                await asyncio.sleep(_REST_CROSSES)
+        finally:
+            self._context.loop.call_soon(self._ending.subtract, ending)
 
     def _ticket(self) -> int:
         return self._first_ticket + int(self._context.clock.steady() * 1e3)
@@ -283,6 +307,8 @@ class Publishing:
         if not armed and requiring:
             reason = next((each.reason for route in requiring if (each := route.arming.snapshot(now)) is not None), "")
             raise LinkError(PublishProblem.NOT_ARMED(topic=topic, reason=f" ({reason})" if reason else ""))
+        if armed and (self._ending[topic] or self._ending[_EVERY_TOPIC]):
+            raise LinkError(PublishProblem.ENDING(topic=topic))
         if not armed and demand is not None and demand.arm:
             raise LinkError(PublishProblem.NO_ROUTE_TO_ARM(topic=topic))
         if driven and not (armed and all(_stops_by_itself(route) for route in routes)):
@@ -466,7 +492,8 @@ class Publishing:
                 self._context.log(Level.INFO, EventCode.OPERATOR_PUBLISH_ENDED, text, **about)
 
     async def close(self) -> None:
-        """End all motions, and close all publishers."""
+        """End all motions, and close all publishers. No message follows."""
+        self._ending[_EVERY_TOPIC] += 1
         await self.end_motions()
         for publication in self._publications.values():
             self._close(publication)

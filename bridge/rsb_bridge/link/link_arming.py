@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ArmingMessage, Propose, Settled
 
+_LATE = 0.001
+"""s by which a timer comes later than a moment that it must not come before: its clock is another one."""
 _AT_ONCE, _A_SECOND = 20.0, 1 / 30
 """Armings by one link's peer: each is in the log, so more than people need are refused."""
 DROPPED: Final = "arm_dropped"
@@ -44,6 +46,8 @@ class LinkLease:
         peer: the other side.
         is_needed: whether any route is armed or about to be.
         lives: is called when the two sides begin to hear each other.
+        lapsed: is called when they no longer do, which disarms nothing yet.
+        beat: is called whenever a number is sent, after it.
         disarm: disarms all routes after a standstill.
 
     Attributes:
@@ -56,6 +60,8 @@ class LinkLease:
         peer: Peer,
         is_needed: Callable[[], bool],
         lives: Callable[[], None],
+        lapsed: Callable[[], None],
+        beat: Callable[[], None],
         disarm: Callable[[Standstill], None],
     ) -> None:
         self.state = Lease(context.clock.steady, context.ros.turns, self._over)
@@ -63,7 +69,10 @@ class LinkLease:
         self._peer = peer
         self._is_needed = is_needed
         self._lives = lives
+        self._lapsed = lapsed
+        self._on_beat = beat
         self._disarm = disarm
+        self._was_alive = False
         self._timer: asyncio.TimerHandle | None = None
 
     @property
@@ -105,8 +114,19 @@ class LinkLease:
             self.state.end()
             return
         self._send()
-        if self.state.over is None:
+        self._watch()
+        self._on_beat()
+        if self.state.over is None and self._timer is None:
             self._timer = self._loop.call_later(BEAT, self._beat)
+
+    def _watch(self) -> None:
+        """Notice at once when it lapses: a beat later, a robot would have gone on for a quarter of a second."""
+        left, was_alive = self.state.lasts_for, self._was_alive
+        self._was_alive = left > 0
+        if was_alive and not self._was_alive:
+            self._lapsed()
+        elif 0 < left < BEAT:
+            self._loop.call_later(left + _LATE, self._watch)
 
     def _send(self) -> None:
         self._peer.send(wire.Lease(*self.state.beat()))
@@ -152,6 +172,8 @@ class LinkArming:
             peer,
             lambda: any(route.arming.held for route in routes()),
             self._lease_lives,
+            self._lapsed,
+            self._end_overdue,
             self._disarm_as_it_stood_still,
         )
 
@@ -285,6 +307,11 @@ class LinkArming:
             route.arming.opens()
             route.armed()
 
+    def _lapsed(self) -> None:
+        for route in self._routes():
+            if route.arming.armed:
+                route.lapsed()
+
     def _disarm_as_it_stood_still(self, where: Standstill) -> None:
         for route in self._routes():
             self.disarm(route, Disarmed.LEASE, where.value)
@@ -309,15 +336,19 @@ class LinkArming:
 
     def tick(self) -> None:
         """Disarm overdue routes, and tell the other side of keys, once a second."""
+        self._end_overdue()
+        for route in self._routes():
+            if route.arming.held and route.arming.take_press():
+                self._peer.send(Arm(route.id, route.arming.by))
+
+    def _end_overdue(self) -> None:
+        """Disarm overdue routes, and those that will be so before the next beat of the lease, when they are."""
         now = self._context.now()
         for route in self._routes():
-            arming = route.arming
-            if not arming.held:
-                continue
-            if (why := arming.overdue(now)) is not None:
+            if (why := route.arming.overdue(now)) is not None:
                 self.disarm(route, why)
-            elif arming.take_press():
-                self._peer.send(Arm(route.id, arming.by))
+            elif (left := route.arming.due_at - now) < BEAT:
+                self._context.loop.call_later(left + _LATE, self._end_overdue)
 
     # --- the other side
 

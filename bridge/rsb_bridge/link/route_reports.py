@@ -67,7 +67,7 @@ class RouteReports(Extension):
 
     def tick(self) -> None:
         if self._link.linked:
-            routes = [route for route in self._link.routes.values() if not route.rests]
+            routes = [route for route in self._link.routes.values() if not route.idle]
             for report in _reports(routes, self._link.fullness.next_record()):
                 self._link.send(report)
 

@@ -525,7 +525,7 @@ class RouteTable(Extension):
     # --- time
 
     async def tick_routes(self) -> None:
-        """Run the own tick of the routes that do not rest, once a second."""
+        """Run the own tick of the routes that are not idle, once a second."""
         now, link = self._context.now(), self._link
         await in_slices([route for route in link.routes.values() if route.is_due(now)], self._tick_route)
 

@@ -296,6 +296,13 @@ class Arming:
         pressed, self._key_pressed = self._key_pressed, False
         return pressed
 
+    @property
+    def due_at(self) -> float:
+        """Time (s) from which on it is overdue, or infinite if it is not held or nothing limits it."""
+        if not self.held:
+            return float("inf")
+        return min(self._deadline, float("inf") if self.console is None else self._seen_at + CONSOLE_SILENT_AFTER)
+
     def overdue(self, now: float) -> Disarmed | None:
         """Return the reason to disarm it at `now` (s), or None."""
         if not self.held:

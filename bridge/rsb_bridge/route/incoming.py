@@ -27,6 +27,7 @@ from rsb_bridge.route.ledger import THROTTLED, reported_ledger
 from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
 from rsb_bridge.route.peeking import peeked
+from rsb_bridge.route.rest_message import RestMessage, has_rest
 from rsb_bridge.route.source_publishers import (
     AUTO_DEPTH,
     PublicationSpec,
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.arming import Disarmed
-    from rsb_bridge.route.rest import Signs
+    from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
 
 _INCOMPLETE_IN_A_ROW = 3
@@ -108,6 +109,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.compare_types: CompareTypes = unknown_difference
         self._outputs = SourcePublishers(context, peer, self._failed_later)
+        self._rest_message: RestMessage | None = None
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self.check = MessageCheck(context, peer.budget.checks)
         self._later: deque[Message] = deque()
@@ -161,6 +163,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         spec = PublicationSpec(self.remote_topic, description.type, description.type_hash, bounded(qos))
         try:
             self._outputs.make(spec, description.sources)
+            self._prepare_rest(spec)
         except (RosError, LatchedFullError) as error:
             self._refuse_type(str(error))
             return
@@ -206,10 +209,50 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self.refuse(EventCode.ROUTE_TYPE_DIFFERS, reason)
         self.peer.send(Refuse(route=route_id, code="type_differs", reason=sanitize_text(reason)))
 
+    def armed(self) -> None:
+        """Let messages cross: the rest of the arming before is over."""
+        if self._rest_message is not None:
+            self._rest_message.stop()
+        super().armed()
+
     def disarm(self, why: Disarmed, reason: str = "") -> None:
-        """Close the publishers, and with them the messages that they hold for slow subscribers."""
+        """Close the publishers, and with them the messages that they hold for slow subscribers; then publish the rest.
+
+        Every end of an arming passes here. Nothing that moves can follow the rest: `deliver` publishes nothing from now
+        on, and a rest's own publisher is not theirs.
+        """
         self._outputs.close()
         super().disarm(why, reason)
+        self.lapsed()
+
+    def lapsed(self) -> None:
+        """Publish the rest, as nothing passes any more, at least for now."""
+        if self._rest_message is not None:
+            self._rest_message.begin()
+
+    def moved(self, spec: PublicationSpec, message: bytes) -> None:
+        """Note a message that an operator of this side has published by this route's arming.
+
+        Raises:
+            RosError: there can be no rest after it.
+        """
+        self._prepare_rest(spec)
+        if self._rest_message is not None:
+            self._rest_message.moved(message)
+
+    def _prepare_rest(self, spec: PublicationSpec) -> None:
+        before = self._rest_message
+        if before is not None and before.spec == spec and self.arming.required:
+            return
+        self._drop_rest()
+        if self.arming.required and has_rest(spec.type_name):
+            failed = partial(self.log, Level.ERROR, EventCode.ROUTE_PUBLISH_FAILED)
+            self._rest_message = RestMessage(self.context, self.peer.name, spec, failed)
+
+    def _drop_rest(self) -> None:
+        if self._rest_message is not None:
+            self._rest_message.close()
+            self._rest_message = None
 
     def advance(self) -> None:
         """Open the channel once there is a publisher, and look for subscribers."""
@@ -234,6 +277,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         """End it for good, its publisher too."""
         super().destroy()
         self._outputs.close()
+        self._drop_rest()
         self.check.end()
 
     def set_check(self) -> None:
@@ -266,6 +310,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         check = None if checker is None else self.check.check if checker.loops else checker.check
         limited, looks = self.limit.here > 0.0, required or self.age.is_on
         count = size = number = 0
+        published = b""
         messages = iter(messages)
         arrived: Message | None
         for message in messages:
@@ -301,7 +346,10 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             else:
                 count += 1
                 size += len(payload)
+                published = content
         self._delivered += count
+        if required and count and self._rest_message is not None:
+            self._rest_message.moved(published)
         if self._received >= self._report_at:
             self._report_at = self._received + _REPORTS_AFTER
             self.peer.report_soon(self)

@@ -150,6 +150,11 @@ class Lease:
         return self._on and self.over is None and self._steady() - self._confirmed <= LASTS
 
     @property
+    def lasts_for(self) -> float:
+        """Seconds for which it stays alive if nothing more is heard, or 0 if it is not alive."""
+        return max(0.0, self._confirmed + LASTS - self._steady()) if self.alive else 0.0
+
+    @property
     def slow(self) -> bool:
         """Whether the last answer took too long for messages to arrive in time."""
         return not self.alive or self._round_trip > SLOW

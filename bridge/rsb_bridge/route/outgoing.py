@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.route.arming import Disarmed
-    from rsb_bridge.route.rest import Signs
+    from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
     from rsb_bridge.route.topic_verdict import Facts
 

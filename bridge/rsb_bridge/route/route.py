@@ -90,7 +90,7 @@ class Route:
         losses: losses of its channels.
         judged: combined verdict of both sides.
         limit: limit of its rate.
-        rests: whether it needs no tick now, as nothing has happened: then it is neither reported nor shown anew.
+        idle: whether it needs no tick now, as nothing has happened: then it is neither reported nor shown anew.
         peer_report: type of the reports that the other side's half sends.
     """
 
@@ -132,7 +132,7 @@ class Route:
         self.type_hash = ""
         self.endpoints: Sequence[Endpoint] = ()
         self.losses = ChannelLosses()
-        self.rests = False
+        self.idle = False
         self._verdict: Verdict | None = None  # None: it has to be judged
         self.judged = CombinedVerdict(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
         self.meter = RateMeter(context.now())
@@ -384,6 +384,9 @@ class Route:
         arming.end(why, reason)
         self._verdict = None
 
+    def lapsed(self) -> None:
+        """Act on the fact that nothing passes for now although it is armed: the sides do not hear each other."""
+
     def amend(self, spec: Topic, proposal: Propose) -> None:
         """Apply new limits; counts, endpoints and messages in transit stay."""
         changes = limits_changed(self.proposal, proposal)
@@ -410,11 +413,11 @@ class Route:
     # --- time
 
     def is_due(self, now: float) -> bool:
-        """Whether it is to be ticked at `now` (s); sets `rests`. Called once a second."""
+        """Whether it is to be ticked at `now` (s); sets `idle`. Called once a second."""
         return True
 
     def tick(self) -> None:
-        """Update the meter and report a changed verdict; called once a second while the route does not rest."""
+        """Update the meter and report a changed verdict; called once a second while the route is not idle."""
         now = self.context.now()
         self.meter.tick(now, learns=self.learns)
         if self.flowing:  # acceptance alone is not enough: a refusal may follow

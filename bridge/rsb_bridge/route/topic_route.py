@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import EXPIRES, Cause
+from rsb_bridge.route.idling import Idling
 from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
-from rsb_bridge.route.rest import Rest
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.topic_verdict import LOSS_CAUSES, Facts, judge, topic_stages
 from rsb_bridge.route.traffic import TrafficMeter
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, Stage
     from rsb_bridge.model.verdict import Verdict
-    from rsb_bridge.route.rest import Signs
+    from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
     from rsb_bridge.route.topic_verdict import TopicProgress
     from rsb_bridge.wire.messages import Propose
@@ -154,7 +154,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         self.peek_slot = PeekSlot()
         self.traffic = TrafficMeter(context.now())
         self._last_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
-        self._rest = Rest(context)
+        self._idling = Idling(context)
 
     # --- what the halves do differently
 
@@ -245,8 +245,8 @@ class TopicRoute(Route, Generic[ChannelT]):
         raise NotImplementedError
 
     def is_due(self, now: float) -> bool:
-        self.rests = self._rest.lasts(self._signs, now)
-        return not self.rests
+        self.idle = self._idling.lasts(self._signs, now)
+        return not self.idle
 
     def _signs(self) -> Signs:
         """Return what changes if anything happens to this half, apart from the passing of time."""
@@ -263,7 +263,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         return self.silence.due if self.flowing and self.silence_counts else math.inf
 
     def tick(self) -> None:
-        """Update histories, stale warnings and the verdict. Called once a second while the route does not rest."""
+        """Update histories, stale warnings and the verdict. Called once a second while the route is not idle."""
         self.latency.tick()
         self._tick_lateness(self.context.now())
         self.age.tick(self._came_here, self.context.now())
@@ -276,7 +276,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         shown = self.judged.shown(self.verdict()).verdict
         now = self.context.now()
         self.silence.tick(now, due=shown.state in (State.STALE, State.STOPPED), cause=shown.cause)
-        self._rest.ticked(self._signs(), now, self._changes_at(shown, now))
+        self._idling.ticked(self._signs(), now, self._changes_at(shown, now))
 
     def _profile_rate(self) -> float:
         """Return the link profile's limit (Hz) if this topic has none and may lose messages, else 0."""

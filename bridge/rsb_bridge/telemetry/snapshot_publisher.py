@@ -44,7 +44,7 @@ class ShownRoute(Protocol):
     """Whether it appears in snapshots."""
 
     @property
-    def rests(self) -> bool:
+    def idle(self) -> bool:
         """Whether nothing has happened to it lately."""
         ...
 
@@ -140,7 +140,7 @@ class SnapshotPublisher:
         """Renew the links, and a part of the routes, in turn; new ones at once, resting ones only if somebody looks."""
         links, routes = bridge.links(), _routes_of(bridge)
         self._routes = {route: self._routes[route] for route in routes if route in self._routes}
-        changing = routes if self._is_looked_at else [route for route in routes if not route.rests]
+        changing = routes if self._is_looked_at else [route for route in routes if not route.idle]
         at_once = max(_AT_ONCE, -(-len(changing) // _REFRESHES))
         turn = [changing[(self._turn + i) % len(changing)] for i in range(min(at_once, len(changing)))]
         self._turn += len(turn)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tests.support.locks import two_domains
-from tests.system.torture import ages, attacks, clock, demands
+from tests.system.torture import ages, attacks, clock, demands, rests
 from tests.system.torture.stage import SIDES, Nodes
 
 from rsb_bridge.api import EngineError
@@ -31,13 +31,14 @@ _HEAD = ("attack", "over", "crossed", "old", "after", "unarmed", "oldest", "tole
 def main() -> int:
     """Do the attacks."""
     parser = argparse.ArgumentParser(prog="python -m tests.system.torture", description=__doc__)
-    parser.add_argument("what", choices=("armed", "demands", "ages", "all"))
+    parser.add_argument("what", choices=("armed", "demands", "ages", "rests", "all"))
     parser.add_argument("names", nargs="*", metavar="NAME", help="attacks, instead of all")
+    parser.add_argument("--by", nargs="+", choices=rests.DRIVERS, default=rests.DRIVERS, help="who drives, for rests")
     parser.add_argument("--over", nargs="+", choices=_TRANSPORTS, default=_TRANSPORTS)
     arguments = parser.parse_args()
     wrong = 0
     steps = {*attacks.STEPS, *ages.STEPS}
-    with_steps = clock.POSSIBLE and arguments.what != "demands" and steps & {*(arguments.names or steps)}
+    with_steps = clock.POSSIBLE and arguments.what not in ("demands", "rests") and steps & {*(arguments.names or steps)}
     for stepped in (False, True) if with_steps else (False,):
         with tempfile.TemporaryDirectory() as folder:
             os.environ |= {"XDG_RUNTIME_DIR": folder, "XDG_STATE_HOME": folder, "RSB_CONSOLE_ISOLATED": "1"}
@@ -47,6 +48,8 @@ def main() -> int:
                     wrong += _armed(nodes, arguments)
                 if arguments.what in ("demands", "all") and not stepped:
                     wrong += _demands(nodes)
+                if arguments.what in ("rests", "all") and not stepped:
+                    wrong += _rests(nodes, arguments)
                 if arguments.what in ("ages", "all"):
                     wrong += _ages(nodes, arguments)
             finally:
@@ -99,6 +102,26 @@ def _demands(nodes: Nodes) -> int:
                 figures = "".join(f"{each:>8}" for each in (found.before, found.after, found.restarted))
                 print(f"{name:52}{figures}  {found.codes or ''}", flush=True)  # noqa: T201
                 wrong += 0 if name == demands.CONTROL else found.wrong
+    return wrong
+
+
+def _rests(nodes: Nodes, arguments: argparse.Namespace) -> int:
+    print(f"{'ending':22}{'over':12}{'by':16}{'last':8}{'rest after':>12}{'rests':>7}{'moving late':>13}")  # noqa: T201
+    wrong = 0
+    for name in [each for each in rests.ENDINGS if each in (arguments.names or rests.ENDINGS)]:
+        for transport in [each for each in arguments.over if rests.fits(name, each)]:
+            for driver in arguments.by:
+                case = f"{name:22}{transport:12}{driver:16}"
+                try:
+                    found = rests.run(nodes, name, transport, driver)
+                except (AssertionError, EngineError) as error:
+                    print(f"{case}not done: {error}", flush=True)  # noqa: T201
+                    wrong += 1
+                    continue
+                after = "never" if found.after is None else f"{found.after:.2f} s"
+                verdict = "  WRONG" if found.wrong else ""
+                print(f"{case}{found.last:8}{after:>12}{found.rests:>7}{found.moving:>13}{verdict}", flush=True)  # noqa: T201
+                wrong += found.wrong
     return wrong
 
 

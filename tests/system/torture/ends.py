@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 WITNESS = "/witness"
 """Published in the robot's domain itself: the time that it takes is the harness's own."""
+VELOCITY = 0.2
+"""m/s of each numbered Twist."""
 
 _WITNESS_RATE = 50.0
 _ROOT = Path(__file__).parents[3]
@@ -37,7 +39,7 @@ class Arrival(NamedTuple):
 
     Attributes:
         topic: its name in the robot's domain.
-        number: counts up from 1 for each topic.
+        number: counts up from 1 for each topic; 0 for a Twist with zero velocity.
         published: the moment before the control PC's node published it.
         arrived: the moment when the robot's node got it, as DDS says.
         bridged: the moment when the robot's bridge gave it to DDS, by the clock of that bridge.
@@ -94,9 +96,9 @@ class Talker(_Process):
     def __init__(self, pc: int, robot: int, environ: Mapping[str, str] | None = None) -> None:
         super().__init__("talk", pc, robot, environ=environ)
 
-    def talk(self, topics: Iterable[str], rate: float, *, latched: bool = False) -> None:
-        """Publish each topic at `rate` Hz from now on, and nothing else."""
-        self.ask(topics=[*topics], rate=rate, latched=latched)
+    def talk(self, topics: Iterable[str], rate: float, *, latched: bool = False, twist: bool = False) -> None:
+        """Publish each topic at `rate` Hz from now on, and nothing else; with `twist`, as velocities."""
+        self.ask(topics=[*topics], rate=rate, latched=latched, twist=twist)
 
     def matched(self) -> dict[str, int]:
         """How many subscriptions each topic has."""
@@ -120,10 +122,10 @@ class Ear(_Process):
         self._topics: list[str] = []
         super().__init__("listen", robot, file)
 
-    def listen(self, topics: Iterable[str]) -> None:
-        """Listen to these topics and `WITNESS`, and forget all that was noted."""
+    def listen(self, topics: Iterable[str], *, twist: bool = False) -> None:
+        """Listen to these topics, as Twist or String, and to `WITNESS`, and forget all that was noted."""
         self._topics = [WITNESS, *topics]
-        self.ask(topics=self._topics)
+        self.ask(topics=self._topics, twist=twist)
 
     def arrivals(self) -> list[Arrival]:
         """All messages since `listen`, the witness's included."""
@@ -136,8 +138,9 @@ class Ear(_Process):
 class _Voice:
     """One topic that is published."""
 
-    def __init__(self, publisher: Publisher, rate: float) -> None:
+    def __init__(self, publisher: Publisher, rate: float, *, twist: bool = False) -> None:
         self.publisher = publisher
+        self._twist = twist
         self.number = 0
         self.due = time.monotonic()
         self._interval = 1 / rate
@@ -147,11 +150,21 @@ class _Voice:
 
         self.due = max(self.due + self._interval, now)
         self.number += 1
-        self.publisher.publish(text(f"{self.number} {time.monotonic()!r}"))
+        if self._twist:
+            self.publisher.publish(_twist(x=VELOCITY, y=float(self.number), z=time.monotonic()))
+        else:
+            self.publisher.publish(text(f"{self.number} {time.monotonic()!r}"))
+
+
+def _twist(**linear: float) -> Any:
+    from geometry_msgs.msg import Twist, Vector3
+
+    return Twist(linear=Vector3(**linear))
 
 
 def talk(pc: int, robot: int) -> None:
     """Publish until the input ends."""
+    from std_msgs.msg import String
     from tests.support.domain import LATCHED, RELIABLE, Domain
 
     domain, own = Domain(pc), Domain(robot)
@@ -172,7 +185,12 @@ def talk(pc: int, robot: int) -> None:
             else:
                 domain.clear()
                 qos = LATCHED if order["latched"] else RELIABLE
-                voices = {name: _Voice(domain.publisher(name, qos=qos), order["rate"]) for name in order["topics"]}
+                twist = order["twist"]
+                kind = type(_twist()) if twist else String
+                voices = {
+                    name: _Voice(domain.publisher(name, kind, qos), order["rate"], twist=twist)
+                    for name in order["topics"]
+                }
                 _say("done")
         now = time.monotonic()
         for voice in (witness, *voices.values()):
@@ -198,22 +216,31 @@ def listen(robot: int, file: Path) -> None:
             order = json.loads(line)
             if "topics" in order:
                 domain.clear()
-                subscriptions = [_subscribe(domain, name, RELIABLE) for name in order["topics"]]
+                twist = type(_twist()) if order["twist"] else String
+                kinds = {name: String if name == WITNESS else twist for name in order["topics"]}
+                subscriptions = [_subscribe(domain, name, kind, RELIABLE) for name, kind in kinds.items()]
                 output.truncate(0)
                 output.seek(0)
             _say("done")
         for index, subscription in enumerate(subscriptions):
-            while (taken := subscription.handle.take_message(String, False)) is not None:
+            while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
                 message, info = taken
-                number, published = message.data.split()
+                number, published = _noted(message)
                 arrived, bridged = (info[key] / 1e9 - shift for key in ("received_timestamp", "source_timestamp"))
                 output.write(_ARRIVAL.pack(index, int(number), float(published), arrived, bridged))
 
 
-def _subscribe(domain: Any, topic: str, qos: QoSProfile) -> Any:
-    from std_msgs.msg import String
+def _noted(message: Any) -> tuple[str | float, str | float]:
+    """Return a message's number and the time when it was published; a velocity by hand has the number 1 and no time."""
+    if hasattr(message, "data"):
+        number, published = message.data.split()
+        return number, published
+    linear, angular = message.linear, message.angular
+    return linear.y or float(any((linear.x, linear.z, angular.z))), linear.z
 
-    return domain.node.create_subscription(String, topic, lambda _: None, qos)
+
+def _subscribe(domain: Any, topic: str, kind: Any, qos: QoSProfile) -> Any:
+    return domain.node.create_subscription(kind, topic, lambda _: None, qos)
 
 
 def _say(answer: Any) -> None:

@@ -146,7 +146,7 @@ def main() -> int:
     """Fork until the input ends."""
     for module in ("cli", "command.headless", "command.remote"):
         importlib.import_module(f"rsb_console.{module}")
-    for module in ("rsb_bridge.ros.participant", "std_msgs.msg"):
+    for module in ("rsb_bridge.ros.participant", "std_msgs.msg", "geometry_msgs.msg"):
         importlib.import_module(module)
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # no zombies
     print("ready", flush=True)  # noqa: T201

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from tests.support.zenoh_router import Router
+    from tests.system.torture.ends import Arrival
 
     from rsb_bridge.model.snapshot import RouteSnapshot
 
@@ -277,10 +278,10 @@ class Stage:
 
     # --- what people do
 
-    def prepare(self) -> None:
-        """Publish from now on, and wait until the topic is set up and can be armed."""
-        self._nodes.ear.listen([TOPIC])
-        self._nodes.talker.talk([TOPIC], RATE)
+    def prepare(self, *, twist: bool = False, talks: bool = True) -> None:
+        """Publish from now on, as velocities with `twist`, and wait until the topic is set up and can be armed."""
+        self._nodes.ear.listen([TOPIC], twist=twist)
+        self._nodes.talker.talk([TOPIC] if talks else [], RATE, twist=twist)
         self.await_disarmed()
 
     def await_disarmed(self, within: float = 180.0) -> None:
@@ -337,7 +338,7 @@ class Stage:
     def await_flow(self, window: Window, count: int = 20) -> None:
         """Wait until messages cross that were published since then."""
         deadline = time.monotonic() + _FLOWS_WITHIN
-        while sum(each.published > window.asked for each in self._heard()) <= count:
+        while sum(each.published > window.asked for each in self.heard()) <= count:
             assert time.monotonic() < deadline, f"no messages cross: {self.describe()}"
             time.sleep(0.05)
 
@@ -359,7 +360,7 @@ class Stage:
         self._nodes.talker.talk([], RATE)
         last, since = -1, time.monotonic()
         while time.monotonic() - since < 1.0:
-            count = len(self._heard())
+            count = len(self.heard())
             if count != last:
                 last, since = count, time.monotonic()
             time.sleep(0.05)
@@ -368,8 +369,13 @@ class Stage:
         """Judge all that has reached the robot."""
         return judge(self._nodes.ear.arrivals(), self.windows, true_clock=not self._nodes.clocks)
 
-    def _heard(self) -> list[Any]:
+    def heard(self) -> list[Arrival]:
+        """All messages of the topic that have reached the robot's node."""
         return [each for each in self._nodes.ear.arrivals() if each.topic == TOPIC]
+
+    def arrivals(self) -> list[Arrival]:
+        """All messages that have reached the robot's node, the witness's included."""
+        return self._nodes.ear.arrivals()
 
     # --- the watching thread
 

@@ -13,8 +13,8 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import Endpoint
+from rsb_bridge.route.idling import IDLE_AFTER, LONGEST
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.rest import LONGEST, RESTS_AFTER
 from rsb_bridge.wire.messages import Propose
 from rsb_bridge.wire.records import ReceivedReport, VerdictRecord
 
@@ -36,7 +36,7 @@ class Channel:
 
 
 class World:
-    """A route that is open and flows, and that its link ticks once a second unless it rests.
+    """A route that is open and flows, and that its link ticks once a second unless it is idle.
 
     Attributes:
         ticks: the times (s) of the route's ticks.
@@ -60,10 +60,10 @@ class World:
                 self.ticks.append(self.loop.time())
                 self.route.tick()
 
-    def rest(self) -> None:
-        """Wait until the route rests, and begin to count its ticks anew."""
-        self.wait(RESTS_AFTER + 5)
-        assert self.route.rests
+    def wait_until_idle(self) -> None:
+        """Wait until the route is idle, and begin to count its ticks anew."""
+        self.wait(IDLE_AFTER + 5)
+        assert self.route.idle
         self.ticks.clear()
 
 
@@ -71,9 +71,9 @@ def test_a_quiet_route_is_ticked_seldom_though_never_left_alone(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     world = World(loop, make_context())
-    world.wait(RESTS_AFTER)
-    assert len(world.ticks) == RESTS_AFTER
-    world.rest()
+    world.wait(IDLE_AFTER)
+    assert len(world.ticks) == IDLE_AFTER
+    world.wait_until_idle()
     began = world.loop.time()
     world.wait(100 * LONGEST)
     assert 100 <= len(world.ticks) <= 250
@@ -116,7 +116,7 @@ class TestWhateverHappens:
         self, happens: Callable[[World], None], loop: VirtualLoop, make_context: Callable[..., Context]
     ) -> None:
         world = World(loop, make_context())
-        world.rest()
+        world.wait_until_idle()
         happens(world)
         world.wait(60)
         assert len(world.ticks) == 60
@@ -125,7 +125,7 @@ class TestWhateverHappens:
 def test_silence_that_becomes_too_long_is_noticed_in_time(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
-    after = RESTS_AFTER + 47.0
+    after = IDLE_AFTER + 47.0
     world = World(loop, make_context(), stale_after=after)
     world.route.count(1, 100)
     came = loop.time()
@@ -135,16 +135,14 @@ def test_silence_that_becomes_too_long_is_noticed_in_time(
     assert (world.route.verdict().state, loop.time()) == (State.STALE, came + after)
 
 
-def test_a_route_that_is_at_fault_does_not_rest(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+def test_a_route_that_is_at_fault_is_not_idle(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     world = World(loop, make_context(), stale_after=20.0)
-    world.wait(3 * RESTS_AFTER)
+    world.wait(3 * IDLE_AFTER)
     assert world.route.verdict().state is State.STALE
-    assert len(world.ticks) == 3 * RESTS_AFTER
+    assert len(world.ticks) == 3 * IDLE_AFTER
 
 
-def test_a_route_at_which_messages_are_due_does_not_rest(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_a_route_at_which_messages_are_due_is_not_idle(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     world = World(loop, make_context(), expected_rate=0.001)
-    world.wait(2 * RESTS_AFTER)
-    assert len(world.ticks) == 2 * RESTS_AFTER
+    world.wait(2 * IDLE_AFTER)
+    assert len(world.ticks) == 2 * IDLE_AFTER

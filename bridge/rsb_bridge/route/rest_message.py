@@ -1,0 +1,127 @@
+"""The message that a receiving half publishes by itself once an arming ends, so that the robot does not go on moving.
+
+It is agreed when the route opens, so nothing has to cross the link that may just have died. It goes through a publisher
+of its own: those of the moving messages are closed first, so that nothing they hold for slow subscribers comes after
+it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_bridge.cdr.resting import DRIVING_TYPES, resting, stamped
+from rsb_bridge.ros.announcements import Origin
+from rsb_bridge.ros.ros_interface import Endpoint, RosError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.route.source_publishers import PublicationSpec
+
+EVERY = 0.1
+"""s from one rest to the next. A subscription that asks for best effort may miss one."""
+TIMES = 6
+"""Rests in all, which take 0.5 s: as long as a key held on the drive screen counts."""
+
+
+class RestMessage:
+    """The rest of one route, which outlives the route until it has been published for the last time.
+
+    Its publisher is there from the opening on, so that subscriptions have found it by the time it is needed.
+
+    Args:
+        context: the engine's. Its `moved_by` says who moved a topic last, so that nobody ends another's motion.
+        link: the route's, by name.
+        spec: of the topic.
+        failed: is called with the reason if it cannot be published.
+
+    Attributes:
+        spec: of the topic.
+
+    Raises:
+        RosError: there can be no publisher for it.
+    """
+
+    def __init__(self, context: Context, link: str, spec: PublicationSpec, failed: Callable[[str], None]) -> None:
+        self.spec = spec
+        self._context = context
+        self._failed = failed
+        self._last: bytes | None = None  # of the messages of the present arming
+        self._under_way: asyncio.Task[None] | None = None
+        self._is_wanted = True
+        topic, type_name, type_hash, qos = spec
+        qos = msgspec.structs.replace(qos, depth=1, history="keep_last", durability="volatile")
+        self._publisher = context.ros.advertise(topic, type_name, type_hash, qos, origin=link)
+        try:
+            endpoint = Endpoint(f"/{context.ros.node_name}", type_name, type_hash, qos, self._publisher.gid)
+            context.announcements.announce(topic, link, endpoint, Origin(()))
+        except RosError:
+            self._publisher.close()
+            raise
+
+    def moved(self, message: bytes) -> None:
+        """Note the newest message that this route, or an operator of this side by its arming, has published."""
+        self._last = message
+        self._context.moved_by[self.spec.topic] = self
+        self.stop()
+
+    def stop(self) -> None:
+        """Publish no more rests: the topic is armed again, or a message has passed."""
+        if self._under_way is not None:
+            self._under_way.cancel()
+            self._under_way = None
+
+    def begin(self) -> None:
+        """Publish it at once and then for some time, if the last message was another one, and this route's."""
+        last, self._last = self._last, None
+        if last is None or self._context.moved_by.get(self.spec.topic) is not self:
+            return
+        rest = resting(self.spec.type_name, last)
+        if rest is None:
+            self._failed("the robot may still move: the last message that passed is malformed, so no rest follows it")
+        elif rest != last and self._publish(rest):
+            self._under_way = self._context.loop.create_task(self._go_on(rest))
+            self._context.rests.add(self._under_way)
+            self._under_way.add_done_callback(self._ended)
+
+    def close(self) -> None:
+        """Close its publisher once it has been published for the last time: the route is gone."""
+        self._is_wanted = False
+        if self._under_way is None:
+            self._close()
+
+    async def _go_on(self, rest: bytes) -> None:
+        for _ in range(TIMES - 1):
+            await asyncio.sleep(EVERY)
+            if self._context.moved_by.get(self.spec.topic) is not self or not self._publish(rest):
+                return
+
+    def _publish(self, rest: bytes) -> bool:
+        try:
+            self._publisher.publish(stamped(self.spec.type_name, rest, self._context.wall_ns()))
+        except RosError as error:
+            self._failed(f"the robot may still move: no rest is published: {error}")
+            return False
+        return True
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        self._context.rests.discard(task)
+        if self._under_way is task:
+            self._under_way = None
+        if not self._is_wanted and self._under_way is None:
+            self._close()
+
+    def _close(self) -> None:
+        if self._context.moved_by.get(self.spec.topic) is self:
+            del self._context.moved_by[self.spec.topic]
+        self._context.announcements.withdraw(self._publisher.gid)
+        self._publisher.close()
+
+
+def has_rest(type_name: str) -> bool:
+    """Whether messages of a type end with a rest."""
+    return type_name in DRIVING_TYPES

@@ -1,0 +1,311 @@
+"""The last message at a robot after an arming has ended, however it ends, is its rest; nothing that moves follows."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from typing import TYPE_CHECKING, NamedTuple
+
+import pytest
+from tests.link.test_arming import CONSOLE, arm, let_time_pass, propose, route
+from tests.link.test_route_table import Pair, Side, hear_all
+
+from rsb_bridge.cdr.resting import resting, stamped
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Topic
+from rsb_bridge.ros.stand_in import NoRos
+from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, Disarmed
+from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.lease import LASTS
+from rsb_bridge.route.rest_message import EVERY, TIMES
+from rsb_bridge.wire.framing import LEASED
+from rsb_bridge.wire.headers import with_number
+from rsb_bridge.wire.messages import Describe
+from rsb_bridge.wire.records import Source
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+
+BEGIN = b"\0\1\0\0"
+TWIST = "geometry_msgs/msg/Twist"
+MOVES = BEGIN + struct.pack("<6d", 0.2, 0, 0, 0, 0, 0.5)
+RESTS = BEGIN + bytes(48)
+DEADMAN = 30.0
+REST_OVER = EVERY * TIMES
+
+
+class Heard(NamedTuple):
+    """A message that the robot's nodes heard.
+
+    Attributes:
+        at: s.
+        payload: of it.
+    """
+
+    at: float
+    payload: bytes
+
+
+class Robot(NoRos):
+    """The robot's ROS, which notes what is published."""
+
+    def __init__(self, loop: VirtualLoop) -> None:
+        super().__init__()
+        self.heard: list[Heard] = []
+        self.open = 0
+        self._loop = loop
+
+    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Voice:
+        self.open += 1
+        return Voice(self, self._loop, self.open)
+
+
+class Voice:
+    """A publisher."""
+
+    subscriber_count = 1
+    acknowledged = True
+
+    def __init__(self, robot: Robot, loop: VirtualLoop, number: int) -> None:
+        self.gid = bytes([number]) * 16
+        self._robot, self._loop, self._is_open = robot, loop, True
+
+    def publish(self, payload: bytes) -> None:
+        assert self._is_open
+        self._robot.heard.append(Heard(self._loop.time(), bytes(payload)))
+
+    def close(self) -> None:
+        self._is_open = False
+
+
+class Driven:
+    """A robot, which is the client, and a control PC, whose operator has armed the topic.
+
+    Attributes:
+        pair: both sides.
+        robot: the robot's ROS.
+    """
+
+    def __init__(self, loop: VirtualLoop, make_context: Callable[..., Context], kind: str = TWIST) -> None:
+        self.robot, self._loop = Robot(loop), loop
+        here, there = (
+            Side(make_context(ros=self.robot), is_client=True),
+            Side(make_context(role="server"), is_client=False),
+        )
+        here.other, there.other = there, here
+        self.pair: Pair = (here, there)
+        propose(here, Topic("/cmd_vel", "receive", arm=True, deadman=DEADMAN, type=kind))
+        hear_all(self.pair)
+        self.kind = kind
+        self.describe()
+        arm(there, loop).result()
+        let_time_pass(self.pair, loop, 0.5)
+
+    def describe(self) -> None:
+        self.pair[0].table.handle(Describe(self.half.id, self.kind, "RIHS01_" + "0" * 64, Qos(), (Source(("there",)),)))
+
+    @property
+    def half(self) -> IncomingRoute:
+        half = route(self.pair[0])
+        assert isinstance(half, IncomingRoute)
+        return half
+
+    def drive(self, payload: bytes = MOVES, half: IncomingRoute | None = None, number: int | None = None) -> None:
+        half = half or self.half
+        lease = half.arming.lease
+        assert lease is not None
+        half.deliver([(with_number(number or lease.number, payload), half.context.stamps.now(), LEASED)])
+
+    def wait(self, seconds: float) -> None:
+        self._loop.run_until_complete(asyncio.sleep(seconds))
+
+    @property
+    def payloads(self) -> list[bytes]:
+        return [each.payload for each in self.robot.heard]
+
+
+@pytest.fixture
+def driven(loop: VirtualLoop, make_context: Callable[..., Context]) -> Driven:
+    made = Driven(loop, make_context)
+    made.drive()
+    assert made.payloads == [MOVES]
+    return made
+
+
+def by_an_operator(driven: Driven, at: int) -> None:
+    driven.pair[at].table.arming.disarm(route(driven.pair[at]), Disarmed.OPERATOR)
+
+
+def by_a_pause(driven: Driven, at: int) -> None:
+    driven.pair[at].table.pause(route(driven.pair[at]), paused=True)
+
+
+def by_removal(driven: Driven, at: int) -> None:
+    driven.pair[at].remove()
+
+
+def by_reloading(driven: Driven, at: int) -> None:
+    driven.pair[at].table.arming.disarm_all(Disarmed.RELOADED)
+
+
+def by_reopening(driven: Driven, at: int) -> None:
+    route(driven.pair[at]).channel_lost("cut")
+
+
+def by_the_links_end(driven: Driven, at: int) -> None:
+    driven.pair[0].linked = False
+    driven.pair[0].table.disconnected()
+
+
+def by_the_consoles_end(driven: Driven, at: int) -> None:
+    driven.pair[1].table.arming.gone(CONSOLE)
+
+
+@pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
+@pytest.mark.parametrize(
+    "ends",
+    [
+        by_an_operator,
+        by_a_pause,
+        by_removal,
+        by_reloading,
+        by_reopening,
+        by_the_links_end,
+        by_the_consoles_end,
+    ],
+)
+def test_the_robot_rests_at_once_however_it_is_disarmed(
+    ends: Callable[[Driven, int], None], at: int, driven: Driven, loop: VirtualLoop
+) -> None:
+    began, half = loop.time(), driven.half
+    lease = half.arming.lease
+    assert lease is not None
+    number = lease.number
+    ends(driven, at)
+    hear_all(driven.pair)
+    assert driven.robot.heard[1:] == [(began, RESTS)]
+    for _ in range(20):
+        driven.drive(half=half, number=number)  # what was under way
+        driven.wait(0.05)
+    rests = driven.robot.heard[1:]
+    assert {each.payload for each in rests} == {RESTS}
+    assert len(rests) == TIMES
+    assert rests[-1].at - began == pytest.approx(EVERY * (TIMES - 1), abs=0.01)
+    assert not loop.errors
+
+
+def test_the_robot_rests_once_the_sides_no_longer_hear_each_other(driven: Driven, loop: VirtualLoop) -> None:
+    """Nothing is disarmed yet: the two may hear each other again, and then it goes on."""
+    began = loop.time()
+    driven.wait(LASTS + 0.1)
+    assert driven.payloads[1:2] == [RESTS]
+    assert driven.robot.heard[1].at - began <= LASTS + 0.01
+    assert driven.half.arming.armed
+    let_time_pass(driven.pair, loop, 1.0)
+    driven.drive()
+    let_time_pass(driven.pair, loop, 1.0)
+    assert driven.payloads[-1] == MOVES
+
+
+@pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
+def test_the_robot_rests_when_a_time_of_the_arming_is_over(
+    at: int, loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    """To the moment, and not at the next tick: here the console is silent, before the deadman's time is over."""
+    driven = Driven(loop, make_context)
+    if at == 0:
+        by_an_operator(driven, 1)
+        hear_all(driven.pair)
+        driven.describe()
+        arm(driven.pair[0], loop).result()
+        let_time_pass(driven.pair, loop, 0.5)
+    armed_at = loop.time() - 0.5
+    for _ in range(int(CONSOLE_SILENT_AFTER / 0.05) + 10):
+        driven.drive()
+        driven.wait(0.05)
+        hear_all(driven.pair)
+    rests = [each for each in driven.robot.heard if each.payload == RESTS]
+    assert rests[0].at - armed_at == pytest.approx(CONSOLE_SILENT_AFTER, abs=0.15)
+    assert driven.robot.heard[-1].payload == RESTS
+
+
+def test_a_robot_that_was_told_to_rest_hears_no_more(driven: Driven) -> None:
+    driven.drive(RESTS)
+    by_an_operator(driven, 0)
+    driven.wait(1.0)
+    assert driven.payloads == [MOVES, RESTS]
+
+
+def test_nothing_is_published_where_nothing_has_moved(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    driven = Driven(loop, make_context)
+    by_an_operator(driven, 0)
+    driven.wait(1.0)
+    assert driven.payloads == []
+
+
+def test_the_next_arming_ends_the_rest(driven: Driven, loop: VirtualLoop) -> None:
+    by_an_operator(driven, 0)
+    hear_all(driven.pair)
+    driven.describe()
+    arm(driven.pair[1], loop).result()
+    count = len(driven.payloads)
+    let_time_pass(driven.pair, loop, 1.0)
+    assert len(driven.payloads) == count
+
+
+def test_a_type_that_moves_nothing_has_no_rest(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    driven = Driven(loop, make_context, "std_msgs/msg/String")
+    driven.drive(BEGIN + b"\x02\0\0\0a\0")
+    by_an_operator(driven, 0)
+    driven.wait(1.0)
+    assert len(driven.payloads) == 1
+
+
+def header(frame: bytes, sec: int = 5) -> bytes:
+    return BEGIN + struct.pack("<iII", sec, 6, len(frame) + 1) + frame + b"\0"
+
+
+def padded(payload: bytes, to: int) -> bytes:
+    return payload + bytes(-(len(payload) - 4) % to)
+
+
+@pytest.mark.parametrize(
+    ("type_name", "message", "rest"),
+    [
+        (TWIST, MOVES, RESTS),
+        (
+            "geometry_msgs/msg/TwistStamped",
+            padded(header(b"base"), 8) + struct.pack("<6d", 1, 2, 3, 4, 5, 6),
+            padded(header(b"base"), 8) + bytes(48),
+        ),
+        ("ackermann_msgs/msg/AckermannDrive", BEGIN + struct.pack("<5f", 1, 2, 3, 4, 5), BEGIN + bytes(20)),
+        (
+            "ackermann_msgs/msg/AckermannDriveStamped",
+            padded(header(b"b"), 4) + struct.pack("<5f", 1, 2, 3, 4, 5),
+            padded(header(b"b"), 4) + bytes(20),
+        ),
+        (
+            "sensor_msgs/msg/Joy",
+            padded(header(b"joy1"), 4) + struct.pack("<I2fI3i", 2, 0.5, -1.0, 3, 1, 0, 1),
+            padded(header(b"joy1"), 4) + struct.pack("<I2fI3i", 2, 0.0, 0.0, 3, 0, 0, 0),
+        ),
+    ],
+)
+def test_a_rest_has_the_header_and_the_lengths_of_the_message(type_name: str, message: bytes, rest: bytes) -> None:
+    assert resting(type_name, message) == rest
+    assert resting(type_name, rest) == rest
+    fresh = stamped(type_name, rest, 7_000_000_008)
+    assert (fresh == rest) == (type_name in (TWIST, "ackermann_msgs/msg/AckermannDrive"))
+    assert fresh == rest or struct.unpack_from("<iI", fresh, 4) == (7, 8)
+    assert len(fresh) == len(rest)
+
+
+@pytest.mark.parametrize("type_name", ["geometry_msgs/msg/TwistStamped", "sensor_msgs/msg/Joy"])
+def test_a_malformed_message_has_no_rest(type_name: str) -> None:
+    assert resting(type_name, b"\0\1") is None
+    assert resting(type_name, BEGIN + bytes(8) + b"\xff\xff\xff\x7f") is None
+    assert resting("sensor_msgs/msg/Joy", padded(header(b""), 4) + struct.pack("<I", 9)) is None
