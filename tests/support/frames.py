@@ -11,22 +11,22 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.sealing import Buffer, StreamOpener
 
 
-class StreamedReader:
+class StreamedReader(DataReader):
     """A reader of data frames behind a reader of frames, with one budget for both."""
 
     def __init__(
         self, opener: StreamOpener, route: int, limit: int = MESSAGE_LIMIT, budget: Budget | None = None
     ) -> None:
-        budget = budget or Budget(UNFINISHED_LIMIT)
-        self.frames = FrameReader(HEADER.size + limit + opener.suite.tag_length, budget)
-        self.data = DataReader(opener, route, limit, budget)
+        self.budget = budget or Budget(UNFINISHED_LIMIT)
+        super().__init__(opener, route, limit, self.budget)
+        self.frames = FrameReader(HEADER.size + limit + opener.suite.tag_length, self.budget)
 
     def receive_data(self, data: Buffer) -> list[Message]:
-        return self.data.open_frames(self.frames.feed(data))
+        return self.open_frames(self.frames.feed(data))
 
     def close(self) -> None:
         self.frames.close()
-        self.data.close()
+        super().close()
 
 
 def write_chunks(writer: DataWriter, payload: bytes, stamp: int, flags: int, chunk_size: int) -> list[bytes]:

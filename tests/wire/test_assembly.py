@@ -65,7 +65,7 @@ def test_large_messages_are_exact(suite: Suite, size: int) -> None:
         payload = (fill * (length // len(fill) + 1))[:length]
         stream = b"".join(written(writer, (payload, 5, 0), 1 << 16, 2))
         assert reader.receive_data(stream) == [(payload, 5, 0)]
-    assert reader._budget.held == 0
+    assert reader.budget.held == 0
 
 
 @SUITES
@@ -86,7 +86,7 @@ def test_garbage_does_not_open_into_its_place(suite: Suite, garbage: bytes) -> N
     with pytest.raises(SealError):
         reader.open_frames((header + garbage,))
     reader.close()
-    assert reader._budget.held == 0
+    assert reader.budget.held == 0
 
 
 def test_memory_is_for_a_message_like_the_last_one_as_far_as_the_budget_goes() -> None:

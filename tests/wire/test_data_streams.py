@@ -52,7 +52,7 @@ def test_a_route_moves_to_another_stream(suite: Suite) -> None:
     read = [memoryview(frame)[LENGTH.size :] for frame in (first, moved, second)]
     assert reader.open_frames(read[:1]) == [(b"1", 1, 0)]
     with pytest.raises(SealError):
-        StreamedReader(server_keys.stream_opener(3, "client"), 3).data.open_moved(read[1])
+        StreamedReader(server_keys.stream_opener(3, "client"), 3).open_moved(read[1])
     reader.open_moved(read[1])
     assert reader.open_frames(read[2:]) == [(b"2", 2, 0)]
 

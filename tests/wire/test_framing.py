@@ -174,7 +174,7 @@ def test_what_is_held_is_what_has_come_of_the_unfinished(
     stream = b"".join(frame for message in sent for frame in write_chunks(writer, *message, chunk_size))
     for piece in data.draw(pieces(stream))[: data.draw(st.integers(0, 10))]:
         reader.receive_data(piece)
-        assert budget.held == len(reader._frames._tail) + reader._chunks.held
+        assert budget.held == len(reader.frames._tail) + reader._chunks.held
     reader.close()
     assert budget.held == 0
 
