@@ -289,6 +289,19 @@ def test_an_operator_stays_attached_under_forged_samples(fleet: Fleet, attack: s
         assert sum(attacker.stop().values()) > 50
 
 
+def test_what_an_operator_has_armed_is_disarmed_by_a_doubt(fleet: Fleet) -> None:
+    """The doubt is wrong here: the console stays attached, and may arm again."""
+    fleet.add("robot1")
+    remote = fleet.attach("robot1")
+    remote.arm("key").result(10)
+    commands = fleet.engines["robot1"].commands
+    with closing(Attacker(fleet.router.endpoint, "ends", fleet="lab")) as attacker:
+        eventually(lambda: ("release",) in commands)
+        remote.retry().result(10)
+        assert not remote.unreachable
+        attacker.stop()
+
+
 def test_a_robot_that_is_started_again_has_its_line_and_its_console_again(fleet: Fleet) -> None:
     fleet.add("robot1")
     seen = fleet.seen_by()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
+from collections import defaultdict, deque
 from dataclasses import dataclass, field
 from itertools import count
 from random import Random
 from typing import TYPE_CHECKING, Any, cast
 
+import msgspec
 import pytest
 from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 
@@ -18,6 +19,7 @@ from rsb_bridge.model.session import Session
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.route.latched import PUBLISHER_COST, LatchedFullError, LatchedTopic
+from rsb_bridge.route.source_publishers import bounded
 from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.meters import RateMeter
@@ -51,9 +53,10 @@ class NearDds:
     node_name = "rsb_robot1_0123abcd"
     shortfalls: tuple[str, ...] = ()
 
-    def __init__(self, loop: VirtualLoop, random: Random) -> None:
+    def __init__(self, loop: VirtualLoop, random: Random, lifespan: float) -> None:
         self.loop = loop
         self.random = random
+        self.lifespan = lifespan
         self.writers: dict[bytes, Writer] = {}
         self.readers: list[NearReader] = []
         self.subscribed = 0
@@ -79,8 +82,14 @@ class NearDds:
         writer.history.append(writer.newest)
         while len(writer.history) > writer.depth:
             writer.history.popleft()
+        if self.lifespan:
+            self.loop.call_later(self.lifespan, self._expire, writer, writer.newest)
         for reader in self.readers:
             reader.hear(writer)
+
+    def _expire(self, writer: Writer, number: int) -> None:
+        if writer.history and writer.history[0] == number:
+            writer.history.popleft()
 
 
 class NearReader:
@@ -122,10 +131,12 @@ class NearReader:
 class FarDds:
     """The receiving side's DDS: publishers that keep what their depth says, and one subscriber from the beginning."""
 
-    def __init__(self, loop: VirtualLoop) -> None:
+    def __init__(self, loop: VirtualLoop, lifespan: float = 0.0) -> None:
         self.loop = loop
+        self.lifespan = lifespan
         self.open: list[FarPublisher] = []
         self.heard: list[bytes] = []
+        self.first_heard = 0.0
         self.made = 0
 
     def advertise(self, depth: int) -> FarPublisher:
@@ -154,8 +165,15 @@ class FarPublisher:
     def publish(self, content: bytes) -> None:
         assert self in self._dds.open
         self.kept.append(content)
+        if self._dds.lifespan:
+            self._dds.loop.call_later(self._dds.lifespan, self._expire, content)
         if self.subscriber_count:  # a volatile subscription hears what is published once it is discovered
+            self._dds.first_heard = self._dds.first_heard or self._dds.loop.time()
             self._dds.heard.append(content)
+
+    def _expire(self, content: bytes) -> None:
+        if self.kept and self.kept[0] == content:
+            self.kept.popleft()
 
     def close(self) -> None:
         self._dds.open.remove(self)
@@ -177,10 +195,12 @@ class Route:
         self.subscription = self.make_subscription()
 
     def make_topic(self) -> LatchedTopic:
-        return LatchedTopic(self.context.loop, self.far.advertise, self.budget, 1, unexpected)
+        depth = bounded(msgspec.structs.replace(LATCHED, lifespan=self.near.lifespan)).depth
+        return LatchedTopic(self.context.loop, self.far.advertise, self.budget, depth, unexpected)
 
     def make_subscription(self) -> TopicSubscription:
-        subject = SubscriptionSpec("/latched", "std_msgs/msg/String", "", LATCHED, "robot1")
+        qos = msgspec.structs.replace(LATCHED, lifespan=self.near.lifespan)
+        subject = SubscriptionSpec("/latched", "std_msgs/msg/String", "", qos, "robot1")
         self.topic.opened()
         subscription = TopicSubscription(
             self.context,
@@ -188,6 +208,7 @@ class Route:
             cast("OutgoingPath", self),
             self.meter,
             lambda *_: pytest.fail("the subscription did not fail"),
+            self.tell,
             automatic=True,
             expected_rate=None,
             known=self.topic.newest(),
@@ -221,21 +242,24 @@ class Route:
         self.topic = self.make_topic()
         self.subscription = self.make_subscription()
 
+    def tell(self) -> None:
+        depths = self.subscription.depths()
+        self.topic.present({gid: depths.get(gid, 0) for gid in self.near.writers})
+
     def second(self) -> None:
-        present = set(self.near.writers)
-        self.subscription.look(present)
+        self.subscription.look(set(self.near.writers))
         self.subscription.tick()
-        self.topic.present(present)
+        self.tell()
         self.topic.tick()
 
 
 class World:
     """Everything, and time."""
 
-    def __init__(self, loop: VirtualLoop, seed: int) -> None:
+    def __init__(self, loop: VirtualLoop, seed: int, lifespan: float = 0.0) -> None:
         self.loop = loop
         self.random = Random(seed)
-        self.near, self.far = NearDds(loop, self.random), FarDds(loop)
+        self.near, self.far = NearDds(loop, self.random, lifespan), FarDds(loop, lifespan)
         clock = VirtualClock(loop)
         session = Session(name="robot1", role="client", server_ip="127.0.0.1", server_port=1)
         context = Context(
@@ -331,7 +355,7 @@ def test_a_deep_history_costs_few_probes_and_publishers() -> None:
             world.wait(0.05)
         world.wait(20)
         assert world.near.subscribed <= 30
-        assert world.far.made <= 20
+        assert world.far.made <= 24
         assert set(world.near_late_joiner()) <= set(world.far.late_joiner())
         assert len(world.far.late_joiner()) <= 600
         world.route.restart_far()
@@ -343,6 +367,7 @@ def test_a_busy_publisher_is_measured_too() -> None:
     """At 200 Hz a probe cannot catch it at rest, so the depth may be off by what is published meanwhile."""
     with virtual_loop() as loop:
         world = World(loop, 1)
+        world.wait(1)
         writer = world.near.new_writer(10)
         for _ in range(2000):
             world.near.publish(writer)
@@ -351,6 +376,62 @@ def test_a_busy_publisher_is_measured_too() -> None:
         assert set(world.near_late_joiner()) <= set(world.far.late_joiner())
         assert len(world.far.late_joiner()) <= 40
         assert len(world.far.heard) == 2000
+
+
+@pytest.mark.parametrize("lifespan", [0.0, 10.0])
+@pytest.mark.parametrize("publishers", [1, 25])
+@pytest.mark.parametrize("rate", [0.1, 1, 10, 25, 50, 200, 5000])
+def test_live_messages_cross_at_once_at_any_rate(rate: float, publishers: int, lifespan: float) -> None:
+    """All arrive in order, none waits for its publisher to pause, and late joiners get all that is kept."""
+    with virtual_loop() as loop:
+        world = World(loop, 1, lifespan)
+        world.wait(1)
+        writers = [world.near.new_writer(1000) for _ in range(publishers)]
+        world.wait(0.1)
+        began, behind = loop.time(), 0
+        count = max(4 * publishers, min(2000, int(12 * rate)))
+        for at in range(count):
+            world.near.publish(writers[at % publishers])
+            world.wait(1 / rate)
+            behind = max(behind, at + 1 - len(world.far.heard))
+        assert world.far.first_heard - began < 0.5
+        world.wait(0.5)
+        heard = defaultdict[bytes, list[int]](list)
+        for content in world.far.heard:
+            name, _, number = content.rpartition(b" ")
+            heard[name].append(int(number))
+        assert heard == {each.gid.rstrip(b"\0"): list(range(1, each.newest + 1)) for each in writers}
+        assert behind <= 1 + rate * 0.5
+        assert set(world.near_late_joiner()) <= set(world.far.late_joiner())
+        assert world.route.offered == world.route.sent == count
+
+
+def test_a_lifespan_does_not_hide_that_one_message_is_kept() -> None:
+    """The peer forgets what has expired; a publisher that keeps less than that is found out while it is young."""
+    with virtual_loop() as loop:
+        world = World(loop, 1, lifespan=30.0)
+        world.wait(1)
+        writer = world.near.new_writer(1)
+        world.wait(0.1)
+        for _ in range(10):
+            world.near.publish(writer)
+            world.wait(0.5)
+        assert world.far.late_joiner() == world.near_late_joiner()
+
+
+def test_an_expired_history_is_no_shallow_one() -> None:
+    with virtual_loop() as loop:
+        world = World(loop, 1, lifespan=1.0)
+        world.wait(1)
+        writer = world.near.new_writer(100)
+        for _ in range(8):
+            world.near.publish(writer)
+            world.wait(3)
+        for _ in range(40):
+            world.near.publish(writer)
+            world.wait(0.01)
+        assert len(world.near_late_joiner()) == 40
+        assert set(world.near_late_joiner()) <= set(world.far.late_joiner())
 
 
 def test_publishers_and_bytes_are_bounded() -> None:

@@ -142,9 +142,9 @@ def test_a_connection_over_which_messages_came_says_nothing_of_the_path() -> Non
 
     losses = ChannelLosses()
     losses.arrived()
-    losses.add("Connection timed out", Loop(), lambda: None)  # type: ignore[arg-type]
+    losses.add("Connection timed out", Loop(), lambda: None, owing=True)  # type: ignore[arg-type]
     assert not losses.repeated
-    losses.add("Connection timed out", Loop(), lambda: None)  # type: ignore[arg-type]
+    losses.add("Connection timed out", Loop(), lambda: None, owing=True)  # type: ignore[arg-type]
     assert losses.repeated, "nothing has come over this one"
 
 

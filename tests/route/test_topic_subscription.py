@@ -88,6 +88,7 @@ def make_subscription(
         cast("OutgoingPath", Path()),
         owner.meter,
         owner.log,
+        lambda: None,
         automatic=automatic,
         expected_rate=expected_rate,
         known={},

@@ -4,30 +4,33 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from typing import TYPE_CHECKING
+from collections import deque
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import zstandard
 from tests.support.offline import FakePeer
+from tests.support.virtual_time import T, Ts, VirtualLoop
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.incoming import IncomingRoute
-from rsb_bridge.route.message_check import EXPANSION_A_TURN, EXPANSION_AT_ONCE
+from rsb_bridge.route.message_check import EXPANDED_ASIDE, EXPANSION_A_TURN, EXPANSION_AT_ONCE
 from rsb_bridge.wire.framing import ZSTD
 from rsb_bridge.wire.messages import Describe, Propose
 from rsb_bridge.wire.records import Source
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
-
-    from tests.support.virtual_time import VirtualLoop
+    from collections.abc import Callable, Hashable, Iterator
 
     from rsb_bridge.context import Context
     from rsb_bridge.wire.framing import Message
 
 LARGE = EXPANSION_A_TURN * 3 // 4
+MEDIUM = EXPANDED_ASIDE - 100
+"""Unpacked on the loop."""
 
 
 class Published:
@@ -81,23 +84,88 @@ def turns(loop: VirtualLoop, published: Published) -> list[int]:
     return counts
 
 
-def test_each_turn_has_one_that_grows_much(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+def test_each_turn_has_one_that_grows_much(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
     """Over all routes of a link; what comes behind it on its route waits, too."""
     ros, peer = OnePublisher(), FakePeer()
     context = make_context(ros=ros)
     one, other = opened(context, peer, "/one"), opened(context, peer, "/other")
-    one.deliver([grown(LARGE), grown(LARGE + 1), (b"small", 0, 0)])
-    other.deliver([grown(LARGE + 2), grown(LARGE + 3)])
+    most = EXPANSION_A_TURN // MEDIUM
+    first, second = ([grown(MEDIUM + number + offset) for number in range(most)] for offset in (0, 50))
+    one.deliver([*first, (b"small", 0, 0)])
+    other.deliver(second)
     one.deliver([(b"last", 0, 0)])
     counts = turns(loop, ros.published)
-    assert counts[0] == 1
-    assert max(after - before for before, after in itertools.pairwise(counts)) <= 3
-    assert sorted(ros.published.sizes) == [4, 5, LARGE, LARGE + 1, LARGE + 2, LARGE + 3]
-    assert [size for size in ros.published.sizes if size not in (LARGE + 2, LARGE + 3)] == [LARGE, LARGE + 1, 5, 4]
+    assert counts[0] == most + 2
+    assert max(after - before for before, after in itertools.pairwise(counts)) <= most
+    assert ros.published.sizes == [*range(MEDIUM, MEDIUM + most), 5, 4, *range(MEDIUM + 50, MEDIUM + 50 + most)]
     assert not loop.errors
 
 
-def test_what_waits_is_neither_shown_nor_measured(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+class HeldLoop(VirtualLoop):
+    """A loop whose other threads work when they are told.
+
+    Attributes:
+        held: their work, and what gets its result.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.held: deque[tuple[Callable[[], Any], asyncio.Future[Any]]] = deque()
+
+    def run_in_executor(self, executor: Any, func: Callable[[*Ts], T], *args: *Ts) -> asyncio.Future[T]:
+        done: asyncio.Future[T] = self.create_future()
+        self.held.append((partial(func, *args), done))
+        return done
+
+    def finish_one(self) -> None:
+        work, done = self.held.popleft()
+        done.set_result(work())
+        self.run_until_complete(asyncio.sleep(0))
+        self.run_until_complete(asyncio.sleep(0))
+
+
+@pytest.fixture
+def loop() -> Iterator[HeldLoop]:
+    loop = HeldLoop()
+    yield loop
+    loop.close()
+
+
+def test_long_messages_are_unpacked_off_the_loop_in_order(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
+    """One at a time of a link. Its other routes, and other links, have their turn meanwhile."""
+    ros, peer, stranger = OnePublisher(), FakePeer(), FakePeer()
+    context = make_context(ros=ros)
+    one, other, third = opened(context, peer, "/one"), opened(context, peer, "/other"), opened(context, stranger, "/x")
+    one.deliver([(b"first", 0, 0), grown(LARGE), grown(LARGE + 1), (b"small", 0, 0)])
+    other.deliver([(b"by the way", 0, 0), grown(LARGE + 2)])
+    third.deliver([grown(LARGE + 3)])
+    one.deliver([(b"last", 0, 0)])
+    assert ros.published.sizes == [5, 10]
+    assert len(loop.held) == 2  # one of each link
+    loop.finish_one()
+    assert ros.published.sizes[2:] == [LARGE]
+    loop.finish_one()
+    assert ros.published.sizes[3:] == [LARGE + 3]
+    while loop.held:
+        loop.finish_one()
+    assert ros.published.sizes[4:] == [LARGE + 2, LARGE + 1, 5, 4]
+    assert not loop.errors
+
+
+def test_a_backlog_is_bounded(
+    loop: HeldLoop, make_context: Callable[..., Context], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rsb_bridge.route.message_check.BACKLOG_LIMIT", 100_000)
+    route = opened(make_context(ros=OnePublisher()), FakePeer(), "/one")
+    route.deliver([grown(LARGE)])
+    route.deliver([(bytes(90_000), 0, 0)])
+    assert route.id
+    route.deliver([(bytes(20_000), 0, 0)])
+    assert not route.id
+    assert not route._later
+
+
+def test_what_waits_is_neither_shown_nor_measured(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
     """Operators see the last message that was published, and its latency counts."""
     route = opened(make_context(ros=OnePublisher()), FakePeer(), "/one")
     now = route.context.stamps.now()
@@ -105,25 +173,28 @@ def test_what_waits_is_neither_shown_nor_measured(loop: VirtualLoop, make_contex
     loop.run_until_complete(asyncio.sleep(1.0))
     (first, _, flags), (second, _, _) = grown(LARGE), grown(LARGE + 1)
     route.deliver([(first, now + 700_000_000, flags), (second, now, flags)])
+    loop.finish_one()
     shown = loop.run_until_complete(looking)
     assert shown.size == LARGE
     assert shown.latency == pytest.approx(0.3, abs=0.01)
 
 
-def test_what_is_refused_waits_for_nothing(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+def test_what_is_refused_waits_for_nothing(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
     """So what waits is bounded by what a link's messages may grow at once."""
     ros, peer = OnePublisher(), FakePeer()
     route = opened(make_context(ros=ros), peer, "/one")
     peer.budget.expansion.over_time.take(EXPANSION_AT_ONCE - LARGE, 0.0)
     route.deliver([grown(LARGE)] * 100 + [(b"damaged", 0, ZSTD), (b"last", 0, 0)])
+    loop.finish_one()
     assert ros.published.sizes == [LARGE, 4]
+    assert not loop.held
 
 
-def test_an_opening_that_is_over_publishes_nothing_more(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_an_opening_that_is_over_publishes_nothing_more(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
     ros, peer = OnePublisher(), FakePeer()
     route = opened(make_context(ros=ros), peer, "/one")
     route.deliver([grown(LARGE), grown(LARGE)])
     route.close("over")
-    assert turns(loop, ros.published)[-1] == 1
+    loop.finish_one()
+    assert not ros.published.sizes
+    assert not loop.held

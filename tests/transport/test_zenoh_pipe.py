@@ -620,6 +620,27 @@ def test_a_token_that_goes_ends_a_stream_only_if_its_owner_has_gone() -> None:
     run(test())
 
 
+@pytest.mark.parametrize("how", ["end", "token"])
+def test_a_doubt_is_known_at_once(how: str) -> None:
+    """Whether the other end has gone takes seconds to find out; what it has armed does not stay armed so long."""
+
+    async def test() -> None:
+        pair, doubts = Pair(), list[str]()
+        pair.near.pipe.when_doubted = lambda: doubts.append(how)
+        pair.near.pipe.write(b"0")
+        await pair.settle()
+        assert not doubts
+        if how == "end":
+            pair.near.forge(Kind.END, 0)
+        else:
+            pair.near.pipe.doubt("it has left")
+        assert doubts == [how]
+        await pair.settle()
+        assert pair.near.told.calls == ["made"]
+
+    run(test())
+
+
 def test_what_was_under_way_does_not_hide_that_a_peer_has_died() -> None:
     async def test() -> None:
         pair = Pair()

@@ -101,7 +101,7 @@ EXAMPLES = [
     ),
     Neighbours(bridges=("rsb_a_1", "rsb_b_2")),
     Ready(route=1, sources=2, newest={bytes(16): 2**63 - 1}),
-    Publishers(route=1, present=(bytes(16), b"sixteen bytes...")),
+    Publishers(route=1, present={bytes(16): 0, b"sixteen bytes...": 1000}),
     Provide(route=1),
     ByHand(route=1, lane=4, request="parameters: []", who="anna"),
     ByHand(route=1, lane=4, who="anna", outcome="answered after 0.1 s"),

@@ -155,8 +155,11 @@ class Console:
     def gone(self) -> None:
         """Take the end of the connection."""
         self._tasks.cancel()
+        self.doubted()
+
+    def doubted(self) -> None:
+        """Disarm what the console has armed: it may be gone, and whether it is takes seconds to find out."""
         if self._has_armed:
-            self._has_armed = False
             with acting(self._operator), on_console(self):
                 self._engine.release_armed()
 

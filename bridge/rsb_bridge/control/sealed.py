@@ -253,6 +253,8 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         self.operator = f"{self.name} (operator key){place}"
         server = self._acceptor.server
         self._console = Console(server, self, server.full(_PLACES))
+        if isinstance(self._transport, OpenNetworkTransport):
+            self._transport.when_doubted = self._console.doubted
         server.add(self._console)
         text = f"{self.operator} has attached through {self._peer}, and may {self._granted.operator.may}"
         self._acceptor.came_or_went(EventCode.ATTACH_OPERATOR, self.operator, text)

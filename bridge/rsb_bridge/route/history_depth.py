@@ -2,8 +2,11 @@
 
 DDS does not announce the depth of a publisher's history, but a new subscription shows it: the history comes first. If
 it begins with message 6 and the newest is 10, the publisher keeps five. If it begins with message 1, the publisher
-keeps at least as many as have come. So messages of a publisher with an unknown depth are held back for a moment, until
-a short-lived second subscription (a probe) has shown which of them the publisher keeps.
+keeps at least as many as have come. So a short-lived second subscription (a probe) shows the depth.
+
+A publisher that never pauses publishes while it is probed, so its depth is known only within bounds. No live message
+waits for that: each is sent with the most that its publisher may keep, and the peer drops what is too much as soon as
+it is told the depth. Only a history waits for a moment, because a depth that is known makes it cheaper for the peer.
 """
 
 from __future__ import annotations
@@ -23,10 +26,14 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import RawMessage, Subscription
 
 _SETTLES_AFTER = 0.1  # s without a message of a publisher: its history has come
-_SETTLES_AT_LATEST = 1.0  # s
+_HELD_FOR = 0.3
+"""s; a probe takes 0.1 to 0.2 s on an idle machine. A publisher is busy that has not been quiet for so long."""
+_HELD = 64
+"""Messages of one publisher. At 5 kHz they come within 13 ms, and released together they fit into usual depths."""
 _HELD_SIZE = 32 << 20  # bytes of one publisher's messages
 _PROBES_FOR = 1.0  # s
-_PROBE_SETTLES_AFTER = 0.05  # s
+_PROBE_SETTLES_AFTER = 0.05
+"""s after all that a probe waits for: what overtook it in the other subscription has come, too."""
 _PROBES_EACH_UNTIL = 16
 """Up to this number each message is probed for, later every doubling of the number: a probe replays the history."""
 _MOST_TRIES = 5
@@ -55,38 +62,47 @@ class _Publisher:
     """One publisher.
 
     Attributes:
-        first: the first message number that this subscription brought, or 0 before the first message.
-        newest: the newest number seen.
         taken: the newest number that the peer has, or that was emitted or is held.
         began: s, when `first` came.
         latest: s, when `newest` came.
+        flows_since: s, when the first message came after the last silence of `_SETTLES_AFTER`.
+        first: the first message number that this subscription brought, or 0 before the first message.
+        newest: the newest number seen.
         settled: whether its whole history has come.
-        depth: best estimate of its depth.
-        exact: whether the depth is final.
-        probe_at: number of the next message that needs a probe.
+        at_least: lower bound of the depth.
+        at_most: upper bound of the depth.
+        probe_at: the next probe begins at the message with this number.
         tries: probes in a row that did not show the depth.
-        at_least: lower bound of the depth from those probes.
-        at_most: upper bound of the depth from those probes.
-        held: messages held until the depth is clear, each with whether it was replayed.
+        released: whether messages are no longer held.
+        held: messages held, each with whether it was replayed.
         held_size: bytes of `held`.
+        arrivals: of a topic with a lifespan, the newest live messages' numbers and when (s) they came.
         gone_since: time (s) when it left the graph, or None while it is there.
     """
 
     taken: int
     began: float
     latest: float
+    flows_since: float
     first: int = 0
     newest: int = 0
     settled: bool = False
-    depth: int = 1
-    exact: bool = False
-    probe_at: int = 0
-    tries: int = 0
     at_least: int = 1
-    at_most: int = _LAST_NUMBER
+    at_most: int = LATCHED_DEPTH
+    probe_at: int = 2
+    tries: int = 0
+    released: bool = False
     held: deque[tuple[RawMessage, bool]] = field(default_factory=deque)
     held_size: int = 0
+    arrivals: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=LATCHED_DEPTH))
     gone_since: float | None = None
+
+    @property
+    def exact(self) -> bool:
+        return self.at_least >= self.at_most
+
+    def wants_probe(self) -> bool:
+        return self.settled and not self.exact and self.newest >= self.probe_at and self.gone_since is None
 
 
 class Histories:
@@ -97,8 +113,10 @@ class Histories:
         loop: asyncio.AbstractEventLoop,
         probe: Callable[[Callable[[Sequence[RawMessage]], None]], Subscription],
         emit: Callable[[list[Sample]], None],
+        found: Callable[[], None],
         *,
         depth: int,
+        lifespan: float,
         known: Mapping[bytes, int],
     ) -> None:
         """Begin.
@@ -107,17 +125,25 @@ class Histories:
             loop: the I/O loop.
             probe: subscribes a second time, with a receiver of its messages on the loop; may raise RosError.
             emit: gets the messages, on the loop, in order for each publisher.
+            found: called after `depths` has got more entries.
             depth: history depth that an operator has set for all publishers, or 0 to find it out.
+            lifespan: s after which publishers on either side forget a message, or 0 for never.
             known: the newest number that the peer has, by publisher.
         """
         self._loop = loop
         self._open_probe = probe
         self._emit = emit
+        self._found = found
         self._depth = min(depth, LATCHED_DEPTH)
+        self._lifespan = lifespan
         self._known = dict(known)
         self._publishers: dict[bytes, _Publisher] = {}
         self._probe: _Probe | None = None
         self._timer: asyncio.TimerHandle | None = None
+
+    def depths(self) -> dict[bytes, int]:
+        """Return the depths that have been found out, by publisher."""
+        return {publisher_id(gid): each.at_most for gid, each in self._publishers.items() if each.exact}
 
     # --- messages
 
@@ -135,15 +161,15 @@ class Histories:
                 continue
             new += 1
             publisher.taken = max(publisher.taken, message.number)
-            depth = self._depth_of(publisher, message.number)
+            replayed = not publisher.settled
             if not message.number:  # it gets one here, so that a message that overtakes it on the way stays the newest
                 publisher.taken += 1
-            if depth:
-                number = message.number or publisher.taken
-                samples.append(_sample(message, number, depth, replayed=not publisher.settled))
-            else:
-                publisher.held.append((message, not publisher.settled))
+            if self._holds(publisher, message.number):
+                publisher.held.append((message, replayed))
                 publisher.held_size += len(message.payload)
+            else:
+                number = message.number or publisher.taken
+                samples.append(_sample(message, number, self._depth_of(publisher, message.number), replayed=replayed))
         if samples:
             self._emit(samples)
         self._work()
@@ -154,6 +180,7 @@ class Histories:
         for publisher in self._publishers.values():
             publisher.first = 0
             publisher.settled = publisher.exact
+            publisher.arrivals.clear()
 
     def look(self, present: Collection[bytes]) -> None:
         """Forget publishers that are gone.
@@ -168,9 +195,7 @@ class Histories:
                 continue
             if publisher.gone_since is None:
                 publisher.gone_since = now
-            if publisher.settled and publisher.held:  # a probe would find nothing
-                self._conclude(publisher, publisher.newest)
-            elif now - max(publisher.latest, publisher.gone_since) > _FORGOTTEN_AFTER:
+            if now - max(publisher.latest, publisher.gone_since) > _FORGOTTEN_AFTER:
                 del self._publishers[gid]
 
     def close(self) -> int:
@@ -191,41 +216,61 @@ class Histories:
         publisher = self._publishers.get(message.gid)
         if publisher is None:
             known = self._known.pop(publisher_id(message.gid), 0)
-            publisher = self._publishers[message.gid] = _Publisher(known, now, now)
+            publisher = self._publishers[message.gid] = _Publisher(known, now, now, now)
         if not publisher.first:
             publisher.first, publisher.began = message.number, now
         publisher.newest = max(publisher.newest, message.number)
+        if now - publisher.latest > _SETTLES_AFTER:
+            publisher.flows_since = now
         publisher.latest = now
+        if self._lifespan and publisher.settled and not publisher.exact:
+            publisher.arrivals.append((message.number, now))
         return publisher
 
+    def _holds(self, publisher: _Publisher, number: int) -> bool:
+        """Whether a message is held. The first one is never: its publisher keeps at least one."""
+        return number > 1 and not (publisher.released or publisher.exact or self._depth or self._lifespan)
+
     def _depth_of(self, publisher: _Publisher, number: int) -> int:
-        """Return the depth to emit a message with, or 0 if it is not known yet."""
+        """Return the depth to emit a message with: the most that its publisher may keep.
+
+        Usually it is the number of messages so far, and the peer can drop each of a few alone. That takes the peer a
+        publisher for each, which has to be discovered. A busy publisher's messages would come faster than that, and
+        soon push out what is too much.
+        """
         if self._depth:
             return self._depth
         if not number:
             return _UNNUMBERED_DEPTH
-        if publisher.exact:
-            return publisher.depth
-        if publisher.settled and not publisher.held and number < publisher.probe_at:
-            publisher.depth = number
-            return number
-        return 0
+        if self._lifespan or publisher.latest - publisher.flows_since >= _HELD_FOR - _SETTLES_AFTER:
+            return publisher.at_most  # with a lifespan the peer's publishers forget as quickly
+        return min(number - publisher.first + 1, publisher.at_most)
 
     # --- depths
 
     def _work(self) -> None:
-        """Settle complete histories, start a probe if one is needed, and set the timer for the next step."""
+        """Settle complete histories, release what was held, start a probe if one is needed, and set the timer."""
         now = self._loop.time()
         due: list[float] = []
         wanted: dict[bytes, int] = {}
         for gid, publisher in self._publishers.items():
-            if publisher.settled or not publisher.first:
-                pass
-            elif now >= (settles_at := _settles_at(publisher)):
-                self._settle(publisher)
-            else:
-                due.append(settles_at)
-            if publisher.settled and publisher.held:
+            if not publisher.first or self._depth:
+                continue
+            releases_at = publisher.began + _HELD_FOR
+            if len(publisher.held) >= _HELD or publisher.held_size > _HELD_SIZE:
+                releases_at = now
+            if not publisher.settled:
+                settles_at = min(publisher.latest + _SETTLES_AFTER, releases_at)
+                publisher.settled = now >= settles_at
+                due += [] if publisher.settled else [settles_at]
+            if publisher.held:
+                few = len(publisher.held) <= _PROBES_EACH_UNTIL
+                if now >= releases_at or (publisher.settled and publisher.first == 1 and few):
+                    self._release(publisher)
+                else:
+                    due.append(releases_at)
+            publisher.released = publisher.released or now >= releases_at
+            if publisher.wants_probe():
                 wanted[gid] = publisher.newest
         if wanted and self._probe is None:
             self._start_probe(wanted, now)
@@ -240,12 +285,6 @@ class Histories:
         if self._probe is not None and self._loop.time() >= self._probe.until:
             self._finish_probe()
         self._work()
-
-    def _settle(self, publisher: _Publisher) -> None:
-        """Note that a publisher's history has come. If it is message 1 alone, the depth is at least 1."""
-        publisher.settled = True
-        if publisher.newest == 1:
-            self._release(publisher, 1)
 
     def _start_probe(self, wanted: dict[bytes, int], now: float) -> None:
         probe = self._probe = _Probe(wanted, now + _PROBES_FOR)
@@ -264,10 +303,14 @@ class Histories:
         self._end_probe()
         if probe is None:
             return
+        found = False
         for gid, target in probe.wanted.items():
             publisher = self._publishers.get(gid)
-            if publisher is not None:
+            if publisher is not None and not publisher.exact:
                 self._judge(publisher, target, probe.first.get(gid, 0), probe.last.get(gid, 0))
+                found = found or publisher.exact
+        if found:
+            self._found()
 
     def _end_probe(self) -> None:
         if self._probe is not None and self._probe.subscription is not None:
@@ -278,35 +321,39 @@ class Histories:
         """Judge the depth by a probe that began when `target` was the newest message and got `first` to `last`."""
         if first == 1 and last >= target:
             publisher.tries = 0
-            publisher.depth, publisher.exact = min(target, LATCHED_DEPTH), target >= LATCHED_DEPTH
-            publisher.probe_at = target + 1 if target <= _PROBES_EACH_UNTIL else 2 * target
-            self._release(publisher, target)
-            while publisher.held and publisher.held[0][0].number < publisher.probe_at:
-                publisher.depth = publisher.held[0][0].number
-                self._release(publisher, publisher.depth)
-            return
-        newest = max(publisher.newest, last)
-        publisher.tries += 1
-        if first > 1 and last >= target:
-            # The newest message when the history was sent was one from `target` to `newest`.
-            publisher.at_least = max(publisher.at_least, target - first + 1)
-            publisher.at_most = min(publisher.at_most, newest - first + 1)
-        if publisher.at_least == publisher.at_most or publisher.tries >= _MOST_TRIES:
-            self._conclude(publisher, newest)
+            publisher.at_least = max(publisher.at_least, min(target, publisher.at_most))
+            each = target < _PROBES_EACH_UNTIL and not self._lifespan
+            publisher.probe_at = target + 1 if each else 2 * target
+        else:
+            publisher.tries += 1
+            if self._may_have_expired(publisher, first - 1):
+                publisher.probe_at = publisher.newest + 1  # until then a probe shows no more
+            elif first > 1 and last >= target:
+                # The newest message when the history was sent was one from `target` to `newest`.
+                newest = max(publisher.newest, last)
+                publisher.at_most = min(publisher.at_most, newest - first + 1)
+                publisher.at_least = min(max(publisher.at_least, target - first + 1), publisher.at_most)
+            if publisher.tries >= _MOST_TRIES:  # it never pauses, or shows no history
+                publisher.at_least = publisher.at_most
+        if publisher.exact:
+            self._release(publisher)
 
-    def _conclude(self, publisher: _Publisher, newest: int) -> None:
-        """Fix the depth at the present estimate; too high only if the publisher never pauses or shows no history."""
-        publisher.depth = min(publisher.at_most, newest - publisher.first + 1, LATCHED_DEPTH)
-        publisher.exact = True
-        self._release(publisher, newest)
+    def _may_have_expired(self, publisher: _Publisher, number: int) -> bool:
+        """Whether a message may be kept no longer because of its age rather than the depth."""
+        if not self._lifespan:
+            return False
+        came = next((at for each, at in publisher.arrivals if each == number), None)
+        return came is None or self._loop.time() - came > self._lifespan / 2
 
-    def _release(self, publisher: _Publisher, newest: int) -> None:
-        """Emit the held messages up to a number."""
+    def _release(self, publisher: _Publisher) -> None:
+        """Emit the held messages, and hold no more. Many have one depth, so that they cost the peer one publisher."""
+        publisher.released = True
+        held, publisher.held, publisher.held_size = publisher.held, deque(), 0
+        many = len(held) > _PROBES_EACH_UNTIL
         samples = []
-        while publisher.held and publisher.held[0][0].number <= newest:
-            message, replayed = publisher.held.popleft()
-            publisher.held_size -= len(message.payload)
-            samples.append(_sample(message, message.number, publisher.depth, replayed=replayed))
+        for message, replayed in held:
+            depth = self._depth_of(publisher, publisher.newest if many or publisher.exact else message.number)
+            samples.append(_sample(message, message.number, depth, replayed=replayed))
         if samples:
             self._emit(samples)
 
@@ -327,20 +374,16 @@ class _Probe:
         self.subscription: Subscription | None = None
         self.first: dict[bytes, int] = {}
         self.last: dict[bytes, int] = {}
+        self._complete = False
 
     def take(self, batch: Sequence[RawMessage], now: float) -> None:
-        """Take messages. Once all wanted numbers have come, the probe ends a moment later, after any late messages."""
+        """Take messages. Once all wanted numbers have come, the probe ends a moment later, whatever comes meanwhile."""
         for message in batch:
             self.first.setdefault(message.gid, message.number)
             self.last[message.gid] = message.number
-        if all(self.last.get(gid, 0) >= number for gid, number in self.wanted.items()):
-            self.until = now + _PROBE_SETTLES_AFTER
-
-
-def _settles_at(publisher: _Publisher) -> float:
-    if publisher.held_size > _HELD_SIZE:
-        return publisher.began
-    return min(publisher.latest + _SETTLES_AFTER, publisher.began + _SETTLES_AT_LATEST)
+        if not self._complete and all(self.last.get(gid, 0) >= number for gid, number in self.wanted.items()):
+            self._complete = True
+            self.until = min(self.until, now + _PROBE_SETTLES_AFTER)
 
 
 def _sample(message: RawMessage, number: int, depth: int, *, replayed: bool) -> Sample:

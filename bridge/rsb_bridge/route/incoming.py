@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
@@ -25,7 +25,14 @@ from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import THROTTLED, reported_ledger
 from rsb_bridge.route.lifecycle import Event
-from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
+from rsb_bridge.route.message_check import (
+    BACKLOG_FULL,
+    Backlog,
+    ExpandsTooMuchError,
+    MessageCheck,
+    Unpacker,
+    malformed_text,
+)
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rest_message import RestMessage, has_rest
 from rsb_bridge.route.source_publishers import (
@@ -45,7 +52,7 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
@@ -112,7 +119,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self._rest_message: RestMessage | None = None
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self.check = MessageCheck(context, peer.budget.checks)
-        self._later: deque[Message] = deque()
+        self._later = Backlog()
         self._received = 0
         self._report_at = _REPORTS_AFTER  # messages received
         self._delivered = 0
@@ -143,7 +150,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self._received = self._delivered = 0
             self._report_at = _REPORTS_AFTER
             self._dropped.clear()
-        self._later.clear()
+        self._later.take()
+        self._unpacker.forget()
         super().close(reason)
 
     def described(self, description: Describe) -> None:
@@ -283,8 +291,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def set_check(self) -> None:
         self.check.set()
 
-    def publishers_present(self, publishers: Collection[bytes]) -> None:
-        """Take the publishers of a latched topic that the sending side has now."""
+    def publishers_present(self, publishers: Mapping[bytes, int]) -> None:
+        """Take the publishers of a latched topic that the sending side has now, and the depths that it knows."""
         self._outputs.present(publishers)
 
     # --- messages
@@ -295,7 +303,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         Each message goes through lease, expansion budget, rate limit, unpacking and check, where they are on.
         """
         if self._later:
-            self._later.extend(messages)
+            self._wait(messages)
             return
         began, arming = self.context.now(), self.arming
         required = arming.required
@@ -320,13 +328,13 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
                 if arrived is None:
                     self._drop_disarmed(1)
                     continue
-            if arrived[2] & ZSTD and not self._unpacker.begin(arrived):
-                self._later.extend((message, *messages))
-                self.peer.budget.expansion.wait(self._go_on)
+            if arrived[2] & ZSTD and not self._unpacker.begin(arrived, self._go_on):
+                self._wait((message, *messages))
                 break
             payload, stamp, flags = arrived  # the last one's stamp is the batch's latency sample
             self._received += 1
             if limited and not self.limit.admits(began):
+                self._unpacker.forget()
                 self._leave_out()
                 continue
             if flags >> SOURCE_SHIFT >= len(sinks):
@@ -358,7 +366,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             if latency is not None and latency <= began - self._flows_since:  # else it was kept from before
                 self.latency.add(latency)
             if self.peek_slot.wanted:
-                self._show(payload, flags, self.context.wall_ns(), latency)
+                self._show(published, self.context.wall_ns(), latency)
             self.count(count, size)
 
     def _drop_disarmed(self, count: int) -> None:
@@ -374,8 +382,12 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         return number, arrived if self.arming.admits(number) else None
 
     def _go_on(self) -> None:
-        later, self._later = self._later, deque()
-        self.deliver(later)
+        self.deliver(self._later.take())
+
+    def _wait(self, messages: Iterable[Message]) -> None:
+        """Have messages wait until the first of them is unpacked."""
+        if not self._later.add(messages):
+            self.request_reopen(EventCode.ROUTE_EXPANDS_TOO_MUCH, BACKLOG_FULL)
 
     def _leave_out(self) -> None:
         self._dropped[THROTTLED] += 1
@@ -443,14 +455,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def _came_here(self) -> int:
         return self._received
 
-    def _show(self, payload: bytes, flags: int, now_ns: int, latency: float | None) -> None:
+    def _show(self, content: bytes, now_ns: int, latency: float | None) -> None:
         """Show a message to the operators who look at the topic."""
-        try:
-            if flags & HISTORY:
-                _, payload = split_history(payload)
-            content = self._unpacker.unpack(payload) if flags & ZSTD else payload
-        except (ExpandsTooMuchError, zstandard.ZstdError, ProtocolError):
-            return
         clock = (self.peer.clock.offset, self.peer.clock.uncertainty)
         self.peek_slot.put(peeked(self, content, now_ns, latency=latency, clock=clock), self.context.now())
 

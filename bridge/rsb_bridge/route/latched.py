@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import chain, islice
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.limits import LATCHED_DEPTH
@@ -18,7 +18,7 @@ from rsb_bridge.route.peer import KEPT_LIMIT
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Collection, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from rsb_bridge.ros.ros_interface import Publisher
     from rsb_bridge.wire.framing import Budget
@@ -116,7 +116,7 @@ class LatchedTopic:
         self._failed = failed
         self._histories: dict[bytes, _History] = {}
         self._retired: deque[tuple[float, _OutputHistory]] = deque()
-        self._present: frozenset[bytes] = frozenset()
+        self._present: Mapping[bytes, int] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._first_depth = depth
         self._spare: _OutputHistory | None = None
@@ -153,13 +153,15 @@ class LatchedTopic:
         for history in self._histories.values():
             history.seen_at = self._loop.time()
 
-    def present(self, publishers: Collection[bytes]) -> None:
-        """Take the sender's list of its present publishers."""
+    def present(self, publishers: Mapping[bytes, int]) -> None:
+        """Take the sender's present publishers, and the depth of each or 0. Messages beyond it are kept no longer."""
         now = self._loop.time()
-        self._present = frozenset(publishers)
-        for publisher in publishers:
-            if publisher in self._histories:
-                self._histories[publisher].seen_at = now
+        self._present = publishers
+        for publisher, depth in publishers.items():
+            if (history := self._histories.get(publisher)) is not None:
+                history.seen_at = now
+                if depth:
+                    self._drop_older(history, history.newest - depth)
 
     def tick(self) -> None:
         """Drop the histories of publishers that are gone, and expired outputs; called once a second."""
@@ -197,7 +199,7 @@ class LatchedTopic:
             return False
         history.seen_at = now
         number = header.number or history.newest + 1
-        depth = min(header.depth, LATCHED_DEPTH)
+        depth = min(header.depth, self._present.get(header.publisher, 0) or LATCHED_DEPTH)
         output = self._output_for(history, number, depth)
         evicted = output.kept[0][1] if output.full else 0
         memory = max(len(content) + _MESSAGE_COST, evicted)  # DDS uses it again, and never makes it smaller
@@ -291,7 +293,9 @@ class LatchedTopic:
         """Whether those who have discovered the other publishers have discovered an output's, or had time to."""
         if now - output.made_at >= _MATCHED_WITHIN:
             return True
-        return output.publisher.subscriber_count >= self.subscriber_count
+        # Those that were just retired may be the only others: once a depth is known, all older ones go at once.
+        others = chain(islice(self._outputs(), _ASKED), islice((each for _, each in self._retired), _ASKED))
+        return output.publisher.subscriber_count >= max(each.publisher.subscriber_count for each in others)
 
     def _look_again(self) -> None:
         if self._timer is None:

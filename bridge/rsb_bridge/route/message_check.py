@@ -10,7 +10,7 @@ import zstandard
 from rsb_bridge.cdr.checker import STEPS, MalformedError, TooComplexError
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD
+from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT
 from rsb_bridge.wire.headers import split_history
 from rsb_bridge.wire.protocol_error import ProtocolError
 
@@ -25,10 +25,13 @@ if TYPE_CHECKING:
 
 EXPANSION_AT_ONCE = 4 * MESSAGE_LIMIT
 EXPANSION_A_SECOND = 256 << 20
-"""Bytes that a link's compressed messages may have more here than on the wire: 64 MiB of zeros come as 2 kB, and to
-unpack and publish them keeps the thread of all links busy for 60 ms."""
+"""Bytes that a link's compressed messages may have more here than on the wire: 64 MiB of zeros come as 2 kB."""
 EXPANSION_A_TURN = 8 << 20
 """Bytes of that at each turn of the I/O loop, or one message: between two turns everyone else is served."""
+EXPANDED_ASIDE = 1 << 20
+"""Bytes; longer messages are unpacked on another thread. 63 MiB take 30 ms, in which no link would be served."""
+BACKLOG_LIMIT = 2 * MESSAGE_LIMIT
+"""Bytes of one route's messages that wait behind one that is unpacked. The sender's window is far smaller."""
 CHECKED_AT_ONCE = 2 * STEPS
 CHECKED_A_SECOND = 2 * STEPS
 """Lengths in sequences that are read of one link's messages: a tenth to a fifth of the time of the I/O loop."""
@@ -39,8 +42,65 @@ _EXPLAINED = 4
 _REMEDY = "send less, or set check_messages: false"
 
 
+BACKLOG_FULL = "the other side sends more compressed messages than are unpacked here: send less, or without compression"
+
+
+class Backlog:
+    """Messages of one route that wait behind one that is not unpacked yet."""
+
+    def __init__(self) -> None:
+        self._messages: list[Message] = []
+        self._size = 0
+
+    def __bool__(self) -> bool:
+        return bool(self._messages)
+
+    def add(self, messages: Iterable[Message]) -> bool:
+        """Add messages, and return whether they are within the limit; a peer that heeds its window stays within."""
+        messages = tuple(messages)
+        self._messages += messages
+        self._size += sum([len(each[0]) for each in messages])
+        return self._size <= BACKLOG_LIMIT
+
+    def take(self) -> list[Message]:
+        """Remove and return all messages."""
+        taken, self._messages, self._size = self._messages, [], 0
+        return taken
+
+
+class _Expansion:
+    """A message that is unpacked on another thread.
+
+    Args:
+        payload: the compressed content.
+        then: called on the loop when it is unpacked.
+
+    Attributes:
+        wanted: whether its route still waits for it.
+        result: the content, or the reason why it is damaged, or None before it is unpacked.
+    """
+
+    def __init__(self, payload: bytes, then: Callable[[], None]) -> None:
+        self.payload = payload
+        self.then = then
+        self.wanted = True
+        self.result: bytes | zstandard.ZstdError | None = None
+
+    def run(self) -> None:
+        """Unpack it, on any thread."""
+        if self.wanted:
+            try:
+                self.result = zstandard.ZstdDecompressor().decompress(self.payload)
+            except zstandard.ZstdError as error:
+                self.result = error
+            except MemoryError:
+                self.result = zstandard.ZstdError("not enough memory to unpack it")
+
+
 class ExpansionBudget:
     """Limits on the growth of one link's compressed messages when unpacked here, at once and over time.
+
+    Long messages are unpacked on another thread, one at a time.
 
     Attributes:
         over_time: budget of bytes over time.
@@ -50,6 +110,23 @@ class ExpansionBudget:
         self.over_time = TokenBucket(EXPANSION_AT_ONCE, EXPANSION_A_SECOND, now)
         self._this_turn = 0
         self._waiting: deque[Callable[[], None]] = deque()
+        self._expansions: deque[_Expansion] = deque()  # the first one is under way
+
+    def expand(self, expansion: _Expansion, loop: asyncio.AbstractEventLoop) -> None:
+        """Unpack a message on another thread, after those that are to be unpacked already."""
+        self._expansions.append(expansion)
+        if len(self._expansions) == 1:
+            self._expand_next(loop)
+
+    def _expand_next(self, loop: asyncio.AbstractEventLoop) -> None:
+        loop.run_in_executor(None, self._expansions[0].run).add_done_callback(lambda _: self._expanded(loop))
+
+    def _expanded(self, loop: asyncio.AbstractEventLoop) -> None:
+        expansion = self._expansions.popleft()
+        if self._expansions:
+            self._expand_next(loop)
+        if expansion.wanted:
+            expansion.then()
 
     def begin(self, size: int, loop: asyncio.AbstractEventLoop) -> bool:
         """Whether a message that grows by `size` bytes may be unpacked at this turn of the loop; if so, it counts."""
@@ -94,19 +171,43 @@ class Unpacker:
         self._budget = budget
         self._context = context
         self._decompressor = zstandard.ZstdDecompressor()
+        self._expansion: _Expansion | None = None
 
-    def begin(self, message: Message) -> bool:
-        """Whether a message may be unpacked at this turn of the loop; messages that will be refused cost no turn."""
+    def begin(self, message: Message, go_on: Callable[[], None]) -> bool:
+        """Return whether a message can be unpacked at this turn of the loop. One that will be refused costs no turn.
+
+        Args:
+            message: the message.
+            go_on: called later if it cannot be: then the route's messages come again, this one first.
+        """
         payload, _, flags = message
-        if not flags & ZSTD:
-            return True
         try:
-            growth = _growth(split_history(payload)[1] if flags & HISTORY else payload)
+            content = split_history(payload)[1] if flags & HISTORY else payload
+            growth = _growth(content)
         except (ProtocolError, zstandard.ZstdError):
             return True
-        if growth > self._budget.over_time.left(self._context.now()):
+        if self._expansion is not None:
+            if self._expansion.payload == content:
+                return self._expansion.result is not None
+            self.forget()
+        budget, loop = self._budget, self._context.loop
+        if growth > budget.over_time.left(self._context.now()):
             return True
-        return self._budget.begin(growth, self._context.loop)
+        if len(content) + growth > EXPANDED_ASIDE:
+            budget.over_time.take(growth, self._context.now())
+            self._expansion = _Expansion(content, go_on)
+            budget.expand(self._expansion, loop)
+            return False
+        if budget.begin(growth, loop):
+            return True
+        budget.wait(go_on)
+        return False
+
+    def forget(self) -> None:
+        """Drop what is unpacked on another thread: its message is published no more."""
+        if self._expansion is not None:
+            self._expansion.wanted = False
+            self._expansion = None
 
     def unpack(self, payload: bytes) -> bytes:
         """Return a message's content.
@@ -115,6 +216,11 @@ class Unpacker:
             zstandard.ZstdError: it is damaged, or too long.
             ExpandsTooMuchError: it is too much by now.
         """
+        expansion, self._expansion = self._expansion, None
+        if expansion is not None and expansion.payload == payload and expansion.result is not None:
+            if isinstance(expansion.result, zstandard.ZstdError):
+                raise expansion.result
+            return expansion.result
         if not self._budget.over_time.take(_growth(payload), self._context.now()):
             raise ExpandsTooMuchError
         return self._decompressor.decompress(payload)

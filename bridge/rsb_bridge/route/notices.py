@@ -21,6 +21,8 @@ _AGAIN_AND_AGAIN = 2
 """Channels that end before a message arrives. One may be bad luck, unless the kernel has tried for long. A channel over
 which messages have arrived does not count: its link may be full, or the network was down."""
 _TIMED_OUT = os.strerror(errno.ETIMEDOUT)
+_IDLE_FOR = 5.0
+"""s that a channel must be open and owe nothing before the losses of earlier ones are no fault any more."""
 
 
 class Notices:
@@ -93,16 +95,27 @@ def timed_out(reason: str) -> bool:
 
 
 class ChannelLosses:
-    """Losses of a route's channel while its link stays up, since a message was last known to have arrived."""
+    """Losses of a route's channel while its link stays up, since a message was last known to have arrived.
+
+    A channel that owes nothing and ends shows nothing about messages: an outage ends the idle ones as well.
+    """
 
     def __init__(self) -> None:
         self._reasons: deque[str] = deque(maxlen=_AGAIN_AND_AGAIN)
+        self._idle_since: float | None = None
         self._worked = False  # messages have arrived over the present channel
         self._report: asyncio.TimerHandle | None = None
 
-    def add(self, reason: str, loop: asyncio.AbstractEventLoop, report: Callable[[], None]) -> None:
-        """Record the loss of the channel, and call `report` later, by when a link that was lost with it has ended."""
-        if not self._worked:
+    def add(self, reason: str, loop: asyncio.AbstractEventLoop, report: Callable[[], None], *, owing: bool) -> None:
+        """Record the loss of the channel, and call `report` later, by when a link that was lost with it has ended.
+
+        Args:
+            reason: why it ended.
+            loop: the I/O loop.
+            report: reports the loss.
+            owing: whether messages or answers were on their way, or waited for the channel.
+        """
+        if owing and not self._worked:
             self._reasons.append(reason)
         self._worked = False
         self.forget_report()
@@ -112,6 +125,15 @@ class ChannelLosses:
         """Note that messages arrive."""
         self._worked = True
         self._reasons.clear()
+
+    def tick(self, now: float, *, idle: bool) -> None:
+        """Forget the losses once a channel has been idle for a while: open, and owing nothing."""
+        if not idle:
+            self._idle_since = None
+        elif self._idle_since is None:
+            self._idle_since = now
+        elif now - self._idle_since >= _IDLE_FOR:
+            self._reasons.clear()
 
     def forget_report(self) -> None:
         """Cancel the report that is due."""

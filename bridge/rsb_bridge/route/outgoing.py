@@ -6,6 +6,7 @@ Messages don't pass here: `rsb_bridge.route.sending.OutgoingPath` is their path.
 from __future__ import annotations
 
 from collections import deque
+from itertools import islice
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import msgspec
@@ -143,7 +144,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._subscription: TopicSubscription | None = None
         self._type = TypeUse(context.ros, peer.budget.types)
-        self._present: frozenset[bytes] | None = None  # the publishers that the peer knows
+        self._present: dict[bytes, int] | None = None  # the publishers and depths that the peer knows
         self._ledger = RouteLedger(numbered=isinstance(self.transport, DatagramTransport))
         self._report: ReceivedReport | None = None  # of the present opening
         self._kept_there: Collection[bytes] = ()  # publishers of a latched topic whose messages the peer keeps
@@ -179,6 +180,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
                 self._path,
                 self.meter,
                 self._log_subscription,
+                self._look_who_is_present,
                 automatic=self.proposal.qos is None,
                 expected_rate=self.spec.expected_rate,
                 known=ready.newest,
@@ -286,15 +288,17 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._type.end()
 
     def _look_who_is_present(self) -> None:
-        """Drop the histories of publishers that are gone, here and at the peer."""
+        """Drop the histories of publishers that are gone, here and at the peer; tell it the depths of the others."""
         if self._subscription is None or self.qos is None or not self.qos.latched:
             return
         gids = {endpoint.gid for endpoint in self.endpoints}
         self._subscription.look(gids)
-        present = frozenset(publisher_id(gid) for gid in gids)
+        depths = self._subscription.depths()
+        ids = islice(map(publisher_id, gids), MOST_PUBLISHERS)
+        present = {each: depths.get(each, 0) for each in ids}
         if present != self._present:
             self._present = present
-            self.peer.send(Publishers(route=self.id, present=tuple(present)[:MOST_PUBLISHERS]))
+            self.peer.send(Publishers(route=self.id, present=present))
 
     def _log_subscription(self, level: Level, code: EventCode, text: str) -> None:
         if level is Level.ERROR:
@@ -533,6 +537,10 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             subscribers=report.subscribers if report else None,
             deaf=report.nodes if report else (),
         )
+
+    @property
+    def owing(self) -> bool:
+        return self.ledger().in_flight > 0
 
     @property
     def breaking(self) -> str:

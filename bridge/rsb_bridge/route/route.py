@@ -176,6 +176,11 @@ class Route:
         raise NotImplementedError
 
     @property
+    def owing(self) -> bool:
+        """Whether messages or answers are on their way to the other side, or wait for the channel."""
+        return False
+
+    @property
     def breaking(self) -> str:
         """The reason why its channel breaks before anything arrives, or an empty string."""
         return ""
@@ -303,7 +308,7 @@ class Route:
     def channel_lost(self, reason: str) -> None:
         """Open the route again after its channel broke. It is an error only if the link survives."""
         if self.id:
-            text, connection = f"data connection: {reason}", self.peer.connections
+            text, connection, owing = f"data connection: {reason}", self.peer.connections, self.owing
             # A side that disarms closes the channel; the closed channel may be noticed before the message about it.
             ends_with_arming = self.arming.required and not timed_out(reason)
             if self.arming.held:
@@ -316,7 +321,7 @@ class Route:
                 if self.peer.linked and self.peer.connections == connection:
                     self.notices.error(EventCode.ROUTE_CHANNEL_LOST, text)
 
-            self.losses.add(reason, self.context.loop, report)
+            self.losses.add(reason, self.context.loop, report, owing=owing)
 
     def request_reopen(self, code: EventCode, reason: str, level: Level = Level.WARNING) -> None:
         """Close the route on both sides; its proposer opens it again, which usually solves the problem."""
@@ -422,6 +427,7 @@ class Route:
         self.meter.tick(now, learns=self.learns)
         if self.flowing:  # acceptance alone is not enough: a refusal may follow
             self._backoff.reset()
+        self.losses.tick(now, idle=self.connected and not self.owing)
         self._verdict = None
         verdict = self.verdict()
         if said := self.judged.announce(verdict, now):

@@ -14,7 +14,7 @@ from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.peer import TypeUse
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
@@ -45,7 +45,8 @@ def bounded(qos: Qos) -> Qos:
     """Return a QoS with what a publisher here keeps at most for late joiners and slow readers."""
     if not qos.latched:
         return msgspec.structs.replace(qos, depth=min(qos.depth, KEPT_DEPTH))
-    depth = LATCHED_DEPTH if qos.history == "keep_all" else min(max(qos.depth, 1), LATCHED_DEPTH)
+    unknown = LATCHED_DEPTH if qos.lifespan else 1  # the sender begins with the same
+    depth = LATCHED_DEPTH if qos.history == "keep_all" else min(qos.depth or unknown, LATCHED_DEPTH)
     return msgspec.structs.replace(qos, history="keep_last", depth=depth)
 
 
@@ -452,8 +453,8 @@ class SourcePublishers:
         """Whether messages of the sending side are kept."""
         return any(topic.has_kept for topic in self._latched())
 
-    def present(self, publishers: Collection[bytes]) -> None:
-        """Take the publishers that the sending side has now."""
+    def present(self, publishers: Mapping[bytes, int]) -> None:
+        """Take the publishers that the sending side has now, and the depths of those that are known."""
         for topic in self._latched():
             topic.present(publishers)
 

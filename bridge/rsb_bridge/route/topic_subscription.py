@@ -62,6 +62,7 @@ class TopicSubscription:
         path: OutgoingPath,
         meter: RateMeter,
         log: Callable[[Level, EventCode, str], None],
+        found: Callable[[], None],
         *,
         automatic: bool,
         expected_rate: float | None,
@@ -76,6 +77,7 @@ class TopicSubscription:
             path: gets the messages; after `close` it drops messages that are still in the ROS queue.
             meter: of the topic's messages so far.
             log: adds an event about the subscription.
+            found: called after `depths` has got more entries.
             automatic: whether depths are chosen here instead of by the QoS.
             expected_rate: Hz, as an operator gave it; 0 or None if not given.
             known: for each publisher of a latched topic, the number of the newest message that the peer has.
@@ -94,7 +96,9 @@ class TopicSubscription:
         self._subscription: LastingSubscription | None = None
         if spec.qos.latched:
             depth = 0 if automatic else _kept(spec.qos)
-            self.histories = Histories(context.loop, self._probe, path.emit, depth=depth, known=known)
+            self.histories = Histories(
+                context.loop, self._probe, path.emit, found, depth=depth, lifespan=spec.qos.lifespan, known=known
+            )
         self._depth = 0
         self._lost_before = self._lost_seen = 0
 
@@ -151,6 +155,10 @@ class TopicSubscription:
         """Note which publishers the graph has, by their ids."""
         if self.histories is not None:
             self.histories.look(publishers)
+
+    def depths(self) -> dict[bytes, int]:
+        """Return how many messages publishers of a latched topic keep, as far as that is known."""
+        return self.histories.depths() if self.histories is not None else {}
 
     def _qos(self) -> Qos:
         qos, meter = self._spec.qos, self._meter

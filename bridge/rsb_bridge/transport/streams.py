@@ -49,7 +49,13 @@ _CLOSED_HERE = StreamProblem.CLOSED_HERE()
 
 @runtime_checkable
 class OpenNetworkTransport(Protocol):
-    """An asyncio transport in a network where anybody may send to either end."""
+    """An asyncio transport in a network where anybody may send to either end.
+
+    Attributes:
+        when_doubted: called as soon as somebody says that the other end is gone, which is not proven.
+    """
+
+    when_doubted: Callable[[], None]
 
     def begin_trial(self) -> None:
         """Take several answers to this side's first bytes, each as if no other had come, until `adopt`."""

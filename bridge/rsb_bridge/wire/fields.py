@@ -10,7 +10,16 @@ from typing import Annotated, Literal, TypeAlias
 from msgspec import Meta, Struct
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
-from rsb_bridge.model.limits import LATE_AFTER, MAX_AGE, PORT, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
+from rsb_bridge.model.limits import (
+    LATCHED_DEPTH,
+    LATE_AFTER,
+    MAX_AGE,
+    PORT,
+    RATE,
+    REASON_LENGTH,
+    STALE_AFTER,
+    TEXT_LENGTH,
+)
 from rsb_bridge.model.pictures import TOPICS_AT_ONCE
 from rsb_bridge.model.session import HIGHEST, LOWEST
 from rsb_bridge.model.sources import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
@@ -27,6 +36,7 @@ RouteId: TypeAlias = Annotated[int, Meta(ge=1, le=2**32 - 1)]
 DescriptionText: TypeAlias = Annotated[bytes, Meta(max_length=DESCRIPTION_LIMIT)]
 PublisherId: TypeAlias = Annotated[bytes, Meta(min_length=16, max_length=16)]
 MessageNumber: TypeAlias = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+HistoryDepth: TypeAlias = Annotated[int, Meta(ge=0, le=LATCHED_DEPTH)]
 LinkId: TypeAlias = Annotated[bytes, Meta(min_length=8, max_length=8)]
 Count: TypeAlias = Annotated[int, Meta(ge=0, le=2**53)]
 Nanoseconds: TypeAlias = Annotated[int, Meta(ge=0, le=2**63 - 1)]
@@ -50,7 +60,7 @@ Features: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=32)]
 
 MOST_PUBLISHERS = 4096
 """Of one latched topic, in one message."""
-PublisherIds: TypeAlias = Annotated[tuple[PublisherId, ...], Meta(max_length=MOST_PUBLISHERS)]
+HistoryDepths: TypeAlias = Annotated[dict[PublisherId, HistoryDepth], Meta(max_length=MOST_PUBLISHERS)]
 NewestNumbers: TypeAlias = Annotated[dict[PublisherId, MessageNumber], Meta(max_length=MOST_PUBLISHERS)]
 
 Transport = Literal["tcp", "udp", "bluetooth", "zenoh", "zenoh-drop"]

@@ -20,6 +20,7 @@ from rsb_bridge.wire.fields import (
     DescriptionText,
     Features,
     Hertz,
+    HistoryDepths,
     Kinds,
     LateAfter,
     LinkId,
@@ -30,7 +31,6 @@ from rsb_bridge.wire.fields import (
     NewestNumbers,
     NodeNames,
     Port,
-    PublisherIds,
     Rank,
     Reason,
     RefuseCode,
@@ -247,11 +247,12 @@ class Publishers(ControlMessageBase, frozen=True):
 
     Attributes:
         route: which.
-        present: their ids. The histories of others may be dropped after a while.
+        present: how many messages each keeps for late joiners, by its id, or 0 while that is unknown. The histories of
+            others may be dropped after a while.
     """
 
     route: RouteId
-    present: PublisherIds
+    present: HistoryDepths
 
 
 class Provide(ControlMessageBase, frozen=True):

@@ -7,7 +7,6 @@ names its member by a number, the *lane*.
 
 from __future__ import annotations
 
-from collections import deque
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
@@ -26,7 +25,14 @@ from rsb_bridge.route.calls.calls_ledger import REMEDIES, CallsLedger
 from rsb_bridge.route.calls.calls_outbox import CallsOutbox
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, calls_stages, judge_calls
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
-from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
+from rsb_bridge.route.message_check import (
+    BACKLOG_FULL,
+    Backlog,
+    ExpandsTooMuchError,
+    MessageCheck,
+    Unpacker,
+    malformed_text,
+)
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.type_versions import messages_of
 from rsb_bridge.wire.framing import LEASED, ZSTD, Message
@@ -79,7 +85,7 @@ class CallsRoute(Route):
         self._message_types: tuple[MessageType, ...] = ()  # likewise
         self._loaded: tuple[str, ...] = ()  # types by lane, once loading them was tried
         self._loading: tuple[str, ...] = ()
-        self._later: deque[Message] = deque()
+        self._later = Backlog()
         self._report: CallsReport | None = None  # the peer's, of the present opening
         self._last_report: CallsReport | None = None
         self._came = False  # a call, in the present opening
@@ -252,7 +258,8 @@ class CallsRoute(Route):
         self._withdraw()
         self._give_up_all(reason)
         self._outbox.clear()
-        self._later.clear()
+        self._later.take()
+        self._unpacker.forget()
         self._unavailable = self._warning = None
         self._retry.clear()
         super().close(reason)
@@ -283,7 +290,7 @@ class CallsRoute(Route):
     def deliver(self, messages: Iterable[Message]) -> None:
         """Handle frames that arrived whole and authentic, or queue them for later turns of the I/O loop."""
         if self._later:
-            self._later.extend(messages)
+            self._wait(messages)
             return
         self.losses.arrived()
         messages, opening = iter(messages), self.id
@@ -294,18 +301,21 @@ class CallsRoute(Route):
                 frame = self._frame_of(message)
                 if not message[2] & ZSTD:
                     self._take(frame)
-                elif self._unpacker.begin((frame.content, *message[1:])):
+                elif self._unpacker.begin((frame.content, *message[1:]), self._go_on):
                     self._take_packed(frame)
                 else:
-                    self._later.extend((message, *messages))
-                    self.peer.budget.expansion.wait(self._go_on)
+                    self._wait((message, *messages))
         except (ProtocolError, zstandard.ZstdError) as error:
             self.request_reopen(EventCode.ROUTE_CALLS_BROKEN, f"the peer broke the format: {error}", Level.ERROR)
         self.flush()
 
     def _go_on(self) -> None:
-        later, self._later = self._later, deque()
-        self.deliver(later)
+        self.deliver(self._later.take())
+
+    def _wait(self, messages: Iterable[Message]) -> None:
+        """Have messages wait until the first of them is unpacked."""
+        if not self._later.add(messages):
+            self.request_reopen(EventCode.ROUTE_EXPANDS_TOO_MUCH, BACKLOG_FULL)
 
     def _frame_of(self, message: Message) -> CallFrame:
         payload, stamp, flags = message
@@ -431,6 +441,10 @@ class CallsRoute(Route):
             return None
         self._last_report = report
         return msgspec.structs.replace(report, verdict=lasting(report.verdict, verdict, self.context.now()))
+
+    @property
+    def owing(self) -> bool:
+        return self.calls.in_flight > 0
 
     @property
     def breaking(self) -> str:

@@ -76,6 +76,7 @@ class Pipe(asyncio.Transport):
 
     Attributes:
         trusted: whether the other end has proven it.
+        when_doubted: called as soon as it is doubted that the other end is there.
         longest: bytes of the longest sample that is taken now, and of all samples together until this side answers a
             stranger.
     """
@@ -110,6 +111,7 @@ class Pipe(asyncio.Transport):
         self._answers = 0
         self._heard = False
         self._doubting: asyncio.TimerHandle | None = None
+        self.when_doubted: Callable[[], None] = _nothing
         self._high = 64 * 1024
         self._paused_writing = False
         self._waiting: deque[bytes] = deque()
@@ -283,6 +285,7 @@ class Pipe(asyncio.Transport):
     def _doubt(self, reason: str) -> None:
         if self._doubting is None and self._ended is None:
             self._doubting = self._loop.call_later(_UNDER_WAY, self._ask_in_doubt, reason)
+            self.when_doubted()
 
     def _ask_in_doubt(self, reason: str) -> None:
         self._heard = False
@@ -425,9 +428,14 @@ class Pipe(asyncio.Transport):
 
     def _lost(self, error: OSError | None) -> None:
         protocol, self._protocol = self._protocol, asyncio.Protocol()  # nothing leads back to whom it belonged to
+        self.when_doubted = _nothing
         protocol.connection_lost(error)
         if self._when_over is not None:
             self._when_over()
+
+
+def _nothing() -> None:
+    """Nobody cares for doubts."""
 
 
 def _reason(payload: bytes) -> str:

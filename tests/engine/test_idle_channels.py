@@ -1,0 +1,58 @@
+"""Channels that end while they owe nothing: an outage ends them, too, and no route is down for it afterwards."""
+
+from __future__ import annotations
+
+import errno
+import os
+from typing import TYPE_CHECKING
+
+from std_srvs.srv import SetBool
+from tests.support.bridge import now, route
+from tests.support.domain import LATCHED, text
+from tests.support.waiting import eventually, holds
+
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+
+    from rsb_bridge.engine import Engine
+
+TIMED_OUT = os.strerror(errno.ETIMEDOUT)
+
+
+def lose_channel(engine: Engine) -> None:
+    """End the only route's channel, as the kernel does if keepalive packets get no answer; wait for the next one."""
+    assert engine._bridge is not None
+    (link,), context = engine._bridge.links(), engine._bridge.context
+    (half,) = link.routes.values()
+    eventually(lambda: half.connected)
+    opening = half.id
+    context.call(lambda: half.channel_lost(TIMED_OUT))
+    eventually(lambda: half.connected and half.id != opening)
+
+
+def never_down(server: Engine, client: Engine) -> bool:
+    return all(each.state is not State.DOWN for engine in (server, client) for each in now(engine).routes)
+
+
+def test_an_idle_latched_topic_is_not_down_after_an_outage(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    out = robot.publisher("/map", qos=LATCHED)
+    listener = pc.listener("/map", qos=LATCHED)
+    server, client = bridge.both(Topic("/map", "transmit"))
+    out.publish(text("map"))
+    eventually(lambda: listener.payloads and route(client, "/map").ledger.in_flight == 0)
+    for _ in range(3):
+        lose_channel(client)
+    holds(lambda: never_down(server, client), 3)
+
+
+def test_a_service_that_nobody_calls_is_not_down_after_an_outage(bridge: Bridge, pc: Domain) -> None:
+    pc.serve("/lamp", SetBool)
+    server, client = bridge.both(Topic("/lamp", "transmit", kind="service"))
+    eventually(lambda: route(client, "/lamp").cause == "no_call")
+    for side in (client, server, client):
+        lose_channel(side)
+    holds(lambda: never_down(server, client), 3)
