@@ -5,7 +5,8 @@ from __future__ import annotations
 from random import Random
 
 import pytest
-from rsb_bridge.route.thinning import Throttle
+
+from rsb_bridge.route.throttle import Throttle
 
 S = 1_000_000_000
 

@@ -180,7 +180,8 @@ class StreamTransport(asyncio.Transport):
         size = len(data)
         self._unacknowledged += size
         last = self._on_its_way[-1] if self._on_its_way else None
-        if last is not None and last.sent == now and last.pieces is not None:
+        # On a narrow path each write takes its time, also several of one moment.
+        if last is not None and last.sent == now and last.pieces is not None and self._path.bandwidth is None:
             last.pieces.append(data)
             last.size += size
         else:

@@ -86,7 +86,7 @@ def _client(suite: Suite, multiplexed: bool) -> End:
 
 
 def _data_client(suite: Suite, _: bool) -> End:
-    connection = DataConnection(SessionKeys(suite, key_for(suite), b"linklink"), 1)
+    connection = DataConnection(SessionKeys(suite, key_for(suite), b"linklink"), StreamName(1))
     connection.start()
     return connection
 
