@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.small import _threads
-from tests.support.slow_relay import SlowRelay
+from tests.support.relay import Relay
 
 from bench import bed
 from rsb_bridge.control.bridges import running_bridges
@@ -82,7 +82,7 @@ class Bridge:
     """Two sides, a robot on the client's, and a viewer on the server's."""
 
     def __init__(
-        self, client: bed.Process, server: bed.Process, robot: bed.Process, engine: RemoteEngine, relay: SlowRelay
+        self, client: bed.Process, server: bed.Process, robot: bed.Process, engine: RemoteEngine, relay: Relay
     ) -> None:
         self.client = client
         self.server = server
@@ -118,7 +118,7 @@ class Bridge:
 def running(folder: Path, bytes_per_second: float = 0.0) -> Iterator[Bridge]:
     """Start both sides, over a link that is limited if a rate is given."""
     port = bed.free_port()
-    relay = SlowRelay(port, bytes_per_second or 1e9)
+    relay = Relay(("127.0.0.1", port), rate=bytes_per_second or 1e9)
     with relay:
         _write_sessions(folder, port, relay.port)
         with (

@@ -159,9 +159,9 @@ def bridge(tmp_path: Path, robot: Domain, pc: Domain) -> Iterator[Bridge]:
 @pytest.fixture
 def relay(bridge: Bridge) -> Iterator[Relay]:
     """A network between the clients and the server that `bridge` makes."""
-    from tests.support.relay import Relay
+    from tests.support.relay import same_port
 
-    made = Relay(bridge.port)
+    made = same_port(bridge.port)
     bridge.through(made)
     yield made
     bridge.close()

@@ -38,7 +38,7 @@ def test_a_fleet_links_flows_comes_back_and_bears_a_flood() -> None:
     assert found.routes == 3 * USUAL.routes
     assert 0 < found.linked.half <= found.linked.last <= found.flowing.last
     assert 0 < found.again.half <= found.again.last <= found.again_flowing.last
-    assert sum(found.attempts) > 3  # each comes back, and one at least has tried in vain: nobody listened
+    assert sum(found.attempts) > 3  # each comes back, and at least one attempt has failed: nobody listened
     assert found.refused == 0
     assert found.steady.lost == Counter()
     assert found.steady.control > 0
@@ -50,7 +50,7 @@ def test_nothing_of_a_bench_that_is_ended_runs_on(number: signal.Signals, tmp_pa
     command = [sys.executable, "-m", "bench.fleet", "--robots", "2", "--domain", str(two_domains())]
     bench = subprocess.Popen(command, cwd=ROOT, env=os.environ | {"TMPDIR": str(tmp_path)}, stdout=subprocess.DEVNULL)
     try:
-        # The control side and the robots; the nodes beside them do not name the folder.
+        # The control side and the robots; their nodes do not name the folder.
         eventually(lambda: len(processes_of(tmp_path)) == 3, WITHIN, "control side and robots")
     finally:
         bench.send_signal(number)

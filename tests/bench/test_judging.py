@@ -1,4 +1,4 @@
-"""Which topics a link carries, by what was measured."""
+"""The topics that a link carries, by its measured figures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MEASURED = [point(1_000, 10_000.0), point(100_000, 1_000.0), point(1_000_000, 40
 @pytest.mark.parametrize(
     ("size", "rate"),
     [
-        (100, 10_000.0),  # below what was measured: as dear as that
+        (100, 10_000.0),  # below the measured sizes: the same cost
         (1_000, 10_000.0),
         (10_000, math.sqrt(10_000.0 * 1_000.0)),  # in the middle of logarithms
         (1_000_000, 40.0),

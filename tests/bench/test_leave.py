@@ -1,4 +1,4 @@
-"""What a session lets a peer cause by measuring the link."""
+"""Limits of a peer's measurements of the link, by session."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import msgspec
 import pytest
 import zstandard
+from tests.support.inside import inside
 from tests.support.ports import free_port
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
@@ -66,7 +67,7 @@ class QuietRos(NoRos):
 
 def on_bridge(engine: Engine, ask: Callable[[Bridge], Coroutine[None, None, T]]) -> T:
     """Run a coroutine on the thread of an engine's bridge."""
-    bridge = engine._bridge
+    bridge = inside(engine)
     assert bridge is not None
     return engine._commands.run(lambda: ask(bridge)).result(WITHIN)
 
@@ -141,10 +142,10 @@ def test_one_way_does_not_close_a_loop_with_the_other(pair: Callable[..., Pair])
 
 
 @pytest.mark.parametrize("first_heard", ["the proposal", "the run"])
-def test_a_run_whose_topic_is_opened_anew_has_no_figures(
+def test_a_run_whose_topic_is_opened_again_has_no_figures(
     first_heard: str, pair: Callable[..., Pair], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As where the link is lost, and back soon: the other side has counted from 0 since.
+    """For example where the link is lost, and back soon: the other side has counted from 0 since.
 
     The run may go on before the other side has heard of the new opening.
     """
@@ -271,7 +272,9 @@ def test_a_higher_rate_than_the_leave_has_is_not_made(pair: Callable[..., Pair])
 def test_who_sends_faster_all_the_same_is_cut_off(pair: Callable[..., Pair]) -> None:
     both = pair(to_client=BenchmarkLimits(max_rate=100.0))
     both.run(both.client, rate=50.0, count=5)
-    source = synthetic_of(both.client._bridge.context.ros).sources["/rsb_bench/tcp/transmit", "robot1"]  # type: ignore[union-attr]
+    synthetic = synthetic_of(inside(both.client).context.ros)
+    assert synthetic is not None
+    source = synthetic.sources["/rsb_bench/tcp/transmit", "robot1"]
     source.start(100, 1000.0, 5000)
     eventually(lambda: not both.server.snapshot().routes, WITHIN)
 
@@ -302,7 +305,7 @@ MEGABYTE = 1_000_000
 
 
 def let_in(server: Engine) -> tuple[int, int, int]:
-    """What a peer that measures has got in: bytes as they came, unpacked, and those of messages that are not whole."""
+    """Return the bytes of a measuring peer: as received, unpacked, and of incomplete messages."""
 
     async def ask(bridge: Bridge) -> tuple[int, int, int]:
         (link,) = bridge.links()

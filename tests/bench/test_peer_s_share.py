@@ -1,4 +1,4 @@
-"""What a peer that measures can cause, and what one that answers as it likes."""
+"""Limits of a peer that measures, and of one with arbitrary answers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PEER = "robot1"
 
 
 class Here:
-    """This side of a link to a peer that has leave for 100 messages a second, 10 s and 1 MB."""
+    """This side of a link to a peer that may send 100 messages a second, for 10 s and 1 MB."""
 
     def __init__(self) -> None:
         self.time = 0.0

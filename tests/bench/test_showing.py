@@ -1,4 +1,4 @@
-"""What was measured, as tables, as plots and as JSON."""
+"""Measurements as tables, as plots and as JSON."""
 
 from __future__ import annotations
 

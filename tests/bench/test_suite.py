@@ -1,4 +1,4 @@
-"""What is measured, in which order and within which time, on a clock that the test owns."""
+"""The measurements of a suite, their order and their time, on a clock that the test owns."""
 
 from __future__ import annotations
 

@@ -10,14 +10,14 @@ from tests.bluetooth.vm import debian, layers, machine
 
 _PROBES = ["tests/bluetooth/guest/vm_probes.py"]
 _GUEST = [f"tests/bluetooth/guest/test_{name}.py" for name in ("scan", "bridge", "rfcomm", "unplugged")]
-"""The scan is first, while the adapters pair: those that carry traffic do not let them. They are unplugged last."""
+"""The scan is first, while the adapters can pair: with traffic they cannot. They are unplugged last."""
 
 
 class Outcomes(NamedTuple):
-    """What the machine gave.
+    """The results of the machine.
 
     Attributes:
-        probes: for those that show what comes out of it.
+        probes: of the tests that show how results come out of it.
         guest: for the tests of the bridge.
     """
 
@@ -32,7 +32,9 @@ collect_ignore = [] if _IN_THE_MACHINE else ["guest"]
 
 @pytest.fixture(scope="session")
 def boots_from() -> layers.Layers:
-    """What the machine boots from, made or from the cache; without it the tests are skipped, and say why."""
+    """Return the layers that the machine boots from, made or from the cache; without them, skip the test with the
+    reason.
+    """
     try:
         return layers.prepare()
     except debian.UnavailableError as error:

@@ -1,4 +1,4 @@
-"""What BlueZ says of devices: their names are whatever their owners chose."""
+"""Devices in BlueZ: their owners may choose any name."""
 
 from typing import Any
 

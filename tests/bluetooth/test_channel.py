@@ -1,4 +1,4 @@
-"""Topics that share a channel beside an IP link: two whole engines. The radio's place is taken by loopback TCP."""
+"""Topics that share a channel next to an IP link, with two whole engines. Loopback TCP replaces the radio."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pytest
 from tests.bluetooth.guest.conftest import wait_until
 from tests.bluetooth.guest.stand_in import StandIn
+from tests.support.inside import inside
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -77,7 +78,7 @@ class Radio(Rfcomm):
     Attributes:
         called: the client's ends of the connections that were made, the oldest first.
         accepted: the server's ends.
-        off: whoever calls hears that nobody answers,
+        off: whether connection attempts fail because nobody answers,
         searching: once it is no longer searched for.
     """
 
@@ -97,7 +98,7 @@ class Radio(Rfcomm):
         assert (host, port) == (_MAC, _CHANNEL)
         assert all(end.stream.over for end in self.called), "two adapters have one connection on a channel"
         if self.off:
-            while self.searching:  # noqa: ASYNC110 — a test's thread says so
+            while self.searching:  # noqa: ASYNC110 — a test's thread sets it
                 await asyncio.sleep(0.01)
             raise OSError("no answer")
         return await self._tcp.connect("127.0.0.1", self._port, _Noting(handler, self.called))
@@ -113,7 +114,7 @@ class Pair(NamedTuple):
     radio: Radio
 
     def carries(self, *topics: str) -> None:
-        """Each gets messages of every size across at once, whole and in order, whichever way it goes."""
+        """Check that each carries messages of every size at once, whole and in order, in either direction."""
         sent = [bytes([number]) * size for number, size in enumerate((10, 5_000, 100_000))]
         ways = {t: (self.here, self.there) if t in self.here.offered else (self.there, self.here) for t in topics}
         wait_until(lambda: all(source.subscribed(topic) for topic, (source, _) in ways.items()), "all are open")
@@ -135,12 +136,11 @@ class Pair(NamedTuple):
 
     def accepted(self, topic: str) -> bool:
         """Whether both sides have agreed about one of the client's topics."""
-        assert self.client._bridge is not None
-        (link,) = self.client._bridge.links()
+        (link,) = inside(self.client).links()
         return any(route.accepted for route in tuple(link.routes.values()) if route.local_topic == topic)
 
     def opened(self, topic: str) -> int:
-        """How often the side that sends a topic has subscribed to it."""
+        """Return how often the side that sends a topic has subscribed to it."""
         source = self.client if topic in self.here.offered else self.server
         events = (event for event in source.events() if event.code == EventCode.ROUTE_CONNECTED)
         return sum(event.topic == topic for event in events)
@@ -148,8 +148,7 @@ class Pair(NamedTuple):
     @property
     def waiting(self) -> Collection[object]:
         """The client's topics that wait for the connection."""
-        assert self.client._bridge is not None
-        (link,) = self.client._bridge.links()
+        (link,) = inside(self.client).links()
         assert isinstance(link, ClientLink)
         return link._waiting.get(_CHANNEL, {})
 
@@ -164,7 +163,7 @@ class Pair(NamedTuple):
             assert ledger.offered == ledger.delivered + sum(ledger.dropped.values())
 
     def faults(self) -> list[Event]:
-        """What the operators were warned of."""
+        """Return the warnings for operators."""
         events = [event for engine in (self.server, self.client) for event in engine.events()]
         return [event for event in events if event.level in (Level.WARNING, Level.ERROR)]
 
@@ -254,7 +253,7 @@ def test_a_topic_closed_amid_its_messages_does_not_disturb_the_others(tmp_path: 
         pair.carries("/map", "/joy", "/cmd")
         for _ in range(10):
             pair.here.publish("/map", bytes(1_000_000))
-        pair.server.remove_topic("robot1 → /map").result(60)  # its frames are still under way
+        pair.server.remove_topic("robot1 → /map").result(60)  # its frames are still in flight
         for late in (_data_frame(1), pack_frame(data_header(bytes(8), 1), bytes(16))):
             pair.radio.called[0].say(late)
         pair.carries("/joy", "/cmd")
@@ -335,7 +334,7 @@ def test_what_has_no_place_on_it_ends_it_in_words(side: str, data: bytes, words:
     with paired(tmp_path, *topics) as pair:
         wait_until(lambda: pair.here.subscribed("/map", "/joy", "/odom") and pair.accepted("/late"), "all are open")
         getattr(pair.radio, side)[0].say(data)
-        wait_until(lambda: any(words in fault.text for fault in pair.faults()), "the operators are told")
+        wait_until(lambda: any(words in fault.text for fault in pair.faults()), "the operators are warned")
         wait_until(
             lambda: all(end.stream.gone for end in pair.radio.called[:1] + pair.radio.accepted[:1]), "it is over"
         )

@@ -1,4 +1,4 @@
-"""Bytes the radio carries for a message, beside what the thesis's Fernet and pickle make of it: needs no radio."""
+"""Bytes that the radio carries for a message, next to those of the thesis's Fernet and pickle, without a radio."""
 
 from __future__ import annotations
 

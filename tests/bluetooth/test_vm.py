@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import io
-from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 import pytest
 from tests.bluetooth.vm import debian, machine
-from tests.bluetooth.vm.cpio import Archive
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from tests.bluetooth.conftest import Outcomes
@@ -46,29 +42,3 @@ def test_a_missing_tool_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "/nonexistent")
     with pytest.raises(debian.UnavailableError, match=r"qemu-system-x86_64 is missing .*apt install"):
         debian.release()
-
-
-def test_archives_are_cpio() -> None:
-    """Read back by the format's own field widths: Python has no cpio, and the machine's start proves the rest."""
-    file = io.BytesIO()
-    with Archive(file) as archive:
-        archive.add(PurePosixPath("a/b"), b"hello", 0o755)
-        archive.add_symlink(PurePosixPath("a/c"), "b")
-    data = file.getvalue()
-    assert len(data) % 512 == 0
-    folder, script, link, end = _entries(data)
-    assert folder == ("a", 0o040755, b"")
-    assert script == ("a/b", 0o100755, b"hello")
-    assert link == ("a/c", 0o120777, b"b")
-    assert end == ("TRAILER!!!", 0, b"")
-
-
-def _entries(data: bytes) -> Iterator[tuple[str, int, bytes]]:
-    start = 0
-    while data[start : start + 6] == b"070701":
-        fields = [int(data[start + 6 + 8 * i : start + 14 + 8 * i], 16) for i in range(13)]
-        mode, size, name_length = fields[1], fields[6], fields[11]
-        name_end = start + 110 + name_length
-        content = name_end + -name_end % 4
-        yield data[start + 110 : name_end - 1].decode(), mode, data[content : content + size]
-        start = content + size + -(content + size) % 4

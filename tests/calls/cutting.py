@@ -19,7 +19,7 @@ from tests.support.domain import Domain
 from tests.support.fibonacci import ACTION, FibonacciClient, FibonacciServer, fibonacci, id_of
 from tests.support.locks import two_domains
 from tests.support.program import Programs
-from tests.support.relay import Relay
+from tests.support.relay import same_port
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from rclpy.task import Future
     from tests.support.fibonacci import Goal
+    from tests.support.relay import Relay
 
     from rsb_bridge.engine import Engine
 
@@ -239,7 +240,7 @@ def happen(outage: Outage, seconds: float, robot: Domain, pc: Domain) -> Came:
         bridge = Bridge(Path(resources.enter_context(tempfile.TemporaryDirectory())), robot, pc)
         programs = Programs(bridge.folder)
         resources.callback(programs.close)
-        relay = Relay(bridge.port)
+        relay = same_port(bridge.port)
         resources.callback(relay.close)
         resources.callback(bridge.close)
         bridge.through(relay)

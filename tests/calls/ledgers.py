@@ -7,6 +7,7 @@ import threading
 from typing import TYPE_CHECKING, NamedTuple
 
 from tests.support.bridge import route
+from tests.support.inside import inside
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
@@ -112,7 +113,6 @@ def _faults(before: CallsSnapshot | None, now: CallsSnapshot) -> list[str]:
 def nothing_left(*engines: Engine) -> None:
     """Wait until no call is in flight, and the links' budgets for calls are free."""
     for engine in engines:
-        assert engine._bridge is not None
-        for link in engine._bridge.links():
+        for link in inside(engine).links():
             for budget in (link.budget.asked, link.budget.provided):
                 eventually(lambda budget=budget: budget.held == (0, 0), what=f"no calls held by {link.name}")

@@ -110,7 +110,7 @@ def passes(of_type: Checker, payload: bytes) -> bool:
 @settings(max_examples=20, deadline=None)
 @given(st.data())
 def test_a_changed_word_passes_only_if_it_can_be_read(name: str, data: st.DataObject) -> None:
-    """Whatever is announced, what passes reserves nothing beyond the bytes that are there."""
+    """For all announced lengths, an accepted message reserves nothing beyond its bytes."""
     payload = bytearray(serialize_message(filled(installed_class(name))))
     at = data.draw(st.integers(1, len(payload) // 4 - 1)) * 4
     value = data.draw(st.one_of(st.integers(0, 64), st.integers(0, 2**32 - 1), st.sampled_from([2**28, 2**32 - 1])))
@@ -163,7 +163,7 @@ def test_bounds_hold() -> None:
 
 
 def test_strings_need_no_zero_at_their_end() -> None:
-    """Fast CDR reads them, and those of length 0."""
+    """Fast CDR reads them, and strings of length 0."""
     of_string = checker("std_msgs/msg/String")
     of_string.check(b"\x00\x01\x00\x00" + struct.pack("<I", 3) + b"abc")
     of_string.check(b"\x00\x01\x00\x00" + struct.pack("<I", 0))
@@ -236,7 +236,7 @@ def test_types_within_types_within_types() -> None:
     st.integers(0, 12),
 )
 def test_elements_with_strings_end_where_they_end(kinds: list[int], texts: list[str], after: int, cut: int) -> None:
-    """As the decoder finds it: some are skipped by words, and what follows them may begin at any byte."""
+    """The checker agrees with the decoder: some are skipped by words, and the next element may begin at any byte."""
     element = MessageType("t/msg/E", tuple(Field(f"f{n}", FieldType(kind, 0, 0, "")) for n, kind in enumerate(kinds)))
     fields = (
         Field("all", FieldType(NESTED + SEQUENCE, 0, 0, "t/msg/E")),

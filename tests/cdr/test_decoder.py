@@ -63,7 +63,7 @@ def described(name: str) -> TypeDescription:
 
 
 def tree(value: Any) -> Any:
-    """What rclpy made of a message, in plain values."""
+    """Return rclpy's message in plain values."""
     if hasattr(value, "get_fields_and_field_types"):
         return {field: tree(getattr(value, field)) for field in value.get_fields_and_field_types()} or {
             "structure_needs_at_least_one_member": 0
@@ -78,7 +78,7 @@ def tree(value: Any) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """What was decoded, likewise."""
+    """Return the decoded message in plain values."""
     if isinstance(value, Items):
         assert len(value.shown) == value.total
         return [plain(each) for each in value.shown]

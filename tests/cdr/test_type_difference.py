@@ -1,4 +1,4 @@
-"""How versions of a message type differ, in words and by codes."""
+"""Differences between versions of a message type, in words and by codes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ POINT = FieldType(1, 0, 0, "a_msgs/msg/Point")
 
 
 def described(*fields: tuple[str, FieldType], **others: tuple[tuple[str, FieldType], ...]) -> TypeDescription:
-    """A type and those that it refers to."""
+    """Return the description of a type and of the types that it refers to."""
 
     def message(name: str, of: tuple[tuple[str, FieldType], ...]) -> MessageType:
         return MessageType(f"a_msgs/msg/{name}", tuple(Field(*each) for each in of))

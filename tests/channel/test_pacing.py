@@ -54,7 +54,7 @@ class Path:
         return not left
 
     def _send(self, most: int) -> int:
-        """As `DatagramSender` does: until there is no room."""
+        """Send like `DatagramSender`, until no room is left."""
         sent = 0
         while sent < most and (room := self.pacer.room(self.time)) > 0:
             count = min(-(-room // DATAGRAM), most - sent)
@@ -163,7 +163,7 @@ def test_losses_that_were_chance_do_not_slow_it_down_for_long() -> None:
 
 
 def test_what_overtakes_is_not_lost() -> None:
-    """Each receipt misses a datagram that is still under way."""
+    """Each receipt misses a datagram that is still in flight."""
     pacer = Pacer()
     for number in range(1, 50):
         pacer.sent(100_000, number * 10, number * 0.01)

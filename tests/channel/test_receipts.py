@@ -1,4 +1,4 @@
-"""When the receiver of datagrams says what it has."""
+"""The times at which the receiver of datagrams sends receipts."""
 
 from __future__ import annotations
 

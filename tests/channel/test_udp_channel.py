@@ -41,7 +41,7 @@ _HOST = "127.0.0.1"
 
 @dataclass
 class Route:
-    """What a channel knows of a route (`RouteSink`)."""
+    """A channel's view of a route (`RouteSink`)."""
 
     id: int
     outgoing: bool
@@ -211,7 +211,7 @@ def test_datagrams_go_to_the_routes_of_the_connection_that_they_name() -> None:
 
 
 def test_a_connection_that_is_over_is_forgotten() -> None:
-    """Whoever reconnects for months leaves nothing behind in the server's table; strangers leave nothing at all."""
+    """A client that reconnects for months leaves nothing in the server's table, and strangers leave nothing at all."""
 
     async def main() -> None:
         async with serving() as server:
@@ -419,7 +419,7 @@ def test_a_client_that_moves_is_followed() -> None:
 
 
 def test_nothing_is_sent_to_an_address_that_has_fallen_silent() -> None:
-    """Whoever has that address next gets nothing; a probe from there opens it again."""
+    """The next owner of that address gets nothing; a probe from there opens it again."""
 
     async def main() -> None:
         async with serving() as server:

@@ -1,4 +1,4 @@
-"""The window of a stream channel, on a simulated path whose buffers take whatever comes."""
+"""The window of a stream channel, on a simulated path with unlimited buffers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Path:
 
     Attributes:
         time: s.
-        speed: bytes/s that it carries; 0: it stalls.
+        speed: bytes/s that it carries, or 0 to stall.
         delay: s, each way.
         behind: s that receipts wait behind data that goes the other way.
         credit: part of the receipts' way back that the sender is certain of.
@@ -127,7 +127,7 @@ def test_fast_path_is_not_throttled(delay: float, rate: float, size: int) -> Non
 
 
 def test_ramp_up_takes_tens_of_milliseconds() -> None:
-    """50 MB/s over a LAN; what was not taken by then waits in the queue, as here it does not."""
+    """50 MB/s over a LAN; messages that are not taken by then would wait in the queue."""
     path = Path(1e9)
     path.run(0.05, 20_000, 2500)
     assert path.run(0.5, 20_000, 2500) >= 0.99 * 0.5 * 20_000 * 2500
@@ -190,7 +190,7 @@ def test_a_path_that_takes_longer_without_being_full_carries_as_much(delay: floa
 @pytest.mark.parametrize("delay", [0.5, 1.0, 1.5])
 @pytest.mark.parametrize("pinged_first", [True, False])
 def test_a_path_that_takes_seconds_from_the_beginning_on(delay: float, pinged_first: bool) -> None:
-    """Its pings tell how long it takes, and receipts cannot tell that apart from a queue: no clock says which way."""
+    """Its pings measure the delay, and receipts cannot distinguish that from a queue: no clock gives the direction."""
     path = Path(1e6, delay)
     path.window = Window(0, 2 * delay if pinged_first else 0.0)
     path.credit = 0.0

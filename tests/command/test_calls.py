@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def called(topic: str, kind: Kind = "service", **changes: Any) -> RouteSnapshot:
-    """What can be called; the client's node answers."""
+    """Add callable entries; the client's node answers."""
     lanes = {"action": ("send_goal", "cancel_goal"), "parameters": ("get_parameters", "set_parameters")}
     return replace(
         route(topic, key=f"{kind} {topic}", spec=Topic(topic, "receive", kind=kind)),
@@ -264,7 +264,7 @@ def test_a_call_without_an_answer_fails(ran: Any, engine: ScriptedEngine) -> Non
 
 
 def test_a_request_that_no_node_takes_is_wrong_usage(ran: Any, engine: ScriptedEngine) -> None:
-    """As a misspelt field: the bridge's words cross to the command with their kind."""
+    """For example a misspelt field: the bridge's text reaches the command with its kind."""
     engine.called.set_exception(InvalidRequestError("there is no field 'spped': did you mean speed?"))
     refused = ran("call", "/dock", "{spped: 1}")
     assert refused.code == 2

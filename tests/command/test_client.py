@@ -1,4 +1,4 @@
-"""`rsb-console client`: files that are written, what a running server is told, and what is refused."""
+"""`rsb-console client`: written files, commands to a running server, and refusals."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _here(machine: Machine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """A server's session file, with its client's key beside it."""
+    """Write a server's session file, and its client's key."""
     path = tmp_path / "pc.yaml"
     path.write_text(TEXT)
     write_key(tmp_path / "robot1.key")
@@ -143,7 +143,7 @@ def test_a_server_of_one_client_keeps_letting_it_in(tmp_path: Path, run: Run) ->
     ],
 )
 def test_an_address_may_have_a_port(address: str, host: str, port: int, path: Path, run: Run) -> None:
-    """What is written is what `check` takes."""
+    """`check` accepts the written file."""
     assert run("add", "robot2", str(path), "-o", "robot2.yaml", "--address", address).code == 0
     session = load(Path("robot2.yaml"))
     assert (session.server_ip, session.server_port) == (host, port)
@@ -158,7 +158,7 @@ def test_an_address_that_no_client_reaches_changes_nothing(address: str, path: P
 
 
 def test_a_bridge_is_named_as_elsewhere(path: Path, run: Run, machine: Machine, tmp_path: Path) -> None:
-    """By its name where the file may stand; and beside a client's bridge, the server's needs none."""
+    """By its name in place of the file; if the other bridge is a client's, the server needs none."""
     machine.serve(ScriptedEngine(SERVER), file=path)
     machine.serve(ScriptedEngine(), file=tmp_path / "robot1.yaml")
     for words in (("list", "pc"), ("list",), ("list", "--bridge", "pc"), ("show", "robot1", "pc")):

@@ -167,7 +167,7 @@ def test_check_says_whose_keys_there_are_since_when_and_warns_of_two() -> None:
 
 
 def test_check_looks_once_at_each_key() -> None:
-    """So what it says and how it exits agree, whatever happens to the file meanwhile."""
+    """Its output and its exit code agree, even if the file changes meanwhile."""
     rsb_console("keygen")
     heard = "sys.addaudithook(lambda name, what: name == 'open' and str(what[0]) == 'key.txt' and print('opened'))"
     run = with_first(heard, "check", "robot1.yaml")
@@ -519,7 +519,7 @@ def test_names_outside_the_terminals_encoding_are_escaped() -> None:
 
 
 def started_headless(before: str, *arguments: str) -> subprocess.Popen[str]:
-    """The command in a Python that first does something else; returned once it has said a line."""
+    """Start the command in a Python that first does something else, and return it once it has printed a line."""
     script = f"import sys\n{before}\nfrom rsb_console.cli import main\nsys.exit(main({list(arguments)!r}))"
     return subprocess.Popen(
         [sys.executable, "-c", script],

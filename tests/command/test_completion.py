@@ -1,4 +1,4 @@
-"""What a shell offers on TAB, asked as a shell asks argcomplete: through the environment."""
+"""Completion on TAB, as a shell asks argcomplete for it: through the environment."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ def test_a_machine_in_json() -> None:
 
 
 def test_what_is_wrong_comes_last_and_counts(tmp_path: Path) -> None:
-    """A package that is called rclpy and is broken stands in for a broken installation."""
+    """A broken package of the name rclpy replaces a broken installation."""
     (tmp_path / "rclpy").mkdir()
     (tmp_path / "rclpy/__init__.py").write_text("raise ImportError('librcl.so: cannot open shared object file')\n")
     ran = run(PYTHONPATH=str(tmp_path), COLUMNS="80")

@@ -55,7 +55,7 @@ class Line(NamedTuple):
     """A command line of a page.
 
     Attributes:
-        whole: whether it stands in a block, so that readers copy it. In a sentence it may lack arguments.
+        whole: whether it is in a block, so that readers copy it. In a sentence it may lack arguments.
     """
 
     place: str

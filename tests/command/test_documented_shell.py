@@ -1,4 +1,4 @@
-"""The lines of shell in the documents, beside the command's own: what they name is in the project."""
+"""The shell lines of the documents, apart from `rsb-console`: the names in them exist in the project."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _OTHERS = {
     "scp": "needs another machine",
     "source": "sets the shell",
     "sudo": "changes the kernel's settings",
-    "zenohd": "is Zenoh's own router; tests/support/zenoh_router.py stands in for it",
+    "zenohd": "is Zenoh's own router; tests/support/zenoh_router.py replaces it",
 }
 """Other programs, and why nothing here runs or checks their lines."""
 _PROGRAMS = _OWN | set(_OTHERS)
@@ -59,7 +59,7 @@ LINES = [*shell_lines()]
 
 
 def named(pattern: str) -> set[str]:
-    """What lines and sentences in code name."""
+    """Return the names in lines and sentences of code."""
     codes = [code for text in _TEXTS.values() for code in re.findall(r"`([^`\n]+)`", text)]
     lines = [" ".join(words) for _, words in LINES]
     return {name for text in (*codes, *lines) for name in re.findall(pattern, text)}

@@ -1,4 +1,4 @@
-"""What the documents say of the JSON streams and of exit codes is what the programs print."""
+"""JSON streams and exit codes are as documented."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_the_fields_of_calls_that_are_documented_are_printed() -> None:
 
 
 def called_section() -> str:
-    """What is said of the fields of what is called."""
+    """Return the section about the fields of services and actions."""
     return re.split(r"\n#+ ", HEADLESS.partition("### A route of calls\n")[2])[0]
 
 

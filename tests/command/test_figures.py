@@ -204,7 +204,7 @@ def test_info_of_a_topic(ran: Any, engine: Running) -> None:
     slow = replace(SCAN, state=State.SLOW, cause="slow", reason="3 Hz", publishers=("/lidar",), subscribers=("/nav",))
     engine.now = replace(engine.now, routes=(slow,))
     done = ran("info", "/scan")
-    assert done.code == 0, "it tells, whatever the state"
+    assert done.code == 0, "it is shown in any state"
     words = ("/lidar", "/nav", "SLOW", "udp port 49152", "best effort", "queue full", SCAN.type_name, SCAN.type_hash)
     for word in words:
         assert word in done.out

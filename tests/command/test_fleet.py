@@ -130,7 +130,7 @@ def test_a_command_for_each(engine: ServerEngine, capsys: pytest.CaptureFixture[
 
 
 def test_options_may_stand_before_the_command(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    """As well as behind it."""
+    """They may also follow it."""
     assert fleet(capsys, "--json", "--bridge", "control", "exec", "robot1", "--", "status").json["ok"] is True
     assert fleet(capsys, "exec", "robot1", "--json", "--bridge", "control", "--", "status").json["ok"] is True
     for arguments in (("--bridge", "no", "exec", "robot1"), ("exec", "robot1", "--bridge", "no")):
@@ -256,7 +256,7 @@ def test_what_is_no_change(engine: ServerEngine, capsys: pytest.CaptureFixture[s
 
 
 def max_rate(edit: tuple[object, ...]) -> float | None:
-    """What an edit makes of it."""
+    """Return the value after an edit."""
     topic = edit[2]
     assert isinstance(topic, Topic)
     return topic.max_rate

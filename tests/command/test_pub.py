@@ -171,7 +171,7 @@ def test_after_the_last_message_it_does_not_wait(
     assert clock.slept == []
 
 
-# -- what became of it
+# -- results
 
 
 def test_where_it_does_not_go_is_named(ran: Any, engine: ScriptedEngine) -> None:

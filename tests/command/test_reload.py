@@ -118,7 +118,7 @@ def says(process: subprocess.Popen[str], code: str) -> Any:
 
 
 def topics(capsys: pytest.CaptureFixture[str]) -> list[str]:
-    """What the bridge bridges."""
+    """Return the topics that the bridge has."""
     return [each["topic"] for each in Ran(capsys, "topics", "--json").json["topics"]]
 
 

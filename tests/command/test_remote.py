@@ -146,7 +146,7 @@ WAITS = replace(SCAN, state=State.WAITING, cause="no_publisher", reason="no publ
 def test_waiting_is_no_fault(ran: Any, engine: ScriptedEngine, what: Any, code: int, short: str) -> None:
     if isinstance(what, RouteSnapshot):
         engine.now = replace(engine.now, routes=(what,))
-    else:  # the topics of a link that is not up are down, and that is said of the link
+    else:  # the topics of a link that is not up are down, and the link's row shows it
         its = SCAN if what.state is State.OK else replace(SCAN, state=State.DOWN, cause="link_down")
         engine.now = replace(engine.now, links=(what,), routes=(its,))
     status = ran("status")
@@ -295,7 +295,7 @@ def test_a_topic_that_goes_both_ways_has_to_be_named_with_its_direction(ran: Any
 def test_what_stops_a_name_stops_all_its_routes(
     command: str, given: tuple[Any, ...], ran: Any, engine: ScriptedEngine
 ) -> None:
-    """Another way, another name on the other side, another link: they are told apart only if an option says so."""
+    """Another direction, another name on the other side, another link: an option may select one of them."""
     others = (
         replace(SCAN, key="there", remote_topic="/elsewhere"),
         route("/scan", key="back"),

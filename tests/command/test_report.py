@@ -1,4 +1,4 @@
-"""`rsb-console report`: of a bridge that runs, of one that does not, as text, JSON and CSV."""
+"""`rsb-console report` of a running bridge and of a stopped one, as text, JSON and CSV."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_of_a_bridge_that_does_not_run_it_comes_from_its_files(
     world.go(600)
     world.put("/scan", State.DOWN, "no publisher of /scan")
     world.go(60)
-    world.recorder._timeline.cut()
+    world.timeline.cut()
     history_files.write_history(state / "robot1.history", world.recorder.save())
     monkeypatch.setattr("time.time", lambda: world.clock.wall + 600)
     report = ran("report", "robot1")

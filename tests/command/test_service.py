@@ -1,4 +1,4 @@
-"""The units that `service install` writes: what is in them, what systemd says of them, and what is left alone."""
+"""The units that `service install` writes: their content, systemd's assessment, and files that stay unchanged."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def test_what_ros_takes_from_the_environment_goes_along(
 
 
 def test_a_setup_file_is_sourced_first(ran: Any, session: Path, tmp_path: Path) -> None:
-    """As the shell runs it: with the words that systemd would hand on."""
+    """It runs in the shell, with the arguments that systemd would pass on."""
     setup = tmp_path / "my setup.bash"
     setup.write_text("export FROM_SETUP=yes\n")
     out = ran("show", "--setup", setup, session)[1]

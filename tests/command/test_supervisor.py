@@ -1,4 +1,4 @@
-"""What systemd hears: ready once, how the bridge is when that changes, and that it works only while it does."""
+"""Messages to systemd: ready once, the bridge's state when it changes, and the watchdog only while the bridge works."""
 
 from __future__ import annotations
 

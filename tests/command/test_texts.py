@@ -52,8 +52,3 @@ def test_a_code_is_found_by_its_words_whatever_its_parameters() -> None:
     assert says(Sample.PLAIN(), Sample.PLAIN)
     with pytest.raises(TypeError):
         says(text, Sample.LONG, width=1)
-
-
-def test_no_two_codes_of_a_table_have_one_text() -> None:
-    for table in Wording.__subclasses__():
-        assert [*table.__members__] == [member.name for member in table], "an Enum's members with equal values are one"

@@ -1,4 +1,4 @@
-"""What `check` warns of, since running the session would warn of it or refuse it."""
+"""Warnings of `check`, where running the session would warn or refuse."""
 
 import socket
 from typing import Any

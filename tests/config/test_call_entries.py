@@ -428,7 +428,7 @@ def test_the_first_service_of_a_file_begins_a_list(tmp_path: Path) -> None:
 
 
 def called(topic: Topic) -> tuple[str, str, str]:
-    """What no two entries may have in common, as one side's callers would have two servers."""
+    """Return the name that no two entries may share, because one side's callers would have two servers."""
     name = (topic.remote_topic or topic.topic) if topic.direction == "receive" else topic.topic
     return topic.kind, topic.direction, name
 

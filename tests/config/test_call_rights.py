@@ -1,4 +1,4 @@
-"""Who may call what, and provide what: `services` entries of `allow` and `deny`, on a server and on a client."""
+"""Rights to call and to provide: `services` entries of `allow` and `deny`, on a server and on a client."""
 
 from __future__ import annotations
 

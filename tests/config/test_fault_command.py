@@ -69,7 +69,7 @@ def test_a_path_is_relative_to_the_sessions_folder_and_a_name_is_in_path(
     assert program_path("~/tell", tmp_path / "elsewhere") == here
     assert program_path(str(here), tmp_path / "elsewhere") == here
     assert program_path("notify", tmp_path) == there
-    assert program_path("tell", tmp_path) is None, "a file beside the session has ./ before its name"
+    assert program_path("tell", tmp_path) is None, "a file in the session's folder has ./ before its name"
 
 
 def test_what_keeps_it_from_being_run(tmp_path: Path) -> None:

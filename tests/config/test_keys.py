@@ -44,7 +44,7 @@ def test_a_key_of_fernets_is_read(tmp_path: Path) -> None:
 
 
 def test_the_thesis_key_file_with_its_date_is_read(tmp_path: Path) -> None:
-    """As its generate_key.py wrote it: a line with the date, an empty one, the key without a line's end."""
+    """Its generate_key.py wrote a line with the date, an empty one, and the key without a line's end."""
     path = tmp_path / "key.txt"
     key = Fernet.generate_key().decode()
     path.write_text(f"Key generated at 01/06/2021 12:00:00:\n\n{key}")

@@ -1,4 +1,4 @@
-"""What the validation of a session accepts, the wire carries; and what the wire carries, the validation accepts."""
+"""The validation of a session and the wire accept the same values."""
 
 import math
 from typing import Any
@@ -148,7 +148,7 @@ def test_a_topic_is_judged_in_a_form_as_in_a_file(session: Session) -> None:
     )
 )
 def test_what_the_wire_carries_the_validation_accepts(fields: dict[str, Any]) -> None:
-    """Of a channel the range is the validation's alone, and so is the form of a name: those are refused in words."""
+    """Only the validation checks the range of a channel and the form of a name, and explains a refusal."""
     assume(fields.get("transport") != "bluetooth" or fields.get("port", 0) in (0, CHANNEL.low, CHANNEL.high))
     depth = fields.get("qos", {}).get("depth", 0)
     assume(-(2**63) <= depth < 2**64)  # else it is no msgpack

@@ -19,8 +19,8 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 EXTRAS = {
     "run": (),
     "fleet": ("zenoh", "metrics"),
-    "ros": ("ros", "zenoh", "metrics"),
-    "dev": ("ros", "ros-test", "zenoh", "metrics", "dev"),
+    "ros": ("ros", "zenoh", "metrics", "look"),
+    "dev": ("ros", "ros-test", "zenoh", "metrics", "look", "dev"),
 }
 BUILD = PROJECT["build-system"]["requires"]
 NAMED = {
@@ -55,7 +55,7 @@ def entries(lock: str) -> list[tuple[str, str, str, list[str]]]:
 
 @pytest.mark.parametrize("lock", NAMED)
 def test_a_lock_has_all_that_is_named_with_hashes(lock: str) -> None:
-    """If this fails after a change of pyproject.toml: `make lock`."""
+    """After a change of pyproject.toml, run `make lock`."""
     locked = entries(lock)
     assert all(hashes and all(re.fullmatch(r"sha256:[0-9a-f]{64}", each) for each in hashes) for *_, hashes in locked)
     for requirement in map(Requirement, NAMED[lock]):

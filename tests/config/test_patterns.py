@@ -110,7 +110,7 @@ def test_a_single_topic_is_no_pattern(key: str) -> None:
 
 
 def test_an_exception_is_saved_in_its_place(tmp_path: Path) -> None:
-    """As when an operator has removed one topic that a pattern had brought."""
+    """For example when an operator has removed one topic that a pattern had brought."""
     path = tmp_path / "robot1.yaml"
     path.write_text(HEAD + WRITTEN)
     opened = load_file(path)

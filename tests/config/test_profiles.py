@@ -1,4 +1,4 @@
-"""What a link's profile sets, and what is stronger."""
+"""A link's profile, and the settings that override it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `allow` and `deny` come to, on a server and on a client."""
+"""The effect of `allow` and `deny`, on a server and on a client."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ _COMMAND = '#!/bin/sh\necho {} "$@"\nexit 7\n'
 
 @pytest.fixture
 def prefix(tmp_path: Path) -> Path:
-    """What an installed wheel puts beside Python's own folders."""
+    """Return the folder for files that an installed wheel has outside Python's own folders."""
     made = tmp_path / "prefix"
     data = _PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["shared-data"]
     for source, target in data.items():

@@ -42,7 +42,7 @@ HEAD = "name: robot1\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 49152\nkey
 
 
 def edited(text: str, folder: Path, change: Callable[[Session], Session]) -> str:
-    """What a file says after a session from it was changed and saved."""
+    """Return a file's text after a session from it was changed and saved."""
     path = folder / "robot1.yaml"
     path.write_bytes(text.encode())
     opened = load_file(path)
@@ -53,7 +53,7 @@ def edited(text: str, folder: Path, change: Callable[[Session], Session]) -> str
 
 
 def files_in(folder: Path) -> list[str]:
-    """What is in a folder."""
+    """Return the files of a folder."""
     return sorted(path.name for path in folder.iterdir())
 
 
@@ -363,7 +363,7 @@ def test_what_a_server_proposes_is_kept_under_the_client(
 
 @dataclass
 class Written:
-    """A file on the way: its lines, each with what it stands for.
+    """A file during its edits: its lines, each with its entry.
 
     An owner is a key of the session, or an entry's number, or that and a key. A line changes only when one of its
     owners does; a line without any never does.
@@ -583,7 +583,7 @@ def kept(file: Written, owners: set[Any]) -> Iterator[tuple[str, bool]]:
 )
 @given(data=st.data())
 def test_a_save_is_a_merge(sessions: st.SearchStrategy[Session], line_break: str, data: st.DataObject) -> None:
-    """Of any file, after any edits: lines that did not change are as they were, and what is loaded is the session."""
+    """For any file and any edits: unchanged lines stay as they were, and loading gives the session."""
     session = data.draw(sessions)
     file = data.draw(written(session))
     text = line_break.join(line for line, _ in file.lines) + data.draw(st.sampled_from([line_break, ""]))

@@ -164,7 +164,7 @@ def test_what_is_no_file_is_not_replaced_by_one(tmp_path: Path, name: str) -> No
 
 
 def test_a_full_disk_leaves_the_old_file(tmp_path: Path) -> None:
-    """A limit on file size, in a process of its own, stands in for the full disk: the same write fails."""
+    """A limit on file size, in a process of its own, replaces the full disk: the same write fails."""
     path = tmp_path / "robot1.yaml"
     save(SESSION, path)
     script = (

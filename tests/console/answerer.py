@@ -1,4 +1,4 @@
-"""A node with a service and a parameter, until it is told to stop. usage: python answerer.py DOMAIN NODE SERVICE
+"""A node with a service and a parameter, which runs until SIGTERM. usage: python answerer.py DOMAIN NODE SERVICE
 
 The service is std_srvs/srv/SetBool, and the parameter a double, ``speed``, of at most 1.
 """

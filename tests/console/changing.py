@@ -1,4 +1,4 @@
-"""A scripted engine that does what it is told, as far as its snapshot shows it."""
+"""A scripted engine whose snapshot follows its commands."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ARMED = Topic("/cmd_vel", "receive", arm=True)
 
 
 class ChangingEngine(ScriptedEngine):
-    """Does what it is told, as far as its snapshot shows it; of each command it notes whether it is an undo."""
+    """An engine whose snapshot follows its commands; it notes whether each one is an undo."""
 
     specs: tuple[Topic, ...] = (SCAN, ARMED)
 
@@ -39,7 +39,7 @@ class ChangingEngine(ScriptedEngine):
         return super()._done(result, *command)
 
     def put(self, key: str, spec: Topic) -> None:
-        """Change a route, whoever does."""
+        """Change a route, as any operator may."""
         state = State.PAUSED if spec.paused else State.OK
         changed = [replace(each, spec=spec, state=state) if each.key == key else each for each in self.now.routes]
         self.show(*changed)

@@ -1,4 +1,4 @@
-"""What the console's tests share."""
+"""Fixtures of the console's tests."""
 
 from __future__ import annotations
 

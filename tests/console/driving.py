@@ -11,7 +11,8 @@ from tests.console.scripted import SESSION, ScriptedEngine
 from tests.support.waiting import pauses
 from tests.support.wording import says
 from textual.app import App, ScreenStackError
-from textual.events import Paste
+from textual.events import Key, Paste
+from textual.notifications import Notification
 from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import RouteSnapshot
@@ -64,7 +65,7 @@ def form_of(app: App[Any]) -> Form:
 
 
 def text(app: App[Any]) -> str:
-    """What stands on the screen."""
+    """Return the text of the screen."""
     strips = app.screen._compositor.render_strips()
     return "\n".join("".join(segment.text for segment in strip) for strip in strips)
 
@@ -104,18 +105,35 @@ async def shown(pilot: Pilot[None], words: str | Wording, seconds: float = 180.0
     await until(pilot, lambda: is_shown(pilot.app, words, **parameters), f"{words!r} on the screen", seconds)
 
 
+def notices(app: App[Any]) -> list[Notification]:
+    """Return the notifications of an app, which Textual keeps to itself."""
+    return list(app._notifications)
+
+
+def ended(app: App[Any]) -> bool:
+    """Whether an app has been told to end."""
+    return app._exit
+
+
+def send(app: App[Any], *events: Key | Paste) -> None:
+    """Give an app events as its terminal does, without waiting for their effect."""
+    assert app._driver is not None
+    for event in events:
+        app._driver.send_message(event)
+
+
 async def notified(pilot: Pilot[None], wording: Wording, **parameters: object) -> None:
     """Wait for a notification with a text of the program."""
 
     def is_there() -> bool:
-        texts = [f"{each.title} {each.message}" for each in pilot.app._notifications]
+        texts = [f"{each.title} {each.message}" for each in notices(pilot.app)]
         return any(says(each, wording, **parameters) for each in texts)
 
     await until(pilot, is_there, f"a notification: {wording!r}")
 
 
 async def shown_at_the_end(pilot: Pilot[None], words: str, key: str = "G", seconds: float = 180.0) -> None:
-    """Go to the end, which may still move, until `words` stand on the screen."""
+    """Go to the end, which may still move, until the screen shows `words`."""
     deadline = time.monotonic() + seconds
     while words not in text(pilot.app):
         assert time.monotonic() < deadline, f"not within {seconds} s: {words!r} at the end\n{text(pilot.app)}"
@@ -124,7 +142,7 @@ async def shown_at_the_end(pilot: Pilot[None], words: str, key: str = "G", secon
 
 
 async def told_to_add(pilot: Pilot[None], app: ConsoleApp) -> tuple[object, ...]:
-    """Wait until the engine is told to add a topic; the form may ask for the graph even after that."""
+    """Wait until the engine gets the command to add a topic; the form may ask for the graph even after that."""
 
     def told() -> tuple[object, ...] | None:
         return next((command for command in engine_of(app).commands if command[0] == "add"), None)
@@ -191,7 +209,7 @@ def drive(app: ConsoleApp, steps: Steps, size: tuple[int, int] = WIDE) -> None:
 
 
 async def fill(pilot: Pilot[None], **values: str) -> None:
-    """Paste each value into the form's field of that key, in place of what is there."""
+    """Paste each value into the form's field of that key, in place of the old value."""
     for key, value in values.items():
         form = form_of(pilot.app)
         await until(pilot, lambda f=form: not f.input_guard.covers(Paste("")), "a form that listens")

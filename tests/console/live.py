@@ -18,7 +18,7 @@ from rsb_bridge.model.session import Session, Topic
 HERE = two_domains()
 THERE = HERE + 1
 ELSEWHERE = two_domains()
-"""ROS domains of this run's own: other tests' topics would stand in the lists that are searched."""
+"""ROS domains of this run's own: otherwise the searched lists would have other tests' topics."""
 COMMAND = Path(sys.executable).with_name("rsb-console")
 
 

@@ -1,4 +1,4 @@
-"""ROS nodes in a process of their own, until it is told to stop. usage: python -m tests.console.nodes DOMAIN SPECS
+"""ROS nodes in a process of their own, which run until SIGTERM. usage: python -m tests.console.nodes DOMAIN SPECS
 
 SIGUSR1 has them publish no more, as nodes that hang: their publishers stay.
 SPECS is a JSON list of `Spec`. A DDS participant has one type on a topic, so each message type has one of its own.
@@ -20,7 +20,7 @@ class Spec(msgspec.Struct, omit_defaults=True):
     Attributes:
         node: its name.
         topic: that it publishes or hears.
-        rate: Hz; 0: it subscribes.
+        rate: Hz, or 0 to subscribe.
         type: in std_msgs.
         best_effort: its QoS; else reliable.
         size: bytes of a message, about.
@@ -37,7 +37,7 @@ class Spec(msgspec.Struct, omit_defaults=True):
 
 
 def encoded(specs: list[Spec]) -> str:
-    """As an argument of the command."""
+    """Return it as an argument of the command."""
     return msgspec.json.encode(specs).decode()
 
 

@@ -180,7 +180,7 @@ CALLS = CallsSnapshot(
 
 
 def call_stages(failed: int | None = None, detail: str = "") -> tuple[Stage, ...]:
-    """As `stages`, of what has calls."""
+    """Return the stages of a route with calls, like `stages`."""
     if failed is None:
         return tuple(Stage(name, done=True) for name in CALL_STAGES)
     return tuple(

@@ -42,16 +42,16 @@ class Side:
     # --- as JSON
 
     def status(self) -> dict[str, Any]:
-        """What `status --json` prints; without routes and links while there is no bridge yet."""
+        """Return the output of `status --json`, without routes and links as long as no bridge runs."""
         (line,) = self._asked("status") or ({},)
         return {"routes": [], "links": {}, **line}
 
     def route(self, topic: str) -> dict[str, Any]:
-        """What it says of a topic; empty: nothing."""
+        """Return a topic's part of the status, or an empty row."""
         return next((each for each in self.status()["routes"] if each["topic"] == topic), {})
 
     def events(self) -> list[dict[str, Any]]:
-        """What `events --json` prints."""
+        """Return the output of `events --json`."""
         return self._asked("events")
 
     def _asked(self, command: str) -> list[dict[str, Any]]:
@@ -68,7 +68,7 @@ class Side:
         eventually(lambda: f"─ {topic} ─" in self.screen.picture, what=f"{topic} is chosen")
 
     def detail(self) -> str:
-        """What stands in the pane beside the table, as one line."""
+        """Return the text of the detail pane, as one line."""
         return detail_of(self.screen.picture)
 
     def says(self, *words: str) -> None:
@@ -80,7 +80,7 @@ class Side:
 
 
 def every_so_often(look: Any, what: str, within: float = _WITHIN) -> Any:
-    """As `eventually`, for what costs a process each time."""
+    """Wait for a condition, like `eventually`, if each check costs a process."""
     deadline = time.monotonic() + within
     while not (found := look()):
         assert time.monotonic() < deadline, f"not within {within:g} s: {what}"

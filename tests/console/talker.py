@@ -1,4 +1,4 @@
-"""A ROS node in a process of its own that publishes until it is told to stop. usage: talker.py DOMAIN TOPIC HZ"""
+"""A ROS node in a process of its own that publishes until SIGTERM. usage: talker.py DOMAIN TOPIC HZ"""
 
 import signal
 import sys

@@ -54,7 +54,7 @@ class Terminal:
                 time.sleep(min(seconds, 0.05))
 
     def _read_all(self) -> None:
-        """Take what is left: the line gives a few kilobytes at a time."""
+        """Read the rest: the line gives a few kilobytes at a time."""
         while select.select([self.fd], [], [], 0.05)[0]:
             try:
                 part = os.read(self.fd, 65536)
@@ -70,7 +70,7 @@ class Terminal:
             self.read(0.05)
 
     def hang_up(self) -> None:
-        """What sshd does when the line drops."""
+        """Do what sshd does when the line drops."""
         os.close(self.fd)
         self.hung_up = True
 

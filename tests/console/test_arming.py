@@ -131,7 +131,7 @@ async def test_keys_keep_it_armed(app: ConsoleApp, pilot: Pilot[None]) -> None:
     assert not any(kept)
     await pilot.press("j")
     await until(pilot, lambda: any(kept), "a key")
-    app.pull()  # the app sees a key more than once on its way, and a refresh may have come between
+    app.pull()  # the app sees a key more than once, and a refresh may have come between
     kept.clear()
     await until(pilot, lambda: len(kept) > 2, "signs of life")
     assert not any(kept)
@@ -270,7 +270,7 @@ def test_the_robot_s_own_console_that_dies_disarms_the_other_side(tmp_path: Path
         tmux("set-option", "-g", "remain-on-exit", "on")
         os.kill(int(tmux("display-message", "-p", "#{pane_pid}")), signal.SIGKILL)
         every_so_often(there.why_disarmed, "disarmed")
-        assert there.why_disarmed() in ("link_lost", "channel_lost"), "whichever connection is seen to end first"
+        assert there.why_disarmed() in ("link_lost", "channel_lost"), "in any order of the connections' ends"
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, *long(signal.SIGINT)], ids=["kill -9", "Ctrl-C"])

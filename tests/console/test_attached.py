@@ -1,4 +1,4 @@
-"""The console on a bridge of another process: it shows and does the same, says so, and leaves the bridge running."""
+"""The console on a bridge of another process: it shows and does the same, and leaves the bridge running."""
 
 import os
 import shutil
@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tests.console.driving import WIDE, drive, empty_app, scripted_app, shown, text, until
+from tests.console.driving import WIDE, drive, empty_app, notices, scripted_app, shown, text, until
 from tests.console.live import COMMAND, Pair, end, talker
 from tests.console.scripted import ScriptedEngine, route
 from tests.console.tmux import Tmux
@@ -71,7 +71,7 @@ def test_what_an_older_bridge_cannot_do_is_told_and_the_console_stays_attached(
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("i")
-        await until(pilot, lambda: any("update" in each.message for each in app._notifications), "what to do")
+        await until(pilot, lambda: any("update" in each.message for each in notices(app)), "what to do")
         await pilot.press("p")
         await until(pilot, lambda: engine.commands == [("pause", "/robot2/scan", True)], "paused there")
         assert app.engine is not None
@@ -171,7 +171,7 @@ def test_the_welcome_screen_lists_what_runs_first(
 
 
 def _running(machine: Machine) -> object:
-    """As the app's own, which leaves out the process that it runs in."""
+    """Return the running bridges; the app's own function leaves out the process that it runs in."""
 
     async def running(_: object) -> list[bridges.RunningBridge]:
         return bridges.running_bridges(machine.environ)

@@ -40,7 +40,7 @@ def banner(picture: str) -> list[str]:
 
 
 def test_its_lines_stay_where_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four topics of one node that hangs: each is told of for itself, or with the one that is judged alike."""
+    """Four topics of one node that hangs: each is reported by itself, or together with one of the same verdict."""
     pytest.importorskip("rclpy", reason="needs ROS 2")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     topics = [Topic(name, "transmit", expected_rate=rate) for name, rate in RATES.items()]

@@ -38,7 +38,7 @@ class Rung:
         self.times += 1
 
     def sees(self, *routes: RouteSnapshot, seconds: float = LASTS + 1, engine: Any = ENGINE) -> int:
-        """How often it has rung after the console has shown this for a while."""
+        """Return how often it has rung after the console has shown this for a while."""
         for _ in range(int(4 * seconds)):
             self.now += 0.25
             snapshot = Snapshot(NOW + self.now, "robot1", "client", "", 0, running=True, links=(LINK,), routes=routes)

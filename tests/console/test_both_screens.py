@@ -19,9 +19,9 @@ import pytest
 from tests.console.live import Pair, running
 from tests.console.nodes import Spec, encoded
 from tests.console.side import Side, every_so_often
-from tests.support.holding_relay import HoldingRelay
 from tests.support.log_lines import check_lines
 from tests.support.ports import free_port
+from tests.support.relay import Relay
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.session_file import save
@@ -40,7 +40,7 @@ pytestmark = pytest.mark.skipif(shutil.which("tmux") is None, reason="it needs t
 
 
 class Row(NamedTuple):
-    """A cause, and what is said of it.
+    """A cause, with its display on both sides.
 
     Attributes:
         name: of the cause.
@@ -50,12 +50,12 @@ class Row(NamedTuple):
         state: of the topic, on both sides.
         cause: in both JSON streams.
         client: words on the client's screen, in this order, with " … " between them.
-        server: likewise on the server's.
+        server: the display on the server's side.
         logged: both logs warn of it.
         comes: the node that starts last, when all is fine.
         leaves: the node that goes first, after all was fine: a subscriber ends, a publisher hangs. (DDS lists one that
             was killed for 20 s, and a busy machine takes longer to ask both sides; `tests.engine.test_verdicts` kills.)
-        held: s that each message waits on its way, after all was fine.
+        held: s by which the relay delays each message, once the topic is fine.
     """
 
     name: str
@@ -203,11 +203,11 @@ _RELAYED = "127.0.0.2"
 """Where the client finds the server: relays listen there."""
 _FINE_FOR = 100
 """Messages, in 5 s."""
-_RATE_IS_KNOWN = re.compile(r" [\d.]+/\d")  # a busy machine publishes less often than it is told to
+_RATE_IS_KNOWN = re.compile(r" [\d.]+/\d")  # a busy machine publishes less often than it should
 
 
 class World:
-    """Both consoles, the nodes beside them, and what both sides said when they were last asked.
+    """Both consoles, the nodes in their domains, and both sides' last JSON.
 
     Attributes:
         sides: the client's and the server's.
@@ -216,7 +216,7 @@ class World:
     def __init__(self, folder: Path, domains: tuple[int, int], nodes: contextlib.ExitStack) -> None:
         pair = Pair(folder, *(row.topic for row in ROWS), domains=domains, stale_after=120.0)
         ports = {pair.client.server_port, *(row.topic.port for row in ROWS if row.topic.port is not None)}
-        self._relays = {port: nodes.enter_context(HoldingRelay(port, host=_RELAYED, port=port)) for port in ports}
+        self._relays = {port: nodes.enter_context(Relay(("127.0.0.1", port), _RELAYED, port)) for port in ports}
         save(msgspec.structs.replace(pair.client, server_ip=_RELAYED), pair.client_path)
         self._starts: dict[str, Callable[[], subprocess.Popen[bytes]]] = {}
         for domain, specs in zip(domains, ([row.robot for row in ROWS], [row.pc for row in ROWS]), strict=True):
@@ -235,7 +235,7 @@ class World:
         self._events: list[list[dict[str, Any]]] = [[], []]
 
     def routes(self, row: Row, *, anew: bool = False) -> list[dict[str, Any]]:
-        """What the JSON of both sides says of a topic, as soon as both have its state and cause; asked anew or not."""
+        """Return a topic's part of both sides' JSON, as soon as both have its state and cause."""
         if anew:
             self._statuses = [side.status() for side in self.sides]
 
@@ -281,7 +281,7 @@ class World:
         if row.held:
             assert row.topic.port is not None
             self.routes(fine)
-            self._relays[row.topic.port].held = row.held
+            self._relays[row.topic.port].delay = lambda: row.held
 
     def _end(self, row: Row, fine: Row) -> None:
         before = self.routes(fine)
@@ -294,7 +294,7 @@ class World:
         )
         for side in self.sides:
             side.choose(row.topic.topic)
-            eventually(lambda side=side: _RATE_IS_KNOWN.search(side.screen.picture), what="its rate is known")
+            eventually(lambda side=side: _RATE_IS_KNOWN.search(side.screen.picture), what="its rate is shown")
         process = self._alone[row.leaves]
         if any(spec.node == row.leaves for spec in row.robot):
             process.send_signal(signal.SIGUSR1)

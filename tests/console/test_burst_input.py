@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from tests.console.driving import drive, engine_of, form_of, on_main, scripted_app, shown, until
+from tests.console.driving import drive, engine_of, form_of, on_main, scripted_app, send, shown, until
 from tests.console.scripted import SESSION
 from tests.console.tmux import Tmux
 from tests.support.long import long
@@ -41,10 +41,9 @@ FORMS = {  # the keys that open each form, and words in it
 
 def burst(app: App[None], keys: Sequence[str]) -> None:
     """Type all keys before the app looks at the first."""
-    assert app._driver is not None
     for key in keys:
         named = CONTROL.get(key) or (key if len(key) > 1 else _character_to_key(key))
-        app._driver.send_message(Key(named, key if len(key) == 1 else None))
+        send(app, Key(named, key if len(key) == 1 else None))
 
 
 def opened(words: str, keys: Sequence[str]) -> dict[str, int]:
@@ -140,8 +139,7 @@ def test_a_new_session_is_filled_in_at_once(how: str, typed: str, expected: dict
         burst(app, "n" if how == "pasted" else f"n{typed}")
         await until(pilot, lambda: isinstance(app.screen, NewSessionScreen), "the form")
         if how == "pasted":
-            assert app._driver is not None
-            app._driver.send_message(Paste(typed))
+            send(app, Paste(typed))
         form = form_of(app)
         await until(pilot, lambda: form.values.items() >= expected.items(), "all values")
         await until(pilot, lambda: app.input_queue._task is None and not app.input_queue._waiting, "all of it")

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from tests.console.driving import drive, fill, scripted_app, shown, text, until
+from tests.console.driving import drive, ended, fill, scripted_app, shown, text, until
 from tests.console.scripted import SESSION
 from textual.pilot import Pilot
 from textual.widgets import Button
@@ -65,7 +65,7 @@ async def press(app: ConsoleApp, pilot: Pilot[None], dialog: str, label: str) ->
     if label == "Import":  # nothing is filled in
         await shown(pilot, FileText.MISSING)
     else:
-        await until(pilot, lambda: app.screen is not screen or app._exit, f"{label} to do something")
+        await until(pilot, lambda: app.screen is not screen or ended(app), f"{label} to do something")
     await pilot.pause()  # what is dismissed twice fails now
     assert app._exception is None, text(app)
 

@@ -14,6 +14,7 @@ from tests.console.driving import (
     fill,
     form_of,
     gone,
+    notices,
     put,
     scripted_app,
     settled,
@@ -133,7 +134,7 @@ async def test_what_is_under_way_is_not_sent_again_and_keys_still_do_something(
     put(app, call_route("service", "/robot1/set_mode", State.DOWN, reason="no server any more"))
     await shown(pilot, "✗ DOWN  std_srvs/srv/SetBool  no server any more")
     await pilot.press("f9")
-    await until(pilot, lambda: app._notifications, "why not")
+    await until(pilot, lambda: notices(app), "why not")
     assert len(calls(app)) == 1
     await pilot.press("escape")
     await gone(pilot, CallText.WAITING)
@@ -337,8 +338,8 @@ async def test_what_is_copied_is_told_in_few_words(app: ConsoleApp, pilot: Pilot
     engine_of(app).called.set_result("message: " + "x" * 50_000)
     await shown(pilot, "message: xxx")
     await pilot.press("y")
-    await until(pilot, lambda: app._notifications, "that it is copied")
-    assert max(len(each.message) for each in app._notifications) < 300
+    await until(pilot, lambda: notices(app), "that it is copied")
+    assert max(len(each.message) for each in notices(app)) < 300
     assert len(app.clipboard) > 50_000
 
 
@@ -362,7 +363,7 @@ def test_answers_are_wrapped_and_nothing_in_them_is_obeyed() -> None:
 async def test_read_only_calls_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await gone(pilot, "C call")
     await pilot.press("C")
-    await until(pilot, lambda: any("read-only" in each.message for each in app._notifications), "why not")
+    await until(pilot, lambda: any("read-only" in each.message for each in notices(app)), "why not")
     await settled(pilot)
     assert app.screen is app.main
     assert calls(app) == []
@@ -392,9 +393,9 @@ def test_the_key_stands_in_the_footer_only_where_there_is_something_to_call() ->
 async def test_a_service_has_no_message_to_look_at(app: ConsoleApp, pilot: Pilot[None]) -> None:
     for keys in (["v"], ["enter", "enter"]):
         await pilot.press(*keys)
-        await until(pilot, lambda: app._notifications, "what it has instead")
+        await until(pilot, lambda: notices(app), "what it has instead")
         assert app.screen is app.main
-        assert any(says(each.message, MainText.NO_MESSAGES_BUT_CALLS, key="C") for each in app._notifications)
+        assert any(says(each.message, MainText.NO_MESSAGES_BUT_CALLS, key="C") for each in notices(app))
         app.clear_notifications()
     assert not any(command[0] == "peek" for command in engine_of(app).commands)
 

@@ -70,7 +70,7 @@ def form(size: tuple[int, int] = (120, 36)) -> Callable[[AppSteps], Callable[[],
 
 
 async def added(app: ConsoleApp, pilot: Pilot[None]) -> Topic:
-    """What the engine was asked to bridge."""
+    """Return the entry that the engine was asked to add."""
     _, topic, _ = await told_to_add(pilot, app)
     assert isinstance(topic, Topic)
     return topic

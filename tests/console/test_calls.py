@@ -1,4 +1,4 @@
-"""Services, actions and parameters beside topics: in the table, in the header and in the detail."""
+"""Services, actions and parameters next to topics: in the table, in the header and in the detail."""
 
 from dataclasses import replace
 

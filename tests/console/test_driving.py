@@ -150,7 +150,7 @@ def test_only_an_armed_velocity_without_old_messages_is_driven(
 
 
 class Clock:
-    """The module `time` of the screen, which stands still but for what commands take."""
+    """The screen's module `time`, which advances only by the duration of commands."""
 
     def __init__(self) -> None:
         self.now = time.monotonic()
@@ -222,7 +222,7 @@ async def pressed(pilot: Pilot[None], clock: Clock, *keys: str) -> None:
 
 
 async def rests(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> int:
-    """Wait until nothing more is sent, and return the count of what was."""
+    """Wait until nothing more is sent, and return the number of messages."""
 
     count, looks = len(sent(app)), clock.looks
 

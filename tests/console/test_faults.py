@@ -1,4 +1,4 @@
-"""The cause of every fault stands on the first screen, wherever the cursor is."""
+"""The first screen shows the cause of every fault, wherever the cursor is."""
 
 from dataclasses import replace
 from itertools import pairwise

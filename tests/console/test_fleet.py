@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.console.driving import NARROW, NOWHERE, WIDE, settled, shown, text, until
+from tests.console.driving import NARROW, NOWHERE, WIDE, ended, notices, settled, shown, text, until
 from tests.console.scripted import NOW, SESSION, ScriptedEngine
 from tests.console.tmux import Tmux
 from tests.support.fleet import ScriptedSource, ServerEngine, fleet_of, robot, topics
@@ -25,7 +25,7 @@ from rsb_console.actions import FLEET_ACTIONS, Group
 from rsb_console.fleet.rolling import Bridged
 from rsb_console.fleet.server_source import ServerFleet
 from rsb_console.fleet_app import FleetApp, RobotApp
-from rsb_console.screens.rollout import Phase, RolloutScreen, _key_line
+from rsb_console.screens.rollout import ChangeField, Phase, RolloutScreen, _key_line
 from rsb_console.screens.rollout import _now as present_values
 from rsb_console.widgets.fleet_table import FleetView
 
@@ -52,6 +52,11 @@ ROBOTS = (
     robot("robot4", RobotState.WAITING, why="not connected yet", seen=None, links_up=0, flowing=0, version=""), STALE,
     robot("robot12", group="yard", version="0.2.0"),
 )  # fmt: skip
+
+
+def change_of(screen: RolloutScreen) -> ChangeField:
+    """Return the field for the change."""
+    return screen.query_one(ChangeField)
 
 
 class Bed:
@@ -153,7 +158,7 @@ def test_every_size(size: tuple[int, int]) -> None:
 
 def test_the_cursor_stays_on_its_robot() -> None:
     async def steps(bed: Bed) -> None:
-        assert bed.cursor == "robot2"  # the worst, whichever that is, until the operator moves
+        assert bed.cursor == "robot2"  # the worst row, until the operator moves
         bed.source.put("robot2", state=RobotState.OK, why="")
         await bed.until(lambda: bed.cursor == "robot11", "the worst under the cursor")
         await bed.press("j")
@@ -170,7 +175,7 @@ def test_filter_and_faults_only() -> None:
         await bed.press("f")
         assert bed.listed == ["robot2", "robot11", "robot3"]
         await bed.press("escape", "slash", *"group:hall", "enter")
-        await bed.until(lambda: bed.listed == ["robot11", "robot3", "robot1"], "those of the hall")
+        await bed.until(lambda: bed.listed == ["robot11", "robot3", "robot1"], "the robots of the hall")
         await bed.shown("3 of 6")
         await bed.press("escape")
         assert len(bed.listed) == 6
@@ -190,7 +195,7 @@ def test_groups_fold() -> None:
         await bed.press("enter")
         assert bed.listed == ["[hall]", *everything[4:]]
         await bed.shown("▸ hall  3 robots")
-        await bed.shown("/scan STALE")  # what is wrong in it is said all the same
+        await bed.shown("/scan STALE")  # its errors are shown all the same
         await bed.press("space")
         assert bed.view.marked == {"control/robot1", "control/robot3", "control/robot11"}
         await bed.press("space", "enter")
@@ -384,31 +389,31 @@ async def picking(bed: Bed) -> RolloutScreen:
     await bed.until(lambda: isinstance(bed.app.screen, RolloutScreen), "the dialog")
     screen = rollout(bed)
     screen._settle = 0.05
-    await bed.until(lambda: "/scan" in screen._change.list.keys and not screen._change._waiting, "all topics")
+    await bed.until(lambda: "/scan" in change_of(screen).list.keys and not change_of(screen)._waiting, "all topics")
     return screen
 
 
 @pytest.mark.parametrize("size", [WIDE, NARROW], ids=["wide", "narrow"])
 def test_a_change_is_picked(size: tuple[int, int]) -> None:
-    """The topic of those that the robots have, then the key, then the value."""
+    """Pick a topic of the robots, then a key, then a value."""
 
     async def steps(bed: Bed) -> None:
         screen = await picking(bed)
-        assert screen._change.list.keys == ["/camera", "/scan"]  # what most have comes first
+        assert change_of(screen).list.keys == ["/camera", "/scan"]  # what most have comes first
         await bed.shown("2 of 2")
         await bed.shown("1 of 2")
         await bed.press("enter")
-        assert screen._change.control.value == "/camera "
+        assert change_of(screen).control.value == "/camera "
         await bed.press(*"max_r")
-        await bed.until(lambda: screen._change.list.keys == ["max_rate"], "the key")
+        await bed.until(lambda: change_of(screen).list.keys == ["max_rate"], "the key")
         await bed.shown("30 on 1")
         await bed.shown("none on 1")
         await bed.press("enter")
-        assert screen._change.control.value == "/camera max_rate="
+        assert change_of(screen).control.value == "/camera max_rate="
         await bed.press("5", "enter")
         await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
         await bed.shown("max_rate 30.0 → 5")
-        assert not screen._change.list.display
+        assert not change_of(screen).list.display
         await bed.press("y")
         await bed.until(lambda: screen.phase is Phase.ENDED, "the end")
         assert [len(bed.source.engines[name].commands) for name in ("robot1", "robot2", "robot3")] == [1, 1, 0]
@@ -420,13 +425,13 @@ def test_values_of_a_choice_are_picked_with_the_arrows() -> None:
     async def steps(bed: Bed) -> None:
         screen = await picking(bed)
         await bed.press(*"/camera priority=")
-        await bed.until(lambda: "value high" in screen._change.list.keys, "values")
+        await bed.until(lambda: "value high" in change_of(screen).list.keys, "values")
         await bed.press("down", "enter")
-        assert screen._change.control.value == "/camera priority=high"
+        assert change_of(screen).control.value == "/camera priority=high"
         await bed.press("enter")
         await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
         await bed.press("escape")
-        assert screen._change.list.display
+        assert change_of(screen).list.display
 
     with_different_cameras().run(steps)
 
@@ -445,11 +450,11 @@ def test_a_mistake_is_said_as_it_is_typed() -> None:
     async def steps(bed: Bed) -> None:
         screen = await picking(bed)
         await bed.press(*"/camera max_rate=-1")
-        await bed.until(lambda: screen._change.mistake() != "", "a mistake")
+        await bed.until(lambda: change_of(screen).mistake() != "", "a mistake")
         await bed.shown("robot1: max_rate")
         assert screen.phase is Phase.TYPING
         await bed.press("backspace", "backspace", "5")
-        await bed.until(lambda: screen._change.mistake() == "", "none")
+        await bed.until(lambda: change_of(screen).mistake() == "", "none")
 
     with_different_cameras().run(steps)
 
@@ -458,10 +463,10 @@ def test_a_topic_is_picked_with_the_mouse() -> None:
     async def steps(bed: Bed) -> None:
         screen = await picking(bed)
         await settled(bed.pilot)  # a topic that is listed already may be drawn later
-        assert await bed.pilot.click(screen._change.list, offset=(3, 1))
-        await bed.until(lambda: screen._change.list.cursor_key == "/scan", "the cursor on the second topic")
-        assert await bed.pilot.click(screen._change.list, offset=(3, 1))
-        await bed.until(lambda: screen._change.control.value == "/scan ", "the second topic")
+        assert await bed.pilot.click(change_of(screen).list, offset=(3, 1))
+        await bed.until(lambda: change_of(screen).list.cursor_key == "/scan", "the cursor on the second topic")
+        assert await bed.pilot.click(change_of(screen).list, offset=(3, 1))
+        await bed.until(lambda: change_of(screen).control.value == "/scan ", "the second topic")
 
     with_different_cameras().run(steps)
 
@@ -515,7 +520,7 @@ def test_servers_are_left_out_of_an_edit(marked: tuple[str, ...]) -> None:
             await bed.until(lambda: isinstance(bed.app.screen, RolloutScreen), "the dialog")
             assert [each.summary.name for each in rollout(bed)._robots] == ["robot1"]
         else:
-            await bed.until(lambda: bed.app._notifications, "a notice")
+            await bed.until(lambda: notices(bed.app), "a notice")
             assert bed.app.screen is bed.app.main
 
     bed.run(steps)
@@ -595,7 +600,7 @@ def test_the_console_on_a_robot_shows_that_one_and_leaves_with_escape(machine: M
             assert app.is_running
             assert app.screen is app.main
             await pilot.press("escape")
-            await until(pilot, lambda: not app.is_running or app._exit, "the end")
+            await until(pilot, lambda: not app.is_running or ended(app), "the end")
 
     asyncio.run(run())
     app.stop()

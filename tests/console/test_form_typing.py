@@ -1,7 +1,7 @@
 """Typing into forms: on coming to a field, and faster than a refusal shows."""
 
 import pytest
-from tests.console.driving import drive, empty_app, fill, form_of, shown, text, until
+from tests.console.driving import drive, empty_app, fill, form_of, send, shown, text, until
 from textual.events import Key
 from textual.pilot import Pilot
 
@@ -36,9 +36,7 @@ def test_what_is_typed_on_coming_to_a_field_replaces_what_is_there_but_lengthens
 
 def type_at_once(app: ConsoleApp, *keys: str) -> None:
     """Type faster than the console looks."""
-    assert app._driver is not None
-    for key in keys:
-        app._driver.send_message(Key(key, key if len(key) == 1 else None))
+    send(app, *(Key(key, key if len(key) == 1 else None) for key in keys))
 
 
 @pytest.mark.parametrize("pressed", ["server_port", "use_encryption", "#yes"])

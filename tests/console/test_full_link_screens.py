@@ -11,7 +11,7 @@ import pytest
 from tests.console.live import HERE, THERE, Pair, running
 from tests.console.nodes import Spec, encoded
 from tests.console.side import Side, every_so_often
-from tests.support.slow_relay import SlowRelay
+from tests.support.relay import Relay
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.session_file import save
@@ -28,7 +28,7 @@ def test_both_first_screens_say_that_the_link_is_full(tmp_path: Path, monkeypatc
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     pair = Pair(tmp_path, Topic("/chat", "transmit"), domains=(HERE, THERE), stale_after=120.0)
     with contextlib.ExitStack() as stack:
-        relay = stack.enter_context(SlowRelay(pair.client.server_port, 1_000_000))
+        relay = stack.enter_context(Relay(("127.0.0.1", pair.client.server_port), rate=1_000_000))
         save(msgspec.structs.replace(pair.client, server_port=relay.port), pair.client_path)
         for domain, spec in ((HERE, Spec("talker", "/chat", 200)), (THERE, Spec("listener", "/chat"))):
             stack.enter_context(running(sys.executable, "-m", "tests.console.nodes", str(domain), encoded([spec])))
@@ -38,7 +38,7 @@ def test_both_first_screens_say_that_the_link_is_full(tmp_path: Path, monkeypatc
             stack.callback(side.close)
             sides.append(side)
         every_so_often(lambda: all(side.route("/chat").get("state") == "ok" for side in sides), "ok on both sides")
-        relay.bytes_per_second = 3_000
+        relay.rate = 3_000
 
         def full() -> bool:
             return all(side.status()["links"].get("robot1", {}).get("cause") == LinkCause.FULL for side in sides)

@@ -9,7 +9,7 @@ from rsb_console.command.formatting import StatusLines, text_status
 
 
 def parts(*routes: RouteSnapshot) -> list[str]:
-    """What the line says of each topic."""
+    """Return each topic's part of the line."""
     return text_status(replace(ScriptedEngine().snapshot(), routes=routes)).split(" | ")[3:]
 
 

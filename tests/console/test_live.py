@@ -41,7 +41,7 @@ def watch(pair: Pair, steps: AppSteps) -> None:
 
 
 def state(app: ConsoleApp) -> State | None:
-    """How the topic under the cursor is."""
+    """Return the state of the topic under the cursor."""
     return None if app.main.selected is None else app.main.selected.state
 
 

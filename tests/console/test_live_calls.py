@@ -52,7 +52,7 @@ def watch(pair: Pair, steps: AppSteps) -> None:
 
 
 def found(app: ConsoleApp, name: str) -> RouteSnapshot | None:
-    """What is bridged of that name."""
+    """Return the routes of that name."""
     return next((route for route in app.snapshot().routes if route.topic == name), None)
 
 

@@ -135,7 +135,7 @@ def test_the_demo_runs_from_the_welcome_and_leaves_nothing() -> None:
 
 
 def test_a_demo_that_takes_over_from_a_demo_ends_its_robot() -> None:
-    """As with `rsb-console demo` and F4: the robots of both would publish the same topics."""
+    """Otherwise, after `rsb-console demo` and F4, the robots of both would publish the same topics."""
     with alone("demo"), contextlib.ExitStack() as resources:
         first = resources.enter_context(running_demo())
         app = ConsoleApp(first.session, first.path, config=NOWHERE, theme="dark", temporary=True, resources=resources)

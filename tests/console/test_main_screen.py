@@ -10,9 +10,11 @@ import pytest
 from tests.console.driving import (
     NARROW,
     drive,
+    ended,
     engine_as,
     engine_of,
     gone,
+    notices,
     on_main,
     put,
     scripted_app,
@@ -118,7 +120,7 @@ async def test_pause_and_resume(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await until(pilot, lambda: engine_of(app).commands == [("pause", "/robot2/scan", True)], "pause")
     await pilot.press("j", "j", "p")
     await until(pilot, lambda: engine_of(app).commands[1:] == [("pause", "/initialpose", False)], "resume")
-    assert not list(app._notifications), "the log says it"
+    assert not notices(app), "the log has it"
 
 
 @on_main()
@@ -135,7 +137,7 @@ async def test_quitting_while_linked_asks_with_the_focus_on_no(app: ConsoleApp, 
         await gone(pilot, "Quit?")
     assert app.is_running
     await pilot.press("q", "y")
-    await until(pilot, lambda: app._exit, "the end")
+    await until(pilot, lambda: ended(app), "the end")
 
 
 @on_main()
@@ -147,7 +149,7 @@ async def test_quitting_unlinked_asks_as_long_as_the_bridge_runs(app: ConsoleApp
     await until(pilot, lambda: app.screen is app.main, "the main screen")
     engine_of(app).now = replace(engine_of(app).now, running=False)
     await pilot.press("q")
-    await until(pilot, lambda: app._exit, "the end")
+    await until(pilot, lambda: ended(app), "the end")
 
 
 @on_main(readonly=True)
@@ -156,7 +158,7 @@ async def test_quitting_while_read_only_asks_too(app: ConsoleApp, pilot: Pilot[N
     await until(pilot, lambda: isinstance(app.screen, ConfirmScreen), "the question")
     await until(pilot, lambda: app.focused is app.screen.query_one("#no", Button), "the focus on No")
     await pilot.press("y")
-    await until(pilot, lambda: app._exit, "the end")
+    await until(pilot, lambda: ended(app), "the end")
 
 
 @on_main()

@@ -107,7 +107,7 @@ def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(keys: list
         assert engine.commands[:2] == [("peek", "/robot2/scan", True), ("describe", "/robot2/scan")]
         await answered(pilot, peeked(odometry("other")))
         await shown(pilot, 'child_frame_id: "other"')
-        assert engine.commands.count(("describe", "/robot2/scan")) == 1, "the type is known"
+        assert engine.commands.count(("describe", "/robot2/scan")) == 1, "the type is described"
         await answered(pilot, None)
         await shown(pilot, MessageText.WAITING)
         await shown(pilot, 'child_frame_id: "other"')  # the last one stays

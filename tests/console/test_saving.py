@@ -31,7 +31,7 @@ async def shut(pilot: Pilot[None]) -> None:
 
 
 def changed(app: ConsoleApp, *topics: Topic) -> Session:
-    """As if operators had changed the session's topics."""
+    """Change the session's topics as operators do."""
     engine_of(app).session = msgspec.structs.replace(engine_of(app).session, topics=topics)
     return engine_of(app).session
 
@@ -315,7 +315,7 @@ def test_saved_to_another_folder_the_key_is_still_found(folder: Path) -> None:
 
     drive(app, steps)
     saved = load(folder / "robots" / "r.yaml")
-    assert saved.key_file == os.path.join("..", "safe", "r.key")  # noqa: PTH118 -- as it stands in the file
+    assert saved.key_file == os.path.join("..", "safe", "r.key")  # noqa: PTH118 -- as the file has it
     assert read_key(folder / "robots" / saved.key_file) == key
 
 

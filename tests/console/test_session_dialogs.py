@@ -4,7 +4,19 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from tests.console.driving import NARROW, choose, drive, empty_app, engine_of, fill, form_of, gone, shown, until
+from tests.console.driving import (
+    NARROW,
+    choose,
+    drive,
+    empty_app,
+    engine_of,
+    fill,
+    form_of,
+    gone,
+    notices,
+    shown,
+    until,
+)
 from tests.console.scripted import SESSION
 from tests.support.long import long
 from textual.pilot import Pilot
@@ -72,7 +84,7 @@ def test_readonly_begins_with_what_writes_nothing() -> None:
         await shown(pilot, "Open a session")
         await gone(pilot, "New session")
         await gone(pilot, "Import")
-        await pilot.press("n", "i", "escape")  # there is nothing behind it to go to
+        await pilot.press("n", "i", "escape")  # no screen is behind it
         await pilot.pause()
         await shown(pilot, "Open a session")
 
@@ -89,7 +101,7 @@ def test_a_digit_chooses_a_recent_session_and_enter_starts_it(folder: Path) -> N
         assert isinstance(app.screen, WelcomeScreen)
         assert app.screen.menu.keys[-2:] == [str(folder / "nav2.yaml"), "quit"]
         await pilot.press("5")
-        await until(pilot, lambda: app._notifications, "a notice: there is no fifth")
+        await until(pilot, lambda: notices(app), "a notice: there is no fifth")
         await pilot.press("1")
         assert app.screen.menu.cursor_key == str(folder / "nav2.yaml")
         await pilot.pause(0.1)

@@ -1,4 +1,4 @@
-"""The engine takes its time to start: whatever keys are pressed meanwhile, one engine runs in the end."""
+"""The engine starts slowly: after any keys meanwhile, one engine runs in the end."""
 
 import asyncio
 import threading

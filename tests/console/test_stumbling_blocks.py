@@ -1,4 +1,4 @@
-"""What operators stumbled over: forms that were lost, figures that misled, and things that were not found."""
+"""Operators' difficulties: lost forms, misleading figures, and functions that were hard to find."""
 
 from concurrent.futures import Future
 from dataclasses import replace

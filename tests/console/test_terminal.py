@@ -1,4 +1,4 @@
-"""In a real terminal: it comes up at once, goes cleanly whatever happens, and never holds up the bridge."""
+"""In a real terminal, the console starts at once, always ends cleanly, and never holds up the bridge."""
 
 import contextlib
 import json
@@ -80,7 +80,7 @@ sys.exit(main(["run"]))
 
 @pytest.mark.parametrize("heard", [True, False])
 def test_a_terminal_that_vanishes_while_the_console_starts_is_no_crash(heard: bool, tmp_path: Path) -> None:
-    """It says so where somebody may still read it."""
+    """It reports that where somebody may still read it."""
     errors = tmp_path / "errors"
     command = (sys.executable, "-c", LATE, *([str(errors)] if heard else []))
     with Terminal(*command, environ={"XDG_STATE_HOME": str(tmp_path / "state")}) as terminal:
@@ -156,7 +156,7 @@ def test_a_signal_ends_it_cleanly_and_restores_the_terminal(pair: Pair, tmp_path
 
 
 def assert_told(far: FarSide) -> None:
-    """The other side was told that this one stops, instead of finding out."""
+    """Check that the other side got the goodbye, instead of finding out."""
     deadline = time.monotonic() + 60
     while not any(line.get("source") == "link" and "linked with" not in line["text"] for line in far.lines()):
         assert time.monotonic() < deadline, far.log.read_text()

@@ -1,9 +1,9 @@
-"""Themes: the shipped ones are readable, a user's mistake is said in words."""
+"""Themes: the shipped ones are readable, a user's mistake is explained."""
 
 from pathlib import Path
 
 import pytest
-from tests.console.driving import drive, notified, scripted_app, shown
+from tests.console.driving import drive, notices, notified, scripted_app, shown
 from tests.support.wording import says
 from textual.color import Color
 from textual.pilot import Pilot
@@ -47,7 +47,7 @@ def test_what_is_read_stands_out(name: str, least: float) -> None:
 
 @pytest.mark.parametrize("name", ["dark", "light"])
 def test_colours_are_of_the_256(name: str) -> None:
-    """So a terminal without COLORTERM shows what was meant."""
+    """A terminal without COLORTERM shows the intended colours."""
     levels = {0, 95, 135, 175, 215, 255}
     theme = SHIPPED.found[name]
     for key in ("primary", *themes.COLORS):
@@ -119,7 +119,7 @@ def test_bad_themes_become_one_toast_and_the_rest_still_works(tmp_path: Path) ->
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "Themes skipped")
         assert app.theme == "mine"
-        assert len(app._notifications) == 1
+        assert len(notices(app)) == 1
 
     drive(app, steps)
 

@@ -1,4 +1,4 @@
-"""The add form's list while a side is slow to say what it has, or does not say it."""
+"""The add form's list while a side is slow to list its topics, or does not."""
 
 from concurrent.futures import Future
 from typing import Any
@@ -14,7 +14,7 @@ from rsb_console.screens import topic_form
 
 
 class SlowPeer(ScriptedEngine):
-    """An engine whose peer answers when the test says so.
+    """An engine whose peer answers on the test's command.
 
     Attributes:
         asked: the questions to the peer, oldest first.

@@ -12,7 +12,20 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.console.changing import ARMED, SCAN, ChangingEngine
-from tests.console.driving import NARROW, WIDE, choose, drive, engine_as, fill, gone, scripted_app, shown, text, until
+from tests.console.driving import (
+    NARROW,
+    WIDE,
+    choose,
+    drive,
+    engine_as,
+    fill,
+    gone,
+    notices,
+    scripted_app,
+    shown,
+    text,
+    until,
+)
 from tests.console.scripted import LINK, NOW, ScriptedEngine, route
 from tests.console.tmux import Tmux
 
@@ -72,10 +85,10 @@ async def removed(pilot: Pilot[None], topic: str) -> None:
 
 
 async def refused(app: ConsoleApp, pilot: Pilot[None], *words: str) -> None:
-    """Press the key, and be told why nothing is taken back."""
+    """Press the key, and return the reason why nothing is undone."""
     await pilot.press("u")
     await shown(pilot, "Not undone")
-    assert all(any(each in told.message for told in app._notifications) for each in words)
+    assert all(any(each in told.message for told in notices(app)) for each in words)
     assert app.screen is app.main
 
 
@@ -247,7 +260,7 @@ def test_what_somebody_changes_while_the_question_stands_is_left_alone() -> None
         engine.put("/scan", msgspec.structs.replace(SCAN, max_rate=9.0))
         await pilot.press("y")
         await shown(pilot, "Not undone")
-        assert any("max_rate 2.5 → 9.0" in told.message for told in app._notifications)
+        assert any("max_rate 2.5 → 9.0" in told.message for told in notices(app))
         assert engine.undone == []
 
     on_scan(steps)

@@ -39,6 +39,7 @@ from rsb_bridge.model.pictures import MOST_RATE, Cells, Curve, Picture, Pixels, 
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
+from rsb_console.look.picture_rows import Row
 from rsb_console.look.plot_lines import AXIS
 from rsb_console.screens import view_screen
 from rsb_console.screens.drive_screen import DriveScreen
@@ -113,6 +114,16 @@ def screen_of(app: ConsoleApp) -> ViewScreen:
     return app.screen
 
 
+def drawn(app: ConsoleApp) -> list[Row]:
+    """Return the rows of the picture."""
+    return screen_of(app).pane._rows
+
+
+def placing(app: ConsoleApp) -> Goal | None:
+    """Return the goal that the operator is placing."""
+    return screen_of(app)._goal
+
+
 def title(app: ConsoleApp) -> str:
     pane_title = screen_of(app).pane._border_title
     return "" if pane_title is None else pane_title.plain
@@ -151,7 +162,7 @@ async def test_an_image_has_two_pixels_in_a_cell(app: ConsoleApp, pilot: Pilot[N
 async def test_without_true_colour_an_image_is_ascii(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await comes(pilot, viewed(Pixels(3, 2, bytes(9) + b"\xff" * 9)))
     await until(pilot, lambda: screen_of(app).has_content, "the picture")
-    rows = [part.text for row in screen_of(app).pane._rows for part in row]
+    rows = [part.text for row in drawn(app) for part in row]
     assert rows
     assert "".join(rows).isascii() == bool(app.ansi_color)
 
@@ -160,7 +171,7 @@ async def test_without_true_colour_an_image_is_ascii(app: ConsoleApp, pilot: Pil
 async def test_a_plot_fills_the_pane(app: ConsoleApp, pilot: Pilot[None]) -> None:
     wish = await comes(pilot, viewed(CURVES))
     await until(pilot, lambda: screen_of(app).has_content, "the plot")
-    rows = screen_of(app).pane._rows
+    rows = drawn(app)
     assert len(rows) == wish.height
     assert max(sum(len(part.text) for part in row) for row in rows) == wish.width
 
@@ -346,7 +357,7 @@ POSES = route("/robot1/goal_pose", outgoing=True, type_name=POSE)
 
 
 def goal_of(app: ConsoleApp) -> Goal:
-    goal = screen_of(app)._goal
+    goal = placing(app)
     assert goal is not None
     return goal
 
@@ -384,7 +395,7 @@ async def test_the_goal_is_marked_with_its_heading(app: ConsoleApp, pilot: Pilot
 
 def marked(app: ConsoleApp) -> tuple[tuple[int, int], str]:
     """Return the cell of the mark, and the mark."""
-    rows = ["".join(part.text for part in row) for row in screen_of(app).pane._rows]
+    rows = ["".join(part.text for part in row) for row in drawn(app)]
     ((at, text_),) = ((number, each) for number, each in enumerate(rows) if each.strip())
     return (len(text_) - len(text_.lstrip()), at), text_.strip()
 
@@ -393,7 +404,7 @@ def marked(app: ConsoleApp) -> tuple[tuple[int, int], str]:
 async def test_a_click_puts_the_goal_into_its_cell(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await comes(pilot, viewed(MAP))
     await pilot.click(PicturePane, offset=(12, 7))
-    assert screen_of(app)._goal is None, "no goal without its key"
+    assert placing(app) is None, "no goal without its key"
     await pilot.press("g")
     await pilot.click(PicturePane, offset=(12, 7))
     first = goal_of(app).cell(SCALE)
@@ -410,7 +421,7 @@ async def test_escape_drops_only_the_goal(app: ConsoleApp, pilot: Pilot[None]) -
         await pilot.press(*keys)
         assert goal_of(app)
         await pilot.press("escape")
-        assert screen_of(app)._goal is None
+        assert placing(app) is None
         assert not says(title(app), ViewText.GOAL_PLACE)
     await pilot.press("enter")  # without a goal it does nothing
     assert isinstance(app.screen, ViewScreen)
@@ -436,7 +447,7 @@ async def test_the_form_has_the_goals_pose(app: ConsoleApp, pilot: Pilot[None]) 
     assert not [each for each in engine_of(app).commands if each[0] == "publish"]
     await pilot.press("escape")
     await until(pilot, lambda: isinstance(app.screen, ViewScreen), "the picture")
-    assert screen_of(app)._goal is None
+    assert placing(app) is None
 
 
 @pytest.mark.parametrize(
@@ -473,7 +484,7 @@ def test_a_goal_needs_a_map(content: Any) -> None:
             await comes(pilot, viewed(content))
         await pilot.press("g")
         await notified(pilot, ViewText.NO_MAP)
-        assert screen_of(app)._goal is None
+        assert placing(app) is None
 
     test()
 
@@ -484,11 +495,11 @@ async def test_another_frame_or_another_kind_of_picture_drops_the_goal(app: Cons
     await comes(pilot, viewed(MAP))
     await pilot.press("g")
     await comes(pilot, viewed(Cells(MAP.rows, scale=msgspec.structs.replace(SCALE, frame="base_link"))))
-    await until(pilot, lambda: screen_of(app)._goal is None, "no goal")
+    await until(pilot, lambda: placing(app) is None, "no goal")
     await pilot.press("g")
     assert goal_of(app).frame == "base_link"
     await pilot.press("h")
-    assert screen_of(app)._goal is None
+    assert placing(app) is None
 
 
 @looking()
@@ -498,7 +509,7 @@ async def test_a_goal_far_outside_of_the_picture_is_not_drawn(app: ConsoleApp, p
     near = Scale("map", -1e7, 1e7, 1e-9, 1e-9)
     await comes(pilot, viewed(Cells(MAP.rows, scale=near)))
     await until(pilot, lambda: screen_of(app)._scale == near, "the picture")
-    assert not "".join(part.text for row in screen_of(app).pane._rows for part in row).strip()
+    assert not "".join(part.text for row in drawn(app) for part in row).strip()
 
 
 @looking(readonly=True)
@@ -506,7 +517,7 @@ async def test_a_read_only_console_sets_no_goal_and_drives_nothing(app: ConsoleA
     put(app, route(SCAN), DRIVEN)
     await comes(pilot, viewed(MAP))
     await pilot.press("g", "d")
-    assert screen_of(app)._goal is None
+    assert placing(app) is None
     assert not any(key in text(app) for key in ("g goal", "d drive"))
 
 
@@ -566,7 +577,7 @@ async def test_the_cursor_of_a_plot_shows_values(app: ConsoleApp, pilot: Pilot[N
         return screen_of(app)._cursor
 
     def legend() -> str:
-        return "".join(part.text for part in screen_of(app).pane._rows[-1])
+        return "".join(part.text for part in drawn(app)[-1])
 
     assert cursor() is None
     newest = legend()
@@ -580,7 +591,7 @@ async def test_the_cursor_of_a_plot_shows_values(app: ConsoleApp, pilot: Pilot[N
     for _ in range(across):
         await pilot.press("left")
     assert cursor() == 0
-    assert any("│" in "".join(part.text for part in row)[AXIS:] for row in screen_of(app).pane._rows)
+    assert any("│" in "".join(part.text for part in row)[AXIS:] for row in drawn(app))
     await pilot.press("0")
     assert cursor() is None
     after = await comes(pilot, viewed(PLOT))
@@ -678,7 +689,7 @@ async def test_a_problem_instead_of_a_picture(app: ConsoleApp, pilot: Pilot[None
     assert "numpy" not in title(app)
     await comes(pilot, viewed(None, problem="numpy is not installed there"))
     await shown(pilot, "numpy is not installed there")
-    assert "the picture" in text(app), "the last picture stays beside the problem"
+    assert "the picture" in text(app), "the last picture stays next to the problem"
 
 
 def test_a_refusal_is_shown_and_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -737,7 +748,7 @@ async def test_a_damaged_image_is_refused_in_words(app: ConsoleApp, pilot: Pilot
     before = title(app)
     await comes(pilot, viewed(Pixels(8, 8, b"RIFF\0\0\0\0WEBPxxxx", "webp")))
     await until(pilot, lambda: title(app) != before and screen_of(app)._problem, "the reason")
-    assert screen_of(app).pane._rows == []
+    assert drawn(app) == []
     await pilot.press("p")
     await notified(pilot, ViewText.NOT_WRITTEN)
     await comes(pilot, viewed())
@@ -757,7 +768,7 @@ def _unfit() -> list[Picture]:
 
 @pytest.mark.parametrize("picture", _unfit(), ids=["style", "styles", "palette", "pixels", "curves"])
 def test_a_hostile_bridge_s_picture_is_refused(machine: Machine, picture: Picture) -> None:
-    """Whoever has the bridge's socket, or a robot of a fleet, may send anything."""
+    """Any holder of the bridge's socket, or a robot of a fleet, may send anything."""
 
     class Hostile(ScriptedEngine):
         def _execute(self, command: Any, step: Any) -> Future[Any]:

@@ -1,4 +1,4 @@
-"""What the console offers and shows of a link over Zenoh: no ports, and its own two protocols."""
+"""The console's forms and details of a link over Zenoh: no ports, and its own two protocols."""
 
 from __future__ import annotations
 

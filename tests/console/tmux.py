@@ -23,7 +23,7 @@ class Tmux:
 
     @property
     def picture(self) -> str:
-        """What is on the screen."""
+        """Return the text of the screen."""
         return self("capture-pane", "-p")
 
     def wait_for(self, words: str, seconds: float = 120.0, *, there: bool = True) -> str:

@@ -172,7 +172,7 @@ def test_who_attached_read_only_stays_so(machine: Machine) -> None:
 
 
 class Slow(ScriptedEngine):
-    """Finishes no command before it is told to."""
+    """Finishes no command before the test allows it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -253,7 +253,7 @@ def test_it_says_that_the_bridge_has_ended_and_attaches_to_the_next(machine: Mac
     assert [each.topic for each in remote.snapshot().routes] == ["/again"]
     eventually(lambda: remote.events()[-1].text == EVENTS[-1].text)
     numbers = [event.number for event in remote.events()]
-    assert numbers == list(range(1, len(EVENTS) * 2 + 3)), "its own count goes on, whoever serves"
+    assert numbers == list(range(1, len(EVENTS) * 2 + 3)), "its own count goes on with any server"
 
 
 class Hanging(ScriptedEngine):
@@ -317,7 +317,7 @@ def test_what_is_no_console_is_cut_off(machine: Machine, sent: bytes) -> None:
     machine.serve()
     with (
         control_sockets.connect(machine.folder / "robot1.sock", 60.0) as connection,
-        contextlib.suppress(ConnectionError),  # it is cut off before it has said all
+        contextlib.suppress(ConnectionError),  # it is cut off before its end
     ):
         connection.sendall(sent)
         assert connection.recv(1000) == b""
@@ -390,7 +390,7 @@ def test_nothing_is_left_behind(machine: Machine) -> None:
 
 
 def test_a_connection_that_comes_while_the_server_closes_is_closed(machine: Machine) -> None:
-    """Python tells of what is left open when its memory is collected, which makes a test fail."""
+    """Python warns of an open socket when its memory is collected, which makes a test fail."""
     for _ in range(20):
         served = machine.serve()
         control_sockets.connect(machine.folder / "robot1.sock", 5.0).close()
@@ -406,7 +406,7 @@ def test_a_bridge_that_is_not_there_is_said_in_words(machine: Machine) -> None:
 
 @pytest.mark.parametrize("turns", range(12))
 def test_an_attachment_that_is_cancelled_leaves_no_socket_open(machine: Machine, turns: int) -> None:
-    """At whichever turn of the event loop; Python tells of a socket that is left open, which makes a test fail."""
+    """At any turn of the event loop; Python warns of an open socket, which makes a test fail."""
     machine.serve()
 
     async def cancel_early() -> None:

@@ -78,7 +78,7 @@ def test_a_battery_is_read_and_looked_at_again_later() -> None:
     engine.describes()
     assert engine.tick(one, at=2) == {"robot1": Battery(0.75, NOW)}
     engine.tick(one, at=BATTERY_EVERY - 1)
-    assert engine.asked == [(one.key, True)]  # whoever comes late wants what is kept
+    assert engine.asked == [(one.key, True)]  # a late joiner wants the kept messages
     engine.tick(one, at=BATTERY_EVERY)
     assert engine.asked[1:] == [(one.key, False)]
     engine.waiting[one.key].set_result(battery(0.5, NOW + BATTERY_EVERY))

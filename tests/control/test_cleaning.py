@@ -71,7 +71,7 @@ def nasty(kind: msgspec.inspect.Type, text: str, figure: float) -> Any:
 
 
 def all_in(value: Any) -> Any:
-    """Everything that a message holds, whatever it is in."""
+    """Return all values of a message, at any depth."""
     plain = msgspec.to_builtins(value)
     waiting = [plain]
     while waiting:

@@ -81,7 +81,7 @@ def test_it_is_seen_and_changed_from_elsewhere(bridge: Bridge, machine: Machine)
 
 
 class Traffic:
-    """Five topics over a bridge, whose client is served; every message has to arrive, whatever consoles do."""
+    """Five topics over a bridge, whose client has a control socket; every message has to arrive, with any consoles."""
 
     def __init__(self, bridge: Bridge, robot: Domain, pc: Domain, machine: Machine) -> None:
         topics = [Topic(f"/topic{number}_tcp", "transmit", type="std_msgs/msg/String") for number in range(5)]
@@ -116,7 +116,7 @@ def traffic(bridge: Bridge, robot: Domain, pc: Domain, machine: Machine) -> Traf
 
 
 class Watching:
-    """A console in a process of its own, which looks all the time, and says so when it sees so many delivered."""
+    """A console in a process of its own, which polls all the time, and prints a line when it sees so many delivered."""
 
     def __init__(self, machine: Machine, delivered: int) -> None:
         command = [sys.executable, "-c", WATCHES, str(machine.folder / "robot1.sock"), str(delivered)]

@@ -1,4 +1,4 @@
-"""Bridges and consoles of different ages: what they do not send to each other, and what operators are told instead."""
+"""Bridges and consoles of different versions: messages that they do not exchange, and the operators' explanation."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ FIRST_WELCOME = bytes.fromhex(
     "af31302e302e302e32303a3439313532a370696401a773746172746564cb0000000000000000a8696e7374616e6365a178a770726f677261"
     "6da5302e312e30a466696c65a72f722e79616d6c"
 )
-"""A bridge's greeting, recorded likewise."""
+"""A bridge's greeting, recorded in the same way."""
 NOTHING: frozenset[str] = frozenset()
 ALL = frozenset(FEATURES)
 
@@ -171,7 +171,7 @@ NEW_SESSION = msgspec.structs.replace(
 
 
 class Greeted:
-    """A raw console, and what it is told after a greeting of its own."""
+    """A raw console, and the messages that it gets after a greeting of its own."""
 
     def __init__(self, machine: Machine, hello: bytes) -> None:
         self.heard = b""

@@ -1,4 +1,4 @@
-"""Who is behind a process: asked of the kernel, not of the process."""
+"""The user of a process, as the kernel reports it, not the process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A bridge that is lost is shown as lost by the time it is said."""
+"""A lost bridge is shown as lost within the documented time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What crosses the control socket: every message comes through whole, however it is cut, and nothing else does."""
+"""The control socket: every message arrives whole, however it is cut, and nothing else does."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_text_that_is_not_utf_8_is_refused(to_bridge: bool) -> None:
 @settings(max_examples=50, deadline=None)
 @given(data=st.data())
 def test_a_console_has_the_routes_that_the_engine_has(data: st.DataObject) -> None:
-    """Whatever is added, changed, removed and moved between two looks."""
+    """After routes are added, changed, removed and moved between two polls."""
     engine, sender, encoded = ScriptedEngine(), Sender(), EncodedRoutes()
     info = protocol.BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "x", "0.1.0")
     receiver = Receiver(info)

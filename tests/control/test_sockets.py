@@ -1,4 +1,4 @@
-"""Where control sockets are: nobody else's, never a living process's, and found again by their session."""
+"""The places of control sockets: nobody else's, never a living process's, and found again by their session."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def served_by(uid: int) -> Iterator[Path]:
 
 
 def answer_to(uid: int, path: Path) -> str:
-    """What the bridge answers to a console of a user."""
+    """Return the bridge's answer to a user's console."""
     command = [sys.executable, "-c", SAYS_HELLO, str(path), str(uid)]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout.strip()
 

@@ -1,4 +1,4 @@
-"""What strangers, and operators who do not keep to the rules, can do where operators attach over a network."""
+"""Attacks of strangers, and of operators who break the rules, where operators attach over a network."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A command that takes back an earlier one says so, from another process, too: the bridge's log marks it."""
+"""A command that undoes an earlier one is marked in the bridge's log, from another process, too."""
 
 from __future__ import annotations
 

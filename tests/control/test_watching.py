@@ -49,7 +49,7 @@ class Taking:
 
 
 def told(summarize: Callable[[float], bytes], seconds: float, *, stalls: bool = False) -> list[bytes]:
-    """What a console that watches is told in so many s."""
+    """Return the messages to a watching console in so many s."""
     with virtual_loop() as loop:
         connection = Taking()
         served: Any = SimpleNamespace(info=INFO, engine=None, encoded=None, summary=lambda: summarize(loop.time()))

@@ -1,4 +1,4 @@
-"""What `rsb-console doctor` finds out about a machine: real files in place of ``/sys`` and ``/dev/shm``."""
+"""Findings of `rsb-console doctor` about a machine, with real files in place of ``/sys`` and ``/dev/shm``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `rsb-console doctor` finds out about ROS. Programs that crash, hang or fail stand in for the self-test."""
+"""Findings of `rsb-console doctor` about ROS. Programs that crash, hang or fail replace the self-test."""
 
 from __future__ import annotations
 

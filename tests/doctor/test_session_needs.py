@@ -1,4 +1,4 @@
-"""What `rsb-console doctor` finds out about a session's ports, keys and types: real sockets and files."""
+"""Findings of `rsb-console doctor` about a session's ports, keys and types, with real sockets and files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Both ends of an action, beside the two sides of a bridge."""
+"""Both ends of an action, in the domains of a bridge's two sides."""
 
 from __future__ import annotations
 

@@ -15,6 +15,7 @@ from rclpy.qos import qos_profile_action_status_default
 from rclpy.serialization import deserialize_message
 from tests.support.bridge import feedback_listeners, linked, route
 from tests.support.fibonacci import ACTION, FibonacciClient, FibonacciProcess, FibonacciServer, fibonacci, id_of
+from tests.support.inside import inside
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
@@ -319,14 +320,13 @@ def test_a_goal_that_is_accepted_while_the_link_is_down_is_known_to_its_client_a
 
 
 def states(engine: Engine) -> list[str]:
-    """Of an engine's goals, in the order of its snapshot."""
+    """Return the states of an engine's goals, in the order of its snapshot."""
     return [goal.state for goal in route(engine, ACTION).goals]
 
 
 def servers(engine: Engine) -> set[bytes]:
     """The services of nodes that serve the action in an engine's domain, three of each, as its route knows."""
-    assert engine._bridge is not None
-    (found,) = (each for link in engine._bridge.links() for each in link.routes.values())
+    (found,) = (each for link in inside(engine).links() for each in link.routes.values())
     return {each.gid for each in found.endpoints}
 
 

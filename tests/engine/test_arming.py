@@ -11,6 +11,7 @@ from std_srvs.srv import SetBool
 from tests.support.bridge import balance, carries, happened, heard, linked, route
 from tests.support.consoles import Consoles
 from tests.support.domain import LATCHED, RELIABLE, text
+from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.api import EngineError
@@ -48,14 +49,13 @@ def consoles() -> Iterator[Consoles]:
 
 
 def disarmings(engine: Engine) -> int:
-    """How often it was told that an operator has disarmed."""
+    """Return how often its log has that an operator disarmed."""
     return sum(each.code == EventCode.OPERATOR_DISARMED for each in engine.events())
 
 
 def published(engine: Engine) -> int:
     """How many messages it has published of the opening that was armed, which is over."""
-    assert engine._bridge is not None
-    (found,) = [each for link in engine._bridge.links() for each in link.routes.values()]
+    (found,) = [each for link in inside(engine).links() for each in link.routes.values()]
     assert isinstance(found, IncomingRoute)
     return found._before[1].delivered if found._before else 0
 
@@ -126,7 +126,7 @@ def test_what_is_armed_crosses_unchanged(
 def test_what_was_on_its_way_when_it_disarms_reaches_no_robot_after_it_is_armed_again(
     bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:
-    """The network holds the commands back, and lets them go when both sides are armed anew."""
+    """The network holds the commands back, and releases them when both sides are armed again."""
     motors, joystick = robot.listener("/cmd"), pc.publisher("/cmd")
     server, client = bridge.both(COMMANDS)
     eventually(lambda: is_set_up(server, client))
@@ -182,12 +182,11 @@ def both_armed(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles
 def test_a_command_that_disarms_ends_once_nothing_is_published_any_more(
     what: str, both_armed: tuple[Engine, Engine], relay: Relay
 ) -> None:
-    """The network holds back what was sent, and the word that it is disarmed."""
+    """The network holds back the sent messages and the disarming."""
     server, _ = both_armed
     key = route(server, "/cmd").key
     relay.stall()
-    assert server._bridge is not None
-    (link,) = server._bridge.links()
+    (link,) = inside(server).links()
     half, lease = link.routes[key], link.table.arming.lease.state
     may_be_published = lease.left
     began = time.monotonic()
@@ -229,12 +228,11 @@ def test_the_robot_publishes_nothing_of_its_own_marked_topic_that_its_peer_sends
     motors, joystick = robot.listener("/cmd"), pc.publisher("/cmd")
     server, client = bridge.both(COMMANDS)
     eventually(lambda: is_set_up(server, client))
-    assert server._bridge is not None
-    (liar,) = [each for link in server._bridge.links() for each in link.routes.values()]
+    (liar,) = [each for link in inside(server).links() for each in link.routes.values()]
     for question in ("stands", "passes"):
         lie = lambda arming, now: arming is liar.arming or not arming.required  # noqa: E731
         monkeypatch.setattr(type(liar.arming), question, lie)
-    server._bridge.context.call(liar.advance)
+    inside(server).context.call(liar.advance)
     publish_for(joystick, "forged", lambda: route(client, "/cmd").ledger.dropped.get("disarmed", 0) >= 5)
     assert not motors.payloads
 

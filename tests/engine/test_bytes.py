@@ -1,4 +1,4 @@
-"""What comes out is what went in, byte by byte: every type, every size, every way to connect."""
+"""Messages arrive byte by byte as sent: every type, every size, every transport."""
 
 from __future__ import annotations
 
@@ -199,7 +199,7 @@ def test_ports_of_their_own(bridge: Bridge, robot: Domain, pc: Domain) -> None:
 
 
 def test_compressed(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """What shrinks is sent shrunk; noise as it is."""
+    """Text is sent compressed; noise as it is."""
     names = ("/tcp", "/udp")
     theres, outs = [pc.listener(name) for name in names], [robot.publisher(name) for name in names]
     server, client = bridge.both(*(Topic(n, "transmit", protocol=protocol_of(n), compression="zstd") for n in names))

@@ -47,7 +47,7 @@ def test_a_client_comes_and_goes_while_another_stays(bridge: Bridge, robot: Doma
 
     server.remove_client("robot2").result(60)
     eventually(lambda: not linked(second, "robot2"))
-    eventually(lambda: "robot2" in link(second, "robot2").reason, what="the client is told")
+    eventually(lambda: "robot2" in link(second, "robot2").reason, what="the client gets the reason")
     assert [each.name for each in server.snapshot().links] == ["robot1"]
     assert [each.name for each in server.session.clients] == ["robot1"]
     assert find(server, "/map") is None

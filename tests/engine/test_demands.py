@@ -264,7 +264,7 @@ def test_an_edit_that_is_refused_drops_nothing_and_tells_nobody(bridge: Bridge, 
         with pytest.raises(EngineError):
             client.edit_topic(key, topic, drop_arm=True).result(60)
     client.edit_topic(route(client, "/free").key, msgspec.structs.replace(FREE, max_rate=5.0)).result(60)
-    eventually(lambda: happened(server, EventCode.OPERATOR_EDITED))  # comes after whatever was sent before
+    eventually(lambda: happened(server, EventCode.OPERATOR_EDITED))  # comes after everything sent before
     for engine in (server, client):
         assert happened(engine, EventCode.OPERATOR_ARM_DROPPED) is None
     assert required(client, "/cmd_vel")

@@ -1,4 +1,4 @@
-"""A process that may have few file descriptors: the topics that it has none for say so, and nothing else suffers."""
+"""A process with few file descriptors: topics that get none report it, and nothing else suffers."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def none_left() -> Iterator[None]:
 
 
 def test_connections_that_cannot_be_accepted_wait() -> None:
-    """The loop is told once, not once for each connection that the kernel holds, and turns to other work."""
+    """The loop learns of it once, not once for each connection that the kernel holds, and does other work."""
     connected: list[Stream] = []
     shortages: list[str] = []
 
@@ -90,7 +90,7 @@ def test_connections_that_cannot_be_accepted_wait() -> None:
 
 
 async def until(condition: Callable[[], object], within: float = 20.0) -> None:
-    """As `eventually`, while the loop runs."""
+    """Wait for a condition, like `eventually`, while the loop runs."""
     async with asyncio.timeout(within):
         while True:
             if condition():
@@ -107,7 +107,7 @@ def test_the_program_takes_all_that_it_may_have(bridge: Bridge, programs: Progra
 
 @pytest.mark.parametrize("side", ["server", "client"])
 def test_topics_beyond_the_limit(side: str, bridge: Bridge, programs: Programs) -> None:
-    """Both sides are told whose limit it is; the link, the other topics and other clients are served."""
+    """Both sides show whose limit it is; the link, the other topics and other clients are served."""
     bridge.make_key("other")
     clients = (Client("robot1"), Client("robot2", key_file="other.key"))
     topics = (Topic(f"/topic{number}", "transmit", type="std_msgs/msg/String", qos=1) for number in range(TOPICS))
@@ -133,7 +133,7 @@ def test_topics_beyond_the_limit(side: str, bridge: Bridge, programs: Programs) 
 def test_one_client_that_takes_all_it_can_leaves_enough_for_the_next(
     bridge: Bridge, programs: Programs, robot: Domain, pc: Domain
 ) -> None:
-    """The limit cannot be raised. Beside it, strangers connect; another client and an operator get in all the same."""
+    """The limit cannot be raised. Strangers connect meanwhile; another client and an operator still get in."""
     bridge.make_key("other")
     clients = (Client("robot1", key_file=bridge.key_file), Client("robot2", key_file="other.key"))
     server = programs.start(bridge.server_session(name="pc", clients=clients), descriptors=(256, 256))

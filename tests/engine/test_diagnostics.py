@@ -1,4 +1,4 @@
-"""What the instruments of ROS, as rqt_robot_monitor, see of a bridge."""
+"""A bridge in the instruments of ROS, such as rqt_robot_monitor."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_each_side_tells_the_instruments_of_its_domain(bridge: Bridge, robot: Do
 
 
 def test_a_robots_diagnostics_cross_as_any_topic(bridge: Bridge, pc: Domain) -> None:
-    """Those of its own bridge are among them, though that is the one that bridges them."""
+    """They include the diagnostics of the bridge itself."""
     there = pc.listener("/diagnostics", DiagnosticArray)
     bridge.both(Topic("/diagnostics", "transmit"))
 

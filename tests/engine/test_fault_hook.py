@@ -83,7 +83,7 @@ class Hooked:
 
     @property
     def told(self) -> list[dict[str, Any]]:
-        """What the command was told, as far as it has written that."""
+        """Return the command's input, as far as it has written it down."""
         try:
             lines = (self.folder / "told").read_text().splitlines(keepends=True)
         except FileNotFoundError:

@@ -55,7 +55,7 @@ def test_goals_are_cancelled_and_end_while_no_new_one_may_begin(
     for engine in engines:
         eventually(lambda engine=engine: [goal.state for goal in route(engine, ACTION).goals] == ["executing"] * 2)
     eventually(lambda: not client.ready, what="no goal can be sent")
-    eventually(lambda: server.is_heard and feedback_listeners(engines[0]))  # what is disarmed is opened anew
+    eventually(lambda: server.is_heard and feedback_listeners(engines[0]))  # a disarmed route is opened again
     server.feedback(7, number=other)
     eventually(lambda: second.feedbacks == [[7]])
     answer = first.cancel()
@@ -83,7 +83,7 @@ def test_goals_are_cancelled_and_end_while_no_new_one_may_begin(
 def test_a_goal_that_runs_is_cancelled_by_hand_where_nobody_was_ever_let_send_one(
     how: str, shared: bool, bridge: Bridge, server: FibonacciServer, robot: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The goal is another client's, beside the robot; the operator sits at the other end.
+    """The goal is another client's, in the robot's domain; the operator sits at the other end.
 
     Where routes share the link's own stream, as on Bluetooth, the status is sent as soon as the other side can take it.
     """
@@ -171,5 +171,5 @@ def hold(engine: Engine, how: str) -> None:
 
 
 def states(*engines: Engine) -> set[str]:
-    """Of the action, on all of them."""
+    """Return the states of the action, on all of them."""
     return {route(engine, ACTION).state for engine in engines}

@@ -1,4 +1,4 @@
-"""What the engine does by itself: little while nothing happens, and no task of its own ends unnoticed."""
+"""An engine without traffic does little, and none of its tasks ends unnoticed."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from tests.support.bridge import carries, happened, linked, route
 from tests.support.domain import text
+from tests.support.inside import inside
 from tests.support.offline import loop, make_context
 from tests.support.participants import KnownNode
 from tests.support.waiting import eventually, holds
@@ -106,8 +107,7 @@ def test_snapshots_are_renewed_four_times_a_second_while_somebody_looks_often(
 
 def test_a_regular_task_that_fails_is_reported_and_goes_on(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     server, client = bridge.both()
-    assert client._bridge is not None
-    role, failures = client._bridge._role, list[int]()
+    role, failures = inside(client)._role, list[int]()
 
     def tick() -> None:
         if not failures:

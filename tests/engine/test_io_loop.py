@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.support.bridge import carries, heard, protocol_of, settled
 from tests.support.domain import text
+from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.engine.io_loop import IoLoop
@@ -365,9 +366,8 @@ def test_a_bridge_keeps_the_order_while_threads_change_all_the_time(
     there, out = pc.listener(topic), robot.publisher(topic)
     server, client = bridge.both(Topic(topic, "transmit", protocol=protocol_of(topic), qos=5000))
     carries([out], server, [topic])
-    assert client._bridge is not None
     visits: list[bool] = []
-    queue, loop = client._bridge.context.ros_queue, client._bridge.context.loop
+    queue, loop = inside(client).context.ros_queue, inside(client).context.loop
     assert isinstance(loop, IoLoop)
 
     def do_now(work: Callable[[], object]) -> bool:

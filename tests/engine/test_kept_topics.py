@@ -1,4 +1,4 @@
-"""What an operator adds on a server: kept in its session, and proposed to the client whenever that links."""
+"""Topics that an operator adds on a server are kept in its session, and proposed to the client whenever it links."""
 
 from __future__ import annotations
 

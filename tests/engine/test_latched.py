@@ -10,6 +10,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tests.support.bridge import balance, connections, linked, listeners, route, settled
 from tests.support.domain import Domain, text
+from tests.support.inside import inside
 from tests.support.long import long
 from tests.support.ports import free_port
 from tests.support.waiting import eventually, holds
@@ -112,7 +113,7 @@ def test_two_bridges_in_a_row(
         return True
 
     try:
-        # The message may overtake the word of the bridge that it crossed, and what is open then is opened anew later.
+        # The message may overtake the bridge's announcement; then an open route is opened again later.
         eventually(lambda: brought_by(far, first), what="the far end keeps what the new process brings")
         eventually(lambda: late() == newest, what="the far end has the newest message only")
         # Histories of publishers that are not there are dropped after 10 s.
@@ -123,10 +124,8 @@ def test_two_bridges_in_a_row(
 
 def brought_by(receiver: Engine, sender: Engine) -> bool:
     """Whether all that an engine publishes has crossed another one's bridge."""
-    assert receiver._bridge is not None
-    assert sender._bridge is not None
-    node = sender._bridge.context.ros.node_name
-    routes = [route for link in receiver._bridge.links() for route in tuple(link.routes.values())]
+    node = inside(sender).context.ros.node_name
+    routes = [route for link in inside(receiver).links() for route in tuple(link.routes.values())]
     outputs = [output for route in routes for output in tuple(route._outputs._outputs)]  # type: ignore[attr-defined]
     return bool(outputs) and all(node in map(node_of, output.came_by) for output in outputs)
 
@@ -169,7 +168,7 @@ def test_a_map_that_is_published_again_and_again(bridge: Bridge, robot: Domain, 
 
 @pytest.mark.parametrize("published_before", [12, 3, 0])
 def test_a_deeper_history(published_before: int, bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """Of 12 messages five are kept, whenever the bridge comes; all the time both sides keep the same."""
+    """Five of 12 messages are kept, wherever the bridge starts; both sides always keep the same."""
     out = robot.publisher("/path", qos=latched(5))
     messages = publish(out, "pose", range(published_before))
     server, client = bridge.both(Topic("/path", "transmit"))
@@ -195,7 +194,7 @@ def test_a_deeper_history(published_before: int, bridge: Bridge, robot: Domain, 
 
 
 def test_a_link_that_is_cut(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
-    """What was published before is not published again; what was published meanwhile is, as far as it is kept."""
+    """Earlier messages are not published again; those from meanwhile are, as far as they are kept."""
     out = robot.publisher("/path", qos=latched(3))
     server, client = bridge.both(Topic("/path", "transmit"))
     steady = pc.listener("/path", qos=JOINS_LATE)
@@ -229,7 +228,7 @@ def is_fine(shown: RouteSnapshot) -> bool:
 def test_a_second_bridge_has_what_the_first_one_brought(
     bridge: Bridge, robot: Domain, pc: Domain, third: Domain
 ) -> None:
-    """Either link is opened anew, and nothing new is published."""
+    """Either route is opened again, and nothing new is published."""
     publish(robot.publisher("/map", qos=latched(1)), "map", range(1))
     engines: list[Engine] = []
     for name, here, there in (("robot1", robot, pc), ("robot2", pc, third)):
@@ -290,7 +289,7 @@ def test_a_newest_message_that_the_far_side_has_is_fine_after_a_reconnect(
     eventually(fine, 20.0, "fine again")
     holds(fine, 1.0)
     for engine, ages in before.items():
-        if engine in (client, server):  # whoever was there has heard them before
+        if engine in (client, server):  # present listeners have heard them before
             for topic, age in ages.items():
                 crossed_again = "process" in how and (topic == "/back") is (how == "client's process")
                 assert crossed_again or (route(engine, topic).age or 0.0) > (age or 0.0)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.support.bridge import link, linked, route
 from tests.support.domain import text
-from tests.support.holding_relay import HoldingRelay
-from tests.support.slow_relay import SlowRelay
+from tests.support.relay import Relay
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
@@ -50,7 +49,7 @@ class Talking:
 
 
 def both_say(engines: tuple[Engine, Engine], topic: str, state: State, cause: str, within: float) -> None:
-    """Wait until both sides say so."""
+    """Wait until both sides show this state and cause."""
 
     def said() -> bool:
         return all((route(each, topic).state, route(each, topic).cause) == (state, cause) for each in engines)
@@ -63,14 +62,14 @@ def both_say(engines: tuple[Engine, Engine], topic: str, state: State, cause: st
 
 
 @pytest.fixture
-def holding(bridge: Bridge) -> Iterator[HoldingRelay]:
-    with HoldingRelay(bridge.port) as relay:
+def holding(bridge: Bridge) -> Iterator[Relay]:
+    with Relay(("127.0.0.1", bridge.port)) as relay:
         yield relay
 
 
 @pytest.mark.parametrize("protocol", ["tcp", "udp"])
 def test_messages_that_are_held_on_the_way_are_late_on_both_sides(
-    protocol: Protocol, bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain
+    protocol: Protocol, bridge: Bridge, holding: Relay, robot: Domain, pc: Domain
 ) -> None:
     out, _ = robot.publisher("/scan"), pc.listener("/scan")
     server = bridge.server()
@@ -80,10 +79,10 @@ def test_messages_that_are_held_on_the_way_are_late_on_both_sides(
     eventually(lambda: linked(client) and linked(server), what="linked")
     with Talking(out, 1, 100):  # so few that the window of a stream takes them all
         both_say((client, server), "/scan", State.OK, Cause.NONE, 15)
-        holding.held = 3.0
+        holding.delay = lambda: 3.0
         both_say((client, server), "/scan", State.LATE, Cause.LATE, 15)
         eventually(lambda: all(event_of(each, EventCode.ROUTE_FAULT, Cause.LATE) for each in (client, server)), 15)
-        holding.held = 0.0
+        holding.delay = lambda: 0.0
         both_say((client, server), "/scan", State.OK, Cause.NONE, 15)
         eventually(lambda: all(event_of(each, EventCode.ROUTE_RECOVERED, Cause.LATE) for each in (client, server)), 15)
     assert not event_of(client, EventCode.LINK_FULL, LinkCause.FULL)
@@ -97,12 +96,12 @@ def test_a_tunnel_that_carries_too_little_is_full_on_both_sides(bridge: Bridge, 
     """It takes everything at first: only what arrives shows how little it carries."""
     out, _ = robot.publisher("/camera"), pc.listener("/camera")
     server = bridge.server()
-    with SlowRelay(bridge.port, 1_000_000) as relay:
+    with Relay(("127.0.0.1", bridge.port), rate=1_000_000) as relay:
         client = bridge.client(Topic("/camera", "transmit"), server_ip="127.0.0.1", server_port=relay.port)
         eventually(lambda: linked(client) and linked(server), what="linked")
         with Talking(out, 20, 700):
             both_say((client, server), "/camera", State.OK, Cause.NONE, 15)
-            relay.bytes_per_second = 5_000
+            relay.rate = 5_000
             eventually(lambda: all(link(each).cause == LinkCause.FULL for each in (client, server)), 12)
             wrong = {Cause.LATE, Cause.QUEUE_FULL}  # the second one where what waits too long is dropped
             eventually(lambda: all(route(each, "/camera").cause in wrong for each in (client, server)), 12)
@@ -115,7 +114,7 @@ def test_a_tunnel_that_carries_too_little_is_full_on_both_sides(bridge: Bridge, 
                 assert each.topics == ("/camera",)
             assert event_of(client, EventCode.LINK_FULL, LinkCause.FULL)
             assert event_of(server, EventCode.LINK_FULL, LinkCause.FULL)
-            relay.bytes_per_second = 1_000_000
+            relay.rate = 1_000_000
             eventually(lambda: all(not link(each).warning for each in (client, server)), 20)
             both_say((client, server), "/camera", State.OK, Cause.NONE, 15)
         assert event_of(client, EventCode.LINK_ROOM)

@@ -154,7 +154,7 @@ def test_a_link_that_is_cut(bridge: Bridge, relay: Relay, robot: Domain, pc: Dom
 
 
 def test_a_link_that_stalls_until_it_is_given_up(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
-    """What waits in queues and sockets is counted: replaced by newer while there is hope, lost when there is none."""
+    """Messages in queues and sockets are counted: as replaced while the link may recover, and then as lost."""
     there, out = pc.listener("/count"), robot.publisher("/count")
     server, client = bridge.both(Topic("/count", "transmit", qos=20))
     carries([out], server, ["/count"])
@@ -183,7 +183,7 @@ def test_a_link_that_stalls_until_it_is_given_up(bridge: Bridge, relay: Relay, r
 
 
 def test_a_client_that_starts_again_around_a_cut(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
-    """What the server counted for the first process is not taken for the second's, though their route ids are equal."""
+    """The server's count for the first process is not taken for the second's, though their route ids are equal."""
     pc.listener("/count")
     out = robot.publisher("/count")
     server, first = lossy(bridge, relay, out, "/count")
@@ -209,7 +209,7 @@ def test_a_client_that_starts_again_around_a_cut(bridge: Bridge, relay: Relay, r
 
 
 def test_pausing_under_traffic(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """From either side; what was taken before is delivered, what is published meanwhile is nobody's."""
+    """From either side; messages taken before are delivered, messages published meanwhile are not counted."""
     there, out = pc.listener("/count"), robot.publisher("/count")
     server, client = bridge.both(Topic("/count", "transmit", qos={"depth": 1000}))
     for engine in (client, server):

@@ -10,6 +10,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from tests.support.bridge import find, happened, linked, route
 from tests.support.domain import Domain, text
+from tests.support.inside import inside
 from tests.support.long import long
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -37,7 +38,7 @@ _names = (f"robot{number}" for number in itertools.count(1))
 
 @pytest.fixture(autouse=True)
 def patience(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bridges have as long as a slow machine takes to say where messages come from; strangers never say it."""
+    """Bridges get as long as a slow machine takes to announce the origin of messages; strangers never do."""
     if request.function is not test_a_stranger_may_announce_what_it_likes:
         monkeypatch.setattr("rsb_bridge.route.loop_filter.EXPLAINED_WITHIN", 30.0)
 
@@ -105,7 +106,7 @@ def says(publisher: Publisher, listeners: Iterable[Listener], words: str) -> Non
 
 
 def counts(domains: dict[str, Domain], publishers: dict[str, Publisher], messages: int = 20) -> dict[str, float]:
-    """How often each of these publishers' messages is heard in each domain, once all of them are heard everywhere."""
+    """Return how often each of these publishers' messages is heard in each domain, once all are heard everywhere."""
     listeners = {name: domain.listener(CHAT) for name, domain in domains.items()}
     for name, publisher in publishers.items():
         says(publisher, listeners.values(), f"{name} begins")
@@ -134,7 +135,7 @@ def test_a_message_does_not_go_round_a_ring(bridge: Bridge, robot: Domain, pc: D
     for engine in ring[2]:
         event = happened(engine, EventCode.ROUTE_LOOP)
         assert event is not None
-        nodes = [each.client._bridge.context.ros.node_name for each in ring[:2]]  # type: ignore[union-attr]
+        nodes = [inside(each.client).context.ros.node_name for each in ring[:2]]
         assert all(node in event.text for node in nodes)
 
 
@@ -229,7 +230,7 @@ def test_back_under_another_name_is_no_loop(bridge: Bridge, robot: Domain, pc: D
 
 
 def test_a_stranger_may_announce_what_it_likes(bridge: Bridge, robot: Domain, pc: Domain, third: Domain) -> None:
-    """It is told of once, and the ring is as safe as before."""
+    """It is reported once, and the ring is as safe as before."""
     publisher = robot.publisher(CHAT)
     latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
     strangers = [domain.publisher(ANNOUNCEMENT_TOPIC, qos=latched) for domain in (robot, pc, third)]

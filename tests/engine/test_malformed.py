@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 EIGHT = bytes.fromhex("00 01 00 00 00 00 00 10")
 """A sequence of 2^28 elements, and none of them."""
 FEWER = bytes.fromhex("00 01 00 00 00 00 20 00")
-"""Likewise of 2^21, for which a node of limited memory has room."""
+"""The same with 2^21 elements, for which a node of limited memory has room."""
 PARAMETERS = "rcl_interfaces/srv/SetParameters"
 FIBONACCI = "test_msgs/action/Fibonacci"
 SET = "/victim/set_parameters"
@@ -101,7 +101,7 @@ def victim(pc: Domain) -> Iterator[Victim]:
 
 @pytest.fixture
 def caller(robot: Domain) -> Iterator[RosNode]:
-    """Calls raw, beside the client."""
+    """Makes raw calls in the client's domain."""
     made = RosNode(robot.id, "caller")
     made.start()
     yield made

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.bridge import happened, linked
+from tests.support.inside import inside
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
@@ -47,8 +48,7 @@ def troubles(engine: Engine) -> list[str]:
 
 
 def link_of(engine: Engine) -> Link:
-    assert engine._bridge is not None
-    (link,) = engine._bridge.links()
+    (link,) = inside(engine).links()
     return link
 
 
@@ -129,10 +129,10 @@ def propose(number: int, topic: str) -> Propose:
 
 
 def pending(server: Engine) -> int:
-    """How many unauthenticated connections a server has."""
-    assert server._bridge is not None
-    assert isinstance(server._bridge._role, ServerRole)
-    return len(server._bridge._role._server._pending._present)
+    """Return the number of a server's unauthenticated connections."""
+    role = inside(server)._role
+    assert isinstance(role, ServerRole)
+    return len(role._server._pending._present)
 
 
 @pytest.mark.usefixtures("patience")

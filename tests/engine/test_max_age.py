@@ -14,8 +14,9 @@ from std_srvs.srv import Trigger
 from tests.engine.test_latched import JOINS_LATE, latched
 from tests.support.bridge import linked, opened, route
 from tests.support.domain import text
-from tests.support.holding_relay import HoldingRelay
+from tests.support.inside import inside
 from tests.support.long import long_cases
+from tests.support.relay import Relay
 from tests.support.spun import Spun
 from tests.support.waiting import eventually, holds
 
@@ -42,8 +43,8 @@ EXPIRED = {(State.LATE, Cause.LINK_SLOW), (State.LATE, Cause.CLOCK_UNKNOWN)}
 
 
 @pytest.fixture
-def holding(bridge: Bridge) -> Iterator[HoldingRelay]:
-    with HoldingRelay(bridge.port) as relay:
+def holding(bridge: Bridge) -> Iterator[Relay]:
+    with Relay(("127.0.0.1", bridge.port)) as relay:
         yield relay
 
 
@@ -71,7 +72,7 @@ class Stamping:
 
 
 def ages(listener: Listener) -> list[float]:
-    """How old (s) each message was when it was received."""
+    """Return the age (s) of each message when it was received."""
     return [
         (received - int(deserialize_message(payload, String).data)) / 1e9
         for payload, received in zip(listener.payloads, listener.received, strict=True)
@@ -79,16 +80,16 @@ def ages(listener: Listener) -> list[float]:
 
 
 def clocks_known(*engines: Engine) -> bool:
-    return all(link.keepalive.stamps.offset is not None for each in engines for link in each._bridge.links())  # type: ignore[union-attr]
+    return all(link.keepalive.stamps.offset is not None for each in engines for link in inside(each).links())
 
 
 @pytest.mark.parametrize(
     ("side", "protocol"), [("sender", "udp"), ("receiver", "tcp"), *long_cases(("sender", "tcp"), ("receiver", "udp"))]
 )
 def test_nothing_old_comes_out_of_a_network_that_held_everything(
-    protocol: Protocol, side: str, bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain
+    protocol: Protocol, side: str, bridge: Bridge, holding: Relay, robot: Domain, pc: Domain
 ) -> None:
-    """Either side may say so: the robot that publishes, or the server of a topic that the robot lists."""
+    """Either side may have the `max_age`: the robot that publishes, or the server of a topic that the robot lists."""
     out, heard = robot.publisher("/cmd"), pc.listener("/cmd")
     topic = Topic("/cmd", "transmit", protocol=protocol, max_age=MAX_AGE if side == "sender" else None)
     theirs = msgspec.structs.replace(topic, max_age=MAX_AGE)
@@ -100,10 +101,10 @@ def test_nothing_old_comes_out_of_a_network_that_held_everything(
     both = (client, server)
     with Stamping(out) as stamping:
         eventually(lambda: len(heard.payloads) > 10, what="messages")
-        holding.held = HELD
+        holding.delay = lambda: HELD
         began = time.monotonic()
         eventually(lambda: time.monotonic() - began > HELD, HELD + 2)
-        holding.held = 0.0
+        holding.delay = lambda: 0.0
         before = len(heard.payloads)
         eventually(lambda: all(_shown(each, "/cmd") in EXPIRED for each in both), 15, what="late on both sides")
         eventually(lambda: len(heard.payloads) > before + 40, 20, what="fresh messages again")
@@ -127,17 +128,15 @@ def _shown(engine: Engine, topic: str) -> tuple[State, str]:
     return found.state, found.cause
 
 
-def test_without_max_age_old_messages_come_out(
-    bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain
-) -> None:
-    """What the test above is about is there: the relay holds messages, and old ones come out."""
+def test_without_max_age_old_messages_come_out(bridge: Bridge, holding: Relay, robot: Domain, pc: Domain) -> None:
+    """The test above needs this: the relay holds messages, and old ones come out."""
     out, heard = robot.publisher("/cmd"), pc.listener("/cmd")
     server = bridge.server()
     client = bridge.client(Topic("/cmd", "transmit"), server_ip="127.0.0.1", server_port=holding.port)
     eventually(lambda: linked(client) and linked(server) and "/cmd" in opened(server), what="open")
     with Stamping(out):
         eventually(lambda: len(heard.payloads) > 10, what="messages")
-        holding.held = HELD
+        holding.delay = lambda: HELD
         eventually(lambda: max(ages(heard)) > 2.0, 15)
     assert route(client, "/cmd").ledger.expired == 0
 
@@ -158,8 +157,8 @@ def test_a_latched_message_is_too_old_for_whoever_joins_late(bridge: Bridge, rob
     assert route(server, "/mode").ledger.expired == 1
 
 
-def test_a_lifespan_goes_on_on_the_way(bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain) -> None:
-    """DDS counts it anew on the far side; the bridge publishes nothing that is older than it."""
+def test_a_lifespan_goes_on_on_the_way(bridge: Bridge, holding: Relay, robot: Domain, pc: Domain) -> None:
+    """DDS starts it again on the far side; the bridge publishes nothing that is older than it."""
     from rclpy.duration import Duration
     from rclpy.qos import QoSProfile
 
@@ -170,17 +169,15 @@ def test_a_lifespan_goes_on_on_the_way(bridge: Bridge, holding: HoldingRelay, ro
     eventually(lambda: linked(client) and linked(server) and clocks_known(client, server), what="linked")
     with Stamping(out):
         eventually(lambda: len(heard.payloads) > 10, what="messages")
-        holding.held = HELD
+        holding.delay = lambda: HELD
         eventually(lambda: route(client, "/cmd").ledger.expired > 10, 20)
-        holding.held = 0.0
+        holding.delay = lambda: 0.0
         before = len(heard.payloads)
         eventually(lambda: len(heard.payloads) > before + 20, 20)
     assert max(ages(heard)) <= 1.0 + TOLERANCE + 0.1  # half of the shortest round trip
 
 
-def test_a_request_that_is_too_old_reaches_no_server(
-    bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain
-) -> None:
+def test_a_request_that_is_too_old_reaches_no_server(bridge: Bridge, holding: Relay, robot: Domain, pc: Domain) -> None:
     asked: list[float] = []
 
     def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -198,7 +195,7 @@ def test_a_request_that_is_too_old_reaches_no_server(
         eventually(caller.service_is_ready, 20, what="offered")
         caller.call_async(Trigger.Request())
         eventually(lambda: len(asked) == 1, 15, what="a request in time")
-        holding.held = 1.5
+        holding.delay = lambda: 1.5
         caller.call_async(Trigger.Request())
         eventually(lambda: _too_old(client, "/start") == 1, 15)
         assert len(asked) == 1

@@ -1,4 +1,4 @@
-"""What a peer can make the other side hold is bounded over its whole link, and other links do not notice."""
+"""The memory that a peer can occupy on the other side is bounded per link, and other links do not notice."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tests.support.bridge import carries, happened, heard, linked, route, settled
 from tests.support.domain import text
+from tests.support.inside import inside
 from tests.support.rogue import BLOB, Rogue
 from tests.support.stopping import stop
 from tests.support.waiting import eventually
@@ -69,8 +70,7 @@ def rogue(bridge: Bridge, server: Engine, monkeypatch: pytest.MonkeyPatch) -> It
 
 
 def link_of(server: Engine) -> Link:
-    assert server._bridge is not None
-    return next(iter(server._bridge.links()))
+    return next(iter(inside(server).links()))
 
 
 def received(server: Engine, topic: str) -> int:
@@ -137,7 +137,7 @@ def test_of_answers_that_are_not_taken(server: Engine, rogue: Rogue, monkeypatch
 
 
 def test_for_late_joiners(bridge: Bridge, server: Engine, robot: Domain, pc: Domain) -> None:
-    """The oldest gives way where the depth says so; a topic that would have too much kept is told what to do."""
+    """The oldest is dropped at the given depth; a topic that would keep too much gets a remedy."""
     link = link_of(server)
     names = ("/fits", "/hoards")
     link.budget.kept.limit = 10_000_000 + len(names) * PUBLISHER_COST
@@ -165,7 +165,7 @@ def test_for_late_joiners(bridge: Bridge, server: Engine, robot: Domain, pc: Dom
 
 
 def test_compressed_messages_that_grow_too_much(bridge: Bridge, server: Engine, robot: Domain, pc: Domain) -> None:
-    """What is a few kB on the wire and MBs here has a limit for the whole link; the others are served as ever."""
+    """Messages that are a few kB on the wire and MBs here have a limit per link; the others are served as before."""
     link = link_of(server)
     link.budget.expansion.over_time = TokenBucket(burst=4_000_000, per_second=0.0, now=0.0)
     names = ("/grows", "/grows_too")

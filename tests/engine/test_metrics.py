@@ -1,4 +1,4 @@
-"""What Prometheus gets from a bridge, over its socket; and what becomes of the bridge where that does not work."""
+"""A bridge's metrics over a socket, and a bridge that cannot serve them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def address(host: str = "127.0.0.1") -> str:
 
 
 def scrape(where: str) -> dict[tuple[str, ...], float]:
-    """The samples, by name and the values of the labels in their order; empty: nobody serves any."""
+    """Return the samples, by name and the values of the labels in their order, or nothing if nobody serves any."""
     host, _, port = where.rpartition(":")
     connection = HTTPConnection(host.strip("[]"), int(port), timeout=30)
     try:
@@ -194,7 +194,7 @@ def test_closing_waits_for_nobody(served: Served) -> None:
         began = time.monotonic()
         served.close()
         assert time.monotonic() - began < 5.0, "and not the 10 s that a connection may last"
-        with contextlib.suppress(ConnectionResetError):  # its request was not read: the kernel may say so
+        with contextlib.suppress(ConnectionResetError):  # its request was not read: the kernel may report it
             assert silent.recv(1) == b""
 
 

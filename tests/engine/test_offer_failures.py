@@ -1,4 +1,4 @@
-"""ROS refuses a service's server or client: both sides say so, and it is tried again until ROS takes it."""
+"""ROS refuses a service's server or client: both sides show it, and the bridge tries again until it succeeds."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class Told:
-    """A command that keeps what it is told."""
+    """A command that keeps its input."""
 
     def __init__(self, folder: Path, name: str = "told") -> None:
         self.program = folder / f"{name}.sh"
@@ -43,7 +43,7 @@ class Told:
         return [json.loads(line) for line in self.file.read_text().splitlines(keepends=True) if line.endswith("\n")]
 
     def about(self, name: str) -> list[tuple[str, str]]:
-        """What happened to a link or a topic: events, and the states."""
+        """Return a link's or a topic's events and states."""
         return [(each["event"], each["state"]) for each in self.all() if each["name"] == name]
 
 
@@ -153,7 +153,7 @@ def test_no_operator_elsewhere_reads_the_command_and_who_may_look_reloads_none(
     for operator in (anna, bob):
         assert operator.session.on_fault is None
         assert operator.session.name == "robot1"
-    assert machine.attach().session.on_fault == "/bin/true secret", "whoever saves the file here has to keep it"
+    assert machine.attach().session.on_fault == "/bin/true secret", "saving the file has to keep it"
     with pytest.raises(EngineError):
         bob.reload().result(60)
     assert server.session.on_fault == "/bin/true secret"

@@ -1,4 +1,4 @@
-"""What an operator does while the bridge runs, from either side, and what the bridge does by itself."""
+"""Operators' commands while the bridge runs, from either side, and recoveries of the bridge."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 from std_msgs.msg import String
 from tests.support.bridge import carries, find, happened, heard, link, linked, protocol_of, route
 from tests.support.domain import LATCHED, text
+from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
 
@@ -198,7 +199,7 @@ def test_a_fleet(bridge: Bridge, robot: Domain, pc: Domain) -> None:
 
 
 def test_a_topic_that_is_edited_keeps_its_place_in_the_session(bridge: Bridge) -> None:
-    """So that a save finds the topic's lines in the file, even where its name changed."""
+    """A save finds the topic's lines in the file, even if its name has changed."""
     _, client = bridge.both(*(Topic(name, "transmit") for name in ("/a", "/b", "/c")))
     client.edit_topic(route(client, "/b").key, Topic("/b2", "receive")).result(60)
     assert [topic.topic for topic in client.session.topics] == ["/a", "/b2", "/c"]
@@ -210,7 +211,7 @@ def test_a_topic_that_is_edited_keeps_its_place_in_the_session(bridge: Bridge) -
 def test_a_prefix_that_makes_a_name_too_long_is_refused_in_words_and_the_link_stays(
     bridge: Bridge, robot: Domain, pc: Domain
 ) -> None:
-    """Whoever adds the topic, and whichever side's file says `use_name`."""
+    """For topics of both sides, and `use_name` in either side's file."""
     long = "/" + "a" * 245
     server, client = bridge.server(use_name=True), bridge.client(Topic(long, "transmit"), Topic("/b", "transmit"))
     eventually(lambda: linked(client) and linked(server), what="linked")
@@ -309,7 +310,7 @@ def test_silence_is_warned_of_so_many_times(bridge: Bridge, robot: Domain, pc: D
 def shut_down_there(client: Engine, server: Engine) -> None:
     """Both sides say that an operator of the server has shut the link down, and that the client asks again."""
 
-    def said(engine: Engine) -> bool:  # a snapshot is a moment old, and an attempt may be under way
+    def said(engine: Engine) -> bool:  # a snapshot is a moment old, and an attempt may be running
         (link,) = engine.snapshot().links
         return (link.state, link.cause) == ("down", LinkCause.SHUT_DOWN) and bool(link.retry_in)
 
@@ -365,7 +366,7 @@ def test_the_shutdown_topic(side: str, bridge: Bridge, robot: Domain, pc: Domain
 
 
 def test_a_shutdown_while_calling(bridge: Bridge) -> None:
-    """A client that is told to stay down does not call again, though it was between two attempts."""
+    """A client that is to stay down does not call again, though it was between two attempts."""
     client = bridge.client()
     eventually(lambda: happened(client, EventCode.LINK_UNREACHABLE))
     client.shut_down().result(60)
@@ -398,7 +399,7 @@ def test_commands_after_the_end(bridge: Bridge) -> None:
 
 
 def test_every_command_has_a_handler(bridge: Bridge) -> None:
-    running = bridge.client()._bridge
+    running = inside(bridge.client())
     assert running is not None
     elsewhere = {History, Restart, Stop}
     assert running.handlers.keys() | elsewhere == set(get_args(AnyCommand))

@@ -1,4 +1,4 @@
-"""A service that is bridged already is not bridged a second time, whoever asks for it while the bridge runs."""
+"""A service that is bridged already is not bridged a second time on request."""
 
 from __future__ import annotations
 

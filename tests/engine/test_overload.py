@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 from tests.engine.test_slow_tunnel import TUNNEL, Publishing, ages
-from tests.support import slow_relay
 from tests.support.bridge import carries, linked, outgoing
 from tests.support.domain import BEST_EFFORT
-from tests.support.holding_relay import HoldingRelay
+from tests.support.inside import inside
 from tests.support.long import long_cases
-from tests.support.slow_relay import SlowRelay
+from tests.support.relay import QUEUE, Relay
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
@@ -43,7 +42,7 @@ _CARRIED = 0.5 * TUNNEL, 1.2 * TUNNEL
 
 
 class Seen(NamedTuple):
-    """What a side shows at one moment."""
+    """A side's display at one moment."""
 
     at: float
     state: State
@@ -53,8 +52,7 @@ class Seen(NamedTuple):
 
 
 def _look(engine: Engine, at: float) -> Seen:
-    assert engine._bridge is not None
-    (link,) = engine._bridge.links()
+    (link,) = inside(engine).links()
     (route,) = [each for each in link.routes.values() if isinstance(each, TopicRoute)]
     verdict = route.judged.shown(route.verdict()).verdict
     return Seen(at, verdict.state, verdict.cause, verdict.text, link.full_out or link.full_in)
@@ -72,26 +70,19 @@ def _record(engines: tuple[Engine, ...], seconds: float, until: Callable[[], boo
 
 @pytest.mark.parametrize(
     ("protocol", "queue", "rate"),
-    [("tcp", 0, 100.0), ("udp", 16_384, 14.0), *long_cases(("tcp", 0, 14.0), ("udp", 4_096, 100.0))],
+    [("tcp", QUEUE, 100.0), ("udp", QUEUE, 14.0), *long_cases(("tcp", QUEUE, 14.0), ("udp", 4_096, 100.0))],
 )
 def test_nothing_wrong_is_said_of_an_overload(
-    protocol: Protocol,
-    queue: int,
-    rate: float,
-    bridge: Bridge,
-    robot: Domain,
-    pc: Domain,
-    monkeypatch: pytest.MonkeyPatch,
+    protocol: Protocol, queue: int, rate: float, bridge: Bridge, robot: Domain, pc: Domain
 ) -> None:
     """With a queue of 3 s, datagrams are late, and with one of 0.8 s most are lost."""
-    monkeypatch.setattr(slow_relay, "QUEUE", queue)
     out, there = robot.publisher("/camera"), pc.listener("/camera", qos=BEST_EFFORT)
     server = bridge.server()
-    with SlowRelay(bridge.port, 1e6) as relay:
+    with Relay(("127.0.0.1", bridge.port), rate=1e6, queue=queue) as relay:
         client = bridge.client(Topic("/camera", "transmit", protocol=protocol), server_port=relay.port)
         eventually(lambda: linked(client) and linked(server), what="linked")
         carries([out], server, ["/camera"])
-        relay.bytes_per_second = TUNNEL
+        relay.rate = TUNNEL
         began = time.time_ns()
         with Publishing(out, rate, 1000):
             overload = _record((client, server), 12.0, lambda: False)
@@ -100,7 +91,7 @@ def test_nothing_wrong_is_said_of_an_overload(
             assert max((each.at for each in recovery[0]), default=0.0) < _OVER_WITHIN - 1.0, [
                 seen[-1] for seen in recovery
             ]
-        relay.bytes_per_second = 1e7
+        relay.rate = 1e7
         bridge.close()
     late = [came for came, age in zip(there.received, ages(there), strict=True) if age > 1.0]
     late_at = (late[0] - began) / 1e9 if late else 0.0
@@ -126,8 +117,8 @@ def test_a_path_that_takes_seconds_is_not_full(bridge: Bridge, robot: Domain, pc
     """Via a satellite and more, 1.5 s each way: 20 kB/s cross, and nothing is dropped while the window grows."""
     out, there = robot.publisher("/camera"), pc.listener("/camera", qos=BEST_EFFORT)
     server = bridge.server()
-    with HoldingRelay(bridge.port) as relay:
-        relay.held = 1.5
+    with Relay(("127.0.0.1", bridge.port)) as relay:
+        relay.delay = lambda: 1.5
         client = bridge.client(Topic("/camera", "transmit"), server_port=relay.port)
         eventually(lambda: linked(client) and linked(server), 180.0, what="linked")
         carries([out], server, ["/camera"])
@@ -135,7 +126,7 @@ def test_a_path_that_takes_seconds_is_not_full(bridge: Bridge, robot: Domain, pc
             seen = _record((client, server), 20.0, lambda: False)
             found = ages(there)
             count, ledger = publishing.count, outgoing(client, "/camera").ledger()
-        relay.held = 0.0
+        relay.delay = lambda: 0.0
         bridge.close()
     assert ledger.dropped == {}
     assert len(found) > count - 20 * 5

@@ -14,6 +14,7 @@ from rclpy.serialization import serialize_message
 from tests.support.bridge import STOPS_WITHIN, carries, linked, route, stage
 from tests.support.domain import LATCHED, text
 from tests.support.filled import filled
+from tests.support.inside import inside
 from tests.support.participants import KnownNode
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
@@ -44,7 +45,7 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 
 
 class Lacks(KnownNode):
-    """A machine on which no message type is installed. Its node says so; to uninstall a package is too much here."""
+    """A machine without message types: its node reports none, because a test cannot uninstall packages."""
 
     def installed_hash(self, type_name: str) -> str | None:
         return None
@@ -60,14 +61,13 @@ def key(engine: Engine, topic: str) -> str:
 def look(engine: Engine, topic: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
     """Look at a topic; the engine waits for a message when this returns."""
     future = engine.peek(key(engine, topic), kept=kept)
-    assert engine._bridge is not None
-    link = engine._bridge.links()[0]
+    link = inside(engine).links()[0]
     eventually(lambda: future.done() or any(wanted(link)))
     return future
 
 
 def wanted(link: Link) -> list[bool]:
-    """Which of a link's topics somebody looks at."""
+    """Return a link's topics that have a viewer."""
     return [each.peek_slot.wanted for each in tuple(link.routes.values()) if isinstance(each, TopicRoute)]
 
 
@@ -141,7 +141,7 @@ def test_lookers_share_a_message_every_half_second(bridge: Bridge, robot: Domain
     pc.listener("/chat")
     server, client = bridge.both(Topic("/chat", "transmit"))
     carries([publisher], server, ["/chat"])
-    running = client._bridge
+    running = inside(client)
     assert running is not None
     ends = threading.Event()
 
@@ -183,7 +183,7 @@ def test_nobody_waits_for_ever_nor_in_numbers(bridge: Bridge, monkeypatch: pytes
     monkeypatch.setattr(peeking, "WAITS_AT_MOST", 0.2)
     last = eventually(lambda: _unless_refused(client.peek(route_key)), what="their places are free again")
     assert last == [None]
-    running = client._bridge
+    running = inside(client)
     assert running is not None
     inspector: Any = getattr(running.handlers[Peek], "__self__", None)
     eventually(lambda: inspector.peeking._lookers == 0 and not any(wanted(running.links()[0])))
@@ -202,7 +202,7 @@ def _unless_refused(future: Future[Any]) -> list[Any]:
 
 
 def described(engine: Engine, topic: str) -> str:
-    """The description's text, once the type is known."""
+    """Wait for the type, and return its description."""
 
     eventually(lambda: route(engine, topic).type_hash)
     return engine.describe(key(engine, topic)).result(30)

@@ -304,7 +304,7 @@ def driven(bridge: Bridge, pc: Domain, consoles: Consoles) -> tuple[Engine, Engi
 
 
 def test_a_rest_does_not_outlive_its_arming(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
-    """The motion ends when the topic is disarmed, and whoever arms it again begins anew."""
+    """The motion ends when the topic is disarmed, and does not continue when it is armed again."""
     motors = robot.listener("/cmd", Twist)
     server, client = driven(bridge, pc, consoles)
     drive(server, 0.1, rest_after=2.0)
@@ -320,7 +320,7 @@ def test_a_rest_does_not_outlive_its_arming(bridge: Bridge, robot: Domain, pc: D
 def test_another_operators_message_leaves_the_rest(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:
-    """A robot that is driven stops, whoever else publishes."""
+    """A driven robot stops, even if others publish."""
     motors = robot.listener("/cmd", Twist)
     server, _ = driven(bridge, pc, consoles)
     drive(server, 0.1, rest_after=1.0)
@@ -395,7 +395,7 @@ def test_a_bridge_that_stops_ends_a_motion(bridge: Bridge, robot: Domain, pc: Do
 
 
 def test_all_robots_of_a_name_have_to_be_driven(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """One that need not be armed, and gets messages of any age, might not stop."""
+    """A robot that gets messages without arming, and of any age, might not stop."""
     others = robot.listener("/other", Twist)
     pc.publisher("/cmd", Twist)
     bridge.make_key("robot2")
@@ -488,7 +488,7 @@ def test_tickets_of_another_engine_are_void(bridge: Bridge, robot: Domain, pc: D
 
 
 def test_a_demand_of_another_type_is_no_demand(bridge: Bridge, robot: Domain) -> None:
-    """It need not be named, as the topic has one."""
+    """It may be left out, because the topic has one."""
     listener = robot.listener("/text")
     client = bridge.client(armed=(Armed("/*", type=TWIST),))
     eventually(lambda: any(each.topic == "/text" for each in client.topics(None).result(30)))

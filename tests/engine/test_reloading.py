@@ -178,7 +178,7 @@ def test_what_cannot_change_while_it_runs_is_said_and_the_rest_is_done(bridge: B
     assert all("restart the bridge's process" in left for left in reloaded.left)
     assert (client.session.server_port, client.session.stale_after) == (port, 3.0)
     assert len(codes(client, EventCode.ENGINE_RELOAD_INCOMPLETE)) == 2
-    assert file.reload().left == reloaded.left, "it is said as long as it is so"
+    assert file.reload().left == reloaded.left, "it is shown as long as it lasts"
 
 
 def test_clients_are_added_changed_and_removed_without_the_others_noticing(
@@ -294,10 +294,10 @@ def test_topics_that_a_server_proposes_follow_its_file(bridge: Bridge, pc: Domai
     assert server.session.clients == file.session.clients
 
 
-def test_other_changes_wait_for_a_reload_that_is_under_way(
+def test_other_changes_wait_for_a_reload_that_runs(
     bridge: Bridge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What one operator does while the file of another is being read is not undone by it."""
+    """An operator's change while another one's file is being read is not undone by it."""
     client = bridge.client(*(Topic(name, "transmit") for name in ("/kept", "/edited", "/gone")))
     file = Edited(client, tmp_path / "robot1.yaml")
     keys = {name: route(client, name).key for name in ("/kept", "/edited", "/gone")}

@@ -1,4 +1,4 @@
-"""A server whose ports are taken while it restarts goes on trying, and says so."""
+"""A server whose ports are taken while it restarts goes on trying, and reports it."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def is_closed(stream: socket.socket) -> bool:
 
 
 def refusal(port: int, key: bytes) -> RefusalCode:
-    """What a server says to somebody who calls with a key."""
+    """Return a server's refusal of a client with a key."""
     connection = ClientConnection(Hello("0.1.0", "robot1", "again", 0), key, Suite.AESGCM)
     with socket.create_connection(("127.0.0.1", port), timeout=60) as stream:
         stream.sendall(connection.start())
@@ -88,7 +88,7 @@ def refusal(port: int, key: bytes) -> RefusalCode:
 def test_a_key_is_replaced_while_the_link_stays(
     bridge: Bridge, robot: Domain, pc: Domain, marks: tuple[str, str]
 ) -> None:
-    """It connects anew once, when the robot takes the new key."""
+    """It connects again once, when the robot takes the new key."""
     old, new = marks
     server = bridge.server(name="pc", clients=(OLD,))
     client = bridge.client(Topic("/chat", "transmit"), key_file="robot.key")

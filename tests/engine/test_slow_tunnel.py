@@ -1,4 +1,4 @@
-"""A tunnel that carries less than is published, behind buffers that take whatever comes: messages stay fresh."""
+"""A tunnel that carries less than is published, behind buffers without a limit: messages stay fresh."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.support.bridge import balance, carries, connections, linked, now, out
 from tests.support.calls import CallNode
 from tests.support.domain import BEST_EFFORT, text
 from tests.support.long import long
-from tests.support.slow_relay import SlowRelay, read_stamp, stamped
+from tests.support.relay import Relay, read_stamp, stamped
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
@@ -65,8 +65,8 @@ class Publishing:
         self._thread.join()
 
 
-def ages(there: Listener, relay: SlowRelay | None = None) -> list[float]:
-    """How old (s) each message was when it came out, the first one first, without the relay's pauses."""
+def ages(there: Listener, relay: Relay | None = None) -> list[float]:
+    """Return the age (s) of each message on arrival, in order, without the relay's pauses."""
     received = [*there.received]  # more may come at once
     made = [read_stamp(deserialize_message(payload, String).data)[1] for payload in there.payloads[: len(received)]]
     ways = zip(made, received, strict=True)
@@ -74,21 +74,21 @@ def ages(there: Listener, relay: SlowRelay | None = None) -> list[float]:
     return [(came - stamp) / 1e9 - paused(stamp, came) for stamp, came in ways]
 
 
-def capacity(relay: SlowRelay, seconds: float) -> float:
+def capacity(relay: Relay, seconds: float) -> float:
     """Bytes that the tunnel could carry in the last so many seconds, without the relay's pauses."""
     end = time.time_ns()
     return TUNNEL * (seconds - relay.paused(end - int(seconds * 1e9), end))
 
 
 @contextmanager
-def through_tunnel(bridge: Bridge, *topics: Topic, fifo: bool = False) -> Iterator[tuple[Engine, Engine, SlowRelay]]:
+def through_tunnel(bridge: Bridge, *topics: Topic, fifo: bool = False) -> Iterator[tuple[Engine, Engine, Relay]]:
     """A server and a client behind a tunnel, which is slow once they are linked."""
     server = bridge.server()
-    with SlowRelay(bridge.port, 1e6, fifo=fifo) as relay:
+    with Relay(("127.0.0.1", bridge.port), rate=1e6, fifo=fifo) as relay:
         client = bridge.client(*topics, server_port=relay.port)
         eventually(lambda: linked(client) and linked(server), what="linked")
         yield server, client, relay
-        relay.bytes_per_second = 1e7
+        relay.rate = 1e7
         bridge.close()
 
 
@@ -105,7 +105,7 @@ def test_live_topic_stays_fresh(qos: Any, bridge: Bridge, robot: Domain, pc: Dom
     out, there = robot.publisher("/tcp"), pc.listener("/tcp", qos=BEST_EFFORT)
     with through_tunnel(bridge, Topic("/tcp", "transmit", qos=qos)) as (server, client, relay):
         carries([out], server, ["/tcp"])
-        relay.bytes_per_second = TUNNEL
+        relay.rate = TUNNEL
         count = publish_for(12.0, out, 14.0, 1000)
         crossed = len(there.payloads)
         found = ages(there, relay)
@@ -114,7 +114,7 @@ def test_live_topic_stays_fresh(qos: Any, bridge: Bridge, robot: Domain, pc: Dom
         ledger = outgoing(client, "/tcp").ledger()
         assert balance(ledger) == ledger.offered
         assert ledger.in_flight < 30
-        relay.bytes_per_second = 1e7
+        relay.rate = 1e7
         ledger = settled(client, "/tcp", count)
         assert ledger.delivered == len(there.payloads)
         assert ledger.dropped == {"queue full": count - ledger.delivered}
@@ -125,11 +125,11 @@ def test_flood_from_the_first_message_on(bridge: Bridge, robot: Domain, pc: Doma
     out, there = robot.publisher("/tcp"), pc.listener("/tcp")
     with through_tunnel(bridge, Topic("/tcp", "transmit")) as (server, client, relay):
         carries([out], server, ["/tcp"])
-        relay.bytes_per_second = TUNNEL
+        relay.rate = TUNNEL
         count = publish_for(12.0, out, 1000.0, 1000)
         assert max(ages(there, relay)) < 6.0
         assert len(there.payloads) * 1000 > 0.7 * capacity(relay, 12.0)
-        relay.bytes_per_second = 1e7
+        relay.rate = 1e7
         ledger = settled(client, "/tcp", count)
         assert ledger.dropped == {"queue full": count - ledger.delivered}
 
@@ -140,7 +140,7 @@ def test_topics_in_one_queue_and_pings_beside_them(bridge: Bridge, robot: Domain
     outs, theres = [robot.publisher(name) for name in names], [pc.listener(name) for name in names]
     with through_tunnel(bridge, *(Topic(name, "transmit") for name in names), fifo=True) as (server, client, relay):
         carries(outs, server, names)
-        relay.bytes_per_second = TUNNEL
+        relay.rate = TUNNEL
         with Publishing(outs[0], 14.0, 1000), Publishing(outs[1], 100.0, 300), Publishing(outs[2], 5.0, 100):
             time.sleep(15.0)
             found = [ages(there, relay) for there in theres]
@@ -158,14 +158,14 @@ def test_topics_in_one_queue_and_pings_beside_them(bridge: Bridge, robot: Domain
 
 
 def test_latched_topic_keeps_its_promise(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """All that a publisher keeps for late joiners crosses, however late, beside a live topic that floods the tunnel."""
+    """All messages kept for late joiners cross, however late, next to a live topic that floods the tunnel."""
     kept = QoSProfile(depth=20, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
     latched, live = robot.publisher("/latched", qos=kept), robot.publisher("/live")
     there, beside = pc.listener("/latched", qos=kept), pc.listener("/live")
     topics = (Topic("/latched", "transmit"), Topic("/live", "transmit"))
     with through_tunnel(bridge, *topics) as (server, _, relay):
         carries([latched, live], server, ["/latched", "/live"])
-        relay.bytes_per_second = TUNNEL
+        relay.rate = TUNNEL
         with Publishing(live, 14.0, 1000):
             sent = [text(stamped(number, 1000)) for number in range(20)]
             for each in sent:
@@ -210,7 +210,7 @@ def test_calls_through_a_full_tunnel(bridge: Bridge, robot: Domain, pc: Domain) 
         with through_tunnel(bridge, *topics) as (server, _, relay):
             carries([live], server, ["/live"])
             caller.waits_for("/map")
-            relay.bytes_per_second = 2 * TUNNEL
+            relay.rate = 2 * TUNNEL
             with Publishing(live, 28.0, 1000):
                 outcome = caller.call("/map", 20, at_once=10, size=1500, response=1500)
             assert outcome.right

@@ -25,7 +25,7 @@ STALL = 3.0  # s
 def test_an_auto_topic_loses_nothing(
     size: int, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What a reliable topic brings in the meantime waits, and arrives when the link goes on."""
+    """Messages of a reliable topic wait meanwhile, and arrive when the link goes on."""
     monkeypatch.setattr("rsb_bridge.link.keepalive.DEAD_AFTER", 30.0)  # on a slow machine the stall is longer
     monkeypatch.setattr("rsb_bridge.transport.tcp._GIVEN_UP_AFTER_MS", 30_000)
     out, there = robot.publisher("/count"), pc.listener("/count")

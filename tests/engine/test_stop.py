@@ -1,4 +1,4 @@
-"""The end: in time whatever the peer does, and nothing is left."""
+"""The engine stops in time with any peer, and leaves nothing behind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A subscription that fails while it runs: both sides say so, and it is there again by itself."""
+"""A subscription that fails while it runs: both sides show it, and the bridge subscribes again."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.support.bridge import carries, happened, heard, route, stage
 from tests.support.domain import text
+from tests.support.inside import inside
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
@@ -27,12 +28,11 @@ FAILURE = RosProblem.NOT_TAKEN(topic="/chat", code=1)
 
 def break_subscription(engine: Engine, topic: str) -> None:
     """Have the next message of a topic not be taken, as where rcl finds the subscription broken."""
-    assert engine._bridge is not None
 
     def fail(*_: object) -> None:
         raise RosError(FAILURE)
 
-    there = engine._bridge.context.ros._subscriptions  # type: ignore[attr-defined]
+    there = inside(engine).context.ros._subscriptions  # type: ignore[attr-defined]
     found = eventually(lambda: [each for each in there() if each.topic == topic], what="subscribed")
     for subscription in found:
         subscription._take = fail
@@ -41,8 +41,7 @@ def break_subscription(engine: Engine, topic: str) -> None:
 @contextlib.contextmanager
 def refused(engine: Engine) -> Iterator[None]:
     """Meanwhile nothing can be subscribed to, as where rcl refuses it for the same reason."""
-    assert engine._bridge is not None
-    ros = engine._bridge.context.ros
+    ros = inside(engine).context.ros
 
     def refuse(*_: object, **__: object) -> None:
         raise RosError(FAILURE)
@@ -53,7 +52,7 @@ def refused(engine: Engine) -> Iterator[None]:
 
 
 def look_down(*engines: Engine) -> None:
-    """What both operators see."""
+    """Wait until both sides show that it is down."""
     for engine in engines:
         eventually(lambda engine=engine: route(engine, "/chat").state == "down")
         assert route(engine, "/chat").reason in (FAILURE, f"robot1: {FAILURE}", f"server: {FAILURE}")

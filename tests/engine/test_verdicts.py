@@ -1,4 +1,4 @@
-"""What both sides say, in snapshots and as JSON, of each cause that keeps messages from being heard."""
+"""Both sides' verdicts, in snapshots and as JSON, for each cause that keeps messages from being heard."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ class Odd:
         eventually(lambda: "odd" in domain.node.get_node_names(), what="/odd in the domain")
 
     def tell(self, words: str) -> None:
-        """Have it ``publish TOPIC``, ``subscribe TOPIC`` or ``leave``, which destroys what it has."""
+        """Have it ``publish TOPIC``, ``subscribe TOPIC`` or ``leave``, which destroys its endpoints."""
         assert self._process.stdin
         print(words, file=self._process.stdin, flush=True)
 
@@ -166,7 +166,7 @@ def agree(
 
 
 def of(snapshot: Snapshot, topic: str) -> RouteSnapshot:
-    """What a snapshot says of a topic."""
+    """Return a topic's part of a snapshot."""
     return next(each for each in snapshot.routes if each.topic == topic)
 
 

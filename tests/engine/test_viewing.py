@@ -17,6 +17,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 from tests.support.bridge import carries, linked, now
 from tests.support.domain import LATCHED
+from tests.support.inside import inside
 from tests.support.waiting import eventually
 from tests.support.wording import has_text, pattern
 
@@ -94,8 +95,7 @@ def looked_while(talker: Talker, engine: Engine, topic: str, wish: Wish = WISH, 
 
 
 def views(engine: Engine) -> list[str]:
-    assert engine._bridge is not None
-    return [key for link in engine._bridge.links() for key, route in link.routes.items() if not route.shown]
+    return [key for link in inside(engine).links() for key, route in link.routes.items() if not route.shown]
 
 
 @pytest.mark.parametrize("viewer_is_server", [True, False])
@@ -179,8 +179,7 @@ def test_a_right_that_is_taken_away_ends_the_view(bridge: Bridge, robot: Domain)
     server, client = bridge.server(), bridge.client()
     eventually(lambda: linked(client) and linked(server))
     looked_while(talker, server, "/pose")
-    assert client._bridge is not None
-    (link,), context = client._bridge.links(), client._bridge.context
+    (link,), context = inside(client).links(), inside(client).context
     assert link.views._drawing
     denied = msgspec.structs.replace(context.session, deny=(Grant("/pose", may="look"),))
     context.call(lambda: setattr(context, "session", denied))
@@ -219,8 +218,7 @@ def test_a_killed_drawing_process_is_started_again(bridge: Bridge, robot: Domain
     talker = Talker(robot, "/pose")
     server, client = bridge.both()
     looked_while(talker, server, "/pose")
-    assert client._bridge is not None
-    renderer = client._bridge.context.renderer
+    renderer = inside(client).context.renderer
     pid = eventually(lambda: renderer.pid)
     os.kill(pid, signal.SIGKILL)
 
@@ -254,8 +252,7 @@ def test_a_peer_names_topics_as_rights_do(
     monkeypatch.setattr("rsb_bridge.engine.viewing.check_names", lambda _: None)
     with pytest.raises(EngineError, match=pattern(TopicMistake.NOT_ABSOLUTE)):
         server.look("me", (name,), WISH, "robot1").result(30)
-    assert client._bridge is not None
-    (link,) = client._bridge.links()
+    (link,) = inside(client).links()
     assert not link.views._drawing
 
 
@@ -301,8 +298,7 @@ def test_a_picture_is_of_the_topic_that_was_asked_for_last(bridge: Bridge, pc: D
     for _ in range(20):  # another picture waits for the viewer
         talker()
         time.sleep(0.02)
-    assert server._bridge is not None
-    own = server._bridge._viewing._views["me"]
+    own = inside(server)._viewing._views["me"]
     eventually(own.news.is_set)
 
     def text() -> Viewed | None:
@@ -316,8 +312,7 @@ def test_a_view_goes_on_over_a_new_connection(bridge: Bridge, robot: Domain) -> 
     talker = Talker(robot, "/pose")
     server, client = bridge.both()
     looked_while(talker, server, "/pose")
-    assert client._bridge is not None
-    (link,), context = client._bridge.links(), client._bridge.context
+    (link,), context = inside(client).links(), inside(client).context
     before = {view for view, _ in link.views._drawing.values()}
     assert before
     context.call(link.fail)
@@ -343,8 +338,7 @@ def test_kept_messages_come_again_for_a_new_process_and_for_another_kind_of_pict
     server, client = bridge.both()
     assert "kept" in rows(looked(server, "/latched"))
     assert "kept" in rows(looked(server, "/latched", msgspec.structs.replace(WISH, how="")))
-    assert client._bridge is not None
-    renderer = client._bridge.context.renderer
+    renderer = inside(client).context.renderer
     assert renderer.pid is not None
     os.kill(renderer.pid, signal.SIGKILL)
     assert "kept" in rows(looked(server, "/latched", msgspec.structs.replace(WISH, how="")))
@@ -356,8 +350,7 @@ def test_messages_are_counted_from_the_beginning_of_the_view(bridge: Bridge, pc:
     looked_while(talker, server, "/pose")
     before = looked_while(talker, server, "/pose").picture.messages
     unreliable = pc.publisher("/pose", PoseStamped, qos=QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
-    assert server._bridge is not None
-    view = server._bridge._viewing._views["me"].own
+    view = inside(server)._viewing._views["me"].own
     assert view is not None
     first = view._feeds["/pose"]
 
@@ -373,8 +366,7 @@ def test_messages_are_counted_from_the_beginning_of_the_view(bridge: Bridge, pc:
 def test_a_view_that_ends_before_it_begins_leaves_no_subscription(bridge: Bridge, pc: Domain) -> None:
     Talker(pc, "/pose")()
     server, _ = bridge.both()
-    assert server._bridge is not None
-    context = server._bridge.context
+    context = inside(server).context
 
     async def deliver(_: Picture) -> None: ...
 
@@ -397,8 +389,7 @@ def test_topics_that_change_while_a_view_looks_them_up(bridge: Bridge, pc: Domai
     for topic in ("/pose", "/other"):
         Talker(pc, topic)()
     server, _ = bridge.both()
-    assert server._bridge is not None
-    context = server._bridge.context
+    context = inside(server).context
     pictures: list[Picture] = []
 
     async def deliver(picture: Picture) -> None:
@@ -440,8 +431,7 @@ def test_publishers_are_not_looked_up_for_each_picture(
 ) -> None:
     talker = Talker(pc, "/pose")
     server, _ = bridge.both()
-    assert server._bridge is not None
-    ros, asked = server._bridge.context.ros, Counter[str]()
+    ros, asked = inside(server).context.ros, Counter[str]()
     find = ros.publishers
 
     def counted(topic: str) -> list[Endpoint]:

@@ -1,4 +1,4 @@
-"""Whole bridges over a Zenoh network: what crosses, what both sides say, and what becomes of a router that dies."""
+"""Whole bridges over a Zenoh network: traffic, verdicts of both sides, and a router that dies."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def router() -> Iterator[Router]:
 
 
 def over(*routers: Router, **settings: Any) -> dict[str, Any]:
-    """What a session over Zenoh has that others have not."""
+    """Return the fields of a session over Zenoh."""
     connect = tuple(each.endpoint for each in routers)
     return {"server_ip": "zenoh", "server_port": 0, "zenoh": ZenohSettings(connect=connect, **settings)}
 
@@ -246,7 +246,7 @@ def test_datagrams_that_the_network_drops_are_in_the_ledger(
     monkeypatch.setattr(endpoints.Endpoint, "_take_datagram", lossy)
     for number in range(301):
         out.publish(text(f"{number}" + " " * 800))
-        eventually(lambda number=number: count[0] > number)  # one datagram each, so that the loss is known
+        eventually(lambda number=number: count[0] > number)  # one datagram each, so that the loss can be computed
     ledger = settled(client, "/drop", 301)
     assert ledger.delivered == len(there.payloads) == 301 - 60
     assert ledger.dropped_total == 60

@@ -187,7 +187,7 @@ class Relay:
 
     Attributes:
         server: address of the genuine one.
-        passed_on: keys of what it has passed on.
+        passed_on: keys of the samples that it has passed on.
     """
 
     ADDRESS = "f" * 16

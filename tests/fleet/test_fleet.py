@@ -1,4 +1,4 @@
-"""The robots of several sources: their order, those that have gone, and whom a name means."""
+"""The robots of several sources: their order, their absence, and the robot of a name."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_what_is_remembered_outlives_the_console(tmp_path: Path) -> None:
     later = fleet_of(ScriptedSource(waiting), path=path, clock=SetClock(NOW + 3600))
     first, second = later.robots()
     assert (first.summary.name, first.gone, first.summary.seen) == ("robot1", True, NOW)
-    # its server has been started anew, and it has not come back since
+    # its server has been restarted, and it has not come back since
     assert (second.summary.state, second.summary.seen, second.summary.version) == (RobotState.MISSING, NOW, "0.1.0")
     assert second.summary.since == NOW
     later.dismiss([first])

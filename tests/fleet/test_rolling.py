@@ -146,7 +146,7 @@ def test_it_stops_at_the_first_that_gets_worse() -> None:
 
 
 def test_a_short_fault_is_forgiven() -> None:
-    """While a topic is opened anew, nothing flows."""
+    """Nothing flows while a topic is opened again."""
     bed = Bed("robot1")
 
     def meanwhile() -> None:

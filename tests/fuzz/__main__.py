@@ -1,4 +1,4 @@
-"""``python -m tests.fuzz``: fuzzes every parser, or shows again what was found (tests/README.md)."""
+"""``python -m tests.fuzz``: fuzzes every parser, or repeats its findings (tests/README.md)."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _STATISTIC = re.compile(r"^stat::number_of_executed_units: +(\d+)$", re.MULTILIN
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one parser.
+    """The result of one parser.
 
     Attributes:
         name: of the parser.
-        executions: inputs that it read; None: its process failed.
+        executions: inputs that it read, or None if its process failed.
         seconds: that this took.
         output: of its process.
     """

@@ -78,7 +78,7 @@ def edit_json(data: bytes, random: Random) -> bytes:
 
 
 def edit_json_lines(data: bytes, random: Random) -> bytes:
-    """As `edit_json`, in one line of several."""
+    """Edit one line of several, like `edit_json`."""
     lines = data.split(b"\n")
     at = random.randrange(len(lines))
     lines[at] = edit_json(lines[at], random)
@@ -86,7 +86,7 @@ def edit_json_lines(data: bytes, random: Random) -> bytes:
 
 
 def edit_frames(data: bytes, random: Random) -> bytes:
-    """As `edit_msgpack`, in one of several documents, each preceded by its length."""
+    """Edit one of several documents, each preceded by its length, like `edit_msgpack`."""
     frames = split_frames(data)
     if not frames:
         return edit_bytes(data, random)
@@ -102,7 +102,7 @@ def edit_frames(data: bytes, random: Random) -> bytes:
 
 
 def behind(prefix: int, edit: Callable[[bytes, Random], bytes]) -> Callable[[bytes, Random], bytes]:
-    """An editor of what stands behind a prefix of so many bytes; now and then that changes, too."""
+    """Return an editor of the bytes behind a prefix of so many bytes; now and then the prefix changes, too."""
 
     def edit_behind(data: bytes, random: Random) -> bytes:
         head = data[:prefix].ljust(prefix, b"\0")

@@ -1,4 +1,4 @@
-"""What fuzzing found: one input of each kind, in a file, with how to see it again."""
+"""The findings of fuzzing: one input of each kind, in a file, with the command that repeats it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Findings:
     """Keeps the first input of each kind of failure, so that fuzzing can go on.
 
     Args:
-        folder: that they are written to; need not exist.
+        folder: that they are written to; it may be missing.
         parser: that is fuzzed.
     """
 
@@ -31,7 +31,7 @@ class Findings:
         """Have the parser read an input. What it raises is kept."""
         try:
             self._parser.read(data)
-        except Exception as error:  # noqa: BLE001 -- whatever is raised is a finding
+        except Exception as error:  # noqa: BLE001 -- every exception is a finding
             kind = _kind(error)
             if kind in self._kinds:
                 return
@@ -48,6 +48,6 @@ def inputs_in(folder: Path) -> list[Path]:
 
 
 def _kind(error: BaseException) -> str:
-    """Where it was raised: inputs that fail there for one reason are one finding."""
+    """Return where it was raised: inputs that fail there for one reason are one finding."""
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__} {last.filename}:{last.lineno}"

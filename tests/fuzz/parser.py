@@ -27,7 +27,7 @@ def check_text(text: str, longest: int) -> None:
 
 @dataclass(frozen=True)
 class Parser:
-    """A parser, and what has to be so whatever it reads.
+    """A parser, and the conditions that hold for all its inputs.
 
     Attributes:
         name: also of its corpus's folder.

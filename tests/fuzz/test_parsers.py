@@ -1,4 +1,4 @@
-"""What coverage-guided fuzzing does for minutes, Hypothesis does for seconds: the same parsers, the same demands."""
+"""Runs the parsers of fuzzing for seconds with Hypothesis, under the same conditions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is on disk: whole lines, a bound, one warning when the disk fails, and everything again after a kill -9."""
+"""The history on disk: whole lines, a bound, one warning when the disk fails, and a complete recovery after kill -9."""
 
 from __future__ import annotations
 
@@ -358,7 +358,7 @@ def test_two_bridges_of_one_name_have_files_of_their_own(tmp_path: Path) -> None
     client.close()
     server.close()
     server = Claim(tmp_path, "robot1", "server")
-    assert server.files.stem == "robot1-2", "each has its own again, whoever starts first"
+    assert server.files.stem == "robot1-2", "each has its own again, in any order of starts"
     server.close()
 
 
@@ -417,7 +417,7 @@ def test_killed_and_started_again(tmp_path: Path) -> None:
             process.send_signal(signal.SIGKILL)
     files = Files(tmp_path, "robot1")
     saved = history_files.read_history(files.history)
-    # Its clock goes 0.1 s with each event, so that it may be a long time from what was saved to the last of them.
+    # Its clock advances 0.1 s with each event, so a long time may pass between the save and the last of them.
     died = max(saved.time, *(event.time for event in history_files.read_events(files.events, 0.0)))
     report = history_files.report(files, died + 100, 86400.0)
     assert not report.running

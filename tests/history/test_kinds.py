@@ -1,4 +1,4 @@
-"""What has one name and is not the same: a topic, a service, an action and a node's parameters."""
+"""A topic, a service, an action and a node's parameters of the same name."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
 
 
 def lived() -> World:
-    """Ten minutes of one of each kind; for one of them the service is out, and the action is called twice a second."""
+    """Play ten minutes of one of each kind, with an outage of the service, and two calls of the action a second."""
     world = World()
     for kind in KINDS:
         calls = None if kind == "topic" else CallsSnapshot()
@@ -65,7 +65,7 @@ def test_each_has_a_line_of_its_own() -> None:
 
 def test_they_are_told_apart_after_a_restart(tmp_path: Path) -> None:
     world = lived()
-    world.recorder._timeline.cut()
+    world.timeline.cut()
     path = tmp_path / "robot1.history"
     history_files.write_history(path, world.recorder.save())
     check(

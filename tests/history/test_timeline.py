@@ -1,4 +1,4 @@
-"""What counts as an outage, how long it was and why; and what time does to it."""
+"""Outages, their lengths and causes, and their aging."""
 
 from __future__ import annotations
 
@@ -215,7 +215,7 @@ def test_a_day_is_kept_and_no_more() -> None:
         world.put("/scan", State.OK)
         world.go(HOUR - 60, step=5)
     assert len(world.outages(KEPT_FOR)) == 24
-    kept = world.recorder._timeline._records["robot1", "topic", "/scan", False]
+    kept = world.timeline._records["robot1", "topic", "/scan", False]
     assert len(kept.outages) <= 25
     assert len(kept.series) <= 1500
     track = world.track("/scan", KEPT_FOR)
@@ -262,7 +262,7 @@ def test_a_flapping_topic_displaces_nobodys_outages(monkeypatch: pytest.MonkeyPa
     assert topics.count("/map") == 1
     assert topics.count("/scan") <= track_record.OUTAGES_OF_ONE
     assert len(topics) <= 120
-    assert len(topics) + report.outages_left_out == 601, "how many are missing is told"
+    assert len(topics) + report.outages_left_out == 601, "the number of the missing ones is shown"
     assert world.track("/scan").outages == 300
 
 
@@ -272,14 +272,14 @@ def test_what_a_peer_can_name_is_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
     for number in range(100):
         world.routes = World(f"/t{number}", clock=world.clock).routes
         world.go(1)
-    assert len(world.recorder._timeline._records) == 11
+    assert len(world.timeline._records) == 11
     world.routes = World(*(f"/more{number}" for number in range(50)), clock=world.clock).routes
     world.go(1)
-    assert len(world.recorder._timeline._records) == 11
+    assert len(world.timeline._records) == 11
 
 
 def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a robot's topic did stays known, and its next topic is recorded, whatever another client is called for."""
+    """A robot's history stays, and its next topic is recorded, in spite of another client's many names."""
     monkeypatch.setattr(timeline, "MOST_TRACKS", 20)
     world = World("/scan", "/gone")
     world.go(1)
@@ -290,13 +290,13 @@ def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest
         world.go(1)
     world.routes |= World("/map", clock=world.clock).routes
     world.go(1)
-    known = world.recorder._timeline._records
+    known = world.timeline._records
     assert {topic for link, _, topic, _ in known if link != "rogue" and topic} == {"/scan", "/gone", "/map"}
     assert len(known) <= 20
 
 
 def test_what_finds_no_room_costs_one_walk_a_look(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All of them together: there may be thousands of topics beyond those that are kept."""
+    """One walk for all of them: thousands of topics may exceed the kept ones."""
     monkeypatch.setattr(timeline, "MOST_TRACKS", 20)
     walks = []
 
@@ -310,7 +310,7 @@ def test_what_finds_no_room_costs_one_walk_a_look(monkeypatch: pytest.MonkeyPatc
     walks.clear()
     world.go(3)
     assert len(walks) <= 3
-    assert len(world.recorder._timeline._records) <= 20
+    assert len(world.timeline._records) <= 20
 
 
 def test_operators_actions_are_remembered() -> None:
@@ -351,7 +351,7 @@ def test_a_clock_that_is_set_moves_what_this_run_has_seen(jump: float) -> None:
     assert shut_down.time == EPOCH + jump + 660
     assert clock_set.code == EventCode.ENGINE_CLOCK_SET
     assert f"set {'forward' if jump > 0 else 'back'} by 3 h" in clock_set.text
-    assert [round(gap.seconds) for gap in report.gaps] == [3600 - 1325], "only what was before the start"
+    assert [round(gap.seconds) for gap in report.gaps] == [3600 - 1325], "only the time before the start"
     track = world.track("/scan")
     assert (track.up, track.out) == (1200, 125)
     assert track.rates[-1] == 10
@@ -391,7 +391,7 @@ def test_an_engine_that_hangs_or_has_ended_is_not_known_to_be_fine() -> None:
         world.clock.go(1)
         world.recorder.look()
     assert world.report(800).gaps[-1].seconds >= 700
-    assert len(world.events.after(0)) == 1, "it is known why"
+    assert len(world.events.after(0)) == 1, "the cause is shown"
 
 
 # --- from one process to the next
@@ -399,7 +399,7 @@ def test_an_engine_that_hangs_or_has_ended_is_not_known_to_be_fine() -> None:
 
 def next_process(world: World, away: float) -> World:
     """The next one, after so many s, on what the first one saved."""
-    world.recorder._timeline.cut()
+    world.timeline.cut()
     saved = msgspec.msgpack.decode(msgspec.msgpack.encode(world.recorder.save()), type=timeline.Saved)
     world.clock.go(away)
     new = World(*world.routes, clock=world.clock)

@@ -15,6 +15,7 @@ from rsb_bridge.telemetry.event_log import EventLog
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from rsb_bridge.history.timeline import Timeline
     from rsb_bridge.model.history import HistoryReport, Outage, Track
 
 
@@ -38,6 +39,11 @@ class World:
         self.recorder = Recorder("robot1", "client", self.events, lambda: self.snapshot, self.clock)
         self._renew()
         self.recorder.look()
+
+    @property
+    def timeline(self) -> Timeline:
+        """The recorder's time line."""
+        return self.recorder._timeline
 
     def _renew(self) -> None:
         self.snapshot = Snapshot(
@@ -88,5 +94,5 @@ class World:
 
 
 def brief(outages: Sequence[Outage]) -> list[tuple[Any, ...]]:
-    """What matters of some outages: the topic, the whole seconds, state and cause."""
+    """Return the topic, the whole seconds, state and cause of some outages."""
     return [(each.topic, round(each.seconds), each.state, each.cause) for each in outages]

@@ -290,7 +290,7 @@ def test_an_operator_of_either_side_disarms_what_the_other_armed(at: int, pair: 
     for each in pair:
         (event,) = events(each, EventCode.OPERATOR_DISARMED)
         assert (event.who.endswith("bob"), event.from_peer) == (True, each is not side)
-        assert route(each).id not in (0, before), "opened anew: what is under way belongs to another route id"
+        assert route(each).id not in (0, before), "opened again: messages in flight belong to another route id"
     arm(side, loop).result()
     assert passes(*pair) == [True, True]
 
@@ -311,7 +311,7 @@ def test_the_data_connection_of_a_disarmed_opening_may_end_before_the_next_one_i
 
 
 def test_an_opening_is_armed_once_whatever_the_peer_says(pair: Pair, loop: VirtualLoop) -> None:
-    """The control PC's own bridge is made to lie: it never opens the route anew, and arms it again at once."""
+    """The control PC's own bridge is made to lie: it never opens the route again, and arms it at once."""
     robot, pc = pair
     arm(pc, loop).result()
     opening = route(robot).id
@@ -426,7 +426,7 @@ def test_a_side_that_marks_a_topic_late_is_heeded_where_the_peer_has_taken_it_ov
     assert passes(*pair) == [True, True]
     with pytest.raises(LinkError):
         propose(robot, COMMANDS)
-    assert not route(robot).accepted, "closed at once, and opened anew with the mark"
+    assert not route(robot).accepted, "closed at once, and opened again with the mark"
     for _ in range(20):
         let_time_pass(pair, loop, 1.0)
     assert route(pc).accepted
@@ -596,7 +596,7 @@ def test_the_receiving_side_is_disarmed_at_once(pair: Pair, loop: VirtualLoop) -
 
 
 def test_the_answer_to_a_dropped_demand_is_none_to_a_disarm(pair: Pair, loop: VirtualLoop) -> None:
-    """The peer has not heard of the disarm yet, and goes on publishing what was sent before."""
+    """The peer has not heard of the disarm yet, and goes on publishing earlier messages."""
     robot, pc = pair
     arm(pc, loop).result()
     pc.table.arming.demand_dropped(Source(("", "/cmd_vel"), "/cmd_vel", DEADMAN))
@@ -637,10 +637,10 @@ def test_an_edit_of_another_limit_there_leaves_the_entry_without_a_max_age(make_
     assert [route(side).age.max_age for side in pair] == [1.0, 1.0]
 
 
-def test_a_peer_that_proposes_and_removes_has_no_demands_counted_anew(
+def test_a_peer_that_proposes_and_removes_has_no_demands_counted_again(
     pair: Pair, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """That takes a server of many clients much longer than a peer takes to cause it."""
+    """Counting takes a server of many clients much longer than a peer takes to cause it."""
     robot, _ = pair
     turn(loop)
     counted: list[Side] = []
@@ -664,7 +664,7 @@ def test_a_peer_that_proposes_and_removes_has_no_demands_counted_anew(
 def test_what_is_sent_has_the_type_by_which_demands_were_found(
     sent: str, make_context: Callable[..., Context], loop: VirtualLoop
 ) -> None:
-    """The robot demands that commands are armed, and the control PC says that it sends texts."""
+    """The robot demands that commands are armed, and the control PC claims to send texts."""
     robot = Side(make_context(ros=OnePublisher(), armed=(ArmedEntry("/cmd*", type="Twist"),)), is_client=True)
     pc = Side(make_context(role="server"), is_client=False)
     robot.other, pc.other = pc, robot

@@ -1,4 +1,4 @@
-"""What the other side of a link may do here, whatever it asks for: refused on both sides, and ended by a reload."""
+"""Rights of the other side of a link: refusals on both sides, and changes by a reload."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def test_a_client_is_held_to_direction_and_transport(bridge: Bridge) -> None:
 
 
 def test_a_server_has_a_client_keep_so_many_topics(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The client's own are not counted, and those that it has already are taken up again after a reconnect."""
+    """The client's own topics are not counted, and kept ones are proposed again after a reconnect."""
     monkeypatch.setattr(proposals, "ROUTES_PROPOSED_BY_SERVER", 2)
     topics = tuple(Topic(f"/t{number}", "transmit") for number in range(3))
     server = bridge.server(clients=(Client("robot1", topics=topics),))
@@ -159,7 +159,7 @@ def test_a_server_has_a_client_keep_so_many_topics(bridge: Bridge, monkeypatch: 
 def test_a_side_lets_no_more_cross_than_it_allows(
     direction: Direction, bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path
 ) -> None:
-    """Whoever sends keeps to it, and both screens say so; a reload changes it on the open route."""
+    """The sender keeps to the limit, and both screens show it; a reload changes it on the open route."""
     near, far = (robot, pc) if direction == "transmit" else (pc, robot)
     out, listener = near.publisher("/chat"), far.listener("/chat")
     slow = Client("robot1", key_file="robot1.key", allow=(Grant("/chat", max_rate=0.01),))

@@ -1,4 +1,7 @@
-"""What can be bridged, as either side sees it in both graphs: topics, services, actions and nodes with parameters."""
+"""The entries that can be bridged, as either side sees them in both graphs.
+
+These are topics, services, actions and nodes with parameters.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a link's routes take of its budgets comes back, however they come and go."""
+"""A link's routes return their parts of its budgets, however they come and go."""
 
 from __future__ import annotations
 

@@ -148,7 +148,7 @@ class SaysGoodbye(Tcp):
 
     Attributes:
         role: the client.
-        retry_after: s, that the server tells; None: an operator has shut the link down.
+        retry_after: s, that the server sends, or None if an operator has shut the link down.
         times: s, when it was called.
     """
 
@@ -230,7 +230,7 @@ def test_a_server_cannot_keep_a_client_away_for_years(
     soonest: float,
     latest: float,
 ) -> None:
-    """Whatever it says when it ends a link, and also if it says that an operator has shut the link down."""
+    """For all its reasons to end a link, also if it reports that an operator has shut the link down."""
     network = SaysGoodbye(loop, retry_after)
     network.role = ClientRole(make_context(transports=Transports(network)), {"robot1": ()})
     lasting = min(HALF_A_DAY, 1000 * latest)

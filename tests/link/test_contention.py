@@ -1,4 +1,4 @@
-"""What a link's topics are told while it carries less than they ask for."""
+"""The shares of a link's topics while it carries less than they ask for."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Clock:
 
 
 class Sends:
-    """As much of a route as this is about."""
+    """The part of a route that the test needs."""
 
     def __init__(self, rank: int) -> None:
         self.rank = rank
@@ -76,7 +76,7 @@ def test_a_link_that_stalls_is_not_taken_for_one_that_carries_nothing() -> None:
 
 
 def test_who_yields_gets_back_what_crosses_again() -> None:
-    """As after some seconds in which next to nothing crossed."""
+    """For example after some seconds in which next to nothing crossed."""
     link = Link()
     assert (link.second(10.0, full=True) or 0.0) < 10.0
     assert (link.second(ASKED, full=False) or 0.0) >= 0.04 * ASKED

@@ -1,4 +1,4 @@
-"""What comes on a control connection is taken in no faster than a robot with a thousand topics needs."""
+"""A control connection is read no faster than a robot with a thousand topics needs."""
 
 from __future__ import annotations
 

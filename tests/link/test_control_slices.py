@@ -216,7 +216,7 @@ def test_an_entry_that_is_invalid_ends_the_connection() -> None:
 
 
 def unbounded(kind: inspect.Type, where: str) -> list[str]:
-    """Where a message may have any number of entries, or a text of any length."""
+    """Return the fields of a message that may have any number of entries, or a text of any length."""
     match kind:
         case inspect.StrType() | inspect.BytesType() | inspect.VarTupleType() | inspect.ListType() | inspect.DictType():
             found = [] if kind.max_length is not None else [where]
@@ -251,7 +251,7 @@ def test_a_real_link_takes_the_whole_of_a_long_report(bridge: Bridge) -> None:
 
 
 def test_the_longest_frames_need_no_long_turn() -> None:
-    """Of 131,000 entries, all of which are views of the frame, none is decoded before its turn."""
+    """None of 131,000 entries, which are views of the frame, is decoded before its turn."""
     many = (CONTROL_LIMIT - 100) // 8
     data = msgspec.msgpack.encode({"message": "topiclist", "request": 1, "topics": [{}] * many})
     parts = decode_in_parts(data)

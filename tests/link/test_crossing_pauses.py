@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.bridge import happened, linked, route
+from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.model.codes import EventCode
@@ -26,9 +27,8 @@ def press(engine: Engine, *states: bool) -> None:
 
 
 def paused(engine: Engine) -> bool:
-    """Asked of the route itself: on a link that is down, the snapshot says that it is down."""
-    assert engine._bridge is not None
-    return any(each.paused for link in engine._bridge.links() for each in link.routes.values())
+    """Ask the route itself: on a link that is down, the snapshot shows only that."""
+    return any(each.paused for link in inside(engine).links() for each in link.routes.values())
 
 
 def both(bridge: Bridge, robot: Domain) -> tuple[Engine, Engine]:

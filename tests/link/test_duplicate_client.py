@@ -1,4 +1,4 @@
-"""What is said of the clients that have the name of a linked one, however many there are."""
+"""Reports of clients that have the name of a linked one, for any number of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What both sides' link rows say of a wrong key, of a robot that is missing, and of two machines with one name."""
+"""Both sides' link rows for a wrong key, a missing robot, and two machines with one name."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from unittest.mock import MagicMock
 
 import pytest
 from tests.support.bridge import happened, link, linked, now
+from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.config.keys import fingerprint, read_key
@@ -141,7 +142,7 @@ def test_several_second_clients_are_one_warning(bridge: Bridge) -> None:
     eventually(lambda: "(host spare1)" in link(first).warning)
     for host in ("spare2", "spare3", "spare1"):
         try_as(bridge, host)
-    # The one that came last is named, not whichever tried last. They count for a few seconds after they tried.
+    # The newest one is named, not the one that tried last. They count for a few seconds after an attempt.
     words = SameName.SEVERAL(address="127.0.0.1 (host spare3)", others="2 others", name="robot1")
     for engine in (server, first):
         warning = eventually(lambda engine=engine: found if words in (found := link(engine).warning) else "")
@@ -168,9 +169,8 @@ def test_a_replay_is_no_second_client(bridge: Bridge) -> None:
 def test_a_client_takes_the_name_of_one_that_is_silent(bridge: Bridge) -> None:
     """A process that hangs, or whose end a network in between hides."""
     server, first = bridge.both()
-    assert first._bridge is not None
     over = threading.Event()
-    first._bridge.context.loop.call_soon_threadsafe(over.wait, 90.0)
+    inside(first).context.loop.call_soon_threadsafe(over.wait, 90.0)
     try:
         second = bridge.client()
         eventually(lambda: linked(second), what="linked")

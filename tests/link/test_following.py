@@ -1,4 +1,4 @@
-"""What a side tells a peer that follows its graph, whatever that asks for; and what a pattern makes of names."""
+"""The lists that a side sends to a peer that follows its graph, for all requests; and a pattern's use of names."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Side:
         self.changes += 1
 
     def look(self, names: Names) -> list[Followed]:
-        """What is sent after a look at the graph."""
+        """Poll the graph, and return the messages that are sent."""
         self.sent.clear()
         self.followed.patterns_here()
         self.followed.look(names)
@@ -104,7 +104,7 @@ def test_what_is_told_has_a_limit_and_what_was_told_stays() -> None:
 
 @pytest.mark.parametrize("name", ["/a/x y", "/a/1x", "/a/_x", "/a/", "/b/x", "/a/out", "/a/x/y"])
 def test_a_name_that_was_not_asked_for_is_no_topic(name: str) -> None:
-    """Whatever the peer says that its graph has."""
+    """For anything in the peer's list."""
     entry = PatternEntry(Topic("/a/*", "receive", excepts=("/a/out",)), client="robot1", prefixed=False)
     assert entry.match(name, TYPE) is None
 

@@ -87,7 +87,7 @@ def test_another_program_at_the_servers_port(answer: bytes, bridge: Bridge) -> N
         assert caused(client, LinkCause.NOT_A_BRIDGE)
         assert recognise(answer) in link(client).reason
         (event,) = [each for each in client.events() if each.cause == LinkCause.NOT_A_BRIDGE][:1]
-        assert event.text.count(f":{bridge.port}") == 1, "the address stands there once"
+        assert event.text.count(f":{bridge.port}") == 1, "the address is there once"
     server = bridge.server()
     client.retry().result(60)
     eventually(lambda: linked(server))
@@ -154,7 +154,7 @@ def test_packets_that_vanish_while_linked(bridge: Bridge, relay: Relay) -> None:
 def test_another_program_that_connects_to_the_server(
     sent: bytes, cause: LinkCause, bridge: Bridge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One line says so, however often it comes."""
+    """One line reports it, however often it connects."""
     monkeypatch.setattr("rsb_bridge.link.pending_connections._HANDSHAKE_WITHIN", 0.3)
     server = bridge.server()
     for _ in range(4):

@@ -48,10 +48,10 @@ def test_a_peer_is_given_up_five_seconds_after_its_last_byte(
     assert silent == [pytest.approx(last + 5.0)]
 
 
-def test_a_peer_is_given_up_whatever_the_rounding_of_the_clock(
+def test_a_peer_is_given_up_with_any_rounding_of_the_clock(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
-    """What is left of five seconds can be too little to move the clock."""
+    """The rest of five seconds can be too little to move the clock."""
     for number in range(300):
         wait(loop, 0.1 + number / 7)
         silent: list[float] = []

@@ -115,7 +115,7 @@ DIFFERENCE = (
 
 
 class OtherVersions(KnownNode):
-    """A stand-in: two versions of a package cannot be installed beside each other."""
+    """A stand-in for another version, because two versions of a package cannot be installed together."""
 
     def installed_hash(self, type_name: str) -> str | None:
         return hash_of_text(OTHER) if type_name == INT32 else super().installed_hash(type_name)
@@ -263,7 +263,7 @@ def test_versions_of_an_action_that_differ(bridge: Bridge, robot: Domain, pc: Do
 
 
 def test_two_sides_in_one_domain_would_loop(bridge: Bridge, robot: Domain) -> None:
-    """Said on both sides; with the client's name before the server's topics there is nothing to loop."""
+    """Both sides report it; with the client's name before the server's topics, nothing can loop."""
     words = "both sides publish /loop in one ROS domain"
     publisher = robot.publisher("/loop")
     server, client = bridge.server(domain_id=robot.id), bridge.client(Topic("/loop", "transmit"))
@@ -282,7 +282,7 @@ def test_two_sides_in_one_domain_would_loop(bridge: Bridge, robot: Domain) -> No
 
 
 def test_a_client_learns_whether_its_name_stands_before_its_topics(bridge: Bridge) -> None:
-    """The server's session may say so of all its clients, or of each."""
+    """The server's session may set it for all its clients, or for each."""
     clients = (Client("robot1", key_file=bridge.key_file), Client("robot2", use_name=False))
     server = bridge.server(use_name=True, clients=clients, shared_keys=True)
     client = bridge.client()
@@ -292,7 +292,7 @@ def test_a_client_learns_whether_its_name_stands_before_its_topics(bridge: Bridg
 
 
 def test_qos_by_name(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """What is asked for is what both endpoints have, as the other nodes see them."""
+    """Both endpoints get the named QoS, as other nodes see them."""
     asked: dict[str, Any] = {f"/{name}": name for name in PROFILES}
     asked |= {"/depth": 7, "/mapping": {"profile": "sensor_data", "durability": "transient_local", "deadline": 2.0}}
     bridge.both(*(Topic(topic, "transmit", type="String", qos=qos) for topic, qos in asked.items()))
@@ -308,7 +308,7 @@ def test_qos_by_name(bridge: Bridge, robot: Domain, pc: Domain) -> None:
 
 
 def policies(profile: QoSProfile) -> tuple[str, str, float]:
-    """What a graph says of an endpoint."""
+    """Return an endpoint's policies in the graph."""
     deadline = profile.deadline.nanoseconds / 1e9
     return profile.reliability.name.lower(), profile.durability.name.lower(), 0.0 if deadline > 1e9 else deadline
 
@@ -346,7 +346,7 @@ def test_qos_follows_the_publishers(bridge: Bridge, robot: Domain, pc: Domain) -
 
 
 def end_qos(side: Engine) -> tuple[Qos | None, Qos | None]:
-    """Of the publishers where /chat begins, and of the subscriptions where it ends."""
+    """Return the QoS of the publishers where /chat begins, and of the subscriptions where it ends."""
     chat = route(side, "/chat")
     return chat.publisher_qos, chat.subscriber_qos
 
@@ -362,7 +362,7 @@ def test_a_subscriber_that_asks_for_more(bridge: Bridge, robot: Domain, pc: Doma
 
 @pytest.mark.parametrize("protocol", ["tcp", "udp"])
 def test_a_topic_port_that_is_taken(protocol: Any, bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """Both sides say so; once the port is free, trying again opens the topic."""
+    """Both sides report it; once the port is free, trying again opens the topic."""
     port, out, there = free_port(), robot.publisher("/chat"), pc.listener("/chat")
     with socket.socket(type=socket.SOCK_STREAM if protocol == "tcp" else socket.SOCK_DGRAM) as squatter:
         squatter.bind(("127.0.0.1", port))
@@ -387,7 +387,7 @@ def test_a_topic_port_that_is_taken(protocol: Any, bridge: Bridge, robot: Domain
 
 @pytest.mark.parametrize("kind", [socket.SOCK_STREAM, socket.SOCK_DGRAM])
 def test_a_server_whose_port_is_taken(kind: Any, bridge: Bridge) -> None:
-    """It says so, and leaves nothing behind: another can have what it had bound before."""
+    """It reports it, and frees the ports that it had bound before."""
     with socket.socket(type=kind) as squatter:
         squatter.bind(("127.0.0.1", bridge.port))
         if kind is socket.SOCK_STREAM:
@@ -415,7 +415,7 @@ def test_addresses_that_will_not_do(bridge: Bridge) -> None:
 
 
 def test_a_channel_of_the_servers_ports_number(bridge: Bridge, robot: Domain) -> None:
-    """It is not the port that is bound already: without Bluetooth it can't be had, and the topic says so."""
+    """It is not the port that is bound already: without Bluetooth it is not available, and the topic reports it."""
     place = {"server_ip": "127.0.0.12", "server_port": 11, "bluetooth_address": "5C:F3:70:9A:1B:2E"}
     try:
         socket.create_server(("127.0.0.12", 11)).close()
@@ -448,7 +448,7 @@ def test_a_key_in_the_home_folder(bridge: Bridge, tmp_path: Path, monkeypatch: p
 
 
 def test_a_type_that_changes(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """The robot's program is replaced by one that publishes another type: the topic is opened anew with that."""
+    """The robot's program is replaced by one that publishes another type: the topic is opened again with that."""
     words, out = pc.listener("/state"), robot.publisher("/state")
     server, client = bridge.both(Topic("/state", "transmit"))
     carries([out], server, ["/state"])
@@ -467,7 +467,10 @@ def test_a_type_that_changes(bridge: Bridge, robot: Domain, pc: Domain) -> None:
 def test_a_type_that_is_replaced_while_the_old_publisher_still_shows(
     other: KnownNode, bridge: Bridge, robot: Domain, pc: Domain
 ) -> None:
-    """As after kill -9: both sides name type and node at once, what flows goes on; it heals when the old one goes."""
+    """For example after kill -9.
+
+    Both sides name type and node at once, traffic goes on; it recovers when the old one goes.
+    """
     strings, old = pc.listener("/state"), robot.publisher("/state")
     server, client = bridge.both(Topic("/state", "transmit"))
     carries([old], server, ["/state"])
@@ -494,7 +497,10 @@ def test_a_type_that_is_replaced_while_the_old_publisher_still_shows(
 
 
 def test_a_type_that_the_session_does_not_name(other: KnownNode, bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """A publisher of another type comes instead: both sides say so at once, and it heals once the right one is back."""
+    """A publisher of another type comes instead.
+
+    Both sides report it at once, and it recovers once the right one is back.
+    """
     strings, out = pc.listener("/state"), robot.publisher("/state")
     server, client = bridge.both(Topic("/state", "transmit", type="String"))
     carries([out], server, ["/state"])

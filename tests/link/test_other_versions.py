@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.support.bridge import happened, linked, route
+from tests.support.inside import inside
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
@@ -35,8 +36,7 @@ def rogue(bridge: Bridge, *, features: tuple[str, ...] = (FEATURE,)) -> Rogue:
 
 
 def link(engine: Engine) -> Link:
-    assert engine._bridge is not None
-    return engine._bridge.links()[0]
+    return inside(engine).links()[0]
 
 
 def names(engine: Engine, side: str | None) -> set[tuple[str, str]]:
@@ -50,7 +50,7 @@ def test_both_sides_say_that_they_carry_calls(bridge: Bridge) -> None:
 
 
 def test_only_topics_are_proposed_to_an_older_client(bridge: Bridge) -> None:
-    """The routes say in words what is to be done, and come with its update."""
+    """The routes show the remedy, and come with its update."""
     called = [Topic(f"/{kind}", "transmit", kind=kind) for kind in KINDS]
     server = bridge.server(
         key_file=None,

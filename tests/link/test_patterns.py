@@ -89,7 +89,7 @@ def test_a_server_proposes_what_matches(bridge: Bridge, robot: Domain, pc: Domai
 
 
 def test_nothing_is_taken_back(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """Everything in both directions: what came from the other side is not sent back."""
+    """Everything in both directions: topics from the other side are not sent back."""
     server, client = bridge.both(Topic("/**", "transmit"), Topic("/**", "receive"))
     robot.publisher("/scan")
     pc.publisher("/cmd_vel")
@@ -128,7 +128,7 @@ def test_a_type_limits_a_pattern_and_the_first_one_that_matches_wins(bridge: Bri
 
 
 def test_operators_of_either_side_remove_edit_and_save(bridge: Bridge, robot: Domain, tmp_path: Path) -> None:
-    """What is removed stays removed, what is edited is an entry of its own, and what is saved are the patterns."""
+    """Removed topics stay removed, an edited one becomes an entry of its own, and the file keeps the patterns."""
     server, client = bridge.both()
     for name in "abcd":
         robot.publisher(f"/x/{name}")

@@ -1,4 +1,4 @@
-"""What the other side says of its operators: its words, marked as such, and no more of them than there is room for."""
+"""The other side's operators: its words, marked as such, and only as many as have room."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How priorities are proposed and changed, also with a side that knows nothing of them."""
+"""Priorities are proposed and changed, also with a side that does not know them."""
 
 from __future__ import annotations
 

@@ -55,7 +55,9 @@ def test_a_refusal_that_goes_on(loop: VirtualLoop, make_context: Callable[..., C
 def test_ever_new_words_from_one_host(
     hosts: list[str], loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
-    """Whoever tries chooses the words; the log of an hour of 40 attempts a second stays small, and others' has room."""
+    """The stranger chooses the words; the log of an hour of 40 attempts a second stays small, and others' lines have
+    room.
+    """
     context = make_context()
     refusals = Refusals(context)
     for second in range(3600):

@@ -1,4 +1,4 @@
-"""The route tables of both sides agree in the end, whatever crosses on the way."""
+"""The route tables of both sides agree in the end, for all orders of crossing messages."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TOPIC = Topic("/chat", "transmit")
 
 
 class Side(FakePeer):
-    """One side of a link: its table, and the messages that are under way to it."""
+    """One side of a link: its table, and the messages in flight to it."""
 
     linked_at = 0.0
     connections = 1
@@ -55,7 +55,7 @@ class Side(FakePeer):
         self.table = RouteTable(cast("BaseLink", self))
         context.demands.register(self)
 
-    # --- what has to be armed, as a link does it
+    # --- arming, as a link does it
 
     def demand_sources(self) -> Iterator[Source]:
         routes = [route.spec for route in self.routes.values() if route.proposed_here]
@@ -150,14 +150,14 @@ def make_pair(loop: VirtualLoop, make_context: Callable[..., Context]) -> Callab
 
 
 def settle(pair: Pair, loop: VirtualLoop) -> None:
-    """Let all that is under way arrive, and half a minute pass."""
+    """Let all messages in flight arrive, and half a minute pass."""
     for _ in range(30):
         let_time_pass(pair, loop, 1.0)
     hear_all(pair)
 
 
 def let_time_pass(pair: Pair, loop: VirtualLoop, seconds: float) -> None:
-    """Let all that is under way arrive, then time pass and the tables tick."""
+    """Let all messages in flight arrive, then time pass and the tables tick."""
     hear_all(pair)
     loop.jump(seconds)
     for side in pair:

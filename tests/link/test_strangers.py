@@ -93,7 +93,7 @@ def test_a_refused_connection_is_freed_at_once(
     said: bytes, bridge: Bridge, arrived: list[weakref.ref[object]], no_collector: None
 ) -> None:
     server = bridge.server()
-    for _ in range(7):  # the last ones are told late
+    for _ in range(7):  # the last ones are reported late
         with socket.create_connection(("127.0.0.1", bridge.port)) as sock:
             sock.settimeout(10)
             with contextlib.suppress(OSError):

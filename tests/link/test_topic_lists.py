@@ -1,4 +1,4 @@
-"""What the two sides of a link tell each other of their graphs."""
+"""The lists of their graphs that the two sides of a link exchange."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Graph(NoRos):
 
 
 class Pair:
-    """One side that asks and one that answers; what goes between them is encoded.
+    """One side that asks and one that answers; messages between them are encoded.
 
     Attributes:
         said: the sizes (bytes) of the answers.

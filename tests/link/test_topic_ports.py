@@ -28,7 +28,7 @@ SESSION = Session(name="pc", role="server", server_ip="0.0.0.0", server_port=706
 
 
 def asks(rogue: Rogue, number: int, port: int, transport: Any = "udp") -> Accept | Refuse:
-    """What the server says of a topic with a port of its own."""
+    """Return the server's answer for a topic with a port of its own."""
     name = f"/t{number}"
     rogue.say(Propose(route=number, topic=name, remote_topic=name, from_client=True, transport=transport, port=port))
     return answer_of(rogue)

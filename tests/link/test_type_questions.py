@@ -1,4 +1,4 @@
-"""What a peer answers about types is bounded, and believed only where the type's hash proves it."""
+"""A peer's answers about types are bounded, and accepted only if the type's hash proves them."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.questions import TypeQuestions, description_in
 from rsb_bridge.ros import type_descriptions
 from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.ros.type_descriptions import TypeDescriptions
 from rsb_bridge.route.type_versions import MessageType as MessageVersion
 from rsb_bridge.wire.messages import AskType, TypeText
@@ -37,26 +38,21 @@ TEXT = text_of_description(TypeDescription(MessageType("a_msgs/msg/B", (Field("x
 HASH = hash_of_text(TEXT)
 
 
-class Ros:
-    """A side on which nothing is installed; its nodes say what they are given."""
+class Ros(NoRos):
+    """A side without installed types, whose nodes answer as a test sets them."""
 
     def __init__(self) -> None:
         self.nodes: dict[str, str | None] = {}
         self.asked: list[str] = []
         self.fails = False
 
-    def installed_hash(self, type_name: str) -> str | None:
-        return None
-
     def publishers(self, topic: str) -> list[Any]:
         if self.fails:
             raise RosError("it is not running")
         return [type("End", (), {"node": node, "type_hash": HASH}) for node in self.nodes]
 
-    def subscriptions(self, topic: str) -> list[Any]:
-        return []
-
-    def ask_description(self, node: str, type_name: str, type_hash: str, still_wanted: Any) -> str | None:
+    def ask_description(self, *question: Any) -> str | None:
+        node, _, _, still_wanted = question
         self.asked.append(node)
         assert still_wanted()
         return self.nodes[node]
@@ -74,7 +70,7 @@ class Side:
     def __init__(self) -> None:
         self.ros, self.time = Ros(), 0.0
         self.sent: list[Any] = []
-        self.known = TypeDescriptions(self.ros, lambda: self.time)  # type: ignore[arg-type]
+        self.known = TypeDescriptions(self.ros, lambda: self.time)
         self.tasks: list[asyncio.Task[None]] = []
         self.has_sent = asyncio.Event()
         self.questions = TypeQuestions(self.known, lambda _: Route(), self._send, self._spawn)  # type: ignore[arg-type, return-value]
@@ -87,7 +83,7 @@ class Side:
         self.tasks.append(asyncio.ensure_future(work))
 
     async def ask(self, answer: bytes | None) -> str:
-        """Ask, and have the peer answer; None: the link ends."""
+        """Ask, and have the peer answer, or end the link if the answer is None."""
         asking = asyncio.ensure_future(self.questions.describe(Route(), linked=True))  # type: ignore[arg-type]
         await self.has_sent.wait()
         assert self.sent == [AskType(route=3)]
@@ -160,7 +156,7 @@ def test_nodes_that_know_nothing_are_asked_again_after_a_while() -> None:
 
 def test_what_is_kept_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(type_descriptions, "_KEPT", 3 * len(TEXT))
-    known = TypeDescriptions(Ros(), lambda: 0.0)  # type: ignore[arg-type]
+    known = TypeDescriptions(Ros(), lambda: 0.0)
     texts = [TEXT.replace('"x"', f'"{letter}"') for letter in "abcde"]
     hashes = [hash_of_text(text) for text in texts]
     for text, type_hash in zip(texts[:3], hashes[:3], strict=True):
@@ -207,7 +203,7 @@ async def asked_by_a_caller(answering: Side) -> tuple[str, str]:
     """Have a side with other versions ask: the texts of the answer, and the difference that it tells."""
     asking, told = Side(), asyncio.get_running_loop().create_future()
     asking.ros = Installed(*HERE)
-    asking.known = TypeDescriptions(asking.ros, lambda: 0.0)  # type: ignore[arg-type]
+    asking.known = TypeDescriptions(asking.ros, lambda: 0.0)
     asking.questions._known = asking.known
     asking.questions.compare(3, versions(REQUEST, RESPONSE), told.set_result)
     await asking.has_sent.wait()
@@ -222,7 +218,7 @@ def test_one_answer_has_all_types_of_a_service_that_fit(most: int, monkeypatch: 
     monkeypatch.setattr(questions, "DESCRIPTION_LIMIT", max(most, 1))
     monkeypatch.setattr(Route, "message_types", versions(REQUEST, RESPONSE, REQUEST))
     answering = Side()
-    answering.known._ros = Installed(REQUEST, RESPONSE)  # type: ignore[assignment]
+    answering.known._ros = Installed(REQUEST, RESPONSE)
     texts, difference = asyncio.run(asked_by_a_caller(answering))
     fit = [text for text, size in ((REQUEST, len(REQUEST)), (RESPONSE, DESCRIPTION_LIMIT)) if size <= most]
     assert texts == "\n".join(fit)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.support.bridge import carries, happened, heard, link, linked, now, settled
 from tests.support.domain import text
+from tests.support.inside import inside
 from tests.support.relay import message_number
 from tests.support.waiting import eventually
 from tests.support.wording import has_text
@@ -44,7 +45,7 @@ HZ = 50
 
 
 def served(engine: Engine, out: Publisher, there: Listener, seconds: float = 1.0) -> None:
-    """Publish at 50 Hz for a while: every message arrives, in order, while whatever disturbs is still there."""
+    """Publish at 50 Hz for a while: every message arrives, in order, during the disturbance."""
     count = len(there.payloads)
     sent = [text(f"{number}") for number in range(int(seconds * HZ))]
     began = time.monotonic()
@@ -242,8 +243,10 @@ def test_half_a_handshake_and_then_nothing(friend: Any, bridge: Bridge) -> None:
     assert happened(server, EventCode.LINK_REJECTED, Rejected.NO_HANDSHAKE, seconds=5)
 
 
-def test_a_client_links_beside_a_flood_of_connections_from_its_own_address(friend: Any, bridge: Bridge) -> None:
-    """Behind one NAT with somebody who connects 500 times a second, silent, or as anybody: whoever speaks is served."""
+def test_a_client_links_during_a_flood_of_connections_from_its_own_address(friend: Any, bridge: Bridge) -> None:
+    """Behind one NAT with a stranger who connects 500 times a second, silently or under a random name, the client is
+    served.
+    """
     server, _, out, there = friend
     with flood(bridge.port, 500, b"") as silent, flood(bridge.port, 50, frame(b"rsb\x02\x63")):
         eventually(lambda: happened(server, EventCode.LINK_REJECTED, "too many"))
@@ -264,7 +267,7 @@ def test_a_client_is_read_among_many_that_arrive_at_once(sent: bytes, friend: An
         started.set()
         go_on.wait(60)
 
-    server._bridge.context.call(hold)
+    inside(server).context.call(hold)
     started.wait(60)
     key = read_key(bridge.folder / "other.key").secret
     with contextlib.ExitStack() as crowd:
@@ -336,10 +339,12 @@ def test_an_authenticated_peer_that_breaks_the_format(bridge: Bridge, relay: Rel
 
 
 def test_forged_and_replayed_datagrams(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
-    """Each of ours ten times over, damaged, cut short, and noise between: what arrives is what was sent, once."""
+    """Each of ours ten times, damaged, cut short, and noise between: messages arrive as sent, once."""
     there, out = pc.listener("/beat"), robot.publisher("/beat")
     server, client = bridge.both(Topic("/beat", "transmit", protocol="udp", qos={"depth": 1000}))
     carries([out], server, ["/beat"])
+
+    recorded: list[bytes] = []
 
     def forge(datagram: bytes) -> list[bytes]:
         damaged = bytearray(datagram)
@@ -348,19 +353,22 @@ def test_forged_and_replayed_datagrams(bridge: Bridge, relay: Relay, robot: Doma
         claims[18:26] = b"\xff" * 8  # its sequence number
         return [bytes(damaged), bytes(claims), os.urandom(60), b"", datagram[:20], *[datagram] * 10]
 
-    relay.to_server = relay.to_client = forge
+    def record(datagram: bytes) -> list[bytes]:
+        recorded.append(datagram)
+        return forge(datagram)
+
+    relay.to_server, relay.to_client = record, forge
     sent = [text(f"{number}") for number in range(100)]
     for payload in sent:
         out.publish(payload)
     assert heard(there, 100) == sent
     relay.to_server = relay.to_client = lambda datagram: [datagram]
-    recorded = [datagram for datagram in relay.datagrams if message_number(datagram)]
     relay.cut()
     eventually(lambda: happened(client, EventCode.LINK_LOST) and linked(client))
     carries([out], server, ["/beat"])
     with socket.socket(type=socket.SOCK_DGRAM) as replayer:
-        for datagram in recorded:
-            replayer.sendto(datagram, (relay.SERVER, bridge.port))
+        for datagram in filter(message_number, recorded):
+            replayer.sendto(datagram, relay.target)
     out.publish(text("new"))
     heard(there, 101)
     assert there.payloads == [*sent, text("new")]
@@ -378,7 +386,7 @@ def test_a_replayed_connection(bridge: Bridge, relay: Relay, robot: Domain, pc: 
     peer = link(server).peer
     control, data = (bytes(connection.sent) for connection in relay.connections[:2])
     for recording, words in ((control, Broken.HANDSHAKE_REPLAYED(name="robot1")), (data, "unknown route")):
-        talk((relay.SERVER, bridge.port), recording)
+        talk(relay.target, recording)
         eventually(lambda words=words: happened(server, EventCode.LINK_REJECTED, words))
     assert (link(server).peer, linked(server)) == (peer, True)
     out.publish(text("twice"))

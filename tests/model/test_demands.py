@@ -140,7 +140,7 @@ def test_what_has_to_be_kept(before: tuple[Topic, ...], after: tuple[Topic, ...]
     found = [as_armed(each) for rest in missing.values() for each in rest]
     assert found == kept
     whole = client(*after, armed=tuple(found))
-    assert whole.missing(client(*before).sources) == {}, "what is kept covers what was"
+    assert whole.missing(client(*before).sources) == {}, "the kept demands cover the old ones"
 
 
 def test_the_line_is_named() -> None:

@@ -1,4 +1,4 @@
-"""Which faults are reported, and when: those that last, once each time that they begin, change and end."""
+"""Reports of faults: lasting ones are reported once each time that they begin, change and end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a topic would cost on a link, by what is known."""
+"""The cost of a topic on a link, by the measured figures."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_what_is_measured_gives_way_once_it_is_old() -> None:
 
 
 def test_throughput() -> None:
-    """What a link carries is known after some seconds; a full link says it, whatever was seen before."""
+    """A link's capacity is measured within some seconds; a full link's figure replaces earlier ones."""
     meter = Throughput()
     for second in range(10):
         meter.look(2e6, float(second), float(second), full=False)

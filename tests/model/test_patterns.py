@@ -45,7 +45,7 @@ def test_a_pattern_matches_what_the_reference_says(pattern: str, name: str) -> N
     parts = Pattern(pattern).match(name)
     assert (parts is not None) == matches(pattern, name)
     if parts is not None:
-        assert Pattern(pattern).fill(parts) == name, "what the wildcards stand for makes the name again"
+        assert Pattern(pattern).fill(parts) == name, "the texts of the wildcards make the name again"
 
 
 @given(NAMES, st.data())
@@ -108,7 +108,7 @@ def test_what_can_match_no_name_is_no_pattern(text: str) -> None:
 
 
 def test_no_name_takes_long() -> None:
-    """Whoever makes names cannot make a pattern try every way, of which there are so many that this would never end."""
+    """No name makes a pattern try all ways to match, which would take forever."""
     patterns = [Pattern("/" + "*a" * 20 + "*b"), Pattern("/**/a" * 20 + "/b"), Pattern("/**/*a*a*a*" * 5 + "/b")]
     names = ["/" + "a" * 246, "/a" * 123, "/aaaa" * 49]
     assert [pattern.match(name) for pattern, name in itertools.product(patterns, names)] == [None] * 9

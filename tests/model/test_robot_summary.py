@@ -51,7 +51,7 @@ DOWN = replace(UP, state=State.DOWN, cause=LinkCause.LOST, reason="gone")
 
 
 def on_server(*routes: RouteSnapshot, link: LinkSnapshot = UP, running: bool = True) -> RobotSummary:
-    """Of robot1, as its server sees it."""
+    """Return the summary of robot1, as its server sees it."""
     links = (link, replace(UP, name="robot2"))
     now = Snapshot(NOW, "control", "server", "0.0.0.0", 1, running=running, links=links, routes=routes)
     first, second = of_clients(now, SERVER, {}, {})
@@ -86,7 +86,7 @@ def test_what_an_engine_says_of_itself() -> None:
     assert (summary.group, summary.role, summary.host, summary.version) == ("yard", "client", "arm7", "1.2")
     assert (summary.battery, summary.loss) == (battery, Loss(0.2, 5.0))
     down = of_engine(replace(now, links=(DOWN,)), session, host="arm7", version="1.2", losses={}, battery=None)
-    assert (down.state, down.since, down.seen) == (RobotState.FAULT, DOWN.since, NOW)  # it is there, and says so
+    assert (down.state, down.since, down.seen) == (RobotState.FAULT, DOWN.since, NOW)  # it is there, and reports it
     off = of_engine(replace(now, running=False), session, host="arm7", version="1.2", losses={}, battery=None)
     assert off.state is RobotState.MISSING
 
@@ -117,7 +117,7 @@ def test_the_worst_topic_decides(state: State, cause: Cause, expected: RobotStat
 
 
 def test_the_figures_are_those_of_the_console() -> None:
-    """What nobody hears is no fault, and is counted all the same."""
+    """A topic without a listener is no fault, and is counted all the same."""
     unheard = [a(f"/t{number}", State.UNHEARD, cause=Cause.NO_SUBSCRIBER) for number in range(27)]
     routes = (*unheard, a("/odom"))
     summary = on_server(*routes)
@@ -211,7 +211,7 @@ def test_a_server_that_is_stopped() -> None:
 
 
 def ledgers(time: float, *counts: tuple[int, dict[str, int]], expired: int = 0) -> Snapshot:
-    """Topics ``/0``, ``/1`` and so on, with what was delivered and dropped of each."""
+    """Return topics ``/0``, ``/1`` and so on, with the delivered and dropped messages of each."""
     routes = tuple(
         route(f"/{number}", ledger=Ledger(delivered=delivered, dropped=dropped, expired=expired))
         for number, (delivered, dropped) in enumerate(counts)

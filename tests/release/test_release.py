@@ -1,4 +1,4 @@
-"""What is released: the same files from two builds, installed with hashes into bare environments, and used there."""
+"""A release: the same files from two builds, installed with hashes into bare environments, and used there."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def open_node() -> Iterator[Callable[..., RosNode]]:
 
 @pytest.fixture
 def printed(capfd: pytest.CaptureFixture[str]) -> Callable[[], str]:
-    """Return what was printed since the last time, without Fast DDS's lines about ports that killed processes left."""
+    """Return the output since the last time, without Fast DDS's lines about ports of killed processes."""
 
     def read() -> str:
         lines = "".join(capfd.readouterr()).splitlines(keepends=True)
@@ -63,7 +63,7 @@ def printed(capfd: pytest.CaptureFixture[str]) -> Callable[[], str]:
 
 @pytest.fixture(params=["raw", "typed"])
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """How calls of installed types are carried: as here, or as with another middleware; none comes as a wheel."""
+    """Select how calls of installed types are carried: as here, or as with another middleware, which has no wheel."""
     name: str = request.param
     if name == "typed":
         found = findings()._replace(no_calls="this is another middleware")

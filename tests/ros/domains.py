@@ -1,4 +1,7 @@
-"""The domains of these tests, which no other run has: not even of another folder, beside which CI runs this one."""
+"""The domains of these tests, which no other run has.
+
+CI runs other folders at the same time.
+"""
 
 from __future__ import annotations
 

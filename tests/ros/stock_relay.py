@@ -1,4 +1,4 @@
-"""A stock rclpy program: what it takes on /odom_in it says again on /odom_out, until it is told to end.
+"""A stock rclpy program: publishes all messages of /odom_in on /odom_out, until SIGTERM.
 
 usage: stock_relay.py DOMAIN
 """

@@ -1,4 +1,4 @@
-"""What bridges announce to each other: bounded, whoever announces, and read without polling."""
+"""Announcements between bridges are bounded for any announcer, and read without polling."""
 
 from __future__ import annotations
 
@@ -108,8 +108,8 @@ class Domain:
     """The announcements of one bridge in a domain.
 
     Attributes:
-        changes: how often the bridge was told of news.
-        warnings: what an operator was told.
+        changes: how often the bridge was called for news.
+        warnings: for an operator.
     """
 
     def __init__(self, loop: VirtualLoop) -> None:

@@ -1,4 +1,4 @@
-"""What goes wrong is said in an operator's words, once."""
+"""Errors are reported in an operator's words, once."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_domain_that_cannot_be_joined(domain_id: int) -> None:
 
 
 def test_what_rcl_refuses_is_said() -> None:
-    """A null address stands for a subscription that rcl finds broken."""
+    """A null address makes a subscription that rcl finds broken."""
     participant = Participant(ANOTHER, "reader")
     reader = participant.create_reader("/chat", STRING, "", Qos())
     reader.handle.address = 0

@@ -29,7 +29,7 @@ rclpy.shutdown()
 
 
 def test_its_histories_are_the_bridges_own() -> None:
-    """Whoever sets the profile for large messages replaces the one that the bridge brings."""
+    """A user's profile for large messages replaces the one that the bridge brings."""
 
     def histories(path: Path) -> dict[str, str]:
         return {

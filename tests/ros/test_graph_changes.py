@@ -71,7 +71,7 @@ def test_an_endpoint_that_comes_or_goes_is_a_change(
 def test_the_last_change_comes_after_what_it_is_about(
     open_node: Callable[..., RosNode], rclpy_node: Node, eventually: Callable[..., Any]
 ) -> None:
-    """Whoever looks a second after the last change sees all of it, and who is matched."""
+    """A poll a second after the last change shows all of it, and the matched endpoints."""
     node = open_node()
     watcher = Watcher(node)
     publisher = node.advertise("/news", "std_msgs/msg/String", "", Qos(), "link")

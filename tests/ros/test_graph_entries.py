@@ -1,4 +1,4 @@
-"""What can be called in a graph: services, actions and nodes with parameters, each whole as one entry."""
+"""The callable entries of a graph: services, actions and nodes with parameters, each whole as one entry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever is in the graph, our own messages can carry it: any DDS program may have put it there."""
+"""Our own messages can carry everything in the graph, which any DDS program may have put there."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STRING = "std_msgs/msg/String"
 
 
 def endpoint_info(**changes: Any) -> dict[str, Any]:
-    """What rclpy says of an endpoint."""
+    """Return rclpy's information about an endpoint."""
     profile = {
         "reliability": ReliabilityPolicy.RELIABLE,
         "durability": DurabilityPolicy.VOLATILE,

@@ -66,7 +66,7 @@ def test_the_first_ones_do_not_wait_until_many_are_taken(
 
 
 def test_our_own_large_messages_are_left_out(open_node: Callable[..., RosNode], eventually: Callable[..., Any]) -> None:
-    """And what comes after them is whole."""
+    """The messages after them are whole."""
     ours, other = open_node(), open_node(name="other")
     taken: list[bytes] = []
     arguments = ("/own", "made_up_msgs/msg/Blob", _HASH, Qos(depth=100))

@@ -40,7 +40,7 @@ class Callers:
         monkeypatch.setattr("rsb_bridge.ros.service_endpoints.time", SimpleNamespace(monotonic=lambda: self.now))
 
     def send(self, caller: bytes, number: int, _: bytes) -> bool:
-        """As `Server` does."""
+        """Send an answer as `Server` does."""
         self.tried += 1
         if caller in self.broken:
             raise RosError("broken")
@@ -61,7 +61,7 @@ def test_a_caller_gets_its_answers_in_order_and_holds_up_no_other(callers: Calle
     assert [late.send(caller, number, b"") for caller, number in ((b"a", 1), (b"a", 2), (b"b", 3))] == [0, 0, 1]
     assert late.try_again()
     callers.found.add(b"a")
-    assert not late.send(b"a", 4, b"")  # behind those that are kept
+    assert not late.send(b"a", 4, b"")  # behind the kept ones
     callers.now += 0.2
     assert not late.try_again()
     assert callers.answered == [(b"b", 3), (b"a", 1), (b"a", 2), (b"a", 4)]

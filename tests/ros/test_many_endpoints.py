@@ -1,4 +1,4 @@
-"""Months of services that come and go: nothing is left of them, whatever they were doing when they went."""
+"""Months of services that come and go in any state leave nothing behind."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def test_five_hundred_services_and_clients_leave_nothing(
     printed: Callable[[], str],
     kind: tuple[str, str],
 ) -> None:
-    """They go before they are matched, with a request on its way, with one that has no answer, and when all is done."""
-    gc.collect()  # what stock nodes of tests before left behind is said by now
+    """They go before they are matched, with a request in flight, with one that has no answer, and when all is done."""
+    gc.collect()  # leftovers of earlier tests' stock nodes are reported by now
     printed()
     near, far = open_node(), open_node(name="other")
     failures: list[Any] = []

@@ -1,4 +1,4 @@
-"""What large messages held goes back to the kernel."""
+"""The memory of large messages goes back to the kernel."""
 
 from __future__ import annotations
 

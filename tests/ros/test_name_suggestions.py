@@ -1,4 +1,4 @@
-"""What an operator may have meant by a name that nobody serves."""
+"""Suggestions for a name that nobody serves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `RosNode` promises the engine: no echo, no loss unseen, fair turns, a clean end."""
+"""The guarantees of `RosNode` for the engine: no echo, no uncounted loss, fair turns, a clean end."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Received:
         self.hold.set()
 
     def __call__(self, batch: Any) -> None:
-        holds = not self.hold.is_set()  # asked first: whoever sees these payloads may clear it for the next
+        holds = not self.hold.is_set()  # checked first: a reader of these payloads may clear it for the next
         self.payloads += [taken.payload for taken in batch]
         self.stamps += [taken.stamp for taken in batch]
         self.gids += [taken.gid for taken in batch]
@@ -63,7 +63,7 @@ def descriptors() -> int:
 
 @pytest.fixture
 def start_one() -> None:
-    """What the first node leaves in a process for good: Fast DDS's and the logger's own threads."""
+    """Start and stop a first node, which leaves Fast DDS's and the logger's own threads for good."""
     node = RosNode(ANOTHER, "first")
     node.start()
     node.stop()
@@ -393,7 +393,7 @@ def test_an_idle_node_costs_next_to_nothing(open_node: Callable[..., RosNode]) -
 def test_what_dds_drops_of_a_newcomer_is_counted_from_its_first_message(
     open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of a publisher that was there before, nobody knows which messages the subscription should have had."""
+    """For an earlier publisher, nobody knows which messages the subscription should have had."""
     monkeypatch.setattr("rsb_bridge.ros.topic_endpoints._DISCOVERED_WITHIN", -1.0)
     node, other = open_node(), open_node(name="other")
     before = other.advertise("/fast", STRING, "", DEEP, "link")

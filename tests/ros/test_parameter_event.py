@@ -1,4 +1,4 @@
-"""Parameter events are told apart by their node, and get its other name, without any value being touched."""
+"""Parameter events are distinguished by their node, and get its other name, with all values unchanged."""
 
 from __future__ import annotations
 

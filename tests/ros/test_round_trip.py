@@ -77,7 +77,7 @@ def test_every_common_type_crosses_from_and_to_a_stock_node(
 
     eventually(all_crossed)
     assert len(INSTALLED) > 100
-    # Only what was published as bytes is held against bytes: serializing leaves the padding as it finds it.
+    # Only messages published as bytes are compared as bytes, because serializing leaves the padding undefined.
     assert {name: each[2:] for name, each in raw.items()} == payloads
     assert crossed == {name: each * 2 for name, each in messages.items()}
 
@@ -127,7 +127,7 @@ def stock_relay() -> Iterator[None]:
 def test_a_bare_name_and_hash_speak_with_the_real_type_of_another_process(
     open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The type is hidden from us, not from the other process; nav_msgs stands for a package that we lack."""
+    """The type is hidden from us, not from the other process; nav_msgs takes the part of a package that we lack."""
     odometry = INSTALLED[ODOMETRY]
     found = installed_class
     monkeypatch.setattr(raw_types, "installed_class", lambda name: None if name == ODOMETRY else found(name))

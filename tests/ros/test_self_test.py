@@ -1,4 +1,4 @@
-"""What the program does where ROS's libraries are not as `rsb_bridge.ros.native` knows them.
+"""The program where ROS's libraries differ from those that `rsb_bridge.ros.native` knows.
 
 Stand-ins for other distributions: arguments that are refused, structs that are laid out otherwise, missing symbols.
 """

@@ -1,4 +1,4 @@
-"""What this program serializes has zeros for padding, and is otherwise what rclpy makes of a message."""
+"""Messages that this program serializes have zeros for padding, and otherwise equal rclpy's."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ class Requests(list[Any]):
 
 
 def plan(request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
-    """What a stock server answers."""
+    """Return a stock server's answer."""
     response.plan.header.frame_id = request.start.header.frame_id + "!"
     response.plan.poses = [request.start, request.goal]
     return response
@@ -117,7 +117,7 @@ def test_what_a_peer_sends_that_is_no_message_is_refused_or_never_read(
             setting.call(payload)
     endless = serialize_message(GetPlan.Request())[:12] + b"\xff\xff\xff\x7f" + bytes(40)
     with pytest.raises(RosError) if way == "typed" else nullcontext():
-        planning.call(endless)  # raw, whoever serves it finds out
+        planning.call(endless)  # raw: the server finds out
     future = caller.call_async(SetBool.Request())
     eventually(lambda: requests)
     for broken in (b"", b"\0\1"):

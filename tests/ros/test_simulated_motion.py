@@ -1,4 +1,4 @@
-"""The demo's robot: it does as it is told for a moment, stays in its room, and goes back to its way."""
+"""The demo's robot follows commands for a moment, stays in its room, and returns to its path."""
 
 from __future__ import annotations
 

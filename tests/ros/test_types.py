@@ -1,4 +1,4 @@
-"""Type names, and what is known of installed types."""
+"""Type names, and descriptions of installed types."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_nothing_but_a_started_node_imports_rclpy() -> None:
 
 
 def test_a_type_is_known_without_the_generator_of_its_code() -> None:
-    """It comes with a parser, which takes 5 MB; whoever wants it can still import it."""
+    """It comes with a parser, which takes 5 MB; it can still be imported."""
     program = (
         "import sys; from rsb_bridge.ros.native.typesupport import hash_of, installed_class\n"
         "assert hash_of(installed_class('std_msgs/msg/String'))\n"

@@ -1,4 +1,4 @@
-"""What an operator writes becomes the message that rclpy would make of it, or an error that says what to write."""
+"""An operator's text becomes the message that rclpy would make of it, or an error with the right form."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def made(type_name: str, text: str) -> Any:
 
 
 def fields_of(value: Any) -> Any:
-    """What rclpy made of a message, as an operator would write it."""
+    """Return rclpy's fields of a message, as an operator would write them."""
     if hasattr(value, "get_fields_and_field_types"):
         return {field: fields_of(getattr(value, field)) for field in value.get_fields_and_field_types()}
     if isinstance(value, list | array.array | np.ndarray):

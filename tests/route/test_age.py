@@ -55,7 +55,7 @@ def test_old_messages_are_left_out_when_they_are_taken(make_context: Callable[..
         (100.0, 0.001, 0.4, None),  # the peer's clock is ahead
         (-100.0, 0.001, 0.6, Cause.LINK_SLOW),
         (None, None, 0.0, Cause.CLOCK_UNKNOWN),
-        (0.0, 0.001, -1.0, Cause.CLOCK_UNKNOWN),  # from the future: what is known of the clocks is wrong
+        (0.0, 0.001, -1.0, Cause.CLOCK_UNKNOWN),  # from the future: the measured offset of the clocks is wrong
     ],
 )
 def test_the_receiver_counts_the_uncertainty_against_the_message(

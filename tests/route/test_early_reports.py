@@ -1,4 +1,4 @@
-"""A receiver that gets much reports more often than once a second: what it has not told when it dies is unknown."""
+"""A busy receiver reports more often than once a second, because unreported messages are unknown when it dies."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MESSAGE = (b"x", 0, 0)
 
 
 class Peer(FakePeer):
-    """Counts how often it is to be told soon."""
+    """Counts the requests for an early report."""
 
     def __init__(self) -> None:
         super().__init__()

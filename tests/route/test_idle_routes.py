@@ -1,4 +1,4 @@
-"""A route that nothing happens to is ticked seldom, and whatever happens to it is noticed within a second."""
+"""A route without events is ticked seldom, and notices each event within a second."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class World:
                 self.route.tick()
 
     def wait_until_idle(self) -> None:
-        """Wait until the route is idle, and begin to count its ticks anew."""
+        """Wait until the route is idle, and start counting its ticks."""
         self.wait(IDLE_AFTER + 5)
         assert self.route.idle
         self.ticks.clear()

@@ -1,4 +1,4 @@
-"""A route is judged once a second, and when somebody changes it; whoever looks reads what was made of it then."""
+"""A route is judged once a second, and when somebody changes it; readers get the last verdict."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Armed messages and requests are looked at last right before DDS gets them, whatever took its time before."""
+"""Armed messages and requests are checked right before DDS gets them, after all delays."""
 
 from __future__ import annotations
 

@@ -184,7 +184,7 @@ def unexpected(error: Exception) -> None:
 
 
 class Route:
-    """What is between the two: a link that may be cut, and either side's process that may be restarted."""
+    """The route between the two: a link that may be cut, and processes that may be restarted."""
 
     def __init__(self, near: NearDds, far: FarDds, context: Context) -> None:
         self.meter = RateMeter(0.0)
@@ -227,7 +227,7 @@ class Route:
             assert self.topic.publish(header, content), (header, content)
 
     def too_late(self, _: Sequence[RawMessage]) -> None:
-        pytest.fail("nothing is on its way when an opening ends")
+        pytest.fail("nothing is in flight when an opening ends")
 
     def cut(self) -> None:
         self.held += self.subscription.close()
@@ -291,7 +291,7 @@ class World:
 
 @pytest.mark.parametrize("seed", range(40))
 def test_late_joiners_get_the_same_on_both_sides(seed: int) -> None:
-    """Whatever the depths, and whatever happens when: at rest both sides keep the same, and nothing is heard twice."""
+    """For all depths and orders of events, at rest both sides keep the same, and nothing is heard twice."""
     with virtual_loop() as loop:
         world = World(loop, seed)
         random = world.random

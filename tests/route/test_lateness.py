@@ -37,7 +37,7 @@ def watched(*delays: float | None, bound: float = 1.0, uncertainty: float = 0.0)
         ((3.0, 0.1, 0.1), None),
         ((3.0, 0.9, 0.9, 0.9), 0.0),  # so near the bound it would flap
         ((3.0, None, None, None), 0.0),
-        ((3.0, None, None, None, None, None), None),  # nothing comes any more: nothing is known
+        ((3.0, None, None, None, None, None), None),  # no message comes any more: the age is unknown
     ],
 )
 def test_it_changes_its_mind_slowly(delays: tuple[float | None, ...], since: float | None) -> None:
@@ -71,7 +71,7 @@ def test_a_topic_that_is_seldom_published_stays_late_between_its_messages() -> N
     assert watch.since == 0.0
     for second in range(100, 130):
         watch.tick(None, 0.0, 1.0, float(second), None)
-    assert watch.since is None, "nothing comes any more: nothing is known"
+    assert watch.since is None, "no message comes any more: the age is unknown"
 
 
 def test_0_accepts_any_delay() -> None:
@@ -98,7 +98,7 @@ def test_how_long_ago_the_oldest_unreported_message_was_sent() -> None:
     assert unreported.age(20, 0, 2.0) == pytest.approx(1.9)
     assert unreported.age(30, 10, 3.0) == pytest.approx(1.9)
     assert unreported.age(30, 30, 4.0) == 0.0
-    assert unreported.age(5, 0, 5.0) == pytest.approx(0.0, abs=1.0), "it was opened anew"
+    assert unreported.age(5, 0, 5.0) == pytest.approx(0.0, abs=1.0), "it was opened again"
 
 
 def test_how_long_reports_take_is_not_held_against_messages() -> None:

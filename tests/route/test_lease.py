@@ -225,8 +225,8 @@ class Published(NamedTuple):
 class World:
     """A sender, a receiver, two streams in each direction, and all that may go wrong, from a seed.
 
-    A side that stands still does nothing; then it does what was due, in any order that keeps each stream's own. True
-    time is the model's: no side sees more of it than its own clock.
+    A stalled side does nothing; then it does all that is due, in any order that keeps each stream's own. True time is
+    the model's: each side sees only its own clock.
     """
 
     def __init__(self, seed: int, make: Callable[..., Lease] = Lease) -> None:
@@ -336,7 +336,7 @@ class World:
         self.shown = min(self.shown, self.clock.now)
 
     def violations(self) -> list[Published]:
-        """What was published though it was too old, or after a disarm was shown."""
+        """Return the messages that were published though they were too old, or after a disarm was shown."""
         return [each for each in self.published if each.age > LASTS + EPSILON or each.at > self.shown + EPSILON]
 
 
@@ -354,14 +354,14 @@ def test_nothing_old_is_published_and_nothing_after_a_disarm_was_shown() -> None
 
 
 class NoBound(Lease):
-    """As it was: whatever arrives while it is armed is published."""
+    """The old rule: everything that arrives while it is armed is published."""
 
     def passes(self, number: int) -> bool:
         return self.over is None
 
 
 class OnlyAlive(Lease):
-    """The two hear each other, whatever the message's own number is."""
+    """A rule that checks only whether the two hear each other, and ignores the message's number."""
 
     def passes(self, number: int) -> bool:
         return self.alive
@@ -376,7 +376,7 @@ class NothingLeft(Lease):
 
 
 class NewestNumber(Lease):
-    """A message carries the number that is known when it is sent, not when it was taken."""
+    """A rule in which a message carries the newest number when it is sent, not when it was taken."""
 
     def newest_before(self, time: float) -> int:
         return super().newest_before(float("inf"))

@@ -1,4 +1,4 @@
-"""The sender's ledger against whatever a peer may report."""
+"""The sender's ledger against arbitrary reports of a peer."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def test_what_was_too_old_on_either_side_is_expired(over: bool) -> None:
 
 
 def test_what_a_receiver_that_died_did_not_report_is_unknown() -> None:
-    """What it has reported counts; the rest is neither lost nor delivered."""
+    """Reported messages count; the rest is neither lost nor delivered."""
     ledger = opened("first", 2005)
     ledger.reported(ReceivedReport(route=1, received=170, delivered=160, newest=170, dropped={"publish failed": 10}), 0)
     ledger.closed()

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
+    from rsb_bridge.route.ledger import RouteLedger
+    from rsb_bridge.route.sending import OutgoingPath
 
 SCAN = "/scan"
 TYPE = "std_msgs/msg/String"
@@ -127,7 +129,17 @@ class World(NamedTuple):
 
     def comes(self, gid: bytes, *payloads: bytes) -> None:
         """The subscription takes messages."""
-        self.route._path.offer([RawMessage(each, 0, gid) for each in payloads])
+        self.path.offer([RawMessage(each, 0, gid) for each in payloads])
+
+    @property
+    def path(self) -> OutgoingPath:
+        """The path of its messages."""
+        return self.route._path
+
+    @property
+    def ledger(self) -> RouteLedger:
+        """Its counts, as they grow."""
+        return self.route._ledger
 
     def wait(self, seconds: float) -> None:
         """Let time pass."""
@@ -135,7 +147,7 @@ class World(NamedTuple):
 
     @property
     def sent(self) -> list[bytes]:
-        """What was sent."""
+        """Return the messages that were sent."""
         return [payload for payload, _ in self.peer.channel.sent]
 
 

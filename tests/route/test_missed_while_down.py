@@ -1,4 +1,4 @@
-"""What is published while a route is down is estimated: a figure of its own, which nothing makes smaller."""
+"""The number of messages published while a route is down is estimated, as a figure of its own that never decreases."""
 
 from __future__ import annotations
 

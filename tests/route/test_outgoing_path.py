@@ -17,10 +17,10 @@ SECOND = 10**9
 
 
 def publish(world: World, count: int, rate: int = 100, size: int = 100) -> int:
-    """Publish messages at a rate (Hz), and return the number of those that were sent."""
+    """Publish messages at a rate (Hz), and return the number that was sent."""
     before, now = len(world.sent), world.context.stamps.now()
     for number in range(count):
-        world.route._path.offer([RawMessage(bytes(size), now + number * SECOND // rate, FIRST)])
+        world.path.offer([RawMessage(bytes(size), now + number * SECOND // rate, FIRST)])
     return len(world.sent) - before
 
 
@@ -49,15 +49,15 @@ def test_a_step_is_on_the_path_while_it_is_on(world: World) -> None:
 
 
 def test_a_demand_to_arm_holds_from_the_next_message_on(world: World) -> None:
-    """Whoever demands it, and whatever else happens."""
+    """For demands of either side, and all other events."""
     assert publish(world, 1) == 1
     world.route.arming.demand(required=True, deadman=0.0)
     assert publish(world, 3) == 0
-    assert world.route._ledger.dropped["disarmed"] == 3
+    assert world.ledger.dropped["disarmed"] == 3
 
 
 def test_a_limit_of_age_holds_from_the_next_message_on(world: World) -> None:
-    path, context, ledger = world.route._path, world.context, world.route._ledger
+    path, context, ledger = world.path, world.context, world.ledger
     old = RawMessage(b"old", context.stamps.now() - SECOND, FIRST)
     path.offer([old])
     world.route.age.settle((0.5,), armed=False)
@@ -66,7 +66,7 @@ def test_a_limit_of_age_holds_from_the_next_message_on(world: World) -> None:
 
 
 def test_age_is_asked_again_when_a_message_leaves_the_queue(world: World) -> None:
-    ledger = world.route._ledger
+    ledger = world.ledger
     world.route.age.settle((0.5,), armed=False)
     world.peer.channel.congested = True
     assert publish(world, 2) == 0
@@ -78,7 +78,7 @@ def test_age_is_asked_again_when_a_message_leaves_the_queue(world: World) -> Non
 
 def test_what_comes_after_its_opening_is_lost_with_the_link(world: World) -> None:
     """It may be older than what arms the next opening."""
-    subscription, ledger = world.route._subscription, world.route._ledger
+    subscription, ledger = world.route._subscription, world.ledger
     assert subscription is not None
     receiver = subscription._receiver
     world.route.close("over")
@@ -88,7 +88,7 @@ def test_what_comes_after_its_opening_is_lost_with_the_link(world: World) -> Non
 
 
 def test_messages_that_the_transport_does_not_carry_ask_nothing_of_the_link(world: World) -> None:
-    path, ledger = world.route._path, world.route._ledger
+    path, ledger = world.path, world.ledger
     path._outbox.largest = 50
     path.offer([RawMessage(bytes(size), 1, FIRST) for size in (10, 60, 20, 70)])
     assert world.sent == [bytes(10), bytes(20)]
@@ -99,7 +99,7 @@ def test_messages_that_the_transport_does_not_carry_ask_nothing_of_the_link(worl
 
 def test_a_message_is_not_too_large_for_the_receiver_alone(world: World) -> None:
     """Compressed it would pass here, and the receiver would not unpack it."""
-    path, ledger = world.route._path, world.route._ledger
+    path, ledger = world.path, world.ledger
     path._compressor = zstandard.ZstdCompressor(3)
     path.offer([RawMessage(bytes(MESSAGE_LIMIT + 1), 1, FIRST)])
     assert not world.sent
@@ -108,7 +108,7 @@ def test_a_message_is_not_too_large_for_the_receiver_alone(world: World) -> None
 
 @pytest.mark.parametrize(("largest", "remedy"), [(8 << 20, "use tcp"), (MESSAGE_LIMIT, "publish smaller ones")])
 def test_the_remedy_for_a_message_that_no_transport_carries(largest: int, remedy: str, world: World) -> None:
-    outbox = world.route._path._outbox
+    outbox = world.path._outbox
     said: list[str] = []
     outbox.largest, outbox._failed = largest, lambda _, text: said.append(text)
     assert not outbox.fitting([(bytes(MESSAGE_LIMIT + 1), 1, 0)])
@@ -118,7 +118,7 @@ def test_the_remedy_for_a_message_that_no_transport_carries(largest: int, remedy
 def test_a_message_without_a_channel_is_lost(world: World) -> None:
     world.route.channel = None
     assert publish(world, 3) == 0
-    assert world.route._ledger.dropped["link lost"] == 3
+    assert world.ledger.dropped["link lost"] == 3
 
 
 def test_nothing_that_is_disarmed_is_shown_to_operators(world: World) -> None:

@@ -1,4 +1,4 @@
-"""Which type is sent, where session, publishers and the other side's graph say different things."""
+"""The type that is sent if session, publishers and the other side's graph differ."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What waits for a route's channel, and what gives way."""
+"""The queue of a route's channel, and its drops."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the log says while nothing comes: a warning now and then, unless it has said why."""
+"""The log of a silent topic: a warning now and then, unless it has the cause already."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which messages a route may carry, decided in random worlds of domains and bridges, with news in any order."""
+"""The messages that a route may carry, in random worlds of domains and bridges, with news in any order."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Bridge:
     bridges: tuple[str, ...] = ()
 
     def publishers(self, topic: str) -> list[Endpoint]:
-        """As of `RosInterface`."""
+        """Return the publishers, like `RosInterface`."""
         place = Place(self.domain, topic)
         found = [endpoint(gid, "stock") for gid in self.world.users.get(place, ())]
         for other in self.world.bridges:
@@ -54,12 +54,12 @@ class Bridge:
         return found
 
     def own_publishers(self, topic: str, besides: str) -> list[Endpoint]:
-        """As of `Announcements`."""
+        """Do the same as `Announcements`."""
         own = self.own.items()
         return [endpoint(gid, self.node_name) for gid, (where, link, _) in own if where == topic and link != besides]
 
     def origin_of(self, publisher: Endpoint) -> Origin | None:
-        """As of `Announcements`."""
+        """Do the same as `Announcements`."""
         if publisher.gid in self.own:
             return self.own[publisher.gid][2]
         node = publisher.node.lstrip("/")
@@ -107,12 +107,12 @@ class Route:
 
     @property
     def start(self) -> Place:
-        """Where it takes messages."""
+        """Return the domain that it takes messages from."""
         return Place(self.link.near.domain, self.topic)
 
     @property
     def end(self) -> Place:
-        """Where it publishes them."""
+        """Return the domain that it publishes in."""
         return Place(self.link.far.domain, self.remote_topic)
 
     @property
@@ -126,7 +126,7 @@ class Route:
         return self.loop_filter.table
 
     def advance(self) -> None:
-        """What `OutgoingRoute.advance` does about sources."""
+        """Update the sources as `OutgoingRoute.advance` does."""
         self.loop_filter.look(self.topic, self.remote_topic)
         sources = self.table.sources if self.table.closes_loop else self.table.to_describe()
         if sources and sources != self.described:
@@ -193,7 +193,7 @@ class World:
         messages += admitted
         if unseen:
             route.advance()
-            messages = [each for each in messages if each.gid in route.table.flags]  # what is known of these may change
+            messages = [each for each in messages if each.gid in route.table.flags]  # the facts about these may change
         messages += route.loop_filter.release()
         crossed = hop(route.link.near.node_name, route.topic)
         for origin, number, gid, *_ in messages:
@@ -314,7 +314,7 @@ def ways_from(world: World, start: Place) -> Iterator[Way]:
 
 
 def check(world: World) -> None:
-    """What must hold once all news is everywhere."""
+    """Check the invariants that hold once all news is everywhere."""
     ways = [way for user in world.users for way in ways_from(world, user)]
     for user in world.users:
         origin = world.say(user)
@@ -367,8 +367,8 @@ _TAKES_A_PLACE = [
 @given(ROUTES, USERS, st.integers(0, 2**32))
 @example(_TAKES_A_PLACE, {Place(0, "/b"), Place(1, "/b"), Place(2, "/a")}, 17930)
 @example(_TURNS_OUT, {Place(0, "/a"), Place(1, "/b"), Place(2, "/a")}, 793)
-def test_no_message_goes_round_and_whatever_can_arrive_does(routes: list[Any], users: set[Place], seed: int) -> None:
-    """Not while bridges learn of each other, nor after a route is removed; then what was refused is so no longer."""
+def test_no_message_goes_round_and_all_that_can_arrive_do(routes: list[Any], users: set[Place], seed: int) -> None:
+    """Not while bridges learn of each other, nor after a route is removed, which ends refusals."""
     world = make(routes, users, seed)
     world.stir(40)
     world.settle()

@@ -1,4 +1,4 @@
-"""A rate limit holds, whatever the stamps do."""
+"""A rate limit holds for all stamps."""
 
 from __future__ import annotations
 

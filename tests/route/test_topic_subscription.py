@@ -1,4 +1,4 @@
-"""What a route subscribes with."""
+"""The QoS that a route subscribes with."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos, auto_depth
+from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
 from rsb_bridge.telemetry.meters import RateMeter
 
@@ -18,28 +19,22 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.ros.ros_interface import OnFailure
     from rsb_bridge.route.sending import OutgoingPath
 
 
-class FakeRos:
+class FakeRos(NoRos):
     """A ROS side that records what is subscribed to.
 
     Attributes:
-        subscriptions: every one so far.
+        made: every subscription so far.
     """
 
-    node_name = "rsb_robot1_0123abcd"
-    shortfalls: tuple[str, ...] = ()
-
     def __init__(self) -> None:
-        self.subscriptions: list[FakeSubscription] = []
+        self.made: list[FakeSubscription] = []
 
-    def subscribe(
-        self, topic: str, type_name: str, type_hash: str, qos: Qos, sink: Any, origin: Any, on_failure: OnFailure
-    ) -> FakeSubscription:
-        self.subscriptions.append(FakeSubscription(qos))
-        return self.subscriptions[-1]
+    def subscribe(self, topic: str, type_name: str, type_hash: str, qos: Qos, *_: Any, **__: Any) -> Any:
+        self.made.append(FakeSubscription(qos))
+        return self.made[-1]
 
 
 class FakeSubscription:
@@ -118,7 +113,7 @@ def test_a_busier_topic_gets_a_deeper_subscription_once_messages_are_lost(
 ) -> None:
     ros, owner = FakeRos(), Owner()
     subscription = make_subscription(make_context(ros), owner, Qos(depth=0), automatic=True)
-    assert [each.qos.depth for each in ros.subscriptions] == [500]
+    assert [each.qos.depth for each in ros.made] == [500]
 
     def second_passes() -> None:
         owner.meter.add(1000, 100_000, loop.time())
@@ -128,29 +123,29 @@ def test_a_busier_topic_gets_a_deeper_subscription_once_messages_are_lost(
 
     for _ in range(10):
         second_passes()
-    assert len(ros.subscriptions) == 1
-    ros.subscriptions[0].lost = 7
+    assert len(ros.made) == 1
+    ros.made[0].lost = 7
     for _ in range(10):
         second_passes()
-    assert [(each.qos.depth, each.closed) for each in ros.subscriptions] == [(500, True), (5000, False)]
-    ros.subscriptions[1].lost = 2
+    assert [(each.qos.depth, each.closed) for each in ros.made] == [(500, True), (5000, False)]
+    ros.made[1].lost = 2
     second_passes()
-    assert len(ros.subscriptions) == 2
+    assert len(ros.made) == 2
     assert subscription.lost == 9
     assert owner.events == [EventCode.ROUTE_DEEPENED]
     assert subscription.close() == 0
-    assert ros.subscriptions[1].closed
+    assert ros.made[1].closed
 
 
 def test_what_an_operator_gave_stands(make_context: Callable[..., Context]) -> None:
     ros = FakeRos()
     make_subscription(make_context(ros), Owner(), Qos(depth=3), automatic=False, expected_rate=1000.0)
     make_subscription(make_context(ros), Owner(), Qos(depth=0), automatic=True, expected_rate=1000.0)
-    assert [each.qos.depth for each in ros.subscriptions] == [3, 5000]
+    assert [each.qos.depth for each in ros.made] == [3, 5000]
 
 
 def test_of_latched_topics_all_is_taken_that_publishers_keep(make_context: Callable[..., Context]) -> None:
     ros = FakeRos()
     latched = Qos(durability="transient_local", depth=1)
     make_subscription(make_context(ros), Owner(), latched, automatic=False)
-    assert ros.subscriptions[0].qos == Qos(durability="transient_local", history="keep_all", depth=1)
+    assert ros.made[0].qos == Qos(durability="transient_local", history="keep_all", depth=1)

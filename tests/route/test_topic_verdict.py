@@ -1,4 +1,4 @@
-"""What a half of a route makes of what it knows, and what counts of both halves' verdicts."""
+"""A half's verdict from its facts, and the combination of both halves' verdicts."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ LOST, FULL = Loss(9, 10, "lost on the way", NOW - 2.0), Fullness(5e3, 14e3)
 
 
 def verdict_on(facts: Facts, **changes: Any) -> Verdict:
-    """Judge with some facts changed, in whichever part they stand."""
+    """Judge with some facts changed, in any part."""
     of_route = {name: changes.pop(name) for name in RouteStatus._fields if name in changes}
     of_path = {name: changes.pop(name) for name in TopicProgress._fields if name in changes}
     status, progress = facts.status._replace(**of_route), facts.progress._replace(**of_path)
@@ -436,7 +436,7 @@ def silence_is_explained(said: set[Verdict]) -> bool:
 
 
 def test_a_slow_topic_that_recovers_is_not_said_to_lose_messages() -> None:
-    """The rate is fine again, and the watch waits before it says so."""
+    """The rate is fine again, and the watch waits before it reports that."""
     slow = {"slow_since": NOW - 8.0, "expected_rate": 20.0, "shown_cause": Cause.SLOW}
     losing = verdict_on(SENDER, rate=10.0, lost_in_dds=80, **slow).text
     for rate in (17.1, 20.0, 20.3, 40.0):
@@ -467,7 +467,7 @@ def test_who_says_it_stands_before_what_the_other_side_says_only() -> None:
 
 
 def test_how_long_it_has_lasted_counts_on_at_the_other_side() -> None:
-    """It is told once, and no clock of the other side's is needed."""
+    """It is sent once, and needs no clock of the other side."""
     slow = Verdict(State.SLOW, Cause.SLOW, "slow, for {lasting}", NOW - 5.0)
     here = CombinedVerdict(sends=False, peer_name="robot1")
     here.take(lasting(record_of(slow), slow, NOW), 100.0)
@@ -476,14 +476,14 @@ def test_how_long_it_has_lasted_counts_on_at_the_other_side() -> None:
 
 
 def test_since_when_it_is_so() -> None:
-    """It counts from the beginning of the trouble, and not anew when only the words or the side that says it change."""
+    """It counts from the beginning of the trouble, also if only the words or the reporting side change."""
     here = CombinedVerdict(sends=False, peer_name="robot1")
     assert here.since(FINE, 10.0) == here.since(FINE, 20.0) == 10.0
     slow = Verdict(State.SLOW, Cause.SLOW, "2 Hz of 20, for {lasting}", 25.0)
     assert here.since(slow, 30.0) == 25.0
     assert here.since(Verdict(State.SLOW, Cause.SLOW, "robot1: 3 Hz of 20"), 40.0) == 25.0
     assert here.since(Verdict(State.SLOW, Cause.LOSSY, "half is lost"), 50.0) == 50.0
-    here.announce(FINE, 60.0)  # which happens every second, whoever looks
+    here.announce(FINE, 60.0)  # which happens every second, without a reader
     assert here.since(FINE, 70.0) == 60.0
 
 

@@ -72,7 +72,7 @@ def grown(size: int) -> Message:
 
 
 def turns(loop: VirtualLoop, published: Published) -> list[int]:
-    """How many messages there were after each turn of the loop, until there are no more."""
+    """Return the number of messages after each turn of the loop, until none is left."""
     counts = [len(published.sizes)]
 
     async def watch() -> None:
@@ -85,7 +85,7 @@ def turns(loop: VirtualLoop, published: Published) -> list[int]:
 
 
 def test_each_turn_has_one_that_grows_much(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
-    """Over all routes of a link; what comes behind it on its route waits, too."""
+    """The limit is per link; later messages of the same route wait, too."""
     ros, peer = OnePublisher(), FakePeer()
     context = make_context(ros=ros)
     one, other = opened(context, peer, "/one"), opened(context, peer, "/other")
@@ -180,7 +180,7 @@ def test_what_waits_is_neither_shown_nor_measured(loop: HeldLoop, make_context: 
 
 
 def test_what_is_refused_waits_for_nothing(loop: HeldLoop, make_context: Callable[..., Context]) -> None:
-    """So what waits is bounded by what a link's messages may grow at once."""
+    """The waiting bytes are bounded by the growth that a link's messages may have at once."""
     ros, peer = OnePublisher(), FakePeer()
     route = opened(make_context(ros=ros), peer, "/one")
     peer.budget.expansion.over_time.take(EXPANSION_AT_ONCE - LARGE, 0.0)

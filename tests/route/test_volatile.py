@@ -1,4 +1,4 @@
-"""What DDS holds for slow subscribers of volatile topics is counted, whatever they do, on a made-up DDS."""
+"""The memory that DDS holds for slow subscribers of volatile topics is counted, on a simulated DDS."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LIMIT = 40_000_000
 
 
 class Pool:
-    """A publisher's memory as Fast DDS has it: what was freed last is used first, grows as it must, and stays.
+    """A publisher's memory as Fast DDS has it: the block freed last is used first, grows as needed, and stays.
 
     Attributes:
         stopped: whether the subscriber acknowledges nothing.
@@ -212,7 +212,7 @@ def test_a_subscriber_that_takes_nothing_costs_no_more_than_before() -> None:
 
 
 def test_subscriptions_find_the_new_publisher_before_it_takes_over() -> None:
-    """What is published on a publisher that nobody has found yet is lost, to those who take everything, too."""
+    """A message on a publisher that no subscription has found yet is lost, for reliable ones too."""
     burst = Burst()
     burst.matched = 0
     burst.pools[0].stopped = True

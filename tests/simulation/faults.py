@@ -2,7 +2,7 @@
 
 Each fault is a coroutine that breaks something for one robot, or for the server and so for all, and mends it again.
 While it lasts, and only then, the robots concerned may be unlinked (`World.trouble`). Faults of one robot follow each
-other; those of different robots, and the server's, come at the same time.
+other; faults of different robots, and the server's, overlap.
 """
 
 from __future__ import annotations

@@ -568,7 +568,7 @@ def test_max_rate_is_of_calls(play: Play) -> None:
 
 @pytest.mark.parametrize("provider", ["server", "client"])
 def test_over_one_stream_that_all_routes_share(provider: str, play: Play) -> None:
-    """Like Bluetooth: requests and answers go in chunks, between those of other routes, both ways on one channel."""
+    """Like Bluetooth: requests and answers go in chunks, interleaved with other routes, both ways on one channel."""
     harness = CallHarness(1, provider, compression="none")
 
     async def live() -> None:

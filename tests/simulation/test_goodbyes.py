@@ -27,7 +27,7 @@ _CONDITIONS = replace(STILL, topics=(8,), periods=(0.5, 2.0))
 def test_a_goodbye_ends_the_topics_streams_without_an_error(
     seed: int, restarts: Callable[[World, int], Coroutine[None, None, None]], play: Play
 ) -> None:
-    """The connection of the goodbye may end before or after those of the TCP topics."""
+    """The connection of the goodbye may end before or after the TCP topics' connections."""
     world = World(seed, _CONDITIONS)
     play(world, (_TIMES + 1) * 75.0, restarts(world, _TIMES))
     assert any(flow.topic.protocol == "tcp" for flow in world.topic_flows.values())

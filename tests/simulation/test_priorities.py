@@ -48,7 +48,7 @@ class Slow:
 
     Attributes:
         rates: Hz that come out, by topic, while it is slow.
-        lost: messages dropped likewise, for any cause.
+        lost: messages dropped meanwhile, for any cause.
         shown: each topic's route on the sending side at the end.
     """
 

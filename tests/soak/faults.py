@@ -62,7 +62,7 @@ def _frozen(stage: Stage, place: int, seconds: float) -> None:
 
 def _cut(stage: Stage, place: int, seconds: float) -> None:
     """Drop everything, silently."""
-    path = stage.network.paths[place - 1]
+    path = stage.network[place - 1]
     path.become("cut")
     stage.live(seconds)
     path.become("whole")
@@ -70,7 +70,7 @@ def _cut(stage: Stage, place: int, seconds: float) -> None:
 
 def _stalled(stage: Stage, place: int, seconds: float) -> None:
     """TCP is not carried, UDP is."""
-    path = stage.network.paths[place - 1]
+    path = stage.network[place - 1]
     path.become("stalled")
     stage.live(seconds)
     path.become("whole")
@@ -78,7 +78,7 @@ def _stalled(stage: Stage, place: int, seconds: float) -> None:
 
 def _refused(stage: Stage, place: int, seconds: float) -> None:
     """Connections are reset, and new ones refused."""
-    path = stage.network.paths[place - 1]
+    path = stage.network[place - 1]
     path.become("refusing")
     stage.live(seconds)
     path.become("whole")
@@ -86,7 +86,7 @@ def _refused(stage: Stage, place: int, seconds: float) -> None:
 
 def _flapping(stage: Stage, place: int, seconds: float) -> None:
     """Cut and whole in turns, a second and a half each."""
-    path = stage.network.paths[place - 1]
+    path = stage.network[place - 1]
     for _ in range(max(1, round(seconds / 3))):
         path.become("cut")
         stage.live(1.5)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import yaml
 from tests.soak.listener import TopicListener
 from tests.soak.messages import KINDS, Kind
-from tests.soak.network import SERVER, Network
+from tests.soak.network import SERVER, ClientNetwork
 from tests.soak.processes import Process, Program, Talkers
 from tests.support.domain import Domain
 from tests.support.ports import free_port
@@ -46,7 +46,7 @@ class Stage:
         server_domain, *client_domains = domains
         names = [f"robot{number}" for number in range(1, len(client_domains) + 1)]
         port = free_port(SERVER)
-        self.network = Network(port, len(names))
+        self.network = [ClientNetwork(number, port) for number in range(1, len(names) + 1)]
         self._domains = {
             name: Domain(each) for name, each in zip(("pc", *names), (server_domain, *client_domains), strict=True)
         }
@@ -58,10 +58,10 @@ class Stage:
                 folder,
                 name,
                 common
-                | {"role": "client", "server_ip": path.address, "key_file": f"{name}.key"}
+                | {"role": "client", "server_ip": path.host, "key_file": f"{name}.key"}
                 | {"topics": [kind.spec for kind in KINDS]},
             )
-            for name, path in zip(names, self.network.paths, strict=True)
+            for name, path in zip(names, self.network, strict=True)
         ]
         for name in names:
             write_key(folder / f"{name}.key")
@@ -176,7 +176,8 @@ class Stage:
         """End everything, in any state."""
         for process in (*self.programs, *self.talkers):
             process.close()
-        self.network.close()
+        for path in self.network:
+            path.close()
         for domain in self._domains.values():
             domain.close()
         free_shared_memory()

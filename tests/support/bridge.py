@@ -7,6 +7,7 @@ import time
 from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakSet
 
+from tests.support.inside import inside
 from tests.support.participants import KnownNode, agree
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -68,7 +69,7 @@ class Bridge:
 
     def through(self, relay: Relay) -> None:
         """Have clients call a relay instead of the server."""
-        self._addresses = {"server": relay.SERVER, "client": relay.HOST}
+        self._addresses = {"server": relay.target[0], "client": relay.host}
 
     def make_key(self, name: str) -> str:
         """A new key file."""
@@ -153,20 +154,17 @@ def link(engine: Engine, name: str = "robot1") -> LinkSnapshot:
 
 def linked(engine: Engine, name: str = "robot1") -> bool:
     """Whether that link is up, asked of itself: the snapshot may be a second behind."""
-    assert engine._bridge is not None
-    return any(link.linked for link in engine._bridge.links() if link.name == name)
+    return any(link.linked for link in inside(engine).links() if link.name == name)
 
 
 def connections(engine: Engine, name: str = "robot1") -> int:
     """How many connections that link has had: one that drops may be back before anybody sees that it is down."""
-    assert engine._bridge is not None
-    return next(link.connections for link in engine._bridge.links() if link.name == name)
+    return next(link.connections for link in inside(engine).links() if link.name == name)
 
 
 def _routes(engine: Engine) -> list[Route]:
     """Return the routes of all links."""
-    assert engine._bridge is not None
-    return [route for link in engine._bridge.links() for route in tuple(link.routes.values())]
+    return [route for link in inside(engine).links() for route in tuple(link.routes.values())]
 
 
 def outgoing(engine: Engine, topic: str) -> OutgoingRoute:
@@ -230,9 +228,8 @@ def opened(receiver: Engine) -> set[str]:
 
     A side that has lost a route's channel closes it a moment before the other one hears of that.
     """
-    assert receiver._bridge is not None
     found = set()
-    for link in receiver._bridge.links():
+    for link in inside(receiver).links():
         for route in tuple(link.routes.values()):
             if isinstance(route, IncomingRoute) and route.connected:
                 senders = _senders(receiver, link.name, route)

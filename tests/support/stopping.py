@@ -1,4 +1,4 @@
-"""SIGSTOP that is known to have arrived."""
+"""Sends SIGSTOP, and waits until it has arrived."""
 
 from __future__ import annotations
 

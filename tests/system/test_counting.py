@@ -68,16 +68,15 @@ def more(counted: CountedBridge) -> None:
 
 @pytest.mark.parametrize("protocol", ["udp", *long("tcp")])
 def test_a_freeze_a_cut_and_a_kill(protocol: Any, tmp_path: Path, domains: tuple[int, int]) -> None:
-    from tests.support.relay import Relay
+    from tests.support.relay import same_port
 
     topic = Topic(TOPIC, "transmit", protocol=protocol, expected_rate=RATE)
     port = free_port()
-    relay = Relay(port)
-    try:
-        with CountedBridge(tmp_path, domains, topic, address=(Relay.SERVER, Relay.HOST), port=port) as counted:
-            count = through(counted, relay.cut)
-    finally:
-        relay.close()
+    with (
+        same_port(port) as relay,
+        CountedBridge(tmp_path, domains, topic, address=(relay.target[0], relay.host), port=port) as counted,
+    ):
+        count = through(counted, relay.cut)
     check(count)
     assert count.ledger["unknown"] <= RATE, "a receiver reports more often than once a second"
 

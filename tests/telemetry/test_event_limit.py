@@ -74,7 +74,7 @@ def room(began: float) -> float:
 
 @contextlib.contextmanager
 def kept_alive(rogue: Rogue) -> Iterator[None]:
-    """Keep its link, whatever takes long meanwhile: it pings, and it reads, or the kernel gives the connection up."""
+    """Keep its link while something takes long: it pings, and it reads, or the kernel gives the connection up."""
     over = threading.Event()
 
     def ping() -> None:
@@ -106,7 +106,7 @@ def of_link(server: Engine, name: str) -> list[Event]:
 def test_lines_at_line_speed(
     flood: Callable[[Rogue], None], codes: set[EventCode], bridge: Bridge, server: Engine, rogue: Rogue
 ) -> None:
-    """Of three thousand lines a third are written, and how many were not; none about the link itself is lost."""
+    """A third of three thousand lines is written, with the number of the others; none about the link itself is lost."""
     began = time.monotonic()
     flood(rogue)
     rogue.say(Ping(n=1, sent=1))
@@ -128,7 +128,7 @@ def test_lines_at_line_speed(
 
 @pytest.mark.long
 def test_a_link_that_is_made_and_broken_at_full_speed(bridge: Bridge, server: Engine) -> None:
-    """What became of it last is told nevertheless, and the lines of its topics have not lost their room."""
+    """Its last state is logged nevertheless, and the lines of its topics keep their room."""
     key = read_key(bridge.folder / bridge.key_file).secret
     began = time.monotonic()
     for _ in range(FRAMES // 4):
@@ -143,7 +143,7 @@ def test_a_link_that_is_made_and_broken_at_full_speed(bridge: Bridge, server: En
 
 
 def test_the_others_lines_are_written(bridge: Bridge, server: Engine, rogue: Rogue, robot: Domain, pc: Domain) -> None:
-    """Each link has its own share; and a flood that is over is told of while the link lives."""
+    """Each link has its own share; the end of a flood is logged while the link lives."""
     with kept_alive(rogue):
         are_refused(rogue)
         there, out = pc.listener("/beat"), robot.publisher("/beat")

@@ -1,4 +1,4 @@
-"""Events are one clean line each, whatever they quote: a log prints them as they are."""
+"""Events are one clean line each, for all quoted texts: a log prints them as they are."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the command of `on_fault` is told: one object of plain ASCII, whatever a peer says."""
+"""The input of the `on_fault` command: one object of plain ASCII, for all texts of a peer."""
 
 from __future__ import annotations
 

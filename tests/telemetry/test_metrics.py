@@ -1,4 +1,4 @@
-"""A snapshot as metrics: names, labels and counters as Prometheus expects them, whatever a peer says."""
+"""A snapshot as metrics: names, labels and counters as Prometheus expects them, for all texts of a peer."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ CALLS = route(
 
 
 class Scraped:
-    """An engine that shows what it is told to, and who scrapes it."""
+    """An engine with a scripted snapshot, and a scraper."""
 
     def __init__(self) -> None:
         self.routes: tuple[RouteSnapshot, ...] = ()
@@ -52,7 +52,7 @@ class Scraped:
         return Snapshot(NOW, "hub", "server", "[::]:7060", 3, running=True, links=(LINK,), routes=self.routes)
 
     def samples(self, *routes: RouteSnapshot) -> dict[tuple[str, tuple[str, ...]], float]:
-        """By name and the values of the labels in their order, but for the session and the link."""
+        """Return the samples by name and the values of the labels in their order, without session and link."""
         self.routes = routes
         text = generate_latest(self.registry).decode()
         found: dict[tuple[str, tuple[str, ...]], float] = {}
@@ -64,7 +64,7 @@ class Scraped:
         return found
 
     def dropped(self, ledger: Ledger) -> dict[str, float]:
-        """What a route with that ledger is said to have dropped, by cause."""
+        """Return the drops of a route with that ledger in the metrics, by cause."""
         found = self.samples(route("/scan", ledger=ledger))
         return {labels[0]: value for (name, labels), value in found.items() if name == "rsb_messages_dropped_total"}
 
@@ -208,7 +208,7 @@ def test_every_cause_that_this_version_counts_by_has_its_own_label() -> None:
     causes = set(re.findall(r"``([a-z ]+)``", (Ledger.__doc__ or "").partition("each cause:")[2]))
     assert causes
     assert causes <= DROPPED
-    source = "".join(path.read_text() for path in (_ROOT / "bridge/rsb_bridge/route").glob("*.py"))
+    source = "".join(path.read_text() for path in (_ROOT / "bridge/rsb_bridge/route").rglob("*.py"))
     named = set(re.findall(r'(?:\.drop|_NotPublishedError|_dropped)[\[(]"([a-z ]+)"', source))
     assert len(named) > 5
     assert named <= DROPPED

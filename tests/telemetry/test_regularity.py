@@ -24,7 +24,7 @@ SEEDS = range(8)
 
 
 class Watched(NamedTuple):
-    """What was said of a publisher: when it was called stopped (s), and how often slow."""
+    """Verdicts of a publisher: when it was called stopped (s), and how often slow."""
 
     stopped: list[float]
     slow: int
@@ -40,7 +40,7 @@ def watched(
         seconds: for how long.
         seed: of all chance.
         outages: from when until when (s) it is dead; then another one takes its place.
-        given: Hz that an operator expects; 0: none.
+        given: Hz that an operator expects, or 0.
     """
     random = Random(seed)
     times, due = [], random.random()

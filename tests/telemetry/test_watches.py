@@ -1,4 +1,4 @@
-"""What is learned of a rate, and when a flow of messages is said to be slow, stopped or lossy."""
+"""Learning of a usual rate, and verdicts of slow, stopped or lossy messages."""
 
 from __future__ import annotations
 

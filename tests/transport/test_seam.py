@@ -1,4 +1,4 @@
-"""Links and routes run over whatever fulfils the transport seam."""
+"""Links and routes run over every transport that fulfils its protocol."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.udp import Udp
 
 _ROOT = Path(rsb_bridge.__file__).parent
-_ABOVE = [file for layer in ("engine", "link", "route", "channel") for file in (_ROOT / layer).glob("*.py")]
+_ABOVE = [file for layer in ("engine", "link", "route", "channel") for file in (_ROOT / layer).rglob("*.py")]
 
 
 @pytest.mark.parametrize("file", _ABOVE, ids=lambda file: file.stem)

@@ -164,7 +164,7 @@ def test_cancelled_at_whatever_moment_it_leaves_no_socket(
 
 
 class Kept(StreamHandler):
-    """Keeps what comes, and when it ended."""
+    """Keeps the received bytes, and the time of the end."""
 
     def __init__(self) -> None:
         self.came = bytearray()
@@ -179,7 +179,7 @@ class Kept(StreamHandler):
 
 @asynccontextmanager
 async def _connected() -> AsyncIterator[tuple[Stream, Kept, Stream, Kept]]:
-    """Two ends of a connection, each with what came there."""
+    """Return two ends of a connection, each with its received bytes."""
     near_kept, far_kept = Kept(), Kept()
     listening = socket.create_server((_LIVE, 0))
     near_socket = socket.create_connection(listening.getsockname())

@@ -34,7 +34,7 @@ async def until(condition: Callable[[], object]) -> None:
 
 @asynccontextmanager
 async def pair(host: str) -> AsyncIterator[tuple[UdpSocket, UdpSocket, list[bytes]]]:
-    """A bound socket, one that is connected to it, and what came to the bound one."""
+    """Return a bound socket, one that is connected to it, and the datagrams of the bound one."""
     came: list[bytes] = []
     acceptor = Acceptor(StreamHandler, lambda _, datagrams: came.extend(bytes(each) for each, _ in datagrams), print)
     bound = await Udp().listen(host, 0, acceptor)
@@ -99,7 +99,7 @@ def test_a_peer_that_roams_does_not_make_the_table_of_sizes_grow() -> None:
 @HOSTS
 @pytest.mark.parametrize("with_segments", [True, False])
 def test_datagrams_arrive_as_they_were_sent(host: str, with_segments: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of one size and of several, both ways, with the kernel's help and without."""
+    """Datagrams of one size and of several, both ways, with the kernel's help and without."""
     if not with_segments:
         monkeypatch.setattr(udp_segments, "can_segment", lambda _: False)
         monkeypatch.setattr(udp_segments, "coalesce", lambda _: False)
@@ -245,7 +245,7 @@ class _Counted(bytes):
 
 
 def test_what_waits_is_not_counted_anew_for_each_message() -> None:
-    """What one link sent waits for the kernel, and all links send on the same socket meanwhile."""
+    """One link's datagrams wait for the kernel, and all links send on the same socket meanwhile."""
 
     async def main() -> None:
         async with pair("127.0.0.1") as (_, client, _):

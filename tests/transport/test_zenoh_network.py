@@ -65,7 +65,7 @@ async def in_network(router: Router, service: str = "server", *watched: str) -> 
     network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
     made = await network.endpoint(service, "a label", watched)
     while made.address not in {each.address for each in await made.ask(service)}:  # noqa: ASYNC110 (no event of ours)
-        await asyncio.sleep(0.01)  # the router does not know yet what is to be sent here
+        await asyncio.sleep(0.01)  # the router does not know this end's subscriptions yet
     try:
         yield made
     finally:
@@ -74,7 +74,7 @@ async def in_network(router: Router, service: str = "server", *watched: str) -> 
 
 
 async def known_stranger(router: Router, server: Endpoint) -> Any:
-    """A stranger whose router knows where the endpoint is: it drops what comes before."""
+    """Return a stranger whose router knows the endpoint; before that it drops samples."""
     other = stranger(router)
     publisher = other.declare_publisher(f"{ROOT}/fleet/at/{server.address}/{NOBODY}/{NOBODY}")
     await until(lambda: publisher.matching_status.matching)
@@ -83,7 +83,7 @@ async def known_stranger(router: Router, server: Endpoint) -> Any:
 
 
 class End:
-    """A stream's end that keeps what comes."""
+    """A stream's end that keeps the received data."""
 
     def __init__(self, *, trusted: bool = True, of_link: bool = False) -> None:
         self.trusted, self.of_link = trusted, of_link
@@ -586,7 +586,7 @@ def test_nothing_is_left_of_a_network_that_was_opened_and_closed(router: Router)
 
 
 async def why(settings: ZenohSettings, base: Path) -> str:
-    """What an operator is told of a network that is not reached."""
+    """Return the reason that an operator gets for a network that is not reached."""
     network = Network(settings, base)
     try:
         with pytest.raises(OSError) as caught:

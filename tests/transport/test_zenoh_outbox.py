@@ -1,4 +1,4 @@
-"""What is sent on the loop and what by a thread, with a session that takes nothing when the test says so."""
+"""Sending on the loop and by a thread, with a session that a test can block."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class FakeSession:
         self.closed = False
 
     def put(self, key: str, payload: bytes, *, priority: Any, congestion_control: Any, **_: Any) -> None:
-        """As `zenoh.Session.put`."""
+        """Take a sample, like `zenoh.Session.put`."""
         if self.closed:
             raise zenoh.ZError("closed")
         if priority in self.held_back and congestion_control == zenoh.CongestionControl.BLOCK:
@@ -43,7 +43,7 @@ class FakeSession:
         self.put_by.append((payload, priority, threading.get_ident()))
 
     def payloads(self) -> list[bytes]:
-        """What was taken."""
+        """Return the payloads that were taken."""
         return [payload for payload, _, _ in self.put_by]
 
 
@@ -98,7 +98,7 @@ def test_what_is_sent_at_once_fits_zenohs_queue_whatever_is_sent(case: Case) -> 
 
 
 def test_what_arrives_soon_is_sent_at_once_at_any_rate(case: Case) -> None:
-    """The other side reports it each time: a hundred times what goes at once without reports."""
+    """The other side reports it each time: a hundred times the amount that goes at once without reports."""
     for _ in range(1000):
         case.put(bytes(10_000))
         case.outbox.arrived(2, 10_000 + OWN_COST)
@@ -175,7 +175,7 @@ def test_datagrams_fill_no_queue_of_a_stream(case: Case) -> None:
 
 
 def test_after_a_call_that_took_long_a_thread_sends(case: Case) -> None:
-    """The network is slower than what goes at once: the loop waits for it one time at most."""
+    """The network is slow: the loop waits for it one time at most."""
     slow = case.session.put
 
     def put(*args: Any, **settings: Any) -> None:

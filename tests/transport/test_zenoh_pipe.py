@@ -25,7 +25,7 @@ UNDER_WAY = WINDOW + SAMPLE
 
 
 def run(test: Coroutine[None, None, None]) -> None:
-    """Run a test's coroutine; whatever nobody caught fails it."""
+    """Run a test's coroutine; an exception that nobody caught fails it."""
     with virtual_loop() as loop:
         loop.run_until_complete(test)
         assert loop.errors == []
@@ -106,7 +106,7 @@ def test_a_receiver_that_pauses_holds_up_its_sender_and_nothing_is_lost() -> Non
 
 
 def test_reading_that_is_resumed_while_data_is_taken_keeps_the_order() -> None:
-    """What takes data pauses when it has enough, and resumes from within: it must not be called inside of itself."""
+    """The reader pauses when it has enough, and resumes from within: it must not be called recursively."""
 
     async def test() -> None:
         pair = Pair()

@@ -1,4 +1,4 @@
-"""A Zenoh network over TLS and QUIC: what works, and what an operator is told of certificates that do not."""
+"""A Zenoh network over TLS and QUIC, and the reasons that an operator gets for wrong certificates."""
 
 from __future__ import annotations
 
@@ -51,7 +51,10 @@ def start(tmp_path: Path) -> Iterator[Start]:
 
 
 def told(folder: Path, router: Router, **tls: Any) -> str:
-    """What an operator is told; empty: it works. Files are relative to the configuration."""
+    """Return the reason that an operator gets, or an empty string if it works.
+
+    Files are relative to the configuration.
+    """
     (folder / "zenoh.json5").write_text(json.dumps({"transport": {"link": {"tls": tls}}}))
 
     async def test() -> str:
@@ -140,7 +143,7 @@ def test_a_router_that_speaks_no_tls(tmp_path: Path) -> None:
 
 
 def access_control(*names: str) -> dict[str, Any]:
-    """As docs/zenoh.md has it: only these certificates' owners may be in the fleet."""
+    """Return the access control of docs/zenoh.md: only these certificates' owners may be in the fleet."""
     messages = [
         "put",
         "declare_subscriber",

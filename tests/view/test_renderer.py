@@ -1,4 +1,4 @@
-"""The process that draws gives each view its own pictures, whatever becomes of the others."""
+"""The drawing process gives each view its own pictures, even if others fail."""
 
 from __future__ import annotations
 

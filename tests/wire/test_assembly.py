@@ -59,7 +59,7 @@ def test_pieces_are_the_chunks_of_their_message(
 @SUITES
 @pytest.mark.parametrize("size", [0, 1, 65_535, 65_536, 65_537, 1 << 20, 6_000_000])
 def test_large_messages_are_exact(suite: Suite, size: int) -> None:
-    """Whatever the one before had: memory is taken for as much."""
+    """For any size of the one before, whose memory is reused."""
     writer, reader = ends(suite, limit=8 << 20)
     for length, fill in ((size, b"abc"), (100_000, b"x"), (size, b"cba")):
         payload = (fill * (length // len(fill) + 1))[:length]
@@ -101,7 +101,7 @@ def test_memory_is_for_a_message_like_the_last_one_as_far_as_the_budget_goes() -
     reader.receive_data(second[0])
     assert budget.held == 600
     reader.close()
-    budget.take(880)  # others' messages leave room for this one, but for no more
+    budget.take(880)  # others' messages leave room for this one only
     writer, reader = ends(Suite.AESGCM, budget=budget)
     frames = write_chunks(writer, bytes(110), 0, 0, 50)
     for frame, held in zip(frames, (930, 980), strict=False):

@@ -1,4 +1,4 @@
-"""What breaks the format of a stream gives words, on either side."""
+"""Errors in a stream's format are explained, on either side."""
 
 import struct
 

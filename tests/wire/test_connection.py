@@ -94,7 +94,7 @@ def test_send_keeps_the_order_of_what_was_not_fetched_yet() -> None:
     assert client.data_to_send() == b""
 
 
-# --- keys that do not fit: both sides say so in words
+# --- keys that do not fit: both sides explain it
 
 
 def refused(client: ClientConnection, server: ServerConnection) -> Refused:
@@ -117,7 +117,7 @@ def test_another_key(suite: Suite) -> None:
 @pytest.mark.parametrize("aes", [True, False])
 @pytest.mark.parametrize("key", [KEY, OTHER_KEY])
 def test_a_client_may_have_either_of_two_keys(suite: Suite, aes: bool, key: bytes) -> None:
-    """As while its key is being replaced."""
+    """For example while its key is being replaced."""
     client, server = make_client(suite, key=key), make_server(suite, keys=(KEY, OTHER_KEY), aes=aes)
     assert server.fingerprint == b""
     client_events, server_events = shake_hands(client, server)
@@ -137,7 +137,7 @@ def test_a_key_that_is_neither_of_two() -> None:
 
 
 def test_a_first_message_that_claims_the_other_valid_key_does_not_open() -> None:
-    """The server takes the key that the client says it has; that the client has it shows in the handshake only."""
+    """The server takes the key that the client claims to have; only the handshake proves it."""
     frame = make_client().start()
     ours, other = fingerprint_of(KEY), fingerprint_of(OTHER_KEY)
     refusal = the(Refused, make_server(keys=(KEY, OTHER_KEY)).receive_data(frame.replace(ours, other)))
@@ -292,7 +292,7 @@ def test_a_recorded_first_message_played_again_establishes_nothing(suite: Suite)
 
 @pytest.mark.parametrize("key", [KEY, OTHER_KEY])
 def test_a_first_message_is_answered_once(key: bytes) -> None:
-    """It costs a Diffie-Hellman exchange, and a place among those that are waited for."""
+    """It costs a Diffie-Hellman exchange, and a place in the queue of handshakes."""
     before = ReplayCache()
 
     def server() -> ServerConnection:
@@ -326,7 +326,7 @@ def test_a_refuse_in_the_clear_cannot_say_that_a_link_is_shut_down() -> None:
 
 
 def test_a_client_whose_name_is_taken_is_refused_once_it_has_proved_its_key() -> None:
-    """So the server can tell a second client that has the key from a first message that somebody sends again."""
+    """Thus the server distinguishes a second client that has the key from a replayed first message."""
     client = make_client()
     taken = msgspec.structs.replace(WELCOME, taken="'robot1' is linked already")
     server = ServerConnection(lambda name: Credential((KEY,), ReplayCache()), lambda hello: taken, aes=True)
@@ -360,7 +360,7 @@ def test_data_before_the_confirmation_have_no_place() -> None:
 
 
 def test_who_has_not_confirmed_gets_the_room_of_a_handshake() -> None:
-    """Whoever has recorded a first message does not make the server hold a control frame of 1 MiB."""
+    """A replayed first message does not make the server hold a control frame of 1 MiB."""
     client, server = make_client(), make_server()
     server.receive_data(client.start())
     assert server.accepted
@@ -415,7 +415,7 @@ def test_a_message_may_fill_a_control_frame_and_no_more(suite: Suite) -> None:
 
 
 def test_a_server_that_waited_in_vain_for_the_confirmation_is_understood() -> None:
-    """The client has been accepted, and its confirmation is under way for too long."""
+    """The client has been accepted, and its confirmation takes too long."""
     client, server = make_client(), make_server()
     server.receive_data(client.start())
     the(Established, client.receive_data(server.data_to_send()))

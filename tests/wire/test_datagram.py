@@ -134,7 +134,7 @@ def test_incomplete_messages_are_given_up_after_their_time_and_not_kept_again() 
 
 
 def test_a_message_that_goes_on_to_come_is_not_given_up() -> None:
-    """One of many MB on a slow path may take longer; what comes between does not matter."""
+    """One of many MB on a slow path may take longer; messages in between do not matter."""
     writer, reader = ends()
     slow, other = (writer.write(bytes(40), 0, 0, OVERHEAD + 10) for _ in range(2))
     assert reader.receive(other[0], 0.0) is None

@@ -168,7 +168,7 @@ def test_a_message_may_have_the_limit_and_no_byte_more(suite: Suite) -> None:
 def test_what_is_held_is_what_has_come_of_the_unfinished(
     suite: Suite, data: st.DataObject, sent: list[Message], chunk_size: int
 ) -> None:
-    """Chunks beside a frame that is cut; whatever came, nothing is held once the reader is closed."""
+    """Chunks and a frame that is cut; after any input, nothing is held once the reader is closed."""
     budget = Budget(1 << 20)
     writer, reader = data_ends(suite, budget=budget)
     stream = b"".join(frame for message in sent for frame in write_chunks(writer, *message, chunk_size))

@@ -76,7 +76,7 @@ def test_an_older_peer_reads_what_it_knows(message: ControlMessage) -> None:
 
 
 def test_a_kind_that_only_a_newer_peer_has_does_not_end_the_connection() -> None:
-    """It is refused, or left out, by whoever reads it."""
+    """The reader refuses it, or leaves it out."""
     proposal = Propose(route=1, topic="/a", remote_topic="/a", from_client=True, kind="telepathy")
     topics = TopicList(request=1, topics=(TopicEntry("/a", "", "", None, 0, 0, "telepathy"),))
     for message in (proposal, topics, ListTopics(request=1, kinds=("telepathy",))):

@@ -61,7 +61,7 @@ def contents(events: list[Event]) -> bytes:
 
 
 def first_message(*, header: bytes | None = None, host: bytes = b"") -> bytes:
-    """What a console sends first, with a header and a host of one's own."""
+    """Return a console's first message, with a given header and host."""
     header = header or operator_header(VERSION, "anna", "robot1", fingerprint_of(KEY))
     return pack_frame(header, NoiseHandshake(SUITE, KEY, header).write(host))
 
@@ -122,7 +122,7 @@ def test_a_name_that_is_too_long(names: tuple[str, str]) -> None:
 
 
 def refusal(console: OperatorConsole, engine: OperatorEngine) -> tuple[Refused, Refused]:
-    """What each side says when the engine refuses; they say the same."""
+    """Return the reason of a refusal, after checking that both sides give the same."""
     here = the(Refused, engine.receive_data(console.start()))
     there = the(Refused, console.receive_data(engine.data_to_send()))
     assert (here.code, here.message) == (there.code, there.message)

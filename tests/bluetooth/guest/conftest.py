@@ -34,7 +34,7 @@ sys.stdin.read()
 
 @pytest.fixture(scope="session")
 def addresses() -> tuple[str, str]:
-    """Those of hci0 and hci1."""
+    """Return the addresses of hci0 and hci1."""
     first, second = hci.adapters()
     return first.address, second.address
 

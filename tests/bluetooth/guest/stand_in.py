@@ -1,7 +1,7 @@
 """A stand-in for the ROS side (`rsb_bridge.ros.ros_interface.RosInterface`): ROS does not fit in the machine.
 
-It has one publisher and one subscriber on whatever topic a test names, one server and one client of whatever service,
-and hands messages over as the real one does: raw, from a thread of its own.
+It has one publisher and one subscriber on any topic that a test names, one server and one client of any service, and
+hands messages over as the real one does: raw, from a thread of its own.
 """
 
 from __future__ import annotations
@@ -24,16 +24,13 @@ from rsb_bridge.ros.ros_interface import (
     RequestSink,
     Response,
     ResponseSink,
-    RosError,
-    RosProblem,
     Sink,
 )
 from rsb_bridge.ros.ros_thread import RosTurns
+from rsb_bridge.ros.stand_in import NoRos
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
-
-    from rsb_bridge.model.calls import Fields
 
 TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + 64 * "0"
 SERVICE_TYPE, SERVICE_HASH = "std_srvs/srv/Trigger", f"{HASH}+{HASH}"
@@ -54,7 +51,7 @@ class Arrival(NamedTuple):
     time: float
 
 
-class StandIn:
+class StandIn(NoRos):
     """One domain.
 
     Attributes:
@@ -62,13 +59,12 @@ class StandIn:
         turns: as a real node's; it has no thread.
         offered: the topics that this domain's own nodes publish, with their QoS.
         arrived: what the engine published, by topic.
-        answering: what this domain's own nodes answer, by service; None: nothing.
+        answering: the answers of this domain's own nodes, by service, or None for no answer.
     """
 
     def __init__(self, **offered: Qos) -> None:
         self.instance_id = secrets.token_hex(4)
         self.node_name = f"rsb_{self.instance_id}"
-        self.shortfalls: tuple[str, ...] = ()
         self.turns = RosTurns()
         self.offered = {f"/{name}": qos for name, qos in offered.items()}
         self.arrived: defaultdict[str, list[Arrival]] = defaultdict(list)
@@ -81,7 +77,7 @@ class StandIn:
     # --- what tests do
 
     def publish(self, topic: str, payload: bytes) -> None:
-        """As a node of this domain; lost where the engine does not subscribe, as with ROS."""
+        """Publish as a node of this domain; the message is lost if the engine does not subscribe, as with ROS."""
         sink = self._sinks.get(topic)
         if sink is not None:
             sink((RawMessage(payload, time.time_ns(), _GID),))
@@ -108,20 +104,14 @@ class StandIn:
         return all(service in self._servers for service in services)
 
     def call(self, service: str, payload: bytes, within: float) -> bytes:
-        """As a node of this domain calls what the engine serves; the answer.
+        """Call a service of the engine as a node of this domain, and return the answer.
 
         Raises:
-            queue.Empty: there was none within so many s.
+            queue.Empty: no answer came within so many s.
         """
         return self._servers[service].ask(payload).get(timeout=within)
 
     # --- what the engine does
-
-    def start(self) -> None:
-        pass
-
-    def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
-        """Its graph never changes."""
 
     def stop(self) -> None:
         self._stopped.set()
@@ -133,18 +123,6 @@ class StandIn:
 
     def publishers(self, topic: str) -> list[Endpoint]:
         return [Endpoint("/stand_in", TYPE, HASH, self.offered[topic], _GID)] if topic in self.offered else []
-
-    def subscriptions(self, topic: str) -> list[Endpoint]:
-        return []
-
-    def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
-        raise RosError(RosProblem.TYPE_MISSING(type_name=type_name))
-
-    def installed_description(self, type_name: str) -> str | None:
-        return None
-
-    def ask_description(self, *_: object) -> str | None:
-        return None
 
     def installed_hash(self, type_name: str) -> str | None:
         return HASH if type_name == TYPE else None
@@ -171,9 +149,6 @@ class StandIn:
     def servers(self, service: str) -> list[Endpoint]:
         found = service in self.answering
         return [Endpoint("/stand_in", SERVICE_TYPE, SERVICE_HASH, _SERVICE_QOS, _GID)] if found else []
-
-    def callers(self, service: str) -> list[Endpoint]:
-        return []
 
     def installed_service_hash(self, type_name: str) -> str | None:
         return SERVICE_HASH if type_name == SERVICE_TYPE else None

@@ -96,7 +96,7 @@ def test_a_large_message_each_way_encrypted(addresses: tuple[str, str], base: Pa
     ):
         wait_until(lambda: client_side.subscribed("/there") and server_side.subscribed("/back"), "both topics open")
         for engine, peer in ((client, addresses[0]), (server, addresses[1])):
-            wait_until(partial(linked, engine), "the snapshot says so")
+            wait_until(partial(linked, engine), "the snapshot has it")
             assert link(engine).encrypted
             assert link(engine).cipher in {"AESGCM", "CHACHAPOLY"}
             assert link(engine).peer == f"{peer} channel {_CHANNEL}"
@@ -266,12 +266,12 @@ def _all_cross(client_side: StandIn, server_side: StandIn) -> None:
 
 
 def _whole(sink: StandIn, topic: str) -> list[bytes]:
-    """What came, but for `_all_flow`'s empty messages."""
+    """Return the messages that arrived, without `_all_flow`'s empty ones."""
     return [one.payload for one in sink.arrived[topic] if one.payload]
 
 
 def _all_flow(client_side: StandIn, server_side: StandIn) -> None:
-    """Something crosses on every topic again; what was sent while it broke may be lost."""
+    """Wait until every topic flows again; messages from the time of the break may be lost."""
     ways = dict.fromkeys(_SIZES, (client_side, server_side)) | {"/cmd": (server_side, client_side)}
     for topic, (_, sink) in ways.items():
         sink.arrived[topic].clear()
@@ -286,7 +286,7 @@ def _all_flow(client_side: StandIn, server_side: StandIn) -> None:
 
 
 def test_topics_share_a_channel_beside_an_ip_link(addresses: tuple[str, str], base: Path) -> None:
-    """Also after one was made anew, and after the radio link broke. The kernel has one connection on a channel."""
+    """Also after one was replaced, and after the radio link broke. The kernel has one connection on a channel."""
     client_side, server_side = StandIn(map=Qos(), joy=Qos(), odom=Qos()), StandIn(cmd=Qos())
     radio: dict[str, Any] = {"protocol": "bluetooth", "port": 11, "compression": "none"}
     on_radio = [
@@ -379,7 +379,7 @@ _OFF_AND_ON = [f"hciconfig hci{number} {what}" for what in ("down", "up", "pisca
 def test_a_broken_radio_link_comes_back(
     commands: list[str], servers: subprocess.Popen[str], addresses: tuple[str, str], base: Path
 ) -> None:
-    """The virtual radio has no supervision timeout, so both ends are told, or both switched off."""
+    """The virtual radio has no supervision timeout, so both ends are disconnected, or both switched off."""
     client_side = StandIn()
     with (
         server_process(servers, addresses[0], base),

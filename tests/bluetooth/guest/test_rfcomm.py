@@ -27,7 +27,7 @@ _DEADLINE = 20.0
 
 
 class Recorder(StreamHandler):
-    """One end of a connection: keeps what came.
+    """One end of a connection, which keeps the bytes that arrive.
 
     Attributes:
         stream: once connected.

@@ -1,4 +1,4 @@
-"""The adapters go away. Last of its machine's life, hence a module of its own."""
+"""The adapters are unplugged. That ends the machine's use, so the module runs last."""
 
 from __future__ import annotations
 

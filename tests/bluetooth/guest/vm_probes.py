@@ -1,4 +1,4 @@
-"""What `test_vm` runs in the virtual machine."""
+"""Tests that `test_vm` runs in the virtual machine."""
 
 from __future__ import annotations
 

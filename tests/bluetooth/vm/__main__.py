@@ -10,8 +10,10 @@ from tests.bluetooth.vm import debian, layers, machine
 
 def main() -> int:
     """Run, print the output, return pytest's exit code."""
-    parser = argparse.ArgumentParser(prog="bluetooth-vm", description="Run pytest beside two Bluetooth adapters.")
-    parser.add_argument("--kernel", help="Debian's kernel to boot, as uname -r says it", default=None)
+    parser = argparse.ArgumentParser(
+        prog="bluetooth-vm", description="Run pytest in a machine with two Bluetooth adapters."
+    )
+    parser.add_argument("--kernel", help="Debian's kernel to boot, as in uname -r", default=None)
     parser.add_argument("--console", action="store_true", help="show the kernel's console as well")
     own, selection = parser.parse_known_args()
     try:

@@ -33,10 +33,10 @@ class UnavailableError(Exception):
 
 
 class Release(NamedTuple):
-    """What this machine's package lists offer.
+    """The packages of this machine's package lists.
 
     Attributes:
-        kernel: version of the kernel, as ``uname -r`` says it.
+        kernel: version of the kernel, as in ``uname -r``.
         image: file name of the kernel's package.
         packages: file names of the other packages; they carry the versions.
     """
@@ -50,7 +50,7 @@ def release(kernels: tuple[str, ...] = KERNELS) -> Release:
     """The packages to use, with the first of `kernels` that is offered.
 
     Raises:
-        UnavailableError: no QEMU, no apt, or the packages are not those of this distribution.
+        UnavailableError: no QEMU, no apt, or packages of another distribution.
     """
     for tool in ("qemu-system-x86_64", "apt-get", "dpkg-deb"):
         if shutil.which(tool) is None:

@@ -40,7 +40,7 @@ _MERGED = ("bin", "lib", "lib64", "sbin")  # folders that are links into /usr on
 
 
 class Layers(NamedTuple):
-    """What the machine boots from.
+    """The archives that the machine boots from.
 
     Attributes:
         kernel: its compressed image.
@@ -97,7 +97,7 @@ def _make(work: Path, kernel: str, wheels: list[str]) -> None:
 
 
 def _install_wheels(folder: Path, wheels: list[str]) -> None:
-    """Install for the machine's Python, which need not be the one that runs this."""
+    """Install for the machine's Python, which may differ from the one that runs this."""
     target = [
         "--target",
         str(folder),

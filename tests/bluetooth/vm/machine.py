@@ -38,7 +38,7 @@ _END = "\f"  # after each command's output
 
 
 class Outcome(NamedTuple):
-    """What a run of pytest gave.
+    """The results of a run of pytest.
 
     Attributes:
         exit_code: pytest's.

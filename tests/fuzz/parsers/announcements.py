@@ -1,4 +1,4 @@
-"""What any node of the ROS domain may publish where bridges tell each other what they publish (PROTOCOL.md, 5)."""
+"""Announcements of bridges, as any node of the ROS domain may publish them (PROTOCOL.md, 5)."""
 
 from __future__ import annotations
 

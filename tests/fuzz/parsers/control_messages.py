@@ -1,4 +1,4 @@
-"""Control messages: what a peer with the key says, and what stands in the handshake's messages."""
+"""Control messages of a peer with the key, and contents of the handshake's messages."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def check_message(message: Any) -> None:
         if isinstance(leaf, str):
             assert is_clean(leaf)
             assert len(leaf) <= REASON_LENGTH
-        elif isinstance(leaf, float) and not isinstance(message, Report):  # whoever takes a report limits its figures
+        elif isinstance(leaf, float) and not isinstance(message, Report):  # the reader of a report limits its figures
             assert not math.isnan(leaf), "a figure is no number"
 
 
@@ -65,9 +65,9 @@ def _read(decode: Callable[[bytes], Any], data: bytes) -> None:
 
 
 def _read_sealed(data: bytes) -> None:
-    """What a peer that has the key writes, frame by frame. The first byte says which side reads, and its kind of link.
+    """Read the frames of a peer that has the key. The first byte gives the side that reads, and its kind of link.
 
-    The first byte of each frame says whether it is sealed as a control frame, or stands there as it is.
+    The first byte of each frame decides whether it is sealed as a control frame, or used as it is.
     """
     choice = data[0] if data else 0
     client, server, _, _ = established(Suite.PLAIN, multiplexed=bool(choice & 2))

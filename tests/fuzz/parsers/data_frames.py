@@ -94,7 +94,7 @@ def _read_call(payload: bytes) -> None:
 
 
 def _round_trip(suite: Suite, data: bytes) -> None:
-    """What one side writes the other reads: in one frame or in chunks, beside one another."""
+    """Check that one side reads what the other writes: in one frame or in chunks, interleaved."""
     choice = data[0] if data else 0
     payload = data[1:]
     writer = DataWriter(Sealer(suite, _KEY), _ROUTE)

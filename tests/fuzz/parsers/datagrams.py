@@ -54,7 +54,7 @@ def _seal(sequence: int, content: bytes, header: bytes) -> bytes:
 
 
 def _read_unsealed(data: bytes) -> None:
-    """Of anybody: nothing of it is a message unless its seal is right."""
+    """Read a datagram of a stranger: it has no message unless its seal is right."""
     for suite in (Suite.PLAIN, Suite.AESGCM):
         reader = DatagramReader(DatagramOpener(suite, bytes(32)), _ROUTE)
         by_addressee([(data, None)])
@@ -72,7 +72,7 @@ def _read_probe(data: bytes) -> None:
 
 
 def _round_trip(data: bytes) -> None:
-    """What one side writes the other reads, whatever the order of the datagrams."""
+    """Check that one side reads what the other writes, for any order of the datagrams."""
     choice = data[0] if data else 0
     payload = data[1:]
     writer = DatagramWriter(Sealer(Suite.AESGCM, bytes(32)), _LINK, _ROUTE)

@@ -34,7 +34,7 @@ DESCRIPTION = read_description(_EVERYTHING, hash_of_text(_EVERYTHING))
 
 
 def _values(value: Value) -> int:
-    """How many values there are in what was read."""
+    """Return the number of values in a result."""
     match value:
         case Items(_, total, shown):
             assert len(shown) <= min(_ITEMS, total)

@@ -39,7 +39,7 @@ def _read(data: bytes) -> None:
 
 
 def _write(data: bytes) -> None:
-    """What is written of any answer can be read, and does nothing to a terminal."""
+    """Check that the text of any answer can be read, and has no effect on a terminal."""
     text = write_fields(decode(DESCRIPTION, data, items=5, steps=300))
     assert all(map(is_clean, text.split("\n")))
     assert isinstance(read_fields(text), dict)

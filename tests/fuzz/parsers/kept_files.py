@@ -1,4 +1,4 @@
-"""What a bridge kept on disk: the time line and the events, damaged by a disk or written by another version."""
+"""A bridge's files on disk: history and events, damaged by a disk or written by another version."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _check_report(report: HistoryReport) -> None:
 
 
 def _read_history(pack: Callable[[bytes], bytes], data: bytes) -> None:
-    """As a command reads it, and as the next process of the bridge goes on from it."""
+    """Read a history as a command does, and as the next process of the bridge does."""
     files = _files()
     files.history.write_bytes(pack(data))
     files.events.unlink(missing_ok=True)
@@ -87,7 +87,7 @@ _EVENTS = (
     Event(2, _NOW + 9, Level.WARNING, "route.fault", "no message", topic="/scan", state="stale", since=_NOW),
 )
 _BOMB = b"\x28\xb5\x2f\xfd\xe0" + (1 << 40).to_bytes(8, "little") + b"\1\0\0"
-"""Says that it holds a TiB."""
+"""Claims to hold a TiB."""
 
 PARSERS = (
     Parser("history_content", partial(_read_history, zstandard.compress), (_saved(),), edit_msgpack),

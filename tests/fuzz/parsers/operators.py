@@ -63,7 +63,9 @@ def _started() -> OperatorConsole:
 
 
 def _sealed(data: bytes) -> None:
-    """What both sides have sealed in pieces, as the first byte says, arrives; whatever comes behind it ends it."""
+    """Check that sealed pieces of both sides arrive, split as the first byte gives, and that anything behind them ends
+    the connection.
+    """
     console, engine = attached()
     content, size = data[1:], (data[0] if data else 0) or 1
     stream = b"".join(console.send(content[at : at + size]) for at in range(0, len(content), size))

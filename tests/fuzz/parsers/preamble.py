@@ -1,4 +1,4 @@
-"""How streams begin: what strangers say before anything is authenticated, to either side."""
+"""The beginnings of streams: bytes of strangers before authentication, to either side."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _check(events: list[Event], answer: bytes) -> None:
 
 
 def _read(start: Callable[[Suite, bool], End], data: bytes) -> None:
-    """The first byte says which suite, whether the stream is multiplexed, and in which pieces it comes."""
+    """Read a beginning. Its first byte gives the suite, whether the stream is multiplexed, and its pieces."""
     choice = data[0] if data else 0
     end = start(Suite(choice % 3), bool(choice & 4))
     events: list[Event] = []
@@ -96,7 +96,7 @@ def _seed(suite: Suite, *frames: bytes, multiplexed: bool = True) -> bytes:
 
 
 def _choice(suite: Suite, multiplexed: bool) -> int:
-    """What to add to a suite's number so that it stays the rest of a division by 3."""
+    """Return a summand that keeps a suite's number the rest of a division by 3."""
     return next(each for each in range(0, 8, 3) if bool((suite + each) & 4) is multiplexed)
 
 

@@ -46,7 +46,7 @@ def _check_session(session: Session, path: Path) -> None:
 
 
 def _read_session(data: bytes) -> None:
-    """A session that is read can be written anew, and edited in place."""
+    """Check that a session that is read can be written, and edited in place."""
     path = _file(data)
     try:
         opened = load_file(path)
@@ -65,7 +65,7 @@ def _edit(opened: SessionFile) -> None:
     try:
         edited_text(msgspec.structs.replace(session, topics=topics), opened.path, opened)
     except UneditableError:
-        pass  # told to the operator, who may have it written anew
+        pass  # reported to the operator, who may write the whole file again
     except SessionError as error:
         _check_problems(error)
 

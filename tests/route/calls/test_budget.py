@@ -1,4 +1,4 @@
-"""What one link's calls may hold, and how often they may come."""
+"""The limits of one link's calls, in bytes and in calls a second."""
 
 from __future__ import annotations
 

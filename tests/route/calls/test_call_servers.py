@@ -1,4 +1,4 @@
-"""What the graph says of what there is to call."""
+"""Servers and their types, as the graph shows them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What one side counts of its calls."""
+"""One side's counts of its calls."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CALLS = st.tuples(st.integers(0, MOST_TOOK) | st.integers(0, 10**10), st.floats(
 
 @given(st.lists(CALLS, min_size=1, max_size=50))
 def test_a_peer_cannot_say_that_its_node_took_longer_than_the_whole_call(calls: list[tuple[int, float]]) -> None:
-    """It says how long in ns; how long the whole call was is known here, in s."""
+    """The peer reports it in ns; this side measures the whole call in s."""
     ledger = CallsLedger()
     for took, total in calls:
         ledger.timed(took / 1e9, total)

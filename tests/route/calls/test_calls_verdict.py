@@ -1,4 +1,4 @@
-"""What a half of a route of calls makes of what it knows."""
+"""Verdicts of a half of a route of calls, from its facts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TWO = Trouble(Cause.SEVERAL_SERVERS, "/go is served by /one and /two")
 
 
 def changed(**changes: Any) -> CallsFacts:
-    """Return the facts with some of them changed, in whichever part they stand."""
+    """Return the facts with some of them changed, in any part."""
     of_route = {name: changes.pop(name) for name in RouteStatus._fields if name in changes}
     of_path = {name: changes.pop(name) for name in CallsProgress._fields if name in changes}
     status, progress = FINE.status._replace(**of_route), FINE.progress._replace(**of_path)

@@ -1,4 +1,4 @@
-"""What is read of an action's serialized messages."""
+"""Reads fields of an action's serialized messages."""
 
 from __future__ import annotations
 

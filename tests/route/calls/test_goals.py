@@ -62,7 +62,7 @@ def test_what_crosses_of_it_is_counted() -> None:
     goals = made((1, "executing"))
     goals.feedback(goal(1))
     goals.feedback(goal(1))
-    goals.feedback(goal(2))  # of whom nothing is known
+    goals.feedback(goal(2))  # which is unknown
     (one,) = goals.snapshot({goal(1)})
     assert (one.id, one.feedbacks, one.result_awaited) == (goal(1).hex(), 2, True)
     (one,) = goals.snapshot(set())

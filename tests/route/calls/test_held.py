@@ -1,4 +1,4 @@
-"""What is held up of an action by a pause, by arming and by limits, whatever the other side sends."""
+"""The calls of an action that a pause, arming and limits hold up, for anything that the other side sends."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_an_old_goal_is_refused_however_it_was_held_up(make_context: Callable[..
 def test_what_is_armed_is_not_said_to_be_disarmed_while_the_link_is_silent(
     make_context: Callable[..., Context], loop: VirtualLoop
 ) -> None:
-    """The caller was told to arm what was armed."""
+    """The caller got the advice to arm an armed action."""
     context = make_context()
     route = providing(context, arm=True)
     lease = route.arming.lease = Lease(context.clock.steady, RosTurns(), lambda: None)

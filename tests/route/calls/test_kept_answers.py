@@ -139,7 +139,7 @@ def test_a_new_server_is_asked_once_none_of_those_that_were_asked_is_left() -> N
 
 
 def test_a_client_that_was_closed_has_no_answers() -> None:
-    """Results are asked for again. Nobody knows what became of goals, and cancels are the other side's to repeat."""
+    """Requests for results are repeated. The outcome of goals is unknown, and the other side repeats cancels."""
     answers = KeptAnswers()
     for lane in (SEND_GOAL, CANCEL_GOAL, GET_RESULT):
         answers.asked(asks(lane), 7, SERVERS)

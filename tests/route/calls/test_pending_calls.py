@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Held:
-    """Calls under way, and those that were given up."""
+    """Calls in flight, and calls that were given up."""
 
     def __init__(self, loop: VirtualLoop) -> None:
         self.loop = loop
@@ -52,7 +52,7 @@ def test_each_is_given_up_after_its_own_time(held: Held) -> None:
     held.pass_time(10.0)
     assert [(number, round(at, 3)) for number, at in held.expired] == [(2, 2.0), (1, 5.0)]
     assert [number for number, _ in held.calls.items()] == [3]
-    assert held.ended == [4, 2, 1], "each is told of once"
+    assert held.ended == [4, 2, 1], "each is reported once"
     assert held.budget.held == (1, 10)
 
 

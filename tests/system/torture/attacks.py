@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from tests.system.torture.relay import STREAMS
+from tests.support.relay import STREAMS
 from tests.system.torture.stage import RATE, TOPIC, Stage
 from tests.system.torture.threads import stopped
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from typing import TypeAlias
 
+    from tests.support.relay import Stream
     from tests.system.torture.judge import Findings
-    from tests.system.torture.relay import Stream
     from tests.system.torture.stage import Bridge, Nodes, Side, Transport
 
     Attack: TypeAlias = Callable[[Stage], None]

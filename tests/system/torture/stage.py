@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import yaml
 from tests.support.ports import free_port
 from tests.support.program import free_shared_memory
+from tests.support.relay import Relay
 from tests.support.waiting import eventually
 from tests.system.torture.clock import SteppedClock
 from tests.system.torture.ends import Ear, Talker
 from tests.system.torture.forker import Command, Forker
 from tests.system.torture.judge import Findings, Window, judge
-from tests.system.torture.relay import GateRelay
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import write_key
@@ -202,7 +202,7 @@ class Stage:
         self.transport = transport
         self._server: Side = server
         self.router: Router | None = None
-        self.relay: GateRelay
+        self.relay: Relay
         self.windows: list[Window] = []
         self.notes: list[str] = []
         self._resources = contextlib.ExitStack()
@@ -240,14 +240,14 @@ class Stage:
 
             self.router = Router()
             self._resources.callback(self.router.close)
-            self.relay = self._resources.enter_context(GateRelay(self.router.port))
+            self.relay = self._resources.enter_context(Relay(("127.0.0.1", self.router.port)))
             zenoh: dict[Side, str] = {"robot": f"tcp/127.0.0.1:{self.relay.port}", "pc": self.router.endpoint}
             places = {
                 side: {"server_ip": "zenoh", "zenoh": {"connect": [endpoint]}} for side, endpoint in zenoh.items()
             }
         else:
             port = free_port()
-            self.relay = self._resources.enter_context(GateRelay(port))
+            self.relay = self._resources.enter_context(Relay(("127.0.0.1", port)))
             places = {
                 side: {"server_ip": "127.0.0.1", "server_port": port if side == self._server else self.relay.port}
                 for side in SIDES
