@@ -97,8 +97,8 @@ class Side:
         self.scheduler = Scheduler(self.book, Window(0))
         self.pair = StreamPair(self, self.scheduler, self.book, self.keys.budget, self.keys.scratch)
 
-    def is_open_id(self, route_id: int) -> bool:
-        return route_id in self.routes
+    def awaits_channel(self, route_id: int) -> bool:
+        return route_id in self.routes and self.routes[route_id].channel is None
 
     def is_closed_id(self, route_id: int) -> bool:
         return route_id in self.closed
@@ -122,6 +122,13 @@ class Side:
             streams[number].set_interval(every)
         for number, received in message.received:
             streams[number].receipt(received)
+
+    async def acknowledges_all(self) -> None:
+        """Wait until all that the other side has sent is here, and it knows that."""
+        async with asyncio.timeout(60):
+            while self.other.in_transit():
+                self.tick()
+                await asyncio.sleep(0.005)
 
     def tick(self) -> None:
         self.scheduler.tick()

@@ -164,7 +164,7 @@ def test_frames_wait_for_their_route_and_for_the_move() -> None:
             near.carry(5)
             near.routes[5].send(b"early")
             other.send(b"behind")
-            await until(lambda: far.tick() or near.in_transit() == 0)
+            await far.acknowledges_all()
             assert not far.routes[2].arrived
             far.carry(5)
             await until(lambda: far.routes[2].arrived)
@@ -190,7 +190,7 @@ def test_held_frames_of_a_route_that_closes_hold_up_nobody() -> None:
             near.carry(5)
             near.routes[5].send(b"early")
             near.routes[2].send(b"behind")
-            await until(lambda: far.tick() or near.in_transit() == 0)
+            await far.acknowledges_all()
             del far.routes[5]
             far.closed.add(5)
             far.tick()
@@ -214,7 +214,7 @@ def test_a_route_that_ends_while_it_takes_messages_is_left_alone() -> None:
             near.routes[1].send(bytes(2_000))
             await until(lambda: route.arrived)
             near.routes[1].send(bytes(2_000))
-            await until(lambda: far.tick() or near.in_transit() == 0)
+            await far.acknowledges_all()
             assert len(route.arrived) == 1
             assert not near.routes[1].lost
 

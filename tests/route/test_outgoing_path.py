@@ -33,7 +33,7 @@ def unlimited(world: World) -> None:
 
 
 def test_a_step_is_on_the_path_while_it_is_on(world: World) -> None:
-    path, ledger = world.route._path, world.route._ledger
+    path, ledger = world.path, world.ledger
     assert path._steps == ()
     publish(world, 10)
     limited(world)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Self, TypeVar
 from rsb_bridge.model.calls import FEATURE
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramWriter, Probe
-from rsb_bridge.wire.events import Accepted, Established, Received
+from rsb_bridge.wire.events import Accepted, Established, Received, StreamName
 from rsb_bridge.wire.framing import CONTROL_LIMIT, MESSAGE_LIMIT, MORE, DataWriter
 from rsb_bridge.wire.messages import Accept, Describe, Hello, Propose, Ready, Refuse
 from rsb_bridge.wire.records import Source
@@ -116,15 +116,19 @@ class Rogue:
                 pass
 
     def stream(self, route: int) -> tuple[socket.socket, DataWriter]:
-        """A route's stream, let in, and what writes its frames."""
-        assert self.has_stream(route)
-        return self.streams[-1], DataWriter(self.keys.route_sealer(route, "client"), route)
+        """Return the stream of small messages, and a writer of a route's frames."""
+        assert self.has_streams()
+        return self.streams[0], DataWriter(self.keys.route_sealer(route, "client"), route)
 
-    def has_stream(self, route: int) -> bool:
-        """Whether the server lets a route's stream in, which stays open."""
-        stream = socket.create_connection(self._address, timeout=self._timeout)
+    def has_streams(self) -> bool:
+        """Whether the server lets both data streams in; they are opened once."""
+        return len(self.streams) == 2 or all(self.open_stream(large=large) for large in (False, True))
+
+    def open_stream(self, *, large: bool, port: int = 0) -> bool:
+        """Open a further data stream, and return whether the server lets it in."""
+        stream = socket.create_connection((self._address[0], port or self._address[1]), timeout=self._timeout)
         self.streams.append(stream)
-        data = DataConnection(self.keys, route)
+        data = DataConnection(self.keys, StreamName(len(self.streams), port, large))
         stream.sendall(data.start())
         return data.receive_data(stream.recv(4096)) == [Accepted()]
 

@@ -51,8 +51,8 @@ class RouteEnd(Protocol):
 class RouteNumbers(Protocol):
     """The ids of a link's routes."""
 
-    def is_open_id(self, route_id: int) -> bool:
-        """Whether a route is open under an id."""
+    def awaits_channel(self, route_id: int) -> bool:
+        """Whether a route is open under an id, and has no channel yet."""
         ...
 
     def is_closed_id(self, route_id: int) -> bool:
@@ -212,6 +212,7 @@ class StreamPair:
         small: the stream of small messages, or None until it is accepted.
         large: that of large messages, or the same one.
         over: whether they have ended.
+        kept: whether they stay open while no route uses them.
     """
 
     def __init__(
@@ -220,6 +221,7 @@ class StreamPair:
         self.small: DataStream | None = None
         self.large: DataStream | None = None
         self.over = False
+        self.kept = True
         self.scheduler = scheduler
         self.book = book
         self.budget = budget
@@ -251,13 +253,10 @@ class StreamPair:
         self._ends[route_id] = end
 
     def forget(self, route_id: int) -> None:
-        """Forget a route, which is closed."""
+        """Forget a route, which is closed; the last one closes streams that are not the link's own."""
         self._ends.pop(route_id, None)
-
-    @property
-    def is_used(self) -> bool:
-        """Whether any route uses it."""
-        return bool(self._ends)
+        if not self._ends and not self.kept and not self.over:
+            self.end("no topic uses it any more")
 
     def pass_on(self, stream: DataStream, kind: int, route_id: int, frames: Sequence[memoryview]) -> bool:
         """Hand frames to their route; return False if they have to wait.
@@ -269,7 +268,7 @@ class StreamPair:
         end = self._ends.get(route_id)
         if end is not None and kind in (DATA, MOVED):
             return end.received(stream, kind, frames)
-        if kind == DATA and self._routes.is_open_id(route_id):
+        if kind == DATA and self._routes.awaits_channel(route_id):
             return False  # the control message that opens its channel comes by another stream
         if kind not in (DATA, MOVED) or not self._routes.is_closed_id(route_id):
             raise ProtocolError(Broken.FRAME_OF_UNKNOWN_ROUTE(kind=kind, route=route_id))

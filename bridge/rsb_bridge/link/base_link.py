@@ -119,9 +119,10 @@ class RouteIds:
         """Return the id of a route's last opening on this connection, or 0 without one."""
         return route.id or next(reversed(route.closed_ids), 0)
 
-    def is_open_id(self, route_id: int) -> bool:
-        """Whether a route is open under an id."""
-        return route_id in self._by_id
+    def awaits_channel(self, route_id: int) -> bool:
+        """Whether a route is open under an id, and has no channel yet."""
+        route = self._by_id.get(route_id)
+        return route is not None and route.channel is None
 
     def is_closed_id(self, route_id: int) -> bool:
         """Whether a route was open under an id and is closed: what still arrives for it is late, not wrong."""

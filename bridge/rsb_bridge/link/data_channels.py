@@ -213,6 +213,7 @@ class DataChannels:
         if (pair.large if name.large else pair.small) is not None:
             pair.lost("replaced by a newer data connection")
             pair = self._pair(transport.name, port)
+        pair.kept = not name.port
         both = transport.multiplexed
         added = pair.add(stream, name.number, large=name.large or both, small=both or not name.large)
         stream.handler = added
