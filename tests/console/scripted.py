@@ -116,7 +116,7 @@ ROUTES = (
           history=(1, 0, 1, 1) + (0,) * 8, bytes_per_second=0.0),
     route("/robot2/scan", State.DOWN, transport="bluetooth", port=3, reason="no publisher of /scan in domain 4",
           stages=stages(0, "no publisher of /scan in domain 4"), rate=0.0, age=31.0, latency_p50=None, qos=None,
-          last_error="No route to host", history=(10, 10, 8, 3, 1) + (0,) * 31),
+          last_error="No route to host", last_error_at=NOW - 5, history=(10, 10, 8, 3, 1) + (0,) * 31),
     route("/initialpose", State.PAUSED, outgoing=True, rate=0.0, expected_rate=None, age=None, latency_p50=None,
           history=(), ledger=Ledger()),
     route("/tf", rate=100.0, expected_rate=100.0, transport="tcp", history=(100,) * 120),

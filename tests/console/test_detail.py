@@ -99,9 +99,9 @@ def test_where_peer_and_carrier_have_no_room_beside_each_other_both_are_whole() 
 
 def test_what_has_no_room_on_one_line_goes_on_on_the_next() -> None:
     qos = Qos(reliability="best_effort", durability="transient_local", depth=5, deadline=0.5)
-    engine = ScriptedEngine(
-        routes=(route("/scan", qos=qos, latency_p99=0.0123, last_error="No route to host, again and again"),)
-    )
+    error = "No route to host, again and again"
+    wordy = route("/scan", qos=qos, latency_p99=0.0123, last_error=error, last_error_at=1e9)
+    engine = ScriptedEngine(routes=(wordy,))
     app = scripted_app(make_engine=lambda _session, _base: engine)
 
     async def steps(pilot: Pilot[None]) -> None:

@@ -18,6 +18,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.engine import fault_hook
 from rsb_bridge.engine.fault_hook import (
     EVERY,
+    FOR_LINKS,
     OUTPUT,
     STARTS,
     STARTS_WITHIN,
@@ -33,7 +34,7 @@ from rsb_bridge.model.snapshot import Level, RouteSnapshot, Snapshot, State
 from rsb_bridge.telemetry.event_log import EventLog
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from rsb_bridge.context import Context
 
@@ -175,7 +176,7 @@ def test_one_runs_at_a_time_and_what_waits_is_merged(hooked: Hooked, monkeypatch
     eventually(told_again)
     first, second = hooked.told
     assert (first["merged"], second["merged"]) == (0, 3)
-    assert (second["event"], second["cause"], second["previous_cause"]) == ("changed", "cause3", "cause2")
+    assert (second["event"], second["cause"], second["previous_cause"]) == ("changed", "cause3", "slow")
 
 
 def test_one_that_takes_too_long_is_ended_with_its_children(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -270,14 +271,24 @@ def changed(number: int, kind: ChangeKind = ChangeKind.BEGUN, **changes: Any) ->
     return FaultChange(kind, route(f"/topic{number}", State.SLOW, **changes))
 
 
+def of_link(kind: ChangeKind = ChangeKind.BEGUN) -> FaultChange:
+    return FaultChange(kind, replace(LINK, state=State.DOWN, cause="lost"))
+
+
+def kinds(changes: Iterable[FaultChange]) -> list[tuple[str, str, str]]:
+    return [(*change.key, change.kind) for change in changes]
+
+
 def test_a_limited_number_of_changes_waits_and_the_rest_is_counted() -> None:
     waiting = WaitingChanges()
-    for number in range(100):
+    for number in range(WAITING + 50):
         waiting.add(changed(number))
-    assert len(waiting) == WAITING
-    change, merged = waiting.take()
-    assert (change.key, merged) == (("route", "/topic0"), 100 - WAITING)
-    assert waiting.take()[1] == 0
+    assert (len(waiting), waiting.merged) == (WAITING, 50)
+    waiting.told(waiting.in_order())
+    assert (len(waiting), waiting.merged) == (0, 0)
+    for number in range(WAITING + 50):
+        waiting.add(changed(number, ChangeKind.OVER))
+    assert kinds(waiting.in_order()) == [("route", f"/topic{number}", "over") for number in range(WAITING)]
 
 
 def test_of_one_topic_the_newest_change_waits() -> None:
@@ -285,13 +296,44 @@ def test_of_one_topic_the_newest_change_waits() -> None:
     waiting.add(changed(0))
     waiting.add(changed(1))
     waiting.add(changed(0, ChangeKind.CHANGED, cause="slow"))
-    assert len(waiting) == 2
-    change, merged = waiting.take()
-    assert isinstance(change.subject, RouteSnapshot)
-    assert (change.kind, change.subject.cause, merged) == (ChangeKind.BEGUN, "slow", 1), "its begin was not told"
+    assert kinds(waiting.in_order()) == [("route", "/topic1", "begun"), ("route", "/topic0", "begun")]
+    assert waiting.in_order()[1].subject.cause == "slow"
+    assert waiting.merged == 1
+
+
+def test_nothing_is_over_that_was_not_told_to_have_begun() -> None:
+    waiting = WaitingChanges()
+    waiting.add(changed(0))
+    waiting.add(changed(0, ChangeKind.OVER))
     waiting.add(changed(1, ChangeKind.OVER))
-    change, merged = waiting.take()
-    assert (change.kind, merged) == (ChangeKind.OVER, 1)
+    assert kinds(waiting.in_order()) == []
+    waiting.add(changed(0))
+    waiting.told(waiting.in_order())
+    waiting.add(changed(0, ChangeKind.OVER))
+    assert kinds(waiting.in_order()) == [("route", "/topic0", "over")]
+    waiting.add(changed(0))
+    assert kinds(waiting.in_order()) == [("route", "/topic0", "changed")], "its end was not told"
+
+
+def test_links_come_first_though_many_topics_failed_before() -> None:
+    waiting = WaitingChanges()
+    for number in range(WAITING):
+        waiting.add(changed(number))
+    waiting.add(of_link())
+    assert kinds(waiting.in_order())[0] == ("link", "robot1", "begun")
+    assert len(waiting) == WAITING
+
+
+def test_many_at_once_are_one_command_with_a_list(hooked: Hooked) -> None:
+    hooked.open()
+    topics = [replace(SLOW, key=f"/topic{number}", topic=f"/topic{number}") for number in range(30)]
+    hooked.sees(*topics)
+    eventually(lambda: hooked.told)
+    (told,) = hooked.told
+    names = [told["name"], *(each["name"] for each in told["others"])]
+    assert sorted(names) == sorted(each.topic for each in topics)
+    assert {each["event"] for each in told["others"]} == {"begun"}
+    assert (told["ongoing"], told["merged"]) == (30, 0)
 
 
 def test_it_starts_once_a_second_and_ten_times_a_minute() -> None:
@@ -301,3 +343,9 @@ def test_it_starts_once_a_second_and_ten_times_a_minute() -> None:
     for begin in starts:
         assert sum(begin <= start < begin + STARTS_WITHIN for start in starts) <= STARTS
     assert len(starts) == STARTS * 10
+
+
+def test_topics_leave_starts_to_links() -> None:
+    limit = StartLimit()
+    assert sum(limit.take(float(second), for_link=False) for second in range(60)) == STARTS - FOR_LINKS
+    assert limit.take(59.5, for_link=True)

@@ -19,7 +19,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.topic_route import TopicRoute
-from rsb_bridge.route.topic_verdict import LOWER_MTU, USE_TCP
+from rsb_bridge.route.topic_verdict import USE_TCP
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -102,15 +102,19 @@ def test_nothing_wrong_is_said_of_an_overload(
         assert all(each.cause in _OVERLOADED for each in seen if each.at > trouble[0].at), "it is ok no more"
         full = [each for each in seen if each.full is not None]
         assert full[0].at <= _FULL_WITHIN
-        assert {each.cause for each in seen if each.at > full[0].at + 2.0} <= {Cause.LATE, Cause.QUEUE_FULL}
+        assert {each.cause for each in seen if each.at > full[0].at + 2.0} <= {
+            Cause.LATE,
+            Cause.LOSSY,
+            Cause.QUEUE_FULL,
+        }
         for each in full:
             assert each.full is not None
             assert _CARRIED[0] <= each.full.carried <= _CARRIED[1]
             assert 0.8 * rate * 1000 <= each.full.asked <= 1.25 * rate * 1000
     for seen in recovery:
-        assert {each.cause for each in seen} <= {Cause.NONE, Cause.LATE, Cause.QUEUE_FULL}
+        assert {each.cause for each in seen} <= {Cause.NONE, Cause.LATE, Cause.LOSSY, Cause.QUEUE_FULL}
     texts = {each.text for seen in (*overload, *recovery) for each in seen}
-    assert not [text for text in texts if USE_TCP in text or LOWER_MTU in text]
+    assert not [text for text in texts if USE_TCP in text]
 
 
 def test_a_path_that_takes_seconds_is_not_full(bridge: Bridge, robot: Domain, pc: Domain) -> None:

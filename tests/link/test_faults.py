@@ -198,3 +198,13 @@ def test_only_without_a_goodbye_is_there_a_remedy(reason: str, code: EventCode, 
     found, said = broken.status.down.call_args.args
     assert found == cause
     assert (said != reason) is remedy
+
+
+def test_a_client_that_is_shut_down_names_the_remedy_on_both_sides(bridge: Bridge) -> None:
+    server, client = bridge.server(), bridge.client()
+    eventually(lambda: linked(client) and linked(server), what="linked")
+    client.shut_down().result(60)
+    for side in (client, server):
+        eventually(lambda side=side: not linked(side), what="down")
+        _, _, reason = as_json(side)
+        assert "rsb-console retry" in reason

@@ -62,6 +62,24 @@ def test_a_stall_is_not_full(part: float) -> None:
     )
 
 
+def test_in_a_gap_the_last_figures_stay() -> None:
+    bed = Bed()
+    bed.look(25e3, 25e3, 25e3, 25e3)
+    before = bed.fullness.out
+    assert bed.look(*[0.0] * 8)
+    assert bed.fullness.out == before
+    assert bed.look(25e3)
+    assert bed.events == [EventCode.LINK_FULL]
+
+
+def test_it_has_room_once_nothing_is_asked() -> None:
+    bed = Bed()
+    bed.look(25e3, 25e3, 25e3, 25e3)
+    for _ in range(4):
+        bed.fullness.tick([], 0.0, full=False, peer="the server")
+    assert bed.fullness.out is None
+
+
 def test_nothing_says_that_it_is_full() -> None:
     assert not Bed().look(25e3, 25e3, 25e3, 25e3, 25e3, full=False)
 
@@ -95,6 +113,8 @@ def test_a_link_that_carries_what_is_asked_is_not_full(asked: float) -> None:
 def test_a_smaller_figure_has_a_smaller_text() -> None:
     assert [rates_text(14.9e3, 15e3), rates_text(15e3, 15e3)] == ["14 of 15 kB/s", "15 of 15 kB/s"]
     assert rates_text(25e3, 48e3) == "25 of 48 kB/s"
+    assert rates_text(30e3, 68e6) == "0.03 of 68 MB/s"
+    assert rates_text(0.0, 68e6) == "0 of 68 MB/s"
 
 
 def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
@@ -114,3 +134,15 @@ def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, make_con
     link.handlers[Duplicate](Duplicate())
     link.fullness.take_record(FullRecord(), "the server")
     assert link.snapshot().fault_since == up
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(30, "30 s ahead of"), (-7200, "2 h behind"), (2, "")])
+def test_clocks_that_differ_are_a_warning(seconds: int, words: str, make_context: Callable[..., Context]) -> None:
+    link = ClientRole(make_context(), {"robot1": ()}).links()[0]
+    link.control = SimpleNamespace()  # type: ignore[assignment]
+    link.status.up(link.context.wall())
+    there = seconds * 10**9
+    link.clock.add(0, there + 10**6, there + 10**6, 2 * 10**6)
+    assert words in link.warning
+    assert bool(link.warning) is bool(words)
+    assert link.cause is (LinkCause.CLOCKS_DIFFER if words else LinkCause.NONE)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import struct
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 from tests.link.test_arming import CONSOLE, arm, let_time_pass, propose, route
 from tests.link.test_route_table import Pair, Side, hear_all
 
 from rsb_bridge.cdr.resting import resting, stamped
+from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.session import Topic
+from rsb_bridge.model.session import Armed, Topic
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, Disarmed
 from rsb_bridge.route.incoming import IncomingRoute
@@ -29,11 +31,14 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
+    from rsb_bridge.model.calls import Fields
 
 BEGIN = b"\0\1\0\0"
 TWIST = "geometry_msgs/msg/Twist"
+POSE = "geometry_msgs/msg/PoseStamped"
 MOVES = BEGIN + struct.pack("<6d", 0.2, 0, 0, 0, 0, 0.5)
 RESTS = BEGIN + bytes(48)
+STAYS = BEGIN + struct.pack("<6d", 0.1, 0, 0, 0, 0, 0)
 DEADMAN = 30.0
 REST_OVER = EVERY * TIMES
 
@@ -55,6 +60,7 @@ class Robot(NoRos):
 
     def __init__(self, loop: VirtualLoop) -> None:
         super().__init__()
+        self.installed = (TWIST, POSE)
         self.heard: list[Heard] = []
         self.open = 0
         self._loop = loop
@@ -62,6 +68,19 @@ class Robot(NoRos):
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Voice:
         self.open += 1
         return Voice(self, self._loop, self.open)
+
+    def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
+        if type_name not in self.installed:
+            raise RosError("it is not installed")
+        assert isinstance(fields, dict)
+        fields = dict(fields)
+        header = fields.pop("header", None)
+        if header is not None and type_name == TWIST:
+            raise FieldError("it has no header")
+        if fields.keys() - {"x"}:
+            raise FieldError("it has no such field")
+        stamp = struct.pack("<iI", *divmod(now, 10**9)) if header else b""
+        return BEGIN + stamp + struct.pack("<6d", float(str(fields.get("x", 0))), 0, 0, 0, 0, 0)
 
 
 class Voice:
@@ -90,19 +109,36 @@ class Driven:
         robot: the robot's ROS.
     """
 
-    def __init__(self, loop: VirtualLoop, make_context: Callable[..., Context], kind: str = TWIST) -> None:
+    def __init__(
+        self,
+        loop: VirtualLoop,
+        make_context: Callable[..., Context],
+        kind: str = TWIST,
+        on_end: str | dict[str, Any] | None = None,
+        there: str | dict[str, Any] | None = None,
+    ) -> None:
+        """Arm it.
+
+        Args:
+            loop: the loop.
+            make_context: makes the contexts.
+            kind: of the topic.
+            on_end: of the robot's session.
+            there: of the control PC's.
+        """
         self.robot, self._loop = Robot(loop), loop
-        here, there = (
-            Side(make_context(ros=self.robot), is_client=True),
-            Side(make_context(role="server"), is_client=False),
-        )
-        here.other, there.other = there, here
-        self.pair: Pair = (here, there)
-        propose(here, Topic("/cmd_vel", "receive", arm=True, deadman=DEADMAN, type=kind))
+        armed = () if there is None else (Armed("/cmd_vel", on_end=there),)
+        here = Side(make_context(ros=self.robot), is_client=True)
+        pc = Side(make_context(role="server", armed=armed), is_client=False)
+        here.other, pc.other = pc, here
+        self.pair: Pair = (here, pc)
+        propose(here, Topic("/cmd_vel", "receive", arm=True, deadman=DEADMAN, type=kind, on_end=on_end))
         hear_all(self.pair)
         self.kind = kind
         self.describe()
-        arm(there, loop).result()
+        if not self.half.id:
+            return  # it is refused
+        arm(pc, loop).result()
         let_time_pass(self.pair, loop, 0.5)
 
     def describe(self) -> None:
@@ -263,6 +299,62 @@ def test_a_type_that_moves_nothing_has_no_rest(loop: VirtualLoop, make_context: 
     by_an_operator(driven, 0)
     driven.wait(1.0)
     assert len(driven.payloads) == 1
+
+
+@pytest.mark.parametrize(
+    ("on_end", "there", "rest", "shown"),
+    [
+        (None, None, RESTS, "zero"),
+        ("zero", "none", RESTS, "zero"),
+        ("none", "zero", RESTS, "zero"),
+        ("none", None, None, "none"),
+        (None, "none", None, "none"),
+        ({"x": 0.1}, "zero", STAYS, '{"x": 0.1}'),
+        ("zero", {"x": 0.1}, RESTS, "zero"),
+        (None, {"x": 0.1}, STAYS, '{"x": 0.1}'),
+        ("none", {"x": 0.1}, STAYS, '{"x": 0.1}'),
+    ],
+)
+def test_the_more_careful_session_says_what_follows(
+    on_end: str | dict[str, Any] | None,
+    there: str | dict[str, Any] | None,
+    rest: bytes | None,
+    shown: str,
+    loop: VirtualLoop,
+    make_context: Callable[..., Context],
+) -> None:
+    """Of two messages the robot's counts; both sides show which."""
+    driven = Driven(loop, make_context, on_end=on_end, there=there)
+    driven.drive()
+    assert driven.half.on_end == shown
+    by_an_operator(driven, 0)
+    driven.wait(1.0)
+    assert driven.payloads == [MOVES] + ([] if rest is None else [rest] * TIMES)
+
+
+def test_a_message_has_a_fresh_stamp_each_time(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    driven = Driven(loop, make_context, POSE, {"x": 0.1})
+    driven.drive()
+    by_an_operator(driven, 0)
+    driven.wait(1.0)
+    stamps = [struct.unpack_from("<iI", each, 4) for each in driven.payloads[1:]]
+    assert len(set(stamps)) == TIMES
+
+
+def test_zero_of_another_type_has_its_defaults(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    driven = Driven(loop, make_context, POSE, "zero")
+    driven.drive()
+    by_an_operator(driven, 0)
+    driven.wait(1.0)
+    assert {each[12:] for each in driven.payloads[1:]} == {bytes(48)}
+
+
+@pytest.mark.parametrize(("kind", "on_end"), [(TWIST, {"y": 0.1}), ("a_msgs/msg/Speed", "zero")])
+def test_a_message_that_does_not_fit_is_refused_before_anything_moves(
+    kind: str, on_end: str | dict[str, Any], loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    driven = Driven(loop, make_context, kind, on_end)
+    assert "on_end" in driven.half.refusal
 
 
 def header(frame: bytes, sec: int = 5) -> bytes:

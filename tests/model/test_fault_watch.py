@@ -101,6 +101,18 @@ def test_a_link_that_is_down_explains_its_routes() -> None:
     assert watched.watch.ongoing == 0
 
 
+def test_a_lossy_link_explains_the_routes_that_suffer_from_it() -> None:
+    watched = Watched()
+    lossy = replace(LINK, cause=LinkCause.LOSSY, warning="30 % of packets are lost")
+    late, stopped = route("/late", State.LATE, cause=Cause.LOSSY), route("/odom", State.STOPPED)
+    found = watched.sees(late, stopped, link=lossy, seconds=9)
+    assert [(change.kind, change.key) for change in found] == [
+        (ChangeKind.BEGUN, ("link", "robot1")),
+        (ChangeKind.BEGUN, ("route", "/odom")),
+    ]
+    assert [change.key for change in watched.sees(late, stopped, seconds=9)] == [("link", "robot1"), ("route", "/late")]
+
+
 def test_a_link_with_a_warning_is_at_fault_though_it_is_up() -> None:
     watched = Watched()
     twice = replace(LINK, cause=LinkCause.NAME_TAKEN, warning="a second robot1")

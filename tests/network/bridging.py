@@ -92,6 +92,10 @@ class Program:
         found = next((each["status"] for each in reversed(self.log) if "status" in each), None)
         return found or {"links": {}, "routes": []}
 
+    def link(self) -> dict[str, Any]:
+        """The link in the newest status, or an empty dict."""
+        return next(iter(self.status()["links"].values()), {})
+
     def route(self, topic: str) -> dict[str, Any]:
         """Return a topic of the newest status, or an empty row."""
         return next((each for each in self.status()["routes"] if each["topic"] == topic), {})

@@ -126,6 +126,16 @@ class Cable:
         for host, device in self.ends:
             host.run("tc", "qdisc", "add", "dev", device, "root", *f"tbf rate {rate} burst 4kb latency {queue}".split())
 
+    def lose(self, percent: int) -> None:
+        """Lose a share of the packets, both ways."""
+        for host, device in self.ends:
+            rule = f"numgen random mod 100 < {percent} drop"
+            host.nft(
+                f"add table netdev lose_{device};"
+                f"add chain netdev lose_{device} in {{ type filter hook ingress device {device} priority 0; }};"
+                f"add rule netdev lose_{device} in {rule}"
+            )
+
     def cut(self) -> None:
         """Carry nothing, and tell nobody: as a cable behind a switch, or a machine without power."""
         for host, device in self.ends:

@@ -126,7 +126,8 @@ def test_what_is_worse_and_what_is_not() -> None:
 @pytest.mark.parametrize("cause", ["lost on the way", "incomplete", "queue full"])
 def test_what_is_lost_on_a_full_link_is_overload(lost: int, state: State, cause: str) -> None:
     verdict = verdict_on(SENDER, loss=Loss(lost, 20, cause, NOW), full=FULL, datagrams=36)
-    assert (verdict.state, verdict.cause) == (state, Cause.QUEUE_FULL)
+    assert (verdict.state, verdict.cause) == (state, Cause.QUEUE_FULL if cause == "queue full" else Cause.LOSSY)
+    assert FULL.share in verdict.text
     assert "tcp" not in verdict.text
     assert "MTU" not in verdict.text
     assert verdict_on(SENDER, loss=Loss(lost, 20, "too large", NOW), full=FULL).cause == Cause.TOO_LARGE

@@ -79,11 +79,21 @@ def test_a_sentence_names_a_few_nodes_and_types() -> None:
     assert "and 2 more" in str(failure.value)
 
 
-def test_another_name_is_suggested_only_where_nobody_ever_published_this_one() -> None:
-    similar = SimpleNamespace(of=lambda topic: "/chart")
-    context = cast("Any", SimpleNamespace(domain_id=3, similar_topics=similar))
+def test_a_similar_name_is_suggested_if_the_topic_may_have_moved_there() -> None:
+    elsewhere = [publisher(A, "1", "/other")]
+    context = cast(
+        "Any",
+        SimpleNamespace(
+            domain_id=3,
+            similar_topics=SimpleNamespace(of=lambda topic: "/chart"),
+            ros=SimpleNamespace(publishers=lambda topic: elsewhere),
+        ),
+    )
     resolver = Resolver(context, Propose(route=1, topic="/chat", remote_topic="/chat", from_client=True))
     assert resolver.no_publisher() == "no publisher of /chat in domain 3; did you mean /chart?"
-    resolver.look([publisher(A, "1")])
+    resolver.look([publisher(A, "1", "/talker")])
+    assert resolver.similar == ""
     resolver.look([])
-    assert resolver.no_publisher() == "no publisher of /chat in domain 3"
+    assert resolver.similar == "", "another node's topic"
+    elsewhere.append(publisher(A, "1", "/talker"))
+    assert resolver.similar == "/chart", "its publisher has another name for it now"

@@ -12,9 +12,10 @@ from rsb_bridge.route.thinning import Share, ThinningShare, why
 
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.limits import REASON_LENGTH
+from rsb_bridge.model.path_fault import PathFault
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.verdict import EXPIRES, FINE, Cause, Verdict, about, worse
+from rsb_bridge.model.verdict import EXPIRES, FINE, Cause, LinkCause, Verdict, about, worse
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.age import Expired, expired_verdict
 from rsb_bridge.route.arming import DISARM_TEXT, Disarmed
@@ -23,7 +24,6 @@ from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_o
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill
 from rsb_bridge.route.topic_verdict import (
-    LOWER_MTU,
     PUBLISHED_NOTHING,
     STOPPED_PUBLISHING,
     USE_TCP,
@@ -64,6 +64,9 @@ RECEIVER = Facts(
 )
 
 
+LOSSY = PathFault(LinkCause.LOSSY, "30 % of packets are lost")
+LARGE, SILENT = PathFault(LinkCause.LARGE_PACKETS, "lower the MTU"), PathFault(LinkCause.SILENT, "nothing comes")
+LATE = Late(1.4, 0.2, "", None, NOW)
 LOST, FULL = Loss(9, 10, "lost on the way", NOW - 2.0), Fullness(5e3, 14e3)
 
 
@@ -89,8 +92,16 @@ def test_a_route_that_flows_is_fine() -> None:
             {"breaking": "Connection timed out", "refusal": "data connection: Connection timed out"},
             State.DOWN,
             Cause.NO_PATH,
-            ["(Connection timed out)", "MTU"],
+            ["(Connection timed out)", "firewalls"],
         ),
+        (SENDER, {"refusal": "data connection: Broken pipe"}, State.DOWN, Cause.NO_PATH, ["Broken pipe"]),
+        (SENDER, {"path": LOSSY, "late": LATE}, State.LATE, Cause.LOSSY, [LOSSY.text]),
+        (SENDER, {"path": LOSSY, "loss": LOST}, State.SLOW, Cause.LOSSY, [LOSSY.text]),
+        (SENDER, {"path": LOSSY, "no_path": "stuck"}, State.DOWN, Cause.LOSSY, [LOSSY.text]),
+        (RECEIVER, {"path": LOSSY, "stale_since": NOW - 20.0}, State.STALE, Cause.LOSSY, [LOSSY.text]),
+        (SENDER, {"path": LARGE, "loss": LOST}, State.SLOW, Cause.NO_PATH, ["MTU"]),
+        (SENDER, {"path": LARGE, "late": LATE}, State.LATE, Cause.LATE, []),
+        (SENDER, {"path": SILENT, "no_path": "stuck"}, State.DOWN, Cause.NO_PATH, [SILENT.text]),
         (
             SENDER,
             {
@@ -159,6 +170,13 @@ def test_a_route_that_flows_is_fine() -> None:
             State.WAITING,
             Cause.SIMILAR_NAME,
             ["/chat", "domain 2", "/char"],
+        ),
+        (
+            SENDER,
+            {"stopped_since": NOW - 9.0, "expected_rate": 10.0, "endpoints": [], "similar": "/char"},
+            State.STOPPED,
+            Cause.PUBLISHER_GONE,
+            ["any more", "/char?"],
         ),
         (SENDER, {"came": False}, State.WAITING, Cause.PUBLISHER_SILENT, [f"/talker {PUBLISHED_NOTHING[0]}"]),
         (
@@ -244,8 +262,8 @@ def test_a_route_that_flows_is_fine() -> None:
             Cause.LOSSY,
             ["100", "protocol: tcp"],
         ),
-        (SENDER, {"loss": LOST, "full": FULL}, State.SLOW, Cause.QUEUE_FULL, [FULL.share]),
-        (SENDER, {"loss": LOST, "loss_of_full_link": True}, State.SLOW, Cause.QUEUE_FULL, []),
+        (SENDER, {"loss": LOST, "full": FULL}, State.SLOW, Cause.LOSSY, [FULL.share]),
+        (SENDER, {"loss": LOST, "loss_of_full_link": True}, State.SLOW, Cause.LOSSY, []),
         (SENDER, {"loss": LOST, "loss_unexplained": True}, State.SLOW, Cause.LOSSY, []),
         (
             SENDER,
@@ -541,7 +559,6 @@ def test_the_verb_agrees_with_the_names(nodes: list[str], verb: str, count: str 
 def test_no_remedy_makes_an_overload_worse(known: dict[str, Any], datagrams: int) -> None:
     text = verdict_on(SENDER, loss=LOST, datagrams=datagrams, **known).text
     assert USE_TCP not in text
-    assert LOWER_MTU not in text
     assert USE_TCP in verdict_on(SENDER, loss=LOST, datagrams=datagrams).text
 
 

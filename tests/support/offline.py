@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from rsb_bridge.model.capacity import Fullness
+    from rsb_bridge.model.path_fault import PathFault
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
 
@@ -74,6 +75,7 @@ class FakePeer:
     full_out: Fullness | None = None
     fullness_undecided = False
     full_in: Fullness | None = None
+    path_fault: PathFault | None = None
     features: tuple[str, ...] = (FEATURE, LEASE_FEATURE)
     down_reason = ""
     connections = 1

@@ -18,7 +18,8 @@ WICKED = "\x1b]0;gone\x07\n\u202e$(reboot)`id`\ud800" + "x" * 5000
 
 
 def report(change: FaultChange) -> dict[str, Any]:
-    line = fault_report(change, time=NOW, bridge="robot1", role="client", ongoing=2, merged=3)
+    line, count = fault_report([change], time=NOW, bridge="robot1", role="client", ongoing=2, merged=3)
+    assert count == 1
     assert line.isascii()
     assert line.endswith(b"\n")
     assert line.count(b"\n") == 1
@@ -48,6 +49,7 @@ def test_a_route() -> None:
         "previous_cause": "",
         "ongoing": 2,
         "merged": 3,
+        "others": [],
     }
 
 
@@ -83,10 +85,21 @@ def test_what_was_removed() -> None:
 
 def test_a_peers_text_does_nothing_and_is_short() -> None:
     scan = route(f"/{WICKED}", State.SLOW, cause=WICKED, reason=WICKED, link=WICKED)
-    line = fault_report(
-        FaultChange(ChangeKind.BEGUN, scan, before=(WICKED, WICKED)),
+    line, _ = fault_report(
+        [FaultChange(ChangeKind.BEGUN, scan, before=(WICKED, WICKED))],
         time=NOW, bridge=WICKED, role="client", ongoing=1, merged=0,
     )  # fmt: skip
     assert len(line) < 16_384, "it fits into a pipe that nobody reads"
     for text in json.loads(line).values():
         assert not isinstance(text, str) or text.isprintable()
+
+
+def test_as_many_as_a_pipe_holds() -> None:
+    changes = [
+        FaultChange(ChangeKind.BEGUN, route(f"/t{number}", State.SLOW, reason="\u202e\U0001f600" * 500))
+        for number in range(100)
+    ]
+    line, count = fault_report(changes, time=NOW, bridge="robot1", role="client", ongoing=100, merged=0)
+    assert len(line) < 65_536
+    assert 1 < count < 100
+    assert [each["name"] for each in json.loads(line)["others"]] == [f"/t{number}" for number in range(1, count)]

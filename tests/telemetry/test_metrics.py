@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +40,9 @@ CALLS = route(
 )
 
 
+LOSSY = replace(LINK, loss_out=0.3, loss_in=0.0)
+
+
 class Scraped:
     """An engine with a scripted snapshot, and a scraper."""
 
@@ -49,7 +53,7 @@ class Scraped:
         self.registry.register(SnapshotCollector(self._look, self.events))
 
     def _look(self) -> Snapshot:
-        return Snapshot(NOW, "hub", "server", "[::]:7060", 3, running=True, links=(LINK,), routes=self.routes)
+        return Snapshot(NOW, "hub", "server", "[::]:7060", 3, running=True, links=(LOSSY,), routes=self.routes)
 
     def samples(self, *routes: RouteSnapshot) -> dict[tuple[str, tuple[str, ...]], float]:
         """Return the samples by name and the values of the labels in their order, without session and link."""

@@ -291,3 +291,23 @@ def test_a_rare_loss_of_a_slow_topic_is_no_recovery_in_between() -> None:
     lossy(watch, [(1, 0)] * 4, state)
     assert watch.loss is not None
     assert not watch.loss.recovering
+
+
+def test_rare_messages_that_are_all_lost_are_a_fault() -> None:
+    watch, state = LossWatch(), [0, 0, 0]
+    lossy(watch, [(1, 0)], state)
+    for lost in range(1, 5):
+        lossy(watch, [(0, 0)] * 29 + [(0, 1)], state)
+        assert (watch.loss is not None) is (lost >= 3)
+    assert watch.loss is not None
+    assert (watch.loss.lost, watch.loss.of) == (4, 4)
+    lossy(watch, [(1, 0), *[(0, 0)] * 10], state)
+    assert watch.loss is None
+
+
+def test_all_are_lost_since_the_last_that_arrived() -> None:
+    watch, state = LossWatch(), [0, 0, 0]
+    lossy(watch, [(5, 5)] * 20, state)
+    lossy(watch, [(0, 10)] * 15, state)
+    assert watch.loss is not None
+    assert (watch.loss.lost, watch.loss.of, watch.loss.since) == (100, 100, 20)

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import errno
 import gc
+import os
 import socket
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
@@ -254,3 +255,8 @@ def test_a_connection_that_the_peer_has_reset_closes() -> None:
             await near_kept.over.wait()
 
     asyncio.run(main())
+
+
+@pytest.mark.parametrize("number", [errno.EPIPE, errno.ECONNRESET])
+def test_a_connection_that_breaks_is_explained(number: int) -> None:
+    assert says(os_error_message(OSError(number, os.strerror(number))), StreamProblem.RESET)

@@ -25,6 +25,7 @@ STRUCTS = {
     "ReceivedReport": records.ReceivedReport,
     "Verdict": records.VerdictRecord,
     "Full": records.FullRecord,
+    "Path": records.PathRecord,
     "LaneEntry": records.LaneEntry,
     "CallsReport": records.CallsReport,
     "TopicEntry": records.TopicEntry,

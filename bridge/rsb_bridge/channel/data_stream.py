@@ -43,6 +43,10 @@ class RouteEnd(Protocol):
         """
         ...
 
+    def uses(self, stream: DataStream) -> bool:
+        """Whether the route's messages are on a stream."""
+        ...
+
     def lost(self, reason: str) -> None:
         """Report the end of the streams to the route."""
         ...
@@ -100,7 +104,7 @@ class DataStream(StreamHandler):
         self._pair.scheduler.run()
 
     def closed(self, reason: str) -> None:
-        self._pair.lost(reason)
+        self._pair.lost(self, reason)
 
     def end(self, reason: str) -> None:
         """Close it; nothing more is heard of it."""
@@ -120,7 +124,7 @@ class DataStream(StreamHandler):
             else:
                 self.take(frames)
         except (ProtocolError, SealError) as error:
-            self._pair.lost(str(error))
+            self._pair.lost(self, str(error))
 
     def take(self, frames: Sequence[memoryview]) -> None:
         """Hand frames to their routes; what has to wait for another stream, or for its route, is held.
@@ -149,7 +153,7 @@ class DataStream(StreamHandler):
         try:
             self.take(held)
         except (ProtocolError, SealError) as error:
-            self._pair.lost(str(error))
+            self._pair.lost(self, str(error))
             return
         if not self._held:
             self.stream.resume_reading()
@@ -199,7 +203,7 @@ def _key_of(frame: memoryview) -> tuple[int, int]:
 class StreamPair:
     """The streams for small and for large messages of the routes that name one port.
 
-    Both end together: a route may have bytes on either.
+    If the stream of large messages is lost, as where only large packets are, the routes on the other one go on.
 
     Args:
         routes: ids of the link's routes.
@@ -285,21 +289,29 @@ class StreamPair:
             stream.send_receipt()
             stream.resume()
 
-    def lost(self, reason: str) -> None:
-        """End both streams; their routes open again."""
+    def lost(self, stream: DataStream, reason: str) -> None:
+        """End a stream; its routes open again. Without the stream of small messages, both end."""
         if self.over:
             return
-        self.end(reason)
+        if stream is self.small:
+            self.end(reason)
+        else:
+            self.large = None
+            self._end(stream, reason)
         for end in tuple(self._ends.values()):
-            end.lost(reason)
+            if self.over or end.uses(stream):
+                end.lost(reason)
 
     def end(self, reason: str) -> None:
         """End both streams; the routes hear nothing."""
         self.over = True
         for stream in self.streams():
-            stream.end(reason)
-            self.book.forget(stream.number)
-            self.scheduler.remove(stream, stream.sent - stream.acknowledged)
+            self._end(stream, reason)
+
+    def _end(self, stream: DataStream, reason: str) -> None:
+        stream.end(reason)
+        self.book.forget(stream.number)
+        self.scheduler.remove(stream, stream.sent - stream.acknowledged)
 
 
 def frame_size(frame: memoryview) -> int:

@@ -190,6 +190,7 @@ class DatagramSender(_DatagramChannel):
         self._waiting: Sequence[bytes] = ()
         self._timer: asyncio.TimerHandle | None = None
         self._receipted = (-1, 0)  # the newest datagram of the last receipt, and how many had arrived
+        self._receipted_at = float("-inf")
         self._arrivals: deque[tuple[float, int]] = deque(maxlen=_MOST_RECEIPTS)  # time (s), arrivals by then
         udp_channel.add_sender(route.id, self)
 
@@ -232,6 +233,7 @@ class DatagramSender(_DatagramChannel):
             share = max(0.0, min((receipt.opened - opened) / (receipt.newest - newest), 1.0))
             self.arrived_share = share if self.arrived_share is None else (share + self.arrived_share) / 2
             self._receipted = receipt.newest, receipt.opened
+            self._receipted_at = self._loop.time()
             self._note_arrivals(receipt.opened, self._loop.time())
         self._pacer.receipt(receipt.newest, receipt.opened, receipt.buffer, self._loop.time())
         if receipt.buffer < RECEIVE_BUFFER and self._codec.largest > self._pacer.window:
@@ -239,6 +241,16 @@ class DatagramSender(_DatagramChannel):
         if self._timer is not None:
             self._timer.cancel()
             self._go_on()
+
+    @property
+    def unheard_for(self) -> float:
+        """Seconds since a receipt told of further datagrams; infinite before the first."""
+        return self._loop.time() - self._receipted_at
+
+    def packets(self) -> tuple[int, int]:
+        """Return how many datagrams were sent and lost, by the last receipt."""
+        newest, opened = self._receipted
+        return newest + 1, newest + 1 - opened
 
     def _note_arrivals(self, opened: int, now: float) -> None:
         arrivals = self._arrivals

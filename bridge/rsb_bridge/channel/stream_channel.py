@@ -27,10 +27,7 @@ Mbit/s, and about as much as TCP keeps unsent."""
 class StreamTrouble(Wording):
     """Troubles of the data streams."""
 
-    STUCK = (
-        "nothing gets through its data connection now; if the link stays up, large packets are lost on the way: set a "
-        "lower MTU on both sides (ip link set DEVICE mtu 1280), or make messages smaller"
-    )
+    STUCK = "nothing gets through its data connection now: check the network and firewalls between the two sides"
 
 
 class _StreamEnd:
@@ -56,7 +53,7 @@ class _StreamEnd:
         return self._small.stream
 
     def trouble(self) -> str:
-        stuck = any(each.stream.stuck for each in self._pair.streams())
+        stuck = any(each.stream.stuck for each in self._pair.streams() if self.uses(each))
         return StreamTrouble.STUCK() if stuck else ""
 
     def close(self, reason: str) -> None:
@@ -65,6 +62,10 @@ class _StreamEnd:
     def lost(self, reason: str) -> None:
         """Report the end of the streams to the route."""
         self._route.channel_lost(reason)
+
+    def uses(self, stream: DataStream) -> bool:
+        """Whether the route's messages are on a stream."""
+        return stream is self._small
 
 
 class StreamSender(_StreamEnd):
@@ -169,7 +170,7 @@ class StreamSender(_StreamEnd):
 
     def _must_move(self, size: int) -> bool:
         """Whether the route has to move to the stream of large messages before one of that size."""
-        return size >= LARGE and self.via is self._small and self._pair.large is not self._small
+        return size >= LARGE and self.via is self._small and self._pair.large not in (None, self._small)
 
     def _next_piece(self, limit: int) -> memoryview:
         """Seal the next `limit` bytes of the first message in memory that is used again."""
@@ -187,6 +188,9 @@ class StreamSender(_StreamEnd):
         self._asked = False
         self._scheduler.leave(self)
         super().close(reason)
+
+    def uses(self, stream: DataStream) -> bool:
+        return stream is self.via or super().uses(stream)
 
     def received(self, stream: DataStream, kind: int, frames: Sequence[memoryview]) -> bool:
         """Refuse frames: the peer sends nothing on this route.
@@ -207,6 +211,9 @@ class StreamReceiver(_StreamEnd):
 
     def counts(self) -> Counts | None:
         return None
+
+    def uses(self, stream: DataStream) -> bool:
+        return stream is self._from or super().uses(stream)
 
     def received(self, stream: DataStream, kind: int, frames: Sequence[memoryview]) -> bool:
         if stream is not self._from:

@@ -35,7 +35,7 @@ from rsb_bridge.model.wording import Wording
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.model.session import Client, Session, Topic
 
 _MOVING_TYPES = frozenset(
     {
@@ -249,12 +249,29 @@ def moves_a_robot(topic: Topic) -> bool:
     return any(fnmatch.fnmatchcase(name, pattern) for name in names for pattern in _MOVING_NAMES)
 
 
+def _entries(session: Session) -> Iterator[tuple[Client | None, Topic]]:
+    """Yield a session's entries, each with the client that a server has it for."""
+    yield from ((None, topic) for topic in session.topics)
+    yield from ((client, topic) for client in session.clients for topic in client.topics)
+
+
+def guarded_here_alone(session: Session) -> Iterator[str]:
+    """Yield the names of topics that have to be armed, and move a robot in this side's domain.
+
+    After an arming, this bridge alone stops what they drive.
+    """
+    demands = Demands(sources_of(session))
+    for client, topic in _entries(session):
+        received = topic.direction == ("receive" if session.role == "client" else "transmit")
+        is_command = received and not topic.is_pattern and moves_a_robot(topic)
+        if is_command and demand_on_entry(demands, session, client, topic).arm:
+            yield topic.topic
+
+
 def without_max_age(session: Session) -> Iterator[str]:
     """Yield the names of a session's topics that move a robot and whose messages may be of any age."""
     demands = Demands(sources_of(session))
-    own = [(None, topic) for topic in session.topics]
-    of_clients = [(client, topic) for client in session.clients for topic in client.topics]
-    for client, topic in (*own, *of_clients):
+    for client, topic in _entries(session):
         is_limited = topic.max_age is not None or topic.arm
         if not (is_limited or topic.is_pattern):
             is_limited = demand_on_entry(demands, session, client, topic).max_age is not None

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from rsb_bridge.config.decoding import Hint, did_you_mean, join, read, show
+from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.config.file_form import LISTS, NOUNS, key_of, locations
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.model import transports
-from rsb_bridge.model.calls import LANES
+from rsb_bridge.model.calls import LANES, FieldError
 from rsb_bridge.model.limits import CHANNEL, NO_PORT, TEXT_LENGTH, TOPIC_LENGTH
 from rsb_bridge.model.names import expand_type_name, is_topic_name, server_topic, well_formed
+from rsb_bridge.model.on_end import LONGEST, NONE, ZERO, is_message, text_of
 from rsb_bridge.model.patterns import (
     EXCEPTIONS_PER_PATTERN,
     PATTERNS_PER_LINK,
@@ -53,6 +55,9 @@ class TopicMistake(Wording):
     PORT_OVER_ZENOH = "a link over Zenoh has no ports: leave it out"
     INVALID_PORT = "{port} is not a valid {kind}: {range}"
     DEADMAN_WITHOUT_ARM = "only {kind} with arm: true has a deadman: set arm: true, or leave it out"
+    ON_END_WITHOUT_ARM = "only {kind} with arm: true has it: set arm: true, or leave it out"
+    ON_END = "{value} is neither zero, none nor a message: {{linear: {{x: 0.1}}}}"
+    ON_END_TOO_LONG = "the message has {length} characters, and at most {limit} are allowed: leave out what is 0"
     OUT_OF_RANGE = "{value} is out of range: {range}"
     NO_NAME = "the {noun}'s name is empty: give an absolute one, /part/part"
     IS_A_PATTERN = "{name} is a pattern: give the name of one {noun}"
@@ -168,6 +173,26 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
     yield from range_problems(msgspec.structs.replace(topic, deadman=None) if useless_deadman else topic, location)
     if useless_deadman:
         yield Problem(join(location, "deadman"), TopicMistake.DEADMAN_WITHOUT_ARM(kind=A_KIND[topic.kind]))
+    if topic.on_end is not None and not topic.arm:
+        yield Problem(join(location, "on_end"), TopicMistake.ON_END_WITHOUT_ARM(kind=A_KIND[topic.kind]))
+    else:
+        yield from on_end_problems(text_of(topic.on_end), join(location, "on_end"))
+
+
+def on_end_problems(text: str, location: str) -> Iterator[Problem]:
+    """Yield the mistake in what a robot gets once an arming ends, as far as it shows without the type."""
+    if text in ("", ZERO, NONE):
+        return
+    if len(text) > LONGEST:
+        yield Problem(location, TopicMistake.ON_END_TOO_LONG(length=len(text), limit=LONGEST))
+        return
+    try:
+        fields = read_fields(text) if is_message(text) and text.isprintable() else None
+    except FieldError as error:
+        yield Problem(location, conceal(str(error)))
+        return
+    if not isinstance(fields, dict):
+        yield Problem(location, TopicMistake.ON_END(value=show(text)))
 
 
 def name_problems(name: str, location: str, kind: Kind = "topic") -> Iterator[Problem]:

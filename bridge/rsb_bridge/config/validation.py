@@ -34,6 +34,7 @@ from rsb_bridge.config.rights import benchmark_limit_problems, grant_problems, o
 from rsb_bridge.config.topic_rules import (
     form_problems,
     name_problems,
+    on_end_problems,
     overlaps,
     port_problems,
     range_problems,
@@ -45,6 +46,7 @@ from rsb_bridge.model import transports
 from rsb_bridge.model.demands import local_name
 from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, PORT, TOPIC_PORT
 from rsb_bridge.model.names import is_prefix, well_formed
+from rsb_bridge.model.on_end import text_of
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.session import Armed, Identity, Problem, Session, Topic, is_mac
 from rsb_bridge.model.text import is_clean
@@ -560,6 +562,7 @@ def armed_problems(armed: Sequence[str | Armed]) -> Iterator[Problem]:
         entry = Armed(each) if isinstance(each, str) else each
         yield from form_problems(entry.name, here if isinstance(each, str) else join(here, "name"), hidden=True)
         yield from range_problems(entry, here)
+        yield from on_end_problems(text_of(entry.on_end), join(here, "on_end"))
         if known.setdefault(entry, at) != at:
             yield Problem(here, SessionMistake.ARMED_TWICE(name=show(entry.name), number=known[entry] + 1))
 

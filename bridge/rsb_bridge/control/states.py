@@ -198,7 +198,7 @@ def out_of_reach(shown: Snapshot, reason: str, *, since: float, now: float) -> S
         links=tuple(
             replace(
                 link, state=model.State.DOWN, cause=LinkCause.UNREACHABLE, reason=reason, warning="", since=since,
-                retry_in=None, rtt=None, rx_bytes_per_second=0.0, tx_bytes_per_second=0.0,
+                retry_in=None, rtt=None, loss_out=None, loss_in=None, rx_bytes_per_second=0.0, tx_bytes_per_second=0.0,
             )
             for link in shown.links
         ),

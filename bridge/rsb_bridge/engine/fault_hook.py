@@ -9,6 +9,7 @@ import signal
 import subprocess
 import threading
 from collections import deque
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.validation import command_words, program_path, program_problem
@@ -19,7 +20,7 @@ from rsb_bridge.model.snapshot import Level, LinkSnapshot, PatternSnapshot
 from rsb_bridge.model.text import encodable, sanitize_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from rsb_bridge.context import Context
@@ -31,27 +32,42 @@ REMOVED = "removed"
 """State of a link, a route or a pattern that was removed."""
 
 
-def fault_report(change: FaultChange, *, time: float, bridge: str, role: str, ongoing: int, merged: int) -> bytes:
-    """Encode a change as one line of ASCII.
+def fault_report(
+    changes: Sequence[FaultChange], *, time: float, bridge: str, role: str, ongoing: int, merged: int
+) -> tuple[bytes, int]:
+    """Encode changes as one line of ASCII: the first with its fields, and a list of the others.
 
     Texts are cut and cleaned of control characters, since some come from the other side.
 
     Args:
-        change: to report.
+        changes: to report, the most important first.
         time: s since the epoch.
         bridge: the session's name.
         role: ``client`` or ``server``.
-        ongoing: number of faults that are reported and not over, this one included.
+        ongoing: number of faults that are reported and not over, these included.
         merged: number of earlier changes for which no command was run.
+
+    Returns:
+        The line, and how many of the changes are in it: as many as a pipe holds.
     """
+    first, *others = changes
+    content: dict[str, object] = {"version": VERSION, "time": round(time, 3), "bridge": _text(bridge), "role": role}
+    content |= _about(first, time, role) | {"ongoing": ongoing, "merged": merged}
+    room = _LINE - len(json.dumps(content))
+    told: list[dict[str, object]] = []
+    for each in others:
+        about = _about(each, time, role)
+        room -= len(json.dumps(about)) + len(", ")
+        if room < 0:
+            break
+        told.append(about)
+    return json.dumps(content | {"others": told}).encode("ascii") + b"\n", 1 + len(told)
+
+
+def _about(change: FaultChange, time: float, role: str) -> dict[str, object]:
+    """Return the fields of one change."""
     subject = change.subject
-    content: dict[str, object] = {
-        "version": VERSION,
-        "event": change.kind,
-        "time": round(time, 3),
-        "bridge": _text(bridge),
-        "role": role,
-    }
+    content: dict[str, object] = {"event": change.kind}
     if isinstance(subject, LinkSnapshot):
         content |= {"what": "link", "kind": "link", "name": _text(subject.name), "link": _text(subject.name)}
         text, from_peer, since = subject.reason or subject.warning, False, subject.fault_since
@@ -65,7 +81,7 @@ def fault_report(change: FaultChange, *, time: float, bridge: str, role: str, on
         content |= {"link": _text(subject.link), "outgoing": subject.outgoing}
         text, from_peer, since = subject.reason, subject.from_peer, subject.since
     state, cause = (REMOVED, "") if change.removed else (str(subject.state), subject.cause)
-    content |= {
+    return content | {
         "state": _text(state),
         "cause": _text(cause),
         "text": "" if change.removed else _text(text, REASON_LENGTH),
@@ -73,10 +89,7 @@ def fault_report(change: FaultChange, *, time: float, bridge: str, role: str, on
         "from_peer": from_peer,
         "previous_state": _text(change.before[0]),
         "previous_cause": _text(change.before[1]),
-        "ongoing": ongoing,
-        "merged": merged,
     }
-    return json.dumps(content).encode("ascii") + b"\n"
 
 
 def _text(text: str, limit: int = TEXT_LENGTH) -> str:
@@ -85,12 +98,16 @@ def _text(text: str, limit: int = TEXT_LENGTH) -> str:
 
 RUNS_FOR = 10.0
 """s after which a command is killed, with everything that it has started."""
-WAITING = 16
+WAITING = 256
 """Changes of different links, routes and patterns that wait for their command; later ones are counted as merged."""
+_LINE = 60_000
+"""Bytes of a report: a pipe holds 64 KiB, so that a command that does not read holds up nothing."""
 EVERY = 1.0
 """s between two starts of the command, at least."""
 STARTS, STARTS_WITHIN = 10, 60.0
 """The most starts of the command, and the s in which they are counted."""
+FOR_LINKS = 3
+"""Starts of these that are kept for changes of links."""
 OUTPUT = 1000
 """Characters of a command's output that are logged; the rest is read and dropped."""
 _ENDS_WITHIN = 1.0
@@ -145,32 +162,72 @@ class FaultHook:
 
 
 class WaitingChanges:
-    """Changes that wait for their command: the newest of each link, route and pattern, the longest waiting first."""
+    """Changes that wait for their command: the newest of each link, route and pattern.
+
+    A fault whose begin was not reported has no other report.
+    """
 
     def __init__(self) -> None:
         self._waiting: dict[tuple[str, str], FaultChange] = {}
+        self._told: set[tuple[str, str]] = set()
+        """Links, routes and patterns with a reported begin, and no reported end."""
         self._merged = 0
 
     def __len__(self) -> int:
         return len(self._waiting)
 
+    @property
+    def has_link(self) -> bool:
+        """Whether a change of a link waits."""
+        return any(isinstance(each.subject, LinkSnapshot) for each in self._waiting.values())
+
     def add(self, change: FaultChange) -> None:
         """Add a change. It replaces an earlier one of the same subject; if the queue is full, it is only counted."""
-        earlier = self._waiting.get(change.key)
-        if earlier is None and len(self._waiting) >= WAITING:
+        earlier = self._waiting.pop(change.key, None)
+        self._merged += earlier is not None
+        before = change.before if earlier is None else earlier.before
+        kind = change.kind
+        if change.key not in self._told:
+            if kind is ChangeKind.OVER:
+                self._merged += 1
+                return
+            kind = ChangeKind.BEGUN
+        elif kind is ChangeKind.BEGUN:
+            kind = ChangeKind.CHANGED  # its end was not told
+        if len(self._waiting) >= WAITING and not self._make_room(change):
             self._merged += 1
             return
-        if earlier is not None:
-            self._merged += 1
-            if earlier.kind is ChangeKind.BEGUN and change.kind is ChangeKind.CHANGED:
-                change = FaultChange(ChangeKind.BEGUN, change.subject, before=earlier.before)
-        self._waiting[change.key] = change
+        self._waiting[change.key] = replace(change, kind=kind, before=before)
 
-    def take(self) -> tuple[FaultChange, int]:
-        """Return the first change, and how many changes were merged since the last call."""
-        key = next(iter(self._waiting))
-        merged, self._merged = self._merged, 0
-        return self._waiting.pop(key), merged
+    def _make_room(self, change: FaultChange) -> bool:
+        """Drop the newest change of a topic for that of a link, or return False. A begin may be dropped, no end."""
+        if not isinstance(change.subject, LinkSnapshot) and change.kind is not ChangeKind.OVER:
+            return False
+        for key, each in reversed(self._waiting.items()):
+            if not isinstance(each.subject, LinkSnapshot) and each.kind is not ChangeKind.OVER:
+                del self._waiting[key]
+                self._merged += 1
+                return True
+        return False
+
+    def in_order(self) -> list[FaultChange]:
+        """Return all that wait: links first, then the longest waiting."""
+        return sorted(self._waiting.values(), key=lambda each: not isinstance(each.subject, LinkSnapshot))
+
+    @property
+    def merged(self) -> int:
+        """Number of changes that were merged since the last call of `told`."""
+        return self._merged
+
+    def told(self, changes: Iterable[FaultChange]) -> None:
+        """Remove the reported changes."""
+        self._merged = 0
+        for each in changes:
+            del self._waiting[each.key]
+            if each.kind is ChangeKind.OVER:
+                self._told.discard(each.key)
+            else:
+                self._told.add(each.key)
 
 
 class StartLimit:
@@ -179,11 +236,17 @@ class StartLimit:
     def __init__(self) -> None:
         self._starts: deque[float] = deque(maxlen=STARTS)
 
-    def take(self, now: float) -> bool:
-        """Return whether the command may start at `now` (s), and count the start if so."""
+    def take(self, now: float, *, for_link: bool = True) -> bool:
+        """Return whether the command may start at `now` (s), and count the start if so.
+
+        Args:
+            now: s.
+            for_link: whether a change of a link waits. So topics never use up all starts.
+        """
         if self._starts and now - self._starts[-1] < EVERY:
             return False
-        if len(self._starts) == STARTS and now - self._starts[0] < STARTS_WITHIN:
+        most = STARTS if for_link else STARTS - FOR_LINKS
+        if sum(now - each < STARTS_WITHIN for each in self._starts) >= most:
             return False
         self._starts.append(now)
         return True
@@ -228,7 +291,9 @@ class _Runner:
     def _run(self) -> None:
         while not self._ends:
             self._wait(EVERY if self._waiting else None)
-            if not self._ends and self._seen is not None and self._waiting and self._limit.take(self._clock.steady()):
+            if self._ends or self._seen is None or not self._waiting:
+                continue
+            if self._limit.take(self._clock.steady(), for_link=self._waiting.has_link):
                 self._report(self._seen)
 
     def _wait(self, timeout: float | None) -> None:
@@ -244,15 +309,16 @@ class _Runner:
             self._waiting.add(change)
 
     def _report(self, snapshot: Snapshot) -> None:
-        change, merged = self._waiting.take()
-        report = fault_report(
-            change,
+        changes = self._waiting.in_order()
+        report, count = fault_report(
+            changes,
             time=self._clock.time_ns() / 1e9,
             bridge=snapshot.name,
             role=snapshot.role,
             ongoing=self._watch.ongoing,
-            merged=merged,
+            merged=self._waiting.merged,
         )
+        self._waiting.told(changes[:count])
         program = program_path(self._command[0], self._base)
         problem = "" if program is None else self._execute(program, report)
         self._note(problem if program is not None else program_problem(self._command[0], self._base))

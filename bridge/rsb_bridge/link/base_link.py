@@ -7,21 +7,22 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from rsb_bridge.channel.datagram_channel import datagram_channel
+from rsb_bridge.channel.datagram_channel import DatagramSender, datagram_channel
 from rsb_bridge.link.contention import Contention, LinkFullness
 from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.keepalive import Keepalive
+from rsb_bridge.link.path_watch import STALLED, PathWatch, Pings
 from rsb_bridge.link.refused_clients import DuplicateClients
 from rsb_bridge.model import profiles
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import MAX_AGE_FEATURE
 from rsb_bridge.model.snapshot import Level, State
-from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.model.verdict import LinkCause, about
 from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks, in_slices
-from rsb_bridge.transport.streams import CLOSED_BY_PEER
+from rsb_bridge.transport.streams import CLOSED_BY_PEER, Stream
 from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.wire import sealing
 from rsb_bridge.wire.messages import Ping, Pong, Receipts
@@ -37,11 +38,13 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel, Slices
     from rsb_bridge.model.capacity import Fullness
+    from rsb_bridge.model.path_fault import PathFault
     from rsb_bridge.model.session import Kind
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.transport.transport import DatagramTransport
     from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Welcome
+    from rsb_bridge.wire.records import PathRecord
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
 _E = TypeVar("_E", bound=Extension)
@@ -131,6 +134,8 @@ class RouteIds:
         return 0 < route_id <= newest and route_id not in self._by_id
 
 
+_CLOCKS_DIFFER = 5.0
+"""s. NTP leaves milliseconds, and transforms (tf) fail far below; a robot without NTP is off by more."""
 _NOT_YET = "not connected yet"
 _NO_GOODBYE = "the other side closed the connection without a goodbye: check whether its process or machine has died"
 _CAUSES = {EventCode.LINK_LOST: LinkCause.LOST, EventCode.LINK_SHUT_DOWN: LinkCause.SHUT_DOWN}
@@ -201,6 +206,7 @@ class BaseLink(ABC):
         channels: channels of the routes.
         fullness: whether the link is full.
         contention: divides the link among the routes.
+        path: what the path of the present connection loses.
         budget: limits on what the peer may have this side hold and do.
         revisions: numbers the changes made on this side.
         duplicates: refused clients that have the link's name, too.
@@ -253,6 +259,7 @@ class BaseLink(ABC):
         self._awaiting: dict[tuple[str, int], dict[int, Route]] = {}  # routes without streams, by transport and port
         self.fullness = LinkFullness(partial(self.log, link_status=True))
         self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers, self.fullness)
+        self.path = PathWatch(self._log_path)
         self.handlers: dict[type, Callable[[Any], Slices | None]] = {
             Ping: self._on_ping,
             Pong: self._on_pong,
@@ -414,6 +421,7 @@ class BaseLink(ABC):
         self._awaiting.clear()
         self.channels.disconnected()
         self.contention.disconnected()
+        self.path.disconnected()
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"
         self.log(level, code, f"link with {self.peer_at} {how}: {reason}", link_status=True)
@@ -524,12 +532,46 @@ class BaseLink(ABC):
     def tick(self) -> None:
         """Do the regular work once a second, after the routes' own tick."""
         if self.control is not None:
-            self.contention.tick(self.keepalive, self.peer_name)
+            self._tick_path(self.control)
+            self.contention.tick(self.keepalive, self.peer_name, lossy=self.path.lossy_out)
             self.warning_since()  # a warning begins now, even if no console asks for a snapshot
             self.send(self.keepalive.tick())
             self.channels.tick()
         for each in self._extensions:
             each.tick()
+
+    def _tick_path(self, control: ControlChannel) -> None:
+        counts = {each: each.packets() for each in self.carriers() if isinstance(each, Stream)}
+        before = self.path.fault
+        stalled = self.path.tick(
+            control.stream,
+            {stream: packets for stream, packets in counts.items() if packets is not None},
+            [route.channel for route in self.routes.values() if isinstance(route.channel, DatagramSender)],
+            Pings(self.keepalive.round_trip, self.keepalive.answers, self.keepalive.quiet),
+            self.peer_name,
+            self.context.now(),
+            large_vanish=any(route.large_vanish for route in self.routes.values()),
+        )
+        for stream in stalled:
+            stream.abort(STALLED)
+        self._judge_again_after(before)
+
+    def take_path_record(self, record: PathRecord) -> None:
+        """Take the peer's record of what the path to here loses."""
+        before = self.path.fault
+        self.path.take_record(record, self.peer_name)
+        self._judge_again_after(before)
+
+    def _judge_again_after(self, before: PathFault | None) -> None:
+        """Judge the routes again if the fault of the path has changed, so that their verdicts agree with the link's."""
+        if self.path.fault != before:
+            for route in self.routes.values():
+                route.judge_again()
+
+    @property
+    def path_fault(self) -> PathFault | None:
+        """The fault of the path while the link is up, or None."""
+        return self.path.fault
 
     def carriers(self) -> set[Carrier]:
         """Return all carriers of the present connection's bytes."""
@@ -541,7 +583,10 @@ class BaseLink(ABC):
         if not self.linked:
             return ""
         taken = self.duplicates.warning(self.context.now(), self.context.wall())
-        return "; ".join(filter(None, (taken, self.fullness.warning(self.peer_name), self.unproven)))
+        # A path that loses packets carries less, too: its loss explains that.
+        path = self.path.fault
+        narrow = path.text if path is not None else self.fullness.warning(self.peer_name)
+        return "; ".join(filter(None, (taken, narrow, self.unproven, self.clocks_differ)))
 
     def warning_since(self) -> float | None:
         """Return when the present warning began, in s since the epoch, or None without one. Called once a second."""
@@ -562,9 +607,25 @@ class BaseLink(ABC):
             return self.status.cause
         if self.duplicates.warning(self.context.now(), self.context.wall()):
             return LinkCause.NAME_TAKEN
+        if self.path.fault is not None:
+            return self.path.fault.cause
         if self.fullness.out is not None or self.fullness.into is not None:
             return LinkCause.FULL
-        return LinkCause.UNPROVEN_SERVERS if self.unproven else self.status.cause
+        if self.unproven:
+            return LinkCause.UNPROVEN_SERVERS
+        return LinkCause.CLOCKS_DIFFER if self.clocks_differ else self.status.cause
+
+    @property
+    def clocks_differ(self) -> str:
+        """The warning that the clocks of the two sides differ, or an empty string."""
+        offset, uncertainty = self.clock.offset, self.clock.uncertainty
+        if offset is None or uncertainty is None or abs(offset) - uncertainty < _CLOCKS_DIFFER:
+            return ""
+        way = "ahead of" if offset > 0 else "behind"
+        return (
+            f"the clock of {self.peer_name} is {about(round(abs(offset)))} {way} this machine's: "
+            "set both by NTP (timedatectl set-ntp true)"
+        )
 
     @property
     def full_out(self) -> Fullness | None:
@@ -593,6 +654,9 @@ class BaseLink(ABC):
 
     def _log_udp(self, level: Level, code: EventCode, text: str) -> None:
         self.log(level, code, f"{self.peer_at}: {text}")
+
+    def _log_path(self, level: Level, code: EventCode, text: str) -> None:
+        self.log(level, code, f"{self.peer_at}: {text}", link_status=True)
 
     def log(self, level: Level, code: EventCode, text: str, *, topic: str = "", link_status: bool = False) -> None:
         """Add an event about this link; `link_status` means that it tells whether the link is up."""

@@ -306,6 +306,7 @@ class ClientLink(Link):
         self._retry.set()
         if self.control is not None:
             self.control.shut_down(reason, retry_after=None)
+        self.status.down(LinkCause.CLOSED, f"{reason}; run `rsb-console retry` to connect again")
 
     def tick(self) -> None:
         super().tick()
@@ -354,7 +355,8 @@ class ClientLink(Link):
         failure: Failure | None = None
         try:
             for large in (True,) if transport.multiplexed else (False, True):
-                failure = failure or await self._open_data_stream(transport, port, large=large)
+                if failure is None and self.channels.lacks(transport.name, port)[large]:
+                    failure = await self._open_data_stream(transport, port, large=large)
         finally:
             self._streams_opening.pop((transport.name, port), None)
         if failure is None and self.channels.pair_of(transport.name, port) is None:
@@ -362,7 +364,6 @@ class ClientLink(Link):
         if failure is None:
             self.streams_opened(transport.name, port)
         else:
-            self.channels.give_up(transport.name, port)
             self.streams_failed(transport.name, port, failure.reason)
 
     async def _open_data_stream(self, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:

@@ -119,6 +119,8 @@ class LinkFullness:
             self._stalled = _AFTER_STALL
         over = full and carried > 0.0 and not self._stalled and asked > _OVERLOAD * carried and too_little
         was = self.out is not None
+        if asked and not arrived and (was or not self._other):
+            return  # in a gap nothing is known of what the link carries, and its last figures stay
         if not was and not self._other:
             self._lately.clear()  # it carried what it was asked for
         self._lately.append(arrived)
@@ -246,12 +248,13 @@ class Contention:
         self._counts: dict[OutgoingRoute, _Counts] = {}
         self._pings: deque[float] = deque(maxlen=_SHORTEST_PINGS)
 
-    def tick(self, keepalive: Keepalive, peer: str = "") -> None:
+    def tick(self, keepalive: Keepalive, peer: str = "", *, lossy: bool = False) -> None:
         """Judge once a second, while linked.
 
         Args:
             keepalive: of the link.
             peer: the other side's name.
+            lossy: the path loses packets, which explains why less arrives than is asked for.
         """
         now, at = self._context.now(), self._context.wall()
         asking = [
@@ -267,7 +270,7 @@ class Contention:
         self._crossed = self.sending.look(arrived, now, at, full=full)
         busy = [(route, traffic.bytes_per_second) for route, traffic in asking if traffic.bytes_per_second > 0.0]
         wanted = [Asked(route.topic, route.remote_topic, rate) for route, rate in busy]
-        overloaded = full and not all(route.starts for route, _ in busy) and not self._is_measured()
+        overloaded = full and not lossy and not all(route.starts for route, _ in busy) and not self._is_measured()
         before = self._fullness.out
         self._fullness.tick(wanted, arrived + parts, full=overloaded, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())

@@ -13,7 +13,7 @@ from rsb_bridge.channel.udp_channel import PathProbe
 from rsb_bridge.channel.window import Window
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.transport.streams import Stream, StreamProblem
+from rsb_bridge.transport.streams import Stream
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.wire.events import StreamName
 
@@ -210,8 +210,8 @@ class DataChannels:
         """
         self._newest = max(self._newest, name.number)
         pair = self._pair(transport.name, port)
-        if (pair.large if name.large else pair.small) is not None:
-            pair.lost("replaced by a newer data connection")
+        if (old := pair.large if name.large else pair.small) is not None:
+            pair.lost(old, "replaced by a newer data connection")
             pair = self._pair(transport.name, port)
         pair.kept = not name.port
         both = transport.multiplexed
@@ -220,11 +220,10 @@ class DataChannels:
         if beginning:
             added.received(beginning)
 
-    def give_up(self, transport: str, port: int) -> None:
-        """End streams of which one cannot be opened."""
-        pair = self._pairs.pop((transport, port), None)
-        if pair is not None and not pair.over:
-            pair.lost(StreamProblem.CLOSED_HERE())
+    def lacks(self, transport: str, port: int) -> tuple[bool, bool]:
+        """Return whether the streams of small and of large messages for that port are not open."""
+        pair = self._pairs.get((transport, port))
+        return (True, True) if pair is None or pair.over else (pair.small is None, pair.large is None)
 
     def _pair(self, transport: str, port: int) -> StreamPair:
         assert self.scheduler is not None

@@ -104,6 +104,11 @@ class Keepalive:
         return self._context.now() - self._pinged_at + unanswered - 1 if unanswered else 0.0
 
     @property
+    def answers(self) -> int:
+        """Number of the newest answered ping."""
+        return self._answered
+
+    @property
     def ping_delay(self) -> float:
         """Delay (s) of the peer's last ping by its clock, or 0 if it is unknown."""
         return self._ping_delay

@@ -164,6 +164,8 @@ class Link(BaseLink):
             warning_since=self.warning_since(),
             capacity_out=self.contention.sending.capacity,
             capacity_in=self.contention.receiving.capacity,
+            loss_out=self.path.share_out if self.linked else None,
+            loss_in=self.path.into.lost,
             full_out=self.full_out,
             full_in=self.full_in,
             patterns=tuple(self.patterns.snapshots()),

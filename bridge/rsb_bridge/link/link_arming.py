@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.messages import ArmingMessage, Propose, Settled
+    from rsb_bridge.wire.messages import Accept, ArmingMessage, Propose, Settled
 
 _LATE = 0.001
 """s by which a timer comes later than a moment that it must not come before: its clock is another one."""
@@ -185,21 +185,24 @@ class LinkArming:
         route.arming.opened(required=proposal.arm, deadman=proposal.deadman)
         route.arming.lease = self.lease.state
         own = route.arming.own = self._own(route)
+        route.arming.peer_on_end = "" if route.proposed_here else proposal.on_end
         route.arming.demand(required=own.arm, deadman=own.deadman)
         self._say_who_demands(route)
 
     def demanded(self, route: Route) -> dict[str, Any]:
         """Return this side's demand for the present opening, as fields of a proposal."""
         own = route.arming.own
-        return {"arm": own.arm, "deadman": own.deadman, "max_age": self.max_age(route, route.proposal)}
+        max_age = self.max_age(route, route.proposal)
+        return {"arm": own.arm, "deadman": own.deadman, "max_age": max_age, "on_end": own.on_end}
 
     def max_age(self, route: Route, proposal: Propose) -> float | None:
         """Return what this side demands of the age of messages, and the proposal of a route that it proposes."""
         return smallest_max_age((proposal.max_age, route.arming.own.max_age))
 
-    def accepted(self, route: Route, *, required: bool, deadman: float) -> None:
-        """Note that the other side accepts an opening, and whether it demands arming."""
-        route.arming.demand(required=required, deadman=deadman)
+    def accepted(self, route: Route, message: Accept) -> None:
+        """Note that the other side accepts an opening, and what it demands."""
+        route.arming.demand(required=message.arm, deadman=message.deadman)
+        route.arming.peer_on_end = message.on_end
         self._say_who_demands(route)
 
     def renew_demand(self, route: Route) -> bool:
@@ -207,7 +210,7 @@ class LinkArming:
         if not route.id:
             return False
         own, before = self._own(route), route.arming.own
-        if (own.arm, own.deadman) != (before.arm, before.deadman):
+        if (own.arm, own.deadman, own.on_end) != (before.arm, before.deadman, before.on_end):
             return True
         if own.max_age != before.max_age and not route.proposed_here:
             return True

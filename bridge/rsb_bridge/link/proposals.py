@@ -15,6 +15,7 @@ from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import ROUTES_PER_LINK, ROUTES_PROPOSED_BY_SERVER
 from rsb_bridge.model.names import server_topic
+from rsb_bridge.model.on_end import text_of
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.profiles import PLAIN, compression_of
 from rsb_bridge.model.session import RANKS, Topic, priority_of
@@ -68,6 +69,7 @@ def proposal_of(
         paused=topic.paused,
         arm=topic.arm,
         deadman=topic.deadman_seconds if topic.arm else 0.0,
+        on_end=text_of(topic.on_end) if topic.arm else "",
         kind=topic.kind,
         priority=RANKS[topic.priority],
         **{name: _NONE[name] if (value := getattr(topic, name)) is None else value for name in _NUMBERS},
@@ -93,6 +95,7 @@ def topic_of(proposal: Propose) -> Topic:
         paused=proposal.paused,
         arm=proposal.arm,
         deadman=proposal.deadman if proposal.arm else None,
+        on_end=(proposal.on_end or None) if proposal.arm else None,
         kind=_kind_of(proposal),
         priority=priority_of(proposal.priority) if proposal.kind == "topic" else "normal",
         **_numbers_of(proposal),

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.control_channel import Slices
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.records import FullRecord
+    from rsb_bridge.wire.records import FullRecord, PathRecord
 
 _REPORTED_AT_ONCE = 250
 """Routes in one message, which must not exceed its limit even with the longest texts (PROTOCOL.md section 1)."""
@@ -25,14 +25,16 @@ _EARLY = 0.1
 """Seconds from `RouteReports.add` to the report."""
 
 
-def _reports(routes: Iterable[Route], full: FullRecord | None = None) -> Iterator[Report]:
-    """Yield the counts that the peer does not know yet, and the link's fullness if it has changed."""
+def _reports(
+    routes: Iterable[Route], full: FullRecord | None = None, path: PathRecord | None = None
+) -> Iterator[Report]:
+    """Yield the counts that the peer does not know yet, and the link's fullness and path if they have changed."""
     news = [route.news() for route in routes if route.accepted]  # the other side may not know the others yet
     sent = [each for each in news if isinstance(each, SentReport)]
     received = [each for each in news if isinstance(each, ReceivedReport)]
     calls = [each for each in news if isinstance(each, CallsReport)]
-    if full is not None:
-        yield Report(sent=(), received=(), full=full)
+    if full is not None or path is not None:
+        yield Report(sent=(), received=(), full=full, path=path)
     for first in range(0, max(len(sent), len(received), len(calls)), _REPORTED_AT_ONCE):
         part = slice(first, first + _REPORTED_AT_ONCE)
         yield Report(sent=tuple(sent[part]), received=tuple(received[part]), calls=tuple(calls[part]))
@@ -68,12 +70,14 @@ class RouteReports(Extension):
     def tick(self) -> None:
         if self._link.linked:
             routes = [route for route in self._link.routes.values() if not route.idle]
-            for report in _reports(routes, self._link.fullness.next_record()):
+            for report in _reports(routes, self._link.fullness.next_record(), self._link.path.next_record()):
                 self._link.send(report)
 
     def _take(self, report: Report | ReportParts) -> Slices:
         if report.full is not None:
             self._link.contention.take_record(report.full, self._link.peer_name)
+        if report.path is not None:
+            self._link.take_path_record(report.path)
         return in_slices(report_entries(report), self._take_entry)
 
     def _take_entry(self, entry: SentReport | ReceivedReport | CallsReport) -> None:

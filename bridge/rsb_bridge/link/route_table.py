@@ -467,7 +467,8 @@ class RouteTable(Extension):
         if current():  # else it was closed while its port was being bound
             arming = route.arming
             max_age = arming.own.max_age
-            self._link.send(Accept(route.id, route.local_topic, arming.required, arming.deadman, max_age))
+            own_end = arming.own.on_end
+            self._link.send(Accept(route.id, route.local_topic, arming.required, arming.deadman, max_age, own_end))
             self._accepted(route)
 
     def _accepted(self, route: Route) -> None:
@@ -501,7 +502,7 @@ class RouteTable(Extension):
         match message:
             case Accept():
                 route.set_peer_topic(message.topic)
-                self.arming.accepted(route, required=message.arm, deadman=message.deadman)
+                self.arming.accepted(route, message)
                 route.age.accepted = message.max_age
                 route.settle_age()
                 self._accepted(route)

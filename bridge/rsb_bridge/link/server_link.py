@@ -354,7 +354,10 @@ class ServerLink(Link):
 
     def _on_shutdown(self, message: Shutdown) -> None:
         if self.control is not None:
-            self.control.abort(f"the client left: {message.reason}", EventCode.LINK_CLOSED_BY_PEER)
+            reason = f"the client left: {message.reason}"
+            if message.retry_after is None:
+                reason += "; run `rsb-console retry` on its machine to connect it again"
+            self.control.abort(reason, EventCode.LINK_CLOSED_BY_PEER)
 
     def client_names(self, topic: Topic) -> Topic:
         return self.entry.client_names(topic)

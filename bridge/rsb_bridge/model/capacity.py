@@ -101,6 +101,8 @@ def rates_text(part: float, whole: float) -> str:
 def _less_text(part: float, whole: float, digits: int) -> str:
     """Format two figures. If `part` is less, its text is too."""
     texts = f"{part:.{digits}f}", f"{whole:.{digits}f}"
+    if part > 0 and not float(texts[0]):
+        return f"{part:.1g} of {texts[1]}"  # a little is not nothing
     if part < whole and texts[0] == texts[1]:
         return f"{max(0.0, float(texts[1]) - 10.0**-digits):.{digits}f} of {texts[1]}"
     return " of ".join(texts)

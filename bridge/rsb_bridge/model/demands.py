@@ -11,6 +11,7 @@ import msgspec
 
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.names import expand_type_name, server_topic
+from rsb_bridge.model.on_end import NONE, more_careful, text_of
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import DEADMAN, Armed, Client, Identity, Kind, Session, Topic
@@ -54,6 +55,7 @@ class Source:
         excepts: names and patterns on the client that a pattern leaves out.
         arm: whether it demands arming.
         max_age: in seconds, 0 for no limit, or None if it says nothing.
+        on_end: what the robot gets when an arming ends, as of `on_end.text_of`.
     """
 
     key: SourceKey
@@ -65,6 +67,7 @@ class Source:
     excepts: tuple[str, ...] = ()
     arm: bool = True
     max_age: float | None = None
+    on_end: str = ""
 
     @property
     def is_pattern(self) -> bool:
@@ -80,11 +83,13 @@ class Demand:
         deadman: the shortest time in seconds, or 0 for none.
         max_age: the smallest limit in seconds, 0 for no limit, or None if no line says anything.
         sources: the lines that demand arming.
+        on_end: what the robot gets when an arming ends, or an empty string if no line says anything.
     """
 
     deadman: float
     max_age: float | None
     sources: tuple[Source, ...]
+    on_end: str = ""
 
     @property
     def arm(self) -> bool:
@@ -127,6 +132,7 @@ def sources_of_entries(topics: Iterable[Topic], client: str, *, on_server: bool,
                 topic.excepts,
                 arm=topic.arm,
                 max_age=default_max_age(topic.max_age, armed=topic.arm),
+                on_end=text_of(topic.on_end),
             )
 
 
@@ -137,7 +143,8 @@ def sources_of_names(armed: Iterable[str | Armed]) -> Iterator[Source]:
         key = "", f"{entry.kind or ''} {entry.type or ''} {entry.name}".strip()
         max_age = default_max_age(entry.max_age, armed=True)
         type_name = full_type(entry.type or AUTO)
-        yield Source(key, entry.name, entry.deadman_seconds, entry.kind, type_name, max_age=max_age)
+        on_end = text_of(entry.on_end)
+        yield Source(key, entry.name, entry.deadman_seconds, entry.kind, type_name, max_age=max_age, on_end=on_end)
 
 
 def sources_of(session: Session) -> Iterator[Source]:
@@ -202,6 +209,7 @@ class Demands:
             min((each.deadman for each in found if each.deadman), default=0.0),
             smallest_max_age(each.max_age for each in found),
             tuple(each for each in found if each.arm),
+            more_careful(each.on_end for each in found),
         )
 
     def _matching(self, kind: Kind | None, name: str) -> Iterator[Source]:
@@ -233,7 +241,11 @@ class Demands:
             found = self._matching(old.kind, old.name)
         return any(
             new.key == old.key
-            or (_is_as_short(new.deadman, old.deadman) and _is_as_short(new.max_age or 0.0, old.max_age or 0.0))
+            or (
+                _is_as_short(new.deadman, old.deadman)
+                and _is_as_short(new.max_age or 0.0, old.max_age or 0.0)
+                and (new.on_end == old.on_end or old.on_end in ("", NONE))
+            )
             for new in found
             if new.arm and new.kind in (None, old.kind) and new.type in ("", old.type)
         )
@@ -276,7 +288,8 @@ def demand_on_entry(demands: Demands, session: Session, client: Client | None, t
 
 def _kept(source: Source, name: str) -> Source:
     """Return a source for `armed` that demands a name, as carefully as another source."""
-    entry = Armed(name, deadman=_unless(source.deadman, DEADMAN), max_age=_unless(source.max_age, ARMED))
+    max_age = _unless(source.max_age, ARMED)
+    entry = Armed(name, deadman=_unless(source.deadman, DEADMAN), max_age=max_age, on_end=source.on_end or None)
     if is_pattern(name):
         entry = msgspec.structs.replace(entry, kind=source.kind, type=source.type or None)
     return next(sources_of_names([entry]))
@@ -299,7 +312,7 @@ def kept_whole(source: Source) -> Source:
 def as_armed(source: Source) -> str | Armed:
     """Return the entry of `armed` for one of its sources."""
     deadman, max_age = _unless(source.deadman, DEADMAN), _unless(source.max_age, ARMED)
-    entry = Armed(source.name, source.kind, source.type or None, deadman, max_age)
+    entry = Armed(source.name, source.kind, source.type or None, deadman, max_age, source.on_end or None)
     return source.name if entry == Armed(source.name) else entry
 
 

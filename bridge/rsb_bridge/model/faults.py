@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, TypeAlias
 
+from rsb_bridge.model.path_fault import explained_by_link
 from rsb_bridge.model.snapshot import LinkSnapshot, PatternSnapshot, RouteSnapshot, State
 from rsb_bridge.model.verdict import Cause
 
@@ -131,6 +132,7 @@ class FaultWatch:
     """Follows the faults of one bridge. It reads no clock: the caller passes the time in.
 
     While a link is not up, faults of its routes and patterns neither begin nor end: the link's own fault explains them.
+    So it does while its path loses packets, for the routes that suffer from it.
 
     Args:
         lasts: s, as `LASTS`.
@@ -148,9 +150,10 @@ class FaultWatch:
 
     def assume(self, snapshot: Snapshot, now: float) -> None:
         """Treat the faults of a snapshot at `now` (s) as reported already."""
-        down = _names_of_down(snapshot)
+        links = {link.name: link for link in snapshot.links}
         for subject in _subjects(snapshot):
-            if _is_wrong(subject) and (isinstance(subject, LinkSnapshot) or subject.link not in down):
+            of_link = not isinstance(subject, LinkSnapshot) and _is_explained(subject, links.get(subject.link))
+            if _is_wrong(subject) and not of_link:
                 kind = _kind(subject)
                 self._watched[_key(subject)] = _Watched(subject, now, snapshot.time, ("", ""), kind, kind)
 
@@ -161,11 +164,11 @@ class FaultWatch:
         return found
 
     def _changes(self, snapshot: Snapshot, now: float) -> Iterator[FaultChange]:
-        down = _names_of_down(snapshot)
+        links = {link.name: link for link in snapshot.links}
         seen: set[_Key] = set()
         for subject in _subjects(snapshot):
             seen.add(_key(subject))
-            if not isinstance(subject, LinkSnapshot) and subject.link in down:
+            if not isinstance(subject, LinkSnapshot) and _is_explained(subject, links.get(subject.link)):
                 self._suspend(subject)
             else:
                 yield from self._look_at(subject, now, snapshot.time, is_wrong=_is_wrong(subject))
@@ -212,8 +215,11 @@ class FaultWatch:
             watched.next = watched.reported
 
 
-def _names_of_down(snapshot: Snapshot) -> set[str]:
-    return {link.name for link in snapshot.links if link.state is not State.OK}
+def _is_explained(subject: RouteSnapshot | PatternSnapshot, link: LinkSnapshot | None) -> bool:
+    """Whether the fault of the link explains what is wrong with one of its routes or patterns."""
+    if link is not None and link.state is not State.OK:
+        return True
+    return isinstance(subject, RouteSnapshot) and explained_by_link(subject, link)
 
 
 def _subjects(snapshot: Snapshot) -> Iterator[Faulty]:

@@ -17,6 +17,8 @@ from rsb_bridge.model.snapshot import State
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rsb_bridge.model.snapshot import LinkSnapshot
+
 
 class Unit(StrEnum):
     """The unit of a figure, which says how many digits it has in each output."""
@@ -90,6 +92,12 @@ class Figure:
 _LINK, _ROUTE, _MESSAGES, _CALLS = Of
 _HERTZ, _BYTES, _SECONDS, _MOMENT = Unit.HERTZ, Unit.BYTES_PER_SECOND, Unit.SECONDS, Unit.MOMENT
 
+
+def _losses(link: LinkSnapshot) -> dict[str, float]:
+    shares = {"out": link.loss_out, "in": link.loss_in}
+    return {way: round(share, 3) for way, share in shares.items() if share is not None}
+
+
 FIGURES = (
     Figure(_LINK, "up", "up", "1 while the link is up.", source=lambda link: link.state is State.OK),
     Figure(_LINK, "state_since", "since_timestamp_seconds", "When it came up or went down.", source="since"),
@@ -99,6 +107,8 @@ FIGURES = (
     Figure(_LINK, "attempts", "failed_attempts", "Attempts to connect that failed since it was last up.",
             shown="failed attempts"),
     Figure(_LINK, "rtt", "round_trip_seconds", "Round-trip time of the last ping.", unit=_SECONDS, shown="round trip"),
+    Figure(_LINK, "loss", "loss_ratio", "Share of the packets that are lost on the way, 0 to 1, out or in.",
+            by="direction", source=_losses),
     Figure(_LINK, "clock_offset", "clock_offset_seconds", "The other side's clock minus this one's.", unit=_SECONDS),
     Figure(_LINK, "clock_uncertainty", "clock_uncertainty_seconds", "Error of the offset, and so of every latency.",
             unit=_SECONDS),

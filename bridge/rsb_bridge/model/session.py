@@ -13,6 +13,7 @@ from typing import Any, Final, Literal
 import msgspec
 
 from rsb_bridge.model.benchmark import BenchmarkLimits
+from rsb_bridge.model.on_end import text_of
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.profiles import Compression, ProfileName
 from rsb_bridge.model.qos import Qos, parse_qos
@@ -87,6 +88,12 @@ class Problem:
         return one_line(f"{place}: {self.message}" if place else self.message)  # it may quote keys of the file
 
 
+def _write_out(entry: Topic | Armed) -> None:
+    """Have `on_end` as one text, so that entries can be compared and hashed."""
+    if isinstance(entry.on_end, dict):
+        msgspec.structs.force_setattr(entry, "on_end", text_of(entry.on_end))
+
+
 class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """One bridged topic, service, action or node's parameters, as the *client* sees it (thesis, chapter 3).
 
@@ -113,6 +120,8 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         paused: the topic is set up, and carries nothing until it is resumed.
         arm: whether it carries nothing until an operator of either side arms it on a console.
         deadman: s without a key on that console after which it disarms, 0 for never, or None for `DEADMAN`.
+        on_end: what the robot gets when the arming ends: ``zero``, ``none`` or the fields of a message; None for zero
+            of types that drive robots, and nothing of others.
         kind: topic, service, action or parameters.
         timeout: s that a call waits for its answer, or None for `CALL_TIMEOUT`; not for topics.
         priority: on a full link, topics of a higher priority get a larger share; only for topics.
@@ -135,10 +144,14 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     paused: bool = False
     arm: bool = False
     deadman: float | None = None
+    on_end: str | dict[str, Any] | None = None
     kind: Kind = "topic"
     timeout: float | None = None
     priority: Priority = "normal"
     excepts: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        _write_out(self)
 
     @property
     def is_pattern(self) -> bool:
@@ -259,6 +272,7 @@ class Armed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         type: of what has the name, or None for every type.
         deadman: as in `Topic`.
         max_age: as in `Topic`.
+        on_end: as in `Topic`.
     """
 
     name: str
@@ -266,6 +280,10 @@ class Armed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     type: str | None = None
     deadman: float | None = None
     max_age: float | None = None
+    on_end: str | dict[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        _write_out(self)
 
     @property
     def deadman_seconds(self) -> float:

@@ -183,6 +183,8 @@ class ArmingSnapshot:
         why: the cause why it is not armed, as of `EventCode.ROUTE_DISARMED`, or "operator" or "not_yet"; empty while it
             is armed, and of an older bridge.
         reason: the same in words, with the operator who disarmed it.
+        on_end: what the robot gets when the arming ends: ``zero``, ``none``, or a message as JSON; of what is no topic,
+            and while the type is unknown, empty.
     """
 
     armed: bool
@@ -193,6 +195,7 @@ class ArmingSnapshot:
     demanded_by: tuple[str, ...] = ()
     why: str = ""
     reason: str = ""
+    on_end: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,6 +243,7 @@ class RouteSnapshot:
         age: s since the last message, or None before the first.
         history: messages in each of the last seconds, up to 120, oldest first.
         last_error: the last error, or empty.
+        last_error_at: s since the epoch, its time, or 0 without one.
         cause: of the state, an `rsb_bridge.model.verdict.Cause`, one of a newer peer, or empty.
         from_peer: whether the other side reports the state.
         since: s since the epoch, the beginning of this state and cause, as far as this process knows.
@@ -297,6 +301,7 @@ class RouteSnapshot:
     lanes: tuple[str, ...] = ()
     pattern: str = ""
     messages_total: int = 0
+    last_error_at: float = 0.0
     acknowledged: Acknowledgement | None = None
     max_age: float = 0.0
 
@@ -359,6 +364,8 @@ class LinkSnapshot:
         rtt: s, or None without a figure.
         clock_offset: s, peer's clock minus ours, or None without a figure.
         clock_uncertainty: s.
+        loss_out: share of the packets from here that is lost, 0 to 1, or None without a figure.
+        loss_in: the same to here, as the peer reports it.
         rx_bytes_per_second: wire bytes received.
         tx_bytes_per_second: wire bytes sent.
         peer_version: the other side's rsb-console version, or empty.
@@ -406,6 +413,8 @@ class LinkSnapshot:
     patterns: tuple[PatternSnapshot, ...] = ()
     full_out: Fullness | None = None
     full_in: Fullness | None = None
+    loss_out: float | None = None
+    loss_in: float | None = None
     warning_since: float | None = None
     acknowledged: Acknowledgement | None = None
 

@@ -103,6 +103,7 @@ class Arming:
         required: whether either side's session demands arming.
         deadman: s without a key after which it disarms, or 0 for no limit.
         own: the demand of this side's session.
+        peer_on_end: what the other side's session wants when it ends.
         demanded_by: the lines that demand arming, in words.
         by: the operator who armed it, or empty if it is not armed.
         console: that operator's console on this side, or None if it was armed on the other side or is not armed.
@@ -113,13 +114,14 @@ class Arming:
 
     __slots__ = (
         "_answered", "_deadline", "_first", "_key_pressed", "_phase", "_seen_at", "by", "console", "deadman",
-        "demanded_by", "lease", "own", "reason", "required", "why",
+        "demanded_by", "lease", "own", "peer_on_end", "reason", "required", "why",
     )  # fmt: skip
 
     def __init__(self, *, required: bool = False, deadman: float = 0.0) -> None:
         self.required = required
         self.deadman = deadman
         self.own: Demand = NO_DEMAND
+        self.peer_on_end = ""
         self.demanded_by: tuple[str, ...] = ()
         self.why = Disarmed.NOT_YET
         self.reason = DISARM_TEXT[self.why]
@@ -215,8 +217,13 @@ class Arming:
             number, payload = split_number(payload)
         return number, (payload, stamp, flags & ~LEASED)
 
-    def snapshot(self, now: float) -> ArmingSnapshot | None:
-        """Return the state for user interfaces at `now` (s), or None if arming is not required."""
+    def snapshot(self, now: float, on_end: str = "") -> ArmingSnapshot | None:
+        """Return the state for user interfaces at `now` (s), or None if arming is not required.
+
+        Args:
+            now: s.
+            on_end: what follows on the receiving side, in words.
+        """
         if not self.required:
             return None
         armed = self.stands(now)
@@ -224,10 +231,10 @@ class Arming:
         left = max(0.0, self._deadline - grace - now) if armed and self.deadman else None
         here = self.console is not None
         if armed:
-            return ArmingSnapshot(armed, self.by, here, left, self.deadman, self.demanded_by)
+            return ArmingSnapshot(armed, self.by, here, left, self.deadman, self.demanded_by, on_end=on_end)
         overdue = self.overdue(now)
         why, reason = (self.why, self.reason) if overdue is None else (overdue, DISARM_TEXT[overdue])
-        return ArmingSnapshot(armed, "", here, left, self.deadman, self.demanded_by, why, reason)
+        return ArmingSnapshot(armed, "", here, left, self.deadman, self.demanded_by, why, reason, on_end)
 
     # --- arming
 

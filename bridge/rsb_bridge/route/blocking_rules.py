@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.snapshot import Stage, State
@@ -10,8 +11,12 @@ from rsb_bridge.model.verdict import FINE, Cause, Verdict
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from rsb_bridge.model.path_fault import PathFault
+
 _LINK_STAGE, ACCEPTED = "link up", "peer accepted"
 """Names of stages."""
+DATA_CONNECTION = "data connection: "
+"""How a reason begins where a route's own connection broke."""
 
 
 class RouteStatus(NamedTuple):
@@ -40,6 +45,7 @@ class RouteStatus(NamedTuple):
         came_before: whether messages or calls crossed in an earlier opening, but none in this one.
         limit: Hz that an operator allows, or 0 for no limit.
         limited_by: the reason for the limit, in words.
+        path: the fault of the link's path, or None.
     """
 
     sends: bool
@@ -63,6 +69,7 @@ class RouteStatus(NamedTuple):
     came_before: bool = False
     limit: float = 0.0
     limited_by: str = "set on purpose (max_rate)"
+    path: PathFault | None = None
 
 
 def worst(status: RouteStatus, verdicts: Iterable[Verdict | None]) -> tuple[Verdict, list[Verdict]]:
@@ -76,9 +83,17 @@ def worst(status: RouteStatus, verdicts: Iterable[Verdict | None]) -> tuple[Verd
         verdicts: of the rules for what the route carries; not evaluated if something blocks.
     """
     if (blocking := blocked(status)) is not None:
-        return blocking, [blocking]
+        return explained(status, blocking), [blocking]
     found = [each for each in (_no_path(status), *verdicts, _throttled(status)) if each is not None]
-    return min(found, key=lambda verdict: verdict.state.rank, default=FINE), found
+    return explained(status, min(found, key=lambda verdict: verdict.state.rank, default=FINE)), found
+
+
+def explained(status: RouteStatus, verdict: Verdict) -> Verdict:
+    """Return a verdict with the fault of the path as its cause, if that explains it."""
+    cause = None if status.path is None else status.path.of_topic(verdict.cause)
+    if status.path is None or cause is None:
+        return verdict
+    return replace(verdict, cause=cause, text=status.path.text)
 
 
 def blocked(status: RouteStatus) -> Verdict | None:
@@ -139,14 +154,17 @@ def _breaking(status: RouteStatus) -> Verdict | None:
     if not status.breaking:
         return None
     text = (
-        f"its data connection ends before a message arrives ({status.breaking}), though the link is up: large packets "
-        "may be lost on the way; set a lower MTU on both sides (ip link set DEVICE mtu 1280), or make messages smaller"
+        f"its data connection ends before a message arrives ({status.breaking}), though the link is up: check firewalls "
+        "and NAT between the two sides"
     )
     return Verdict(State.DOWN, Cause.NO_PATH, text)
 
 
 def _refused(status: RouteStatus) -> Verdict | None:
-    return Verdict(State.DOWN, Cause.REFUSED, status.refusal) if status.refusal else None
+    if not status.refusal:
+        return None
+    # Nobody has refused a route whose connection broke: it opens again.
+    return Verdict(State.DOWN, Cause.NO_PATH if DATA_CONNECTION in status.refusal else Cause.REFUSED, status.refusal)
 
 
 def _loop(status: RouteStatus) -> Verdict | None:

@@ -16,6 +16,7 @@ from rsb_bridge.wire.records import VerdictRecord
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from rsb_bridge.model.path_fault import PathFault
     from rsb_bridge.ros.ros_interface import Endpoint
 
 _SAME_ON_BOTH = frozenset({Cause.LINK_DOWN, Cause.REFUSED, Cause.PAUSED, Cause.DISARMED})
@@ -118,10 +119,15 @@ class CombinedVerdict:
         """The cause that was shown last, or an empty string."""
         return "" if self._shows is None else self._shows[1]
 
-    def announce(self, own: Verdict, now: float) -> Announcement | None:
-        """Return the event to log, if any. Called once a second."""
+    def announce(self, own: Verdict, now: float, path: PathFault | None = None) -> Announcement | None:
+        """Return the event to log, if any; a fault of the link's path is logged once, for the link.
+
+        Called once a second.
+        """
         verdict = self.shown(own).verdict
         self.since(verdict, now)
+        if path is not None and path.of_topic(verdict.cause) is not None:
+            return None
         return self._announcer.tick(verdict, now)
 
     def since(self, verdict: Verdict, now: float) -> float:

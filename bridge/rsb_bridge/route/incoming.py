@@ -11,8 +11,10 @@ import zstandard
 
 from rsb_bridge.cdr.checker import MalformedError, TooComplexError
 from rsb_bridge.channel.channel import ReceivingChannel
+from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.demands import full_type
+from rsb_bridge.model.demands import PEER_DEMANDS, full_type
+from rsb_bridge.model.on_end import NONE
 from rsb_bridge.model.qos import incompatible, match_subscriptions
 from rsb_bridge.model.snapshot import Ledger, Level, State
 from rsb_bridge.model.text import sanitize_text
@@ -34,7 +36,7 @@ from rsb_bridge.route.message_check import (
     malformed_text,
 )
 from rsb_bridge.route.peeking import peeked
-from rsb_bridge.route.rest_message import RestMessage, has_rest
+from rsb_bridge.route.rest_message import RestMessage
 from rsb_bridge.route.source_publishers import (
     AUTO_DEPTH,
     PublicationSpec,
@@ -249,13 +251,21 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self._rest_message.moved(message)
 
     def _prepare_rest(self, spec: PublicationSpec) -> None:
-        before = self._rest_message
-        if before is not None and before.spec == spec and self.arming.required:
+        before, on_end = self._rest_message, self.on_end_of(spec.type_name) if self.arming.required else NONE
+        if before is not None and (before.spec, before.on_end) == (spec, on_end):
             return
         self._drop_rest()
-        if self.arming.required and has_rest(spec.type_name):
+        if on_end != NONE:
             failed = partial(self.log, Level.ERROR, EventCode.ROUTE_PUBLISH_FAILED)
-            self._rest_message = RestMessage(self.context, self.peer.name, spec, failed)
+            try:
+                self._rest_message = RestMessage(self.context, self.peer.name, spec, on_end, failed)
+            except (RosError, FieldError) as error:
+                raise RosError(f"on_end: {error}; correct it in {self._who_says(on_end)}") from None
+
+    def _who_says(self, on_end: str) -> str:
+        own = self.arming.own
+        lines = ", ".join(map(self.context.demands.origin, own.sources)) if own.on_end == on_end else ""
+        return lines or PEER_DEMANDS
 
     def _drop_rest(self) -> None:
         if self._rest_message is not None:

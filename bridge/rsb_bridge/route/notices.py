@@ -28,28 +28,39 @@ _IDLE_FOR = 5.0
 class Notices:
     """Reports the errors and warnings of one route.
 
+    Args:
+        log: adds an event about the route.
+        wall: gives the time in s since the epoch.
+
     Attributes:
         loop: the reason why the open route would close a loop of bridges and carries nothing, or empty.
         warning: a warning although messages flow, or empty.
         last_error: the last error, or empty.
+        last_error_at: its time, s since the epoch.
         undelivered: the reason why the last message of this opening was not carried, or empty.
     """
 
-    def __init__(self, log: Callable[[Level, EventCode, str], None]) -> None:
+    def __init__(self, log: Callable[[Level, EventCode, str], None], wall: Callable[[], float]) -> None:
         self.loop = ""
         self.warning = ""
         self.last_error = ""
+        self.last_error_at = 0.0
         self.undelivered = ""
         self._log = log
+        self._wall = wall
         self._reported = ""
         self._doubted = ""
 
     def error(self, code: EventCode, reason: str, level: Level = Level.ERROR) -> None:
         """Report that the route has failed; until messages flow, the same reason is not repeated."""
-        self.last_error = reason
+        self.record(reason)
         if reason != self._reported:
             self._reported = reason
             self._log(level, code, reason)
+
+    def record(self, reason: str) -> None:
+        """Set the last error, without a report."""
+        self.last_error, self.last_error_at = reason, self._wall()
 
     def flowing(self) -> None:
         """Note that messages flow, so that every later failure is reported."""
@@ -58,8 +69,9 @@ class Notices:
     def message_error(self, code: EventCode, reason: str) -> None:
         """Report that a message could not be carried, although others can."""
         self.undelivered = reason
-        if reason != self.last_error:
-            self.last_error = reason
+        is_new = reason != self.last_error
+        self.record(reason)
+        if is_new:
             self._log(Level.ERROR, code, reason)
 
     def set_loop(self, reason: str) -> None:

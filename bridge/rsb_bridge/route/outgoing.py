@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
     from rsb_bridge.route.topic_verdict import Facts
+    from rsb_bridge.telemetry.watches import Loss
 
 _REPORTED_LATELY = 2.5
 """s for which a delay that the receiver has reported counts."""
@@ -116,6 +117,11 @@ class Health:
             self._slow.reset()
         elif not self._stop.quiet:  # a pause is not slow
             self._slow.tick(flow.rate, expected, now)
+
+    @property
+    def loss(self) -> Loss | None:
+        """The loss between the two sides, or None if it is negligible."""
+        return self._loss.loss
 
     def added_to(self, facts: Facts) -> Facts:
         """Return the facts of a route, completed by the watches."""
@@ -302,7 +308,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def _log_subscription(self, level: Level, code: EventCode, text: str) -> None:
         if level is Level.ERROR:
-            self.notices.last_error = text
+            self.notices.record(text)
         self.log(level, code, text)
 
     @property
@@ -558,6 +564,14 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             loss_unexplained=new or self.peer.fullness_undecided,
             loss_of_full_link=self.was_full_since(loss.since),
         )
+
+    @property
+    def large_vanish(self) -> bool:
+        loss, channel = self._health.loss, self.channel
+        if loss is None or loss.lost < loss.of or self._datagrams() < 2 or not isinstance(channel, DatagramSender):
+            return False
+        # A part of a message's datagrams may arrive, on a full link for example, and none of the messages.
+        return channel.unheard_for > _REPORTED_LATELY and not channel.trouble()
 
     @property
     def arrived_share(self) -> float | None:

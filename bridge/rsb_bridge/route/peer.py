@@ -15,6 +15,7 @@ from rsb_bridge.wire.framing import UNFINISHED_LIMIT, Budget
 
 if TYPE_CHECKING:
     from rsb_bridge.model.capacity import Fullness
+    from rsb_bridge.model.path_fault import PathFault
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.route.lifecycle import Revisions
@@ -109,6 +110,11 @@ class Peer(Protocol):
     @property
     def full_in(self) -> Fullness | None:
         """The rates to here, or None if the link is not full."""
+        ...
+
+    @property
+    def path_fault(self) -> PathFault | None:
+        """The fault of the path while the link is up, or None."""
         ...
 
     @property

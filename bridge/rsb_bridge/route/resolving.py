@@ -78,12 +78,13 @@ class Resolver:
         self._context = context
         self._proposal = proposal
         self._publishers: Sequence[Endpoint] = ()
-        self._had_publishers = False
+        self._nodes: frozenset[str] = frozenset()  # of the last publishers
 
     def look(self, publishers: Sequence[Endpoint]) -> None:
         """Take the topic's present publishers."""
         self._publishers = publishers
-        self._had_publishers |= bool(publishers)
+        if publishers:
+            self._nodes = frozenset([each.node for each in publishers])
         self.publisher_qos = match_publishers([each.qos for each in publishers]) if publishers else None
 
     def resolve(self, used: MessageType, loop_filter: LoopFilter) -> Resolved | None:
@@ -113,8 +114,16 @@ class Resolver:
 
     @property
     def similar(self) -> str:
-        """A topic that has publishers and a similar name, where this one never had any; or empty."""
-        return "" if self._had_publishers else self._context.similar_topics.of(self._proposal.topic)
+        """A published topic with a similar name, which may be meant, or empty.
+
+        If this topic had publishers, it is one that a node of theirs publishes now.
+        """
+        if self._publishers:
+            return ""  # without a search of the graph
+        similar = self._context.similar_topics.of(self._proposal.topic)
+        if similar and self._nodes and self._nodes.isdisjoint(p.node for p in self._context.ros.publishers(similar)):
+            return ""
+        return similar
 
 
 def resolve(

@@ -13,6 +13,9 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.cdr.resting import DRIVING_TYPES, resting, stamped
+from rsb_bridge.config.fields_text import read_fields
+from rsb_bridge.model.calls import FieldError
+from rsb_bridge.model.on_end import ZERO
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 
@@ -20,10 +23,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.context import Context
+    from rsb_bridge.model.calls import Fields
     from rsb_bridge.route.source_publishers import PublicationSpec
 
 EVERY = 0.1
 """s from one rest to the next. A subscription that asks for best effort may miss one."""
+_BODY, _STAMPED_BODY = 4, 12
+"""Bytes before the fields of a message, and before those behind the stamp of its header."""
 TIMES = 6
 """Rests in all, which take 0.5 s: as long as a key held on the drive screen counts."""
 
@@ -37,18 +43,27 @@ class RestMessage:
         context: the engine's. Its `moved_by` says who moved a topic last, so that nobody ends another's motion.
         link: the route's, by name.
         spec: of the topic.
+        on_end: ``zero``, or a message as JSON.
         failed: is called with the reason if it cannot be published.
 
     Attributes:
         spec: of the topic.
+        on_end: as above.
 
     Raises:
-        RosError: there can be no publisher for it.
+        RosError: there can be no publisher for it, or its type is not installed.
+        FieldError: the message does not fit the type.
     """
 
-    def __init__(self, context: Context, link: str, spec: PublicationSpec, failed: Callable[[str], None]) -> None:
-        self.spec = spec
+    def __init__(
+        self, context: Context, link: str, spec: PublicationSpec, on_end: str, failed: Callable[[str], None]
+    ) -> None:
+        self.spec, self.on_end = spec, on_end
         self._context = context
+        self._fields: Fields | None = None
+        self._body_at = _BODY
+        if on_end != ZERO or spec.type_name not in DRIVING_TYPES:
+            self._read_fields()
         self._failed = failed
         self._last: bytes | None = None  # of the messages of the present arming
         self._under_way: asyncio.Task[None] | None = None
@@ -80,10 +95,10 @@ class RestMessage:
         last, self._last = self._last, None
         if last is None or self._context.moved_by.get(self.spec.topic) is not self:
             return
-        rest = resting(self.spec.type_name, last)
+        rest = last if self._fields is not None else resting(self.spec.type_name, last)
         if rest is None:
             self._failed("the robot may still move: the last message that passed is malformed, so no rest follows it")
-        elif rest != last and self._publish(rest):
+        elif not self._is_rest(last, rest) and self._publish(rest):
             self._under_way = self._context.loop.create_task(self._go_on(rest))
             self._context.rests.add(self._under_way)
             self._under_way.add_done_callback(self._ended)
@@ -100,10 +115,36 @@ class RestMessage:
             if self._context.moved_by.get(self.spec.topic) is not self or not self._publish(rest):
                 return
 
+    def _read_fields(self) -> None:
+        fields = read_fields("" if self.on_end == ZERO else self.on_end)
+        assert isinstance(fields, dict)
+        try:
+            self._fields = {"header": "auto", **fields}
+            self._message()
+        except FieldError:  # it may have no header
+            self._fields = fields
+            self._message()
+        else:
+            self._body_at = _STAMPED_BODY
+
+    def _message(self) -> bytes:
+        """Return the session's message with the present time."""
+        assert self._fields is not None
+        return self._context.ros.serialize(self.spec.type_name, self._fields, self._context.wall_ns())
+
+    def _is_rest(self, last: bytes, rest: bytes) -> bool:
+        """Whether a message is the rest, whatever its stamp."""
+        if self._fields is None:
+            return last == rest
+        return last[self._body_at :] == self._message()[self._body_at :]
+
     def _publish(self, rest: bytes) -> bool:
         try:
-            self._publisher.publish(stamped(self.spec.type_name, rest, self._context.wall_ns()))
-        except RosError as error:
+            if self._fields is not None:
+                self._publisher.publish(self._message())
+            else:
+                self._publisher.publish(stamped(self.spec.type_name, rest, self._context.wall_ns()))
+        except (RosError, FieldError) as error:
             self._failed(f"the robot may still move: no rest is published: {error}")
             return False
         return True
@@ -120,8 +161,3 @@ class RestMessage:
             del self._context.moved_by[self.spec.topic]
         self._context.announcements.withdraw(self._publisher.gid)
         self._publisher.close()
-
-
-def has_rest(type_name: str) -> bool:
-    """Whether messages of a type end with a rest."""
-    return type_name in DRIVING_TYPES

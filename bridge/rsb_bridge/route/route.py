@@ -22,7 +22,7 @@ from rsb_bridge.model.snapshot import Level, RouteSnapshot
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import DISARM_TEXT, Arming, Disarmed, Settling
-from rsb_bridge.route.blocking_rules import RouteStatus
+from rsb_bridge.route.blocking_rules import DATA_CONNECTION, RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.lifecycle import Event, Lifecycle, PauseState
 from rsb_bridge.route.notices import ChannelLosses, Notices, timed_out
@@ -121,7 +121,7 @@ class Route:
         self._warned_of = ""  # the process of an older peer
         self._refused = ""  # the last refusal, until a later opening succeeds
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
-        self.notices = Notices(self.log)
+        self.notices = Notices(self.log, context.wall)
         self.limit = RateLimit(proposal.max_rate, self.local_topic, peer.budget.rates, self.log)
         self.pausing = PauseState(peer.revisions, paused=proposal.paused, is_client=peer.is_client)
         self.arming = Arming()
@@ -220,6 +220,11 @@ class Route:
             self.topic = topic
 
     @property
+    def on_end(self) -> str:
+        """What the receiving side publishes once an arming ends, or an empty string where it is not known."""
+        return ""
+
+    @property
     def local_topic(self) -> str:
         return self.topic if self.outgoing else self.remote_topic
 
@@ -308,7 +313,7 @@ class Route:
     def channel_lost(self, reason: str) -> None:
         """Open the route again after its channel broke. It is an error only if the link survives."""
         if self.id:
-            text, connection, owing = f"data connection: {reason}", self.peer.connections, self.owing
+            text, connection, owing = f"{DATA_CONNECTION}{reason}", self.peer.connections, self.owing
             # A side that disarms closes the channel; the closed channel may be noticed before the message about it.
             ends_with_arming = self.arming.required and not timed_out(reason)
             if self.arming.held:
@@ -430,7 +435,7 @@ class Route:
         self.losses.tick(now, idle=self.connected and not self.owing)
         self._verdict = None
         verdict = self.verdict()
-        if said := self.judged.announce(verdict, now):
+        if said := self.judged.announce(verdict, now, self.peer.path_fault):
             self.log(said.level, said.code, said.text, **self._about(said, now))
 
     @property
@@ -458,6 +463,11 @@ class Route:
     def flowing(self) -> bool:
         """Whether messages could cross now."""
         return self.connected and not self.paused and not self.notices.loop and self.arming.stands(self.context.now())
+
+    @property
+    def large_vanish(self) -> bool:
+        """Whether none of its last large datagrams has arrived, while small ones of the same socket do."""
+        return False
 
     # --- verdict
 
@@ -497,6 +507,7 @@ class Route:
             came_before=self.came_before,
             limit=self.limit.rate,
             limited_by=self.limit.why,
+            path=self.peer.path_fault,
         )
 
     def _disarmed_text(self, armed: bool, why: Disarmed | None) -> str:
@@ -543,10 +554,11 @@ class Route:
             age=None if self.meter.last is None else now - self.meter.last,
             history=tuple(self.meter.history),
             last_error=self.notices.last_error,
+            last_error_at=self.notices.last_error_at,
             cause=verdict.cause,
             from_peer=from_peer,
             since=self.context.wall() - (now - self.judged.since(verdict, now)),
-            arming=self.arming.snapshot(now),
+            arming=self.arming.snapshot(now, self.on_end),
             allowed_rate=self.limit.allowed or None,
             pattern=self.pattern,
             messages_total=self.meter.count,

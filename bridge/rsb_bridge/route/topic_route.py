@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+from rsb_bridge.cdr.resting import DRIVING_TYPES
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.on_end import NONE, ZERO, more_careful
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import EXPIRES, Cause
 from rsb_bridge.route.idling import Idling
@@ -176,6 +178,19 @@ class TopicRoute(Route, Generic[ChannelT]):
     def known_type(self) -> MessageType:
         """The type of its messages, without a name if it is unknown."""
         return MessageType(self.type_name, self.type_hash)
+
+    @property
+    def on_end(self) -> str:
+        """What the receiving side publishes once an arming ends, or an empty string if that is not known."""
+        return self.on_end_of(self.type_name)
+
+    def on_end_of(self, type_name: str) -> str:
+        """Return what it publishes for a type, or an empty string for an unknown one; its own session's of two."""
+        own, peer = self.arming.own.on_end, self.arming.peer_on_end
+        wanted = more_careful((peer, own) if self.outgoing else (own, peer))
+        if wanted or not type_name:
+            return wanted
+        return ZERO if type_name in DRIVING_TYPES else NONE
 
     def open(self, route_id: int) -> None:
         """Begin a new opening on the present connection."""

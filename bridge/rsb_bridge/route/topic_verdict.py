@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.watches import Loss
 
 LATELY = 10
-USE_TCP, LOWER_MTU = "use protocol: tcp", "lower the MTU"
-"""Remedies for messages that are lost on the way."""
+USE_TCP = "use protocol: tcp"
+"""The remedy for messages that are lost on the way."""
 STOPPED_PUBLISHING = ("has stopped publishing, or died", "have stopped publishing, or died")
 PUBLISHED_NOTHING = ("has published nothing yet", "have published nothing yet")
 NOTHING_SINCE_OPENED = (
@@ -73,7 +73,7 @@ class TopicProgress(NamedTuple):
         endpoints: the topic's publishers on the sending side, its subscriptions on the receiving side.
         publishers: number of publishers on the sending side, or None if it is unknown.
         loop_note: the publishers that are left out because their messages would loop, as the end of a sentence.
-        similar: a topic of the sending side with publishers and a similar name, where this one never had any; or empty.
+        similar: a published topic of the sending side with a similar name, which may be meant, or empty.
         described: whether the sender has described its messages in this opening, so that `type_name` and `qos` hold.
         type_name: of its messages, as last known, or empty.
         qos: of its subscription and publishers, as last known, or None.
@@ -164,10 +164,10 @@ def judge(facts: Facts) -> Verdict:
     return verdict
 
 
-def no_publisher(topic: str, domain_id: int, similar: str = "") -> str:
-    """Says that nobody publishes a topic."""
+def no_publisher(topic: str, domain_id: int, similar: str = "", *, gone: bool = False) -> str:
+    """Says that nobody publishes a topic, or no longer."""
     hint = f"; did you mean {similar}?" if similar else ""
-    return f"no publisher of {topic} in domain {domain_id}{hint}"
+    return f"no publisher of {topic} in domain {domain_id}{' any more' if gone else ''}{hint}"
 
 
 def no_subscriber(topic: str, where: str, present: Collection[object] = ()) -> str:
@@ -273,8 +273,12 @@ def _why_silent(facts: Facts) -> tuple[Cause, str]:
             silent = PUBLISHED_NOTHING
         return Cause.PUBLISHER_SILENT, _plural(facts.progress.endpoints, *silent)
     if ever:
-        return Cause.PUBLISHER_GONE, f"{no_publisher(facts.status.topic, facts.status.domain_id)} any more"
+        return Cause.PUBLISHER_GONE, _publisher_gone(facts)
     return _nobody(facts), no_publisher(facts.status.topic, facts.status.domain_id, facts.progress.similar)
+
+
+def _publisher_gone(facts: Facts) -> str:
+    return no_publisher(facts.status.topic, facts.status.domain_id, facts.progress.similar, gone=True)
 
 
 def _nobody(facts: Facts) -> Cause:
@@ -364,8 +368,7 @@ def _departed(facts: Facts) -> Verdict | None:
     """Judge a topic whose publisher has left while no message was due."""
     if not facts.status.sends or not facts.status.flowing or not facts.status.came or facts.progress.endpoints:
         return None
-    text = f"{no_publisher(facts.status.topic, facts.status.domain_id)} any more"
-    return Verdict(State.OK, Cause.PUBLISHER_GONE, text)
+    return Verdict(State.OK, Cause.PUBLISHER_GONE, _publisher_gone(facts))
 
 
 def _steady_figure(rate: float) -> str:
@@ -394,10 +397,7 @@ def _remedy_for_loss(facts: Facts) -> str:
     if facts.loss_unexplained:
         return ""
     if facts.datagrams > 1:
-        return (
-            f"; each takes {facts.datagrams} datagrams, and is lost if one of them is: {USE_TCP} or smaller messages; "
-            f"if none arrives, {LOWER_MTU} on both sides"
-        )
+        return f"; each takes {facts.datagrams} datagrams, and is lost if one of them is: {USE_TCP} or smaller messages"
     return f"; {USE_TCP}"
 
 
@@ -406,11 +406,11 @@ def _lossy(facts: Facts) -> Verdict | None:
     if loss is None or (facts.expired is not None and facts.expired.lost > loss.lost):
         return None  # most of what did not come was too old, which `_expired` tells
     cause, why = _LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way{_remedy_for_loss(facts)}"))
+    # The cause stays that of the ledger: a full link loses datagrams on the way, where this side has no queue.
     if facts.full is not None and cause in (Cause.LOSSY, Cause.QUEUE_FULL):
         why = f"the link is full ({facts.full.share}): set max_rate, compression: zstd or priority"
-        cause = Cause.QUEUE_FULL
     elif facts.loss_of_full_link and cause is Cause.LOSSY:
-        cause, why = Cause.QUEUE_FULL, "the link was full"
+        why = "the link was full"
     if loss.recovering:
         if facts.shown_cause not in LOSS_CAUSES:
             return None  # a fault that nobody was shown needs no end

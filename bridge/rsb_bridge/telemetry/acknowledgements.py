@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
+from rsb_bridge.model.path_fault import explained_by_link
 from rsb_bridge.model.snapshot import Acknowledgement, LinkSnapshot, PatternSnapshot, RouteSnapshot, State
 from rsb_bridge.model.verdict import Cause
 
@@ -78,7 +79,7 @@ class Acknowledgements:
     def mark(
         self, links: Iterable[LinkSnapshot], routes: Iterable[RouteSnapshot], now: float
     ) -> tuple[tuple[LinkSnapshot, ...], tuple[RouteSnapshot, ...]]:
-        """Mark acknowledged faults, and forget changed ones. A link's covers the routes that are down with it.
+        """Mark acknowledged faults, and forget changed ones. A link's covers the routes that suffer from its fault.
 
         Args:
             links: all.
@@ -92,8 +93,8 @@ class Acknowledgements:
         before, self._known = self._known, {}
         marked, self._marked = self._marked, {}
         new_links = tuple(self._link(link, before, marked, now) for link in links)
-        down = {link.name: link.acknowledged for link in new_links if link.acknowledged is not None}
-        return new_links, tuple(self._route(route, down, before, marked, now) for route in routes)
+        by_name = {link.name: link for link in new_links}
+        return new_links, tuple(self._route(route, by_name.get(route.link), before, marked, now) for route in routes)
 
     def _link(
         self, link: LinkSnapshot, before: dict[tuple[str, str], _AcknowledgedFault], marked: dict[Any, Any], now: float
@@ -107,14 +108,14 @@ class Acknowledgements:
     def _route(
         self,
         route: RouteSnapshot,
-        down: dict[str, Acknowledgement],
+        link: LinkSnapshot | None,
         before: dict[tuple[str, str], _AcknowledgedFault],
         marked: dict[Any, Any],
         now: float,
     ) -> RouteSnapshot:
         record = self._keep(route, before, now)
-        if record is None and route.cause == Cause.LINK_DOWN:
-            record = down.get(route.link)
+        if record is None and link is not None and explained_by_link(route, link):
+            record = link.acknowledged
         return route if record is None else self._replaced(_key(route), route, marked, record, [])
 
     def _keep(
@@ -178,7 +179,7 @@ def find_faulty(snapshot: Snapshot, key: str, link: str) -> AnyFaulty:
 
     Args:
         snapshot: the newest.
-        key: of a route or a pattern. A route that is down with its link has the link's fault.
+        key: of a route or a pattern. A route that suffers from its link's fault has the link's fault.
         link: the name of a link, or an empty string.
 
     Raises:
@@ -191,7 +192,8 @@ def find_faulty(snapshot: Snapshot, key: str, link: str) -> AnyFaulty:
         return links[link]
     for route in snapshot.routes:
         if route.key == key:
-            return links[route.link] if route.cause == Cause.LINK_DOWN and route.link in links else route
+            link_of = links.get(route.link)
+            return link_of if link_of is not None and explained_by_link(route, link_of) else route
     for pattern in (pattern for each in snapshot.links for pattern in each.patterns):
         if pattern.key == key:
             return pattern

@@ -23,6 +23,8 @@ _WINDOW = 10.0
 """s over which losses are counted."""
 _LOSSY_ABOVE, _WHOLE_BELOW, _LEAST_LOST = 0.05, 0.02, 3
 """Shares of the messages, and messages: from the one on a topic loses messages, below the other it no longer does."""
+_ROW_LASTS = 2.0
+"""Times as long as between the last two losses in a row for which they count: a topic that ended owes nothing."""
 _FEW_FOR = 10
 """Ticks in a row with fewer losses than make a fault, after which a topic has recovered."""
 _LOSSLESS_TICKS, _RECOVERED_TICKS = 2, 4
@@ -115,7 +117,7 @@ class Loss:
         lost: their number.
         of: number of messages that were delivered or lost.
         cause: of most of the losses, as in the ledger.
-        since: s, when it began.
+        since: s, when it began; if all of them were lost, of the last one before that arrived.
         recovering: whether fewer are lost now than make a fault.
     """
 
@@ -131,6 +133,36 @@ class Loss:
         return self.lost / self.of
 
 
+class _LostInARow:
+    """The messages that were lost since the last one arrived.
+
+    Attributes:
+        lost: their number by cause.
+    """
+
+    __slots__ = ("_at", "lost")
+
+    def __init__(self) -> None:
+        self.lost: Counter[str] = Counter()
+        self._at: list[float] = []  # times (s) of the last two
+
+    def add(self, lost: Mapping[str, int], now: float) -> None:
+        if any(lost.values()):
+            self.lost.update(lost)
+            self._at = [*self._at[-1:], now]
+
+    def counts(self, now: float) -> bool:
+        """Whether they are a fault: several, and no more time has passed than between two of them."""
+        if self.lost.total() < _LEAST_LOST:
+            return False
+        apart = self._at[-1] - self._at[-2] if len(self._at) > 1 else 0.0
+        return now - self._at[-1] <= max(_WINDOW, _ROW_LASTS * apart)
+
+    def clear(self) -> None:
+        self.lost.clear()
+        self._at.clear()
+
+
 class LossWatch:
     """Watches whether messages are lost between the two sides.
 
@@ -138,13 +170,15 @@ class LossWatch:
         loss: the present loss, or None if it is negligible.
     """
 
-    __slots__ = ("_few", "_lossless", "_marks", "_since_loss", "loss")
+    __slots__ = ("_arrived_at", "_few", "_lossless", "_marks", "_row", "_since_loss", "loss")
 
     def __init__(self) -> None:
         self.loss: Loss | None = None
         self._few = 0  # ticks in a row with fewer losses than make a fault
         self._lossless = 0  # ticks with messages since the last loss
         self._since_loss = 0  # messages that have arrived since then
+        self._row = _LostInARow()
+        self._arrived_at: float | None = None
         self._marks: deque[tuple[float, int, Mapping[str, int]]] = deque()
 
     def tick(self, delivered: int, lost: Mapping[str, int], now: float) -> None:
@@ -161,7 +195,7 @@ class LossWatch:
         self._marks.append((now, delivered, lost))
         while len(self._marks) > 2 and now - self._marks[1][0] >= _WINDOW:
             self._marks.popleft()
-        self._count_since_loss()
+        self._count_since_loss(now)
         if self.loss is not None and self._lossless >= _RECOVERED_TICKS and self._not_chance(self.loss):
             self.reset()  # the losses in the window belong to the fault that is over
             self._marks.append((now, delivered, lost))
@@ -172,6 +206,9 @@ class LossWatch:
         )
         total = new.total()
         settled = total + delivered - delivered_before
+        if total < _LEAST_LOST and self._row.counts(now):  # rare messages, none of which arrives
+            new = self._row.lost
+            settled = total = new.total()
         share = total / settled if settled else 0.0
         self._few = self._few + 1 if share < _LOSSY_ABOVE else 0
         if self._few >= _FEW_FOR:
@@ -182,14 +219,22 @@ class LossWatch:
             if self.loss is not None:
                 recovering |= self._lossless >= _LOSSLESS_TICKS and self._not_chance(self.loss)
                 cause = self.loss.cause if recovering else cause
-            self.loss = Loss(total, settled, cause, self.loss.since if self.loss else now, recovering)
+            since = self.loss.since if self.loss else now
+            if total >= settled and self._arrived_at is not None:
+                since = max(since, self._arrived_at)
+            self.loss = Loss(total, settled, cause, since, recovering)
         elif settled or now - self._marks[0][0] >= _WINDOW:
             self.loss = None
 
-    def _count_since_loss(self) -> None:
+    def _count_since_loss(self, now: float) -> None:
         if len(self._marks) < 2:
             return
         (_, delivered_before, lost_before), (_, delivered, lost) = self._marks[-2], self._marks[-1]
+        if delivered > delivered_before:
+            self._arrived_at = now
+            self._row.clear()
+        else:
+            self._row.add({cause: max(0, count - lost_before.get(cause, 0)) for cause, count in lost.items()}, now)
         if any(count > lost_before.get(cause, 0) for cause, count in lost.items()):
             self._lossless = self._since_loss = 0
         elif delivered > delivered_before:
@@ -204,4 +249,5 @@ class LossWatch:
         """Start over."""
         self.loss = None
         self._few = self._lossless = self._since_loss = 0
+        self._row.clear()
         self._marks.clear()

@@ -8,7 +8,7 @@ import errno
 import os
 import socket
 import struct
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.descriptors import MORE_DESCRIPTORS
@@ -29,10 +29,30 @@ _STRANGER_READS = 4096
 _READS = 256 * 1024
 """Bytes that are read at a time from a peer that has proven its key."""
 _LINGER = 2.0
-_RETRANSMITS = struct.Struct("2xB")
-"""The third field of the kernel's tcp_info: how often in a row it has sent the oldest bytes again."""
-_IN_VAIN = 3
-"""Times, which take 1.4 s at the least."""
+_TCP_INFO = struct.Struct("=2xB 97x I 16x Q 28x I 40x Q Q I")
+"""The kernel's tcp_info (linux/tcp.h), in part: `tcpi_retransmits`, `tcpi_total_retrans`,
+`tcpi_bytes_acked`, `tcpi_data_segs_out`, `tcpi_bytes_sent`, `tcpi_bytes_retrans` and `tcpi_dsack_dups`. Linux has the
+last ones since 4.19; without them there are no counts."""
+_IN_VAIN = 4
+"""Times, which take 2.4 s at the least: by then a path that loses every third packet counts as lossy."""
+
+
+class PacketCounts(NamedTuple):
+    """Packets of a stream with data, as the kernel counts them.
+
+    Attributes:
+        sent: packets sent, repetitions included.
+        lost: packets that were sent again and had not arrived before.
+        acknowledged: bytes that the other end has acknowledged.
+        waiting: bytes that were sent and are not acknowledged.
+        tries: how often in a row the oldest bytes were sent again.
+    """
+
+    sent: int
+    lost: int
+    acknowledged: int
+    waiting: int
+    tries: int
 
 
 class StreamProblem(Wording):
@@ -41,6 +61,7 @@ class StreamProblem(Wording):
     CLOSED_HERE = "closed here"
     TIMED_OUT = "timed out"
     REFUSED = "{error}: is the server running there?"
+    RESET = "{error}: the program at the other end died, or the network between ended the connection"
     NO_DESCRIPTORS = "{error}: this process needs more file descriptors: {remedy}"
 
 
@@ -206,17 +227,26 @@ class Stream(asyncio.Protocol):
         """Whether it is closed or closing."""
         return self._transport is None or self._closing or self._transport.is_closing()
 
+    def packets(self) -> PacketCounts | None:
+        """Return the kernel's counts of packets, or None if it has none; only TCP's are known."""
+        sock = self._transport.get_extra_info("socket") if self._transport is not None else None
+        if sock is None:
+            return None
+        try:
+            info = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO.size)
+        except OSError:
+            return None
+        if len(info) != _TCP_INFO.size:
+            return None
+        in_vain, repeated, acknowledged, segments, sent, again, needless = _TCP_INFO.unpack(info)
+        lost, waiting = max(0, repeated - needless), max(0, sent - again - acknowledged)
+        return PacketCounts(segments, lost, acknowledged, waiting, in_vain)
+
     @property
     def stuck(self) -> bool:
         """Whether the kernel has sent the same bytes again and again, and no answer came; only TCP can tell."""
-        sock = self._transport.get_extra_info("socket") if self._transport is not None else None
-        if sock is None:
-            return False
-        try:
-            info = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _RETRANSMITS.size)
-        except OSError:
-            return False
-        return len(info) == _RETRANSMITS.size and bool(_RETRANSMITS.unpack(info)[0] >= _IN_VAIN)
+        counts = self.packets()
+        return counts is not None and counts.tries >= _IN_VAIN
 
     @property
     def gone(self) -> bool:
@@ -307,6 +337,8 @@ def os_error_message(error: BaseException) -> str:
             return StreamProblem.REFUSED(error=message)
         if error.errno == errno.EMFILE:
             return StreamProblem.NO_DESCRIPTORS(error=message, remedy=MORE_DESCRIPTORS)
+        if error.errno in (errno.EPIPE, errno.ECONNRESET):
+            return StreamProblem.RESET(error=message)
         return message
     if isinstance(error, OSError) and error.strerror:
         return error.strerror

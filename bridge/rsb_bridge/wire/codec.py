@@ -11,7 +11,7 @@ from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.wire.fields import PRINTABLE, Count
 from rsb_bridge.wire.messages import ControlMessage, Hello, Report, TopicList, Welcome
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
-from rsb_bridge.wire.records import CallsReport, FullRecord, ReceivedReport, SentReport, TopicEntry
+from rsb_bridge.wire.records import CallsReport, FullRecord, PathRecord, ReceivedReport, SentReport, TopicEntry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,6 +31,7 @@ class ReportParts(msgspec.Struct, frozen=True, tag_field="message", tag="report"
     received: _Entries
     calls: _Entries = ()
     full: FullRecord | None = None
+    path: PathRecord | None = None
 
 
 class TopicListParts(msgspec.Struct, frozen=True, tag_field="message", tag="topiclist"):

@@ -47,6 +47,7 @@ from rsb_bridge.wire.records import (
     CallsReport,
     FullRecord,
     LaneEntry,
+    PathRecord,
     ReceivedReport,
     SentReport,
     Source,
@@ -130,6 +131,8 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
         pause_revision: of `paused`; see `Pause`.
         arm: whether the proposer's session requires arming before anything crosses.
         deadman: s without a key after which it disarms, or 0 for none.
+        on_end: the message that the receiving side publishes once an arming ends, by the proposer's session: ``zero``,
+            ``none``, the JSON of its fields, or empty if the session says nothing.
         who: the operator who has just added or edited the topic, or empty if unknown.
         edited: whether it replaces the route that was removed right before.
         kind: a key of `rsb_bridge.model.calls.LANES`; another kind is a newer peer's, and refused. For calls, the
@@ -162,6 +165,7 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
     priority: Rank = 0
     late_after: LateAfter | None = None
     max_age: MaxAge | None = None
+    on_end: Name = ""
 
     def __post_init__(self) -> None:
         check_qos(self.qos, depth_known=True)
@@ -177,6 +181,7 @@ class Accept(ControlMessageBase, frozen=True):
         arm: the acceptor wants it to be armed before anything crosses, be it by its session or by the proposal.
         deadman: as in `Propose`.
         max_age: as in `Propose`, by the acceptor's session.
+        on_end: as in `Propose`, by the acceptor's session.
     """
 
     route: RouteId
@@ -184,6 +189,7 @@ class Accept(ControlMessageBase, frozen=True):
     arm: bool = False
     deadman: Seconds = 0.0
     max_age: MaxAge | None = None
+    on_end: Name = ""
 
     def __post_init__(self) -> None:
         check_limits(self)
@@ -338,12 +344,14 @@ class Report(ControlMessageBase, frozen=True):
         received: counts of the routes that it receives on.
         calls: counts of the routes of calls, in both directions.
         full: the rates of a full link in the direction of the message, or None if unchanged.
+        path: what the path loses in the direction of the message, or None if unchanged.
     """
 
     sent: tuple[SentReport, ...]
     received: tuple[ReceivedReport, ...]
     calls: tuple[CallsReport, ...] = ()
     full: FullRecord | None = None
+    path: PathRecord | None = None
 
 
 class Duplicate(ControlMessageBase, frozen=True):

@@ -11,7 +11,7 @@ import msgspec
 from rsb_bridge.model.qos import Qos, qos_problem
 
 # msgspec resolves the annotations at run time
-from rsb_bridge.wire.fields import Causes, Count, Hops, Name, NodeNames, Reason, RouteId
+from rsb_bridge.wire.fields import Causes, Count, Hops, Name, NodeNames, Reason, RouteId, Share
 
 
 class Source(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -141,6 +141,20 @@ class FullRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     carried: float = 0.0
     asked: float = 0.0
     topics: NodeNames = ()
+
+
+class PathRecord(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Loss of packets in the direction of the report (`rsb_bridge.link.path_watch`).
+
+    Attributes:
+        lost: share of the packets, 0 to 1, or None without a figure.
+        lossy: the same, rounded, if it is a fault, else 0.
+        large: whether large packets are lost while small ones arrive.
+    """
+
+    lost: Share | None = None
+    lossy: Share = 0.0
+    large: bool = False
 
 
 class LaneEntry(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.config.advice import advise, uninstalled_types, without_max_age
+from rsb_bridge.cdr.resting import DRIVING_TYPES
+from rsb_bridge.config.advice import advise, guarded_here_alone, uninstalled_types, without_max_age
 from rsb_bridge.config.file_form import LISTS, NOUNS
 from rsb_bridge.config.keys import (
     Key,
@@ -28,7 +29,7 @@ from rsb_bridge.config.session_file import SessionError, demand_places, load
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import command_words, domain_of, fault_command_warnings
 from rsb_bridge.config.yaml_text import inline
-from rsb_bridge.model.demands import Demands, demand_on_entry, describe, sources_of
+from rsb_bridge.model.demands import Demands, demand_on_entry, describe, full_type, sources_of
 from rsb_bridge.model.profiles import PROFILES, compression_of, described, profile_of
 from rsb_bridge.model.session import Grant
 from rsb_bridge.model.text import join_first
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
-    from rsb_bridge.model.demands import Source, SourceKey
+    from rsb_bridge.model.demands import Demand, Source, SourceKey
     from rsb_bridge.model.profiles import Compression, LinkProfile
     from rsb_bridge.model.session import Client, Session, Topic
 
@@ -56,6 +57,13 @@ class CheckText(Wording):
     SERVER_MAY_STOP = "the server may shut this bridge down"
     NODES_MAY_STOP = "any ROS node of this domain may shut the bridge down, on {topic}"
     MAX_AGE_MISSING = "hint: a late command may move a robot when the network recovers: set max_age: 0.5 on {names}"
+    NO_OTHER_GUARD = (
+        "hint: nothing stops what {names} drives if this bridge is killed or frozen: give the robot's base a timeout"
+    )
+    ENDS_WITH = "; when that ends, the robot gets {message} ({line})"
+    ENDS_BY_TYPE = "; when that ends, the robot gets zero if the type drives robots"
+    ENDS_WITH_ZERO = "; when that ends, the robot gets zero"
+    ENDS_WITH_NOTHING = "; when that ends, the robot gets nothing"
     MAY_MEASURE = (
         "{peer} may measure the link (rsb-console bench): {seconds:g} s, {rate:g} messages/s, {megabytes:g} MB in an "
         "hour"
@@ -113,7 +121,20 @@ def _demands_on(
         return limit
     keys = f"within {demand.deadman:g} s" if demand.deadman else "never"
     lines = ", ".join(describe(source, places) for source in demand.sources)
-    return f"{limit}, has to be armed ({lines}; keys needed: {keys})"
+    return f"{limit}, has to be armed ({lines}; keys needed: {keys}){_end_of(demand, topic, places)}"
+
+
+def _end_of(demand: Demand, topic: Topic, places: Mapping[SourceKey, str]) -> str:
+    """Return what the robot gets once the arming ends, with the line that wants it, or an empty string."""
+    if topic.kind != "topic":
+        return ""
+    line = next((each for each in demand.sources if demand.on_end and each.on_end == demand.on_end), None)
+    if line is not None:
+        return CheckText.ENDS_WITH(message=demand.on_end, line=describe(line, places))
+    type_name = full_type(topic.type)
+    if not type_name:
+        return CheckText.ENDS_BY_TYPE()
+    return CheckText.ENDS_WITH_ZERO() if type_name in DRIVING_TYPES else CheckText.ENDS_WITH_NOTHING()
 
 
 def _demanded(source: Source, places: Mapping[SourceKey, str]) -> str:
@@ -159,6 +180,8 @@ def rights(session: Session) -> Iterator[str]:
 
 def hints(session: Session) -> Iterator[str]:
     """Yield advice about a session without mistakes."""
+    if alone := tuple(dict.fromkeys(guarded_here_alone(session))):
+        yield CheckText.NO_OTHER_GUARD(names=join_first(alone, _NAMED))
     if old := tuple(dict.fromkeys(without_max_age(session))):
         names = join_first(old, _NAMED)
         yield f"  {CheckText.MAX_AGE_MISSING(names=names)}"

@@ -38,7 +38,7 @@ _COUNTED: dict[Kind, str] = {
 _DIGITS = {Unit.HERTZ: 3, Unit.BYTES_PER_SECOND: None, Unit.MOMENT: 3}
 """Decimal places in JSON."""
 _OF_LINK = figures(Of.LINK, "state", "cause", "reason", "since")
-_MORE_OF_LINK = figures(Of.LINK, "peer", "rtt", "fingerprint", "next_fingerprint", "acknowledged")
+_MORE_OF_LINK = figures(Of.LINK, "peer", "rtt", "loss", "fingerprint", "next_fingerprint", "acknowledged")
 _OF_ROUTE = figures(
     Of.ROUTE, "topic", "kind", "link", "pattern", "outgoing", "state", "cause", "reason", "from_peer", "since",
     "publishers", "subscribers", "max_rate", "arming", "acknowledged", "missing", "rate", "bytes_per_second",

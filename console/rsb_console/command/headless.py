@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Reloaded, Snapshot
 
 STATUS_EVERY = 5.0
-_WAIT = 0.5
-"""Seconds after which a signal is noticed, at the latest."""
+_WAIT = 0.1
+"""Seconds after which a signal is noticed, at the latest: until then, a robot that is driven goes on."""
 _LOOK_EVERY = 1.0
 """Seconds between checks of an idle engine: no more often than it renews its snapshot."""
 _STOPS_WITHIN = 4.0

@@ -71,6 +71,7 @@ def _values(route: RouteSnapshot) -> dict[str, object]:
         "jitter": route.jitter,
         "age": route.age,
         "last_error": route.last_error,
+        "last_error_at": round(route.last_error_at, 3) if route.last_error else None,
         "stages": [{"name": stage.name, "done": stage.done, "detail": stage.detail} for stage in route.stages],
     }
 
@@ -111,7 +112,7 @@ def _lines(route: RouteSnapshot, link: LinkSnapshot | None, other: str, figures:
         detail = f": {missing[0].detail}" if missing[0].detail else ""
         yield f"Waits for: {missing[0].name}{detail}"
     if route.last_error:
-        yield f"Last error: {route.last_error}"
+        yield f"Last error, at {formats.time_of_day(route.last_error_at)}: {route.last_error}"
 
 
 def _carriers(route: RouteSnapshot) -> Iterator[str]:
@@ -132,6 +133,8 @@ def _link_parts(link: LinkSnapshot) -> Iterator[str]:
     yield f"{link.name} {link_word(link)}{f' {link.peer}' if link.peer else ''}"
     if link.rtt is not None:
         yield f"rtt {formats.span(link.rtt)}"
+    if loss := formats.loss([link]):
+        yield f"loss {loss}"
     if fault := link.reason or link.warning:
         yield without_peer(fault, link)
 

@@ -80,6 +80,12 @@ def span(seconds: float) -> str:
     return f"{seconds:.2f} s"
 
 
+def loss(links: Iterable[LinkSnapshot]) -> str:
+    """Format the worst loss of packets of some links: ``30 %``, or an empty string below 1 %."""
+    worst = max((share for link in links for share in (link.loss_out, link.loss_in) if share is not None), default=0.0)
+    return f"{100 * worst:.0f} %" if worst >= 0.01 else ""
+
+
 def latency(seconds: float, uncertainty: float | None) -> str:
     """Format a latency as `span` does; one that the error of the clock offset made negative as ``<0.4 ms``.
 

@@ -143,6 +143,8 @@ def _detail(link: LinkSnapshot, width: int, *, server: bool) -> Iterator[Line]:
     uncertain = "" if link.clock_uncertainty is None else f" ± {formats.span(link.clock_uncertainty)}"
     offset = "not known yet" if link.clock_offset is None else f"{_span(link.clock_offset)} against ours{uncertain}"
     yield (_label("its clock"), (offset, ""))
+    if loss := formats.loss([link]):
+        yield (_label("packets lost"), (loss, State.SLOW.value))
 
 
 def _label(text: str) -> tuple[str, str]:

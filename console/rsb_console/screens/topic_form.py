@@ -38,7 +38,7 @@ KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
 ORDER = (
     "topic", "kind", "direction", "provider", "excepts", "type", "qos", "remote_topic", "timeout", "protocol", "port",
     "max_rate", "priority", "expected_rate", "stale_after", "late_after", "max_age", "compression", "arm", "deadman",
-    "paused",
+    "on_end", "paused",
 )  # fmt: skip
 """The keys of all fields, in the order in which an operator thinks of them."""
 _LABELS: dict[Kind, str] = {"topic": "Topic", "service": "Service", "action": "Action", "parameters": "Node"}

@@ -106,6 +106,8 @@ class StatusBar(LiveLines):
         rtts = [link.rtt for link in snapshot.links if link.rtt is not None]
         if rtts:
             groups.append(((f"rtt {formats.span(max(rtts))}", ""),))
+        if loss := formats.loss(snapshot.links):
+            groups.append(((f"loss {loss}", State.SLOW.value),))
         for name, history in (("RX", self._received), ("TX", self._sent)):
             if history:
                 bars = sparkline(list(history), HISTORY)

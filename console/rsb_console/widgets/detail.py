@@ -159,8 +159,7 @@ def _figures(route: RouteSnapshot, width: int) -> Iterator[Line]:
             yield from parts.figure(name, [*who, verb, *formats.qos_parts(qos, depth_known=False)], width)
     if route.type_hash:
         yield parts.labelled("type hash", route.type_hash)  # cut: its beginning is enough to tell two hashes apart
-    if route.last_error:
-        yield from parts.figure("last error", route.last_error.split(), width)
+    yield from parts.last_error(route, width)
 
 
 def call_lines(route: RouteSnapshot, calls: CallsSnapshot, peer: str, width: int) -> Iterator[Line]:
@@ -231,8 +230,7 @@ def _calls_figures(route: RouteSnapshot, calls: CallsSnapshot, width: int) -> It
     yield from parts.nodes("providers", route.subscribers, width)
     if route.type_hash:
         yield parts.labelled("type hash", route.type_hash)
-    if route.last_error:
-        yield from parts.figure("last error", route.last_error.split(), width)
+    yield from parts.last_error(route, width)
 
 
 def _latency(name: str, p50: float | None, p99: float | None, what: str, width: int) -> Iterator[Line]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.on_end import NONE
 from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import (
@@ -61,6 +62,9 @@ def heading(route: RouteSnapshot, last: str, width: int) -> Iterator[Line]:
         yield from wrapped(f"{arming.by}, {_until(arming)}", width, "")
     if arming is not None and arming.demanded_by:
         yield from wrapped(f"has to be armed: {', '.join(arming.demanded_by)}", width, "dim")
+    if arming is not None and arming.on_end:
+        on_end = "nothing" if arming.on_end == NONE else arming.on_end
+        yield from wrapped(f"when that ends, the robot gets {on_end}", width, "dim")
     if route.acknowledged is not None:
         yield from wrapped(acknowledged_by(route.acknowledged), width, "dim")
     failed = next((stage.detail for stage in route.stages if not stage.done), "")
@@ -219,6 +223,13 @@ def figure(name: str, pieces: Sequence[str], width: int) -> Iterator[Line]:
     tied = " ".join(piece.replace(" ", TIED) for piece in pieces)
     for number, line in enumerate(textwrap.wrap(tied, room)):
         yield labelled("" if number else name, line.replace(TIED, " ").rstrip())
+
+
+def last_error(route: RouteSnapshot, width: int) -> Iterator[Line]:
+    """Yield the last error with its time, if there was one."""
+    if route.last_error:
+        words = [*route.last_error.split(), f"(at {formats.time_of_day(route.last_error_at)})"]
+        yield from figure("last error", words, width)
 
 
 def labelled(name: str, text: str) -> Line:

@@ -7,6 +7,7 @@ import textwrap
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.model.path_fault import explained_by_link
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause, LinkCause
@@ -222,8 +223,9 @@ def _refused_clients(snapshot: Snapshot) -> Iterator[Fault]:
 
 def _topic_faults(snapshot: Snapshot) -> Iterator[Fault]:
     several = len(snapshot.links) > 1
+    links = {link.name: link for link in snapshot.links}
     for route in sorted((*snapshot.routes, *pattern_rows(snapshot)), key=lambda route: (route.state.rank, route.topic)):
-        if _needs_words(route):
+        if _needs_words(route) and not explained_by_link(route, links.get(route.link)):
             robot = route.link if several else ""
             sign, measured = STATE_SIGN[route.state], route.state is State.SLOW or route.cause == Cause.LOSSY
             yield Fault(sign, route.state.value, robot, route.topic, _reason(route), of_link=False, measured=measured)
@@ -231,7 +233,7 @@ def _topic_faults(snapshot: Snapshot) -> Iterator[Fault]:
 
 def _needs_words(route: RouteSnapshot) -> bool:
     """Whether a topic has a fault of its own, or waits for something that an operator can remedy."""
-    if route.acknowledged is not None or route.cause == Cause.LINK_DOWN:
+    if route.acknowledged is not None:
         return False
     if route.state in {State.OK, State.PAUSED, State.DISARMED, State.DISARMING}:
         return False

@@ -34,6 +34,8 @@ WITHIN = 0.1
 """s from the moment when the robot's side knows of the end until its rest."""
 CUT_WITHIN = 1.2
 """s from a cut, which nobody reports to the robot's side, until its rest."""
+_SIGNAL_WITHIN = 0.2
+"""s until a bridge has noticed a signal, and its side of the link has ended."""
 _WATCHED = 3.5
 _DEADMAN = 2.0
 _KEYS = 10.0  # Hz
@@ -73,18 +75,10 @@ class _Scene:
     Attributes:
         stage: both bridges.
         holder: the command that armed the topic.
-        began: the moment when the arming ended, set by an ending that is not over at once.
     """
 
     stage: Stage
     holder: Command
-    began: float = 0.0
-
-    def run(self, bridge: Bridge, *arguments: str) -> None:
-        """Run a command of an operator, and count from the moment when it was carried out."""
-        command = bridge.run(*arguments)
-        code = command.wait(30)
-        assert code == 0, command.output[-500:]
 
 
 def _key(bridge: Bridge) -> str:
@@ -182,7 +176,7 @@ _BOTH: dict[str, Ending] = {
     "edit": Ending(_edit),
     "reload": Ending(_reload),
     "restart": Ending(_restart),
-    "SIGTERM": Ending(_term),
+    "SIGTERM": Ending(_term, within=_SIGNAL_WITHIN),
 }
 _SILENT_CONSOLE = 5.5
 """s after which a console counts as gone, and until that is noticed."""
@@ -220,7 +214,8 @@ def run(nodes: Nodes, name: str, transport: Transport, driver: Driver) -> Rested
             bridge = stage.pc if ending.side == "pc" else stage.robot
             began = armed_at if ending.deadman else time.monotonic()
             ending.does(scene, bridge)
-            time.sleep(ending.within + 0.5)
+            within = CUT_WITHIN if ending.does is _kill and transport.startswith("zenoh") else ending.within
+            time.sleep(within + 0.5)
             if ending.released:
                 time.sleep(4.0)  # until the arming has ended for good: what comes from now on is late
                 stage.relay.release()
@@ -229,7 +224,7 @@ def run(nodes: Nodes, name: str, transport: Transport, driver: Driver) -> Rested
                 if stage.router is not None and ending.does is _router_stopped:
                     stage.router.go_on()
             time.sleep(_WATCHED - 1.0)
-        return _judge(stage, began, ending)
+        return _judge(stage, began, within)
 
 
 def _await_motion(stage: Stage, holder: Command) -> list[Arrival]:
@@ -243,7 +238,7 @@ def _three(moving: list[Arrival]) -> list[Arrival] | None:
     return moving if len(moving) >= 3 else None
 
 
-def _judge(stage: Stage, began: float, ending: Ending) -> Rested:
+def _judge(stage: Stage, began: float, within: float) -> Rested:
     every = stage.arrivals()
     tolerance = Witness(every).worst + CLOCK_TOLERANCE
     heard = sorted((each for each in every if each.topic == TOPIC), key=lambda each: each.arrived)
@@ -252,12 +247,12 @@ def _judge(stage: Stage, began: float, ending: Ending) -> Rested:
     last = heard[-1]
     first = rests[0] if rests else None
     after_rest = sum(1 for each in since if each.number and first is not None and each.arrived > first)
-    too_late = sum(1 for each in since if each.number and each.arrived > began + ending.within + tolerance)
+    too_late = sum(1 for each in since if each.number and each.arrived > began + within + tolerance)
     return Rested(
         max(after_rest, too_late),
         "moving" if last.number else "rest",
         None if first is None else first - began,
-        ending.within + tolerance,
+        within + tolerance,
         len(rests),
         [f"armed again {stage.describe()}"] if too_late else [],
     )

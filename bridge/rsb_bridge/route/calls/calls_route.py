@@ -392,7 +392,8 @@ class CallsRoute(Route):
 
     def _failed(self, text: str, code: EventCode = EventCode.ROUTE_CALL_FAILED) -> None:
         """Note why a call had no answer. The log repeats the same text once a minute at most."""
-        self.calls.last_failure = self.notices.last_error = text
+        self.calls.last_failure = text
+        self.notices.record(text)
         now = self.context.now()
         if now - self._said.get(text, float("-inf")) < _SAID_AGAIN_AFTER:
             return

@@ -1,0 +1,296 @@
+"""Measures the loss of packets on the path of a link: their share, and whether only large ones are lost.
+
+Each side measures its own direction and reports it. TCP's losses are the kernel's repetitions, UDP's come from
+receipts. Losses count only while no queue builds up on the path: a full link loses packets, too.
+
+One stalled connection does not prove that large packets are lost, so a probe does. While pings are answered at once, a
+stream that stalls is opened again. If its first, small packets pass and the large ones do not, the path loses large
+packets. UDP's own probes are small and have the same addresses as its messages.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.path_fault import PathFault, PathFaultText
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.wire.records import PathRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping
+
+    from rsb_bridge.channel.datagram_channel import DatagramSender
+    from rsb_bridge.transport.streams import PacketCounts, Stream
+
+_TICKS = 20
+"""Ticks over which the share is averaged."""
+_COUNTED = 10
+"""The most packets of a tick that count: a gap loses a whole window at once, and is not a lossy path."""
+_ENOUGH, _LOSES_IN = 30, 4
+"""Packets, and ticks with a loss, before a path counts as lossy."""
+_LOSSY_ABOVE, _WHOLE_BELOW = 0.05, 0.02
+"""Shares, the same as for a topic's messages (`rsb_bridge.telemetry.watches`)."""
+_FORGOTTEN_AFTER = 10.0
+"""s without a link after which it may go another way."""
+_PINGS = 3
+_QUEUE, _QUEUE_PART = 0.01, 0.25
+"""s, and part of the shortest ping, by which all of the last pings take longer if a queue has built up on the path. If
+only packets are lost, some pings meet no loss."""
+_SILENT_AFTER = 2.5
+"""s without a byte, while pings come once a second."""
+_STALLED = 2
+"""Times in a row that the kernel has sent a stream's oldest bytes again. It gives the stream up after 6 s, of which the
+pings that have to be answered meanwhile take three."""
+_LARGE = 1000
+"""Bytes: fewer cross any path that carries pings."""
+_SMALL_PASSED = 3
+"""Pings that are answered while large packets are not."""
+_LARGE_AGAIN_AFTER = 10.0
+"""s without a stalled stream after which large packets count as passing again."""
+STALLED = "nothing gets through it, though pings are answered"
+"""The reason why a stalled stream is opened again."""
+
+
+class Pings(NamedTuple):
+    """Figures of a link's pings.
+
+    Attributes:
+        round_trip: s of the newest, or of the wait for its answer, or None before the first.
+        answered: number of answers so far.
+        quiet: s since anything came from the peer.
+    """
+
+    round_trip: float | None
+    answered: int
+    quiet: float
+
+
+class _Loss:
+    """The share of packets that one direction loses.
+
+    Attributes:
+        share: 0 to 1, or None if it is unknown.
+        lossy: the same, rounded and steady, while it is a fault, else 0.
+    """
+
+    def __init__(self) -> None:
+        self.share: float | None = None
+        self.lossy = 0.0
+        self._ticks: deque[tuple[int, float]] = deque(maxlen=_TICKS)  # packets that count, and the part of them lost
+
+    def tick(self, sent: int, lost: int) -> None:
+        """Take the packets of a second; none says nothing."""
+        counted = min(sent, _COUNTED)
+        if lost and not any(part for _, part in self._ticks):
+            self._ticks.clear()  # the share is that of the time since losses began
+        self._ticks.append((counted, counted * min(1.0, lost / sent) if sent else 0.0))
+        packets = sum(each for each, _ in self._ticks)
+        if packets < _ENOUGH:
+            self.share = None
+            if not packets:
+                self.lossy = 0.0
+            return
+        self.share = share = sum(part for _, part in self._ticks) / packets
+        if self.lossy:
+            self.lossy = 0.0 if share < _WHOLE_BELOW else steady(self.lossy, share)
+        elif share >= _LOSSY_ABOVE and sum(part > 0 for _, part in self._ticks) >= _LOSES_IN:
+            self.lossy = steady(0.0, share)
+
+    def clear(self) -> None:
+        """Begin again."""
+        self.share, self.lossy = None, 0.0
+        self._ticks.clear()
+
+
+def steady(shown: float, share: float) -> float:
+    """Return the share to show after `shown`: it changes only if the new one differs clearly, as a banner shows it."""
+    if shown and abs(share - shown) <= max(0.02, 0.3 * shown):
+        return shown
+    return max(0.01, round(share, 2 if share < 0.1 else 1))
+
+
+class PathWatch:
+    """Watches the path of one link.
+
+    Args:
+        log: adds an event about the link.
+
+    Attributes:
+        fault: the fault of the path, or None.
+        into: the peer's record of the direction to here.
+    """
+
+    def __init__(self, log: Callable[[Level, EventCode, str], None]) -> None:
+        self.fault: PathFault | None = None
+        self.into = PathRecord()
+        self._log = log
+        self._loss = _Loss()
+        self._large = False
+        self._stalled_at = float("-inf")
+        self._probe: tuple[int, int] | None = None  # answered pings and lost packets when the probe began
+        self._counts: dict[object, tuple[int, int, int]] = {}
+        self._pings: deque[float] = deque(maxlen=_PINGS)
+        self._shortest = float("inf")
+        self._ticked_at = float("-inf")
+        self._record = self._sent = PathRecord()
+        self._logged = False
+
+    @property
+    def share_out(self) -> float | None:
+        """The share of the packets from here that is lost, or None if it is unknown."""
+        return self._loss.share
+
+    @property
+    def lossy_out(self) -> bool:
+        """Whether so many packets from here are lost that this is a fault."""
+        return self._loss.lossy > 0
+
+    def tick(
+        self,
+        control: Stream,
+        streams: Mapping[Stream, PacketCounts],
+        senders: Collection[DatagramSender],
+        pings: Pings,
+        peer: str,
+        now: float,
+        *,
+        large_vanish: bool,
+    ) -> list[Stream]:
+        """Look at the path. Called once a second, while linked.
+
+        Args:
+            control: the control connection.
+            streams: the packets of all streams, as far as they are known.
+            senders: the channels that send datagrams.
+            pings: the link's.
+            peer: the other side's name.
+            now: s.
+            large_vanish: none of the last large datagrams has arrived, while probes of their sockets are answered.
+
+        Returns:
+            The streams that are stalled, to be opened again.
+        """
+        if now - self._ticked_at > _FORGOTTEN_AFTER:
+            self._loss.clear()
+        self._ticked_at = now
+        sent, lost, passed = self._gained(streams, senders)
+        if not passed or self._queues(pings.round_trip):
+            sent = lost = 0  # a gap, or a full link
+        self._loss.tick(sent, lost)
+        own = streams[control].lost if control in streams else 0
+        stalled = self._probe_sizes(control, streams, pings, own, now, vanish=large_vanish)
+        share = self._loss.share
+        self._record = PathRecord(
+            None if share is None else round(share, 2), self._loss.lossy, self._large and not self._loss.lossy
+        )
+        self._judge(peer, silent=pings.quiet > _SILENT_AFTER)
+        return stalled
+
+    def _gained(
+        self, streams: Mapping[Stream, PacketCounts], senders: Collection[DatagramSender]
+    ) -> tuple[int, int, int]:
+        """Return the packets sent and lost since the last tick, and how much was acknowledged."""
+        before = self._counts
+        self._counts = {stream: (each.sent, each.lost, each.acknowledged) for stream, each in streams.items()}
+        # Datagrams are lost in full buffers, too. So they count only where TCP's losses are unknown.
+        if not streams:
+            self._counts |= {sender: (each[0], each[1], each[0]) for sender in senders if (each := sender.packets())}
+        sent = lost = passed = 0
+        for carrier, (all_sent, all_lost, all_passed) in self._counts.items():
+            sent_before, lost_before, passed_before = before.get(carrier, (0, 0, 0))
+            sent += max(0, all_sent - sent_before)
+            lost += max(0, all_lost - lost_before)
+            passed += max(0, all_passed - passed_before)
+        return sent, lost, passed
+
+    def _queues(self, round_trip: float | None) -> bool:
+        """Whether a queue has built up on the path, by the newest ping (s)."""
+        if round_trip is None:
+            return False
+        self._pings.append(round_trip)
+        self._shortest = min(self._shortest, round_trip)
+        return min(self._pings) - self._shortest > max(_QUEUE, _QUEUE_PART * self._shortest)
+
+    def _probe_sizes(
+        self,
+        control: Stream,
+        streams: Mapping[Stream, PacketCounts],
+        pings: Pings,
+        lost: int,
+        now: float,
+        *,
+        vanish: bool,
+    ) -> list[Stream]:
+        """Find out whether large packets are lost, and return the streams to open again for that."""
+        stalled = {
+            stream: counts
+            for stream, counts in streams.items()
+            if stream is not control and counts.tries >= _STALLED and counts.waiting >= _LARGE
+        }
+        if not stalled and not vanish:
+            self._probe = None
+            if now - self._stalled_at > _LARGE_AGAIN_AFTER:
+                self._large = False
+            return []
+        self._stalled_at = now
+        if self._loss.lossy or self._probe is None or self._probe[1] != lost:
+            self._probe = pings.answered, lost  # small packets are lost as well
+            return []
+        if pings.answered - self._probe[0] < _SMALL_PASSED:
+            return []
+        fresh = [stream for stream, counts in stalled.items() if counts.acknowledged < _LARGE]
+        self._large = self._large or vanish or bool(fresh)
+        # Large packets have crossed these: perhaps a firewall has forgotten the connection.
+        return [stream for stream in stalled if stream not in fresh]
+
+    def take_record(self, record: PathRecord, peer: str) -> None:
+        """Take the peer's record of the direction to here."""
+        self.into = record
+        self._judge(peer, silent=self.fault is not None and self.fault.cause is LinkCause.SILENT)
+
+    def _judge(self, peer: str, *, silent: bool) -> None:
+        before = self.fault
+        out, into = self._record, self.into
+        if lossy := max(out.lossy, into.lossy):
+            way = _way(out=out.lossy > 0, into=into.lossy > 0)
+            text = PathFaultText.LOSSY(share=f"{lossy:.0%}".replace("%", " %"), way=way, peer=peer)
+            self.fault = PathFault(LinkCause.LOSSY, text)
+        elif silent:
+            self.fault = PathFault(LinkCause.SILENT, PathFaultText.SILENT(peer=peer))
+        elif out.large or into.large:
+            way = _way(out=out.large, into=into.large)
+            self.fault = PathFault(LinkCause.LARGE_PACKETS, PathFaultText.LARGE_PACKETS(way=way, peer=peer))
+        else:
+            self.fault = None
+        if self.fault is None and self._logged:
+            self._logged = False
+            self._log(Level.INFO, EventCode.LINK_PATH_RESTORED, PathFaultText.GONE(peer=peer))
+        elif self.fault is None or self.fault.cause is LinkCause.SILENT:  # which the link's end tells
+            return
+        elif before is None or before.cause is not self.fault.cause or not self._logged:
+            self._logged = True
+            self._log(Level.WARNING, EventCode.LINK_PATH_FAULT, self.fault.text)
+
+    def next_record(self) -> PathRecord | None:
+        """Return the record for the peer, or None if it has not changed since the last one."""
+        if self._record == self._sent:
+            return None
+        self._sent = self._record
+        return self._record
+
+    def disconnected(self) -> None:
+        """Forget the connection. Its losses count for the next one, if that comes soon."""
+        self.fault, self.into = None, PathRecord()
+        self._large, self._probe, self._stalled_at = False, None, float("-inf")
+        self._counts.clear()
+        self._pings.clear()
+        self._shortest = float("inf")
+        self._record = self._sent = PathRecord()
+        self._logged = False
+
+
+def _way(*, out: bool, into: bool) -> str:
+    return "to and from" if out and into else "to" if out else "from"

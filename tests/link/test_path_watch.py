@@ -1,0 +1,218 @@
+"""Loss of packets on a path, and its fault on both sides."""
+
+from __future__ import annotations
+
+from random import Random
+
+import pytest
+
+from rsb_bridge.link.path_watch import PathWatch, Pings, steady
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.transport.streams import PacketCounts, Stream, StreamHandler
+from rsb_bridge.wire.records import PathRecord
+
+PING = 0.002
+PACKET = 1400
+
+
+class Path:
+    """One side's watch of a path with a control connection and one data stream."""
+
+    def __init__(self, seed: int = 1) -> None:
+        self.events: list[EventCode] = []
+        self.watch = PathWatch(lambda level, code, text: self.events.append(code))
+        self.control, self.data = Stream(StreamHandler()), Stream(StreamHandler())
+        self.told: list[tuple[LinkCause, str] | None] = []
+        self._random = Random(seed)
+        self._packets = dict.fromkeys((self.control, self.data), PacketCounts(0, 0, 0, 0, 0))
+        self._now, self._answered = 100.0, 0
+
+    def pass_(
+        self,
+        seconds: int,
+        *,
+        loss: float = 0.0,
+        rate: int = 20,
+        ping: float = PING,
+        answers: bool = True,
+        quiet: float = 0.5,
+        stalled: int = 0,
+        vanish: bool = False,
+    ) -> list[Stream]:
+        """Let time pass; return the streams to open again.
+
+        Args:
+            seconds: s.
+            loss: share of the packets that are lost.
+            rate: packets/s of the data stream.
+            ping: s of a ping.
+            answers: pings are answered.
+            quiet: s since something came.
+            stalled: bytes of the data stream that the kernel sends again and again, or 0.
+            vanish: large datagrams vanish.
+        """
+        stale: list[Stream] = []
+        for _ in range(seconds):
+            self._now += 1.0
+            self._answered += answers
+            for stream, packets in ((self.control, 2), (self.data, 0 if stalled else rate)):
+                lost = sum(self._random.random() < loss for _ in range(packets))
+                before = self._packets[stream]
+                self._packets[stream] = PacketCounts(
+                    before.sent + packets,
+                    before.lost + lost,
+                    before.acknowledged + PACKET * (packets - lost),
+                    stalled if stream is self.data else 0,
+                    2 if stalled and stream is self.data else 0,
+                )
+            stale += self.watch.tick(
+                self.control,
+                dict(self._packets),
+                (),
+                Pings(ping, self._answered, quiet),
+                "robot1",
+                self._now,
+                large_vanish=vanish,
+            )
+            fault = self.watch.fault
+            self.told.append(None if fault is None else (fault.cause, fault.text))
+        return stale
+
+    @property
+    def cause(self) -> LinkCause | None:
+        return None if self.watch.fault is None else self.watch.fault.cause
+
+    def changes(self) -> int:
+        """Count the changes of the fault's text."""
+        return sum(one != other for one, other in zip(self.told, self.told[1:], strict=False))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_lossy_path_has_one_cause_and_a_steady_figure(seed: int) -> None:
+    path = Path(seed)
+    path.pass_(30)
+    assert (path.cause, path.watch.share_out) == (None, 0.0)
+    path.pass_(6, loss=0.3)
+    assert path.cause is LinkCause.LOSSY
+    path.pass_(60, loss=0.3)
+    assert {each and each[0] for each in path.told[36:]} == {LinkCause.LOSSY}
+    assert path.changes() <= 3
+    assert path.watch.share_out is not None
+    assert 0.2 < path.watch.share_out < 0.4
+    path.pass_(25)
+    assert path.cause is None
+    assert path.events == [EventCode.LINK_PATH_FAULT, EventCode.LINK_PATH_RESTORED]
+
+
+def test_pings_alone_show_a_lossy_path() -> None:
+    path = Path()
+    path.pass_(20, loss=0.3, rate=0)
+    assert path.cause is LinkCause.LOSSY
+
+
+def test_some_loss_is_a_figure_and_no_fault() -> None:
+    path = Path()
+    path.pass_(60, loss=0.02)
+    assert set(path.told) == {None}
+    assert path.watch.share_out
+
+
+def test_a_gap_is_no_lossy_path() -> None:
+    path = Path()
+    path.pass_(20)
+    path.pass_(3, loss=1.0)
+    path.pass_(1, loss=0.6, rate=200)  # a window is sent again
+    path.pass_(30)
+    assert set(path.told) == {None}
+
+
+def test_what_a_full_link_loses_is_not_the_path() -> None:
+    path = Path()
+    path.pass_(10)
+    path.pass_(30, loss=0.3, ping=PING + 0.04)
+    assert set(path.told) == {None}
+
+
+def test_large_packets_are_lost_once_a_new_stream_proves_it() -> None:
+    path = Path()
+    path.pass_(4, rate=0)
+    assert not path.pass_(5, stalled=PACKET)
+    assert path.cause is LinkCause.LARGE_PACKETS
+    assert path.watch.next_record() == PathRecord(lost=path.watch.share_out, large=True)
+    path.pass_(12)
+    assert path.cause is None
+
+
+def test_a_stalled_stream_that_has_carried_large_packets_is_opened_anew() -> None:
+    path = Path()
+    path.pass_(4)
+    assert path.pass_(5, stalled=PACKET)[:1] == [path.data]
+    assert path.cause is None
+
+
+def test_large_datagrams_vanish_while_small_ones_are_answered() -> None:
+    path = Path()
+    path.pass_(5, vanish=True, rate=0)
+    assert path.cause is LinkCause.LARGE_PACKETS
+
+
+@pytest.mark.parametrize("stalled", [700, 100_000])
+def test_a_cut_cable_never_blames_large_packets(stalled: int) -> None:
+    path = Path()
+    path.pass_(4, rate=0)
+    path.pass_(2, stalled=stalled, answers=False, loss=1.0)
+    path.pass_(8, stalled=stalled, answers=False, loss=1.0, quiet=3.0)
+    assert {each and each[0] for each in path.told} == {None, LinkCause.SILENT}
+    assert path.events == [], "the end of the link tells it"
+
+
+def test_a_lossy_path_never_blames_large_packets() -> None:
+    path = Path()
+    path.pass_(20, loss=0.3)
+    path.pass_(20, loss=0.3, stalled=PACKET)
+    assert path.cause is LinkCause.LOSSY
+
+
+def test_small_messages_that_stall_prove_nothing() -> None:
+    path = Path()
+    path.pass_(4, rate=0)
+    assert not path.pass_(20, stalled=700)
+    assert path.cause is None
+
+
+def test_both_sides_tell_the_same() -> None:
+    here, there = Path(1), Path(2)
+    here.pass_(10, loss=0.3)
+    there.pass_(10)
+    record = here.watch.next_record()
+    assert record is not None
+    assert here.watch.next_record() is None
+    there.watch.take_record(record, "the server")
+    assert (here.cause, there.cause) == (LinkCause.LOSSY, LinkCause.LOSSY)
+    assert here.watch.fault is not None
+    assert there.watch.fault is not None
+    share = f"{round(100 * record.lossy)} % of packets are lost"
+    assert here.watch.fault.text.startswith(f"{share} to robot1")
+    assert there.watch.fault.text.startswith(f"{share} from the server")
+
+
+def test_the_next_connection_soon_after_has_the_losses_of_the_last() -> None:
+    path = Path()
+    path.pass_(10, loss=0.3)
+    path.watch.disconnected()
+    assert path.cause is None
+    path.pass_(1, loss=0.3)
+    assert path.cause is LinkCause.LOSSY
+    path.watch.disconnected()
+    path._now += 60.0
+    path.pass_(1)
+    assert path.cause is None
+
+
+@pytest.mark.parametrize(
+    ("shown", "share", "then"),
+    [(0.0, 0.31, 0.3), (0.3, 0.22, 0.3), (0.3, 0.5, 0.5), (0.0, 0.06, 0.06), (0.06, 0.07, 0.06)],
+)
+def test_the_shown_share_changes_with_a_clear_difference_only(shown: float, share: float, then: float) -> None:
+    assert steady(shown, share) == pytest.approx(then)
