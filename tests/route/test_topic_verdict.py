@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rsb_bridge.route.thinning import Share, ThinningShare, why
 
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.limits import REASON_LENGTH
@@ -102,16 +101,6 @@ def test_a_route_that_flows_is_fine() -> None:
         (SENDER, {"path": LARGE, "loss": LOST}, State.SLOW, Cause.NO_PATH, ["MTU"]),
         (SENDER, {"path": LARGE, "late": LATE}, State.LATE, Cause.LATE, []),
         (SENDER, {"path": SILENT, "no_path": "stuck"}, State.DOWN, Cause.NO_PATH, [SILENT.text]),
-        (
-            SENDER,
-            {
-                "breaking": "Connection timed out",
-                "crowded_out": why(ThinningShare(Share(1e4, 4e5, 3.5e6, "/scan"), 0.1, 30.0, thins=True, since=NOW)),
-            },
-            State.DOWN,
-            Cause.NO_PATH,
-            ["(Connection timed out)", "0.4 of 3.5 MB/s", "/scan"],
-        ),
         (SENDER, {"loop": "round"}, State.DOWN, Cause.LOOP, ["round"]),
         (SENDER, {"paused": True, "stale_since": NOW - 20.0}, State.PAUSED, Cause.PAUSED, ["operator"]),
         (RECEIVER, {"no_path": "no answer"}, State.DOWN, Cause.NO_PATH, ["no answer"]),

@@ -22,7 +22,7 @@ FIRST = 4 * 1024
 """Bytes in transit at the beginning, plus one message: 0.8 s of 5 kB/s for each topic."""
 LEAST = 2 * 1024
 """Bytes of the smallest window."""
-_PARTS = 8
+_PARTS = 4
 """The sender asks for a receipt after each such part of the window."""
 FIRST_RECEIPT = 512
 """Bytes after which a receiver sends a receipt by itself: few, to measure the round trip before a queue builds up."""

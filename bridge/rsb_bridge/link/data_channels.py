@@ -13,7 +13,6 @@ from rsb_bridge.channel.udp_channel import PathProbe
 from rsb_bridge.channel.window import Window
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.transport.streams import Stream
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.wire.events import StreamName
 
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.udp_channel import BufferShortage, UdpChannel
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.route.route import Route
+    from rsb_bridge.transport.streams import Stream
     from rsb_bridge.transport.transport import StreamTransport
     from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.messages import Receipts

@@ -154,8 +154,8 @@ def _breaking(status: RouteStatus) -> Verdict | None:
     if not status.breaking:
         return None
     text = (
-        f"its data connection ends before a message arrives ({status.breaking}), though the link is up: check firewalls "
-        "and NAT between the two sides"
+        f"its data connection ends before a message arrives ({status.breaking}), though the link is up: check "
+        "firewalls and NAT between the two sides"
     )
     return Verdict(State.DOWN, Cause.NO_PATH, text)
 
