@@ -138,7 +138,9 @@ async def _receive(buffer: int) -> None:
 
 
 def _keys(role: Role) -> DataKeys:
-    return DataKeys(SessionKeys(Suite.AESGCM, bytes(32), _LINK), role, Budget(256 << 20))
+    keys = SessionKeys(Suite.AESGCM, bytes(32), _LINK)
+    keys.proposed(Route.id, "client")
+    return DataKeys(keys, role, Budget(256 << 20))
 
 
 def _cpu() -> float:

@@ -29,10 +29,11 @@ CONTROL = """\
 Package: rsb-console
 Version: {version}+py{python}
 Architecture: {architecture}
-Maintainer: The maintainers of rsb-console <maintainers@rsb-console.invalid>
+Maintainer: The maintainers of rsb-console <rsb-console@users.noreply.github.com>
 Installed-Size: {size}
 Depends: python3 (>= {python}~), python3 (<< {next_python}~), libc6 (>= 2.{glibc})
 Suggests: ros-jazzy-ros-base
+Homepage: https://github.com/rsb-console/rsb-console
 Section: net
 Priority: optional
 Description: ROS 2 bridge over encrypted sockets, with an operator console
@@ -49,7 +50,7 @@ sys.exit(main())
 """
 ENVIRONMENT = "home = /usr/bin\ninclude-system-site-packages = true\nversion = {python}\n"
 # Without bytecode, each start by a user would compile everything again.
-AFTER_INSTALLATION = "#!/bin/sh\nset -e\n/{home}/bin/python -m compileall -q /{home}/lib\n"
+AFTER_INSTALLATION = "#!/bin/sh\nset -e\n/{home}/bin/python -P -m compileall -q /{home}/lib\n"
 BEFORE_REMOVAL = "#!/bin/sh\nset -e\nfind /{home}/lib -depth -name __pycache__ -exec rm -r {{}} +\n"
 
 
@@ -109,9 +110,10 @@ def add_control_files(stage: Path, python: str, architecture: str) -> str:
     packages = stage / HOME / "lib" / f"python{python}" / "site-packages"
     (metadata,) = packages.glob("rsb_console-*.dist-info/METADATA")
     about = message_from_string(metadata.read_text(encoding="utf-8"))
+    version = about["Version"].replace(".dev", "~dev")  # which is before the release
     major, minor = python.split(".")
     control = CONTROL.format(
-        version=about["Version"],
+        version=version,
         python=python,
         next_python=f"{major}.{int(minor) + 1}",
         architecture=architecture,
@@ -122,7 +124,7 @@ def add_control_files(stage: Path, python: str, architecture: str) -> str:
     write(stage / "DEBIAN/control", control)
     write(stage / "DEBIAN/postinst", AFTER_INSTALLATION.format(home=HOME), 0o755)
     write(stage / "DEBIAN/prerm", BEFORE_REMOVAL.format(home=HOME), 0o755)
-    return f"{about['Version']}+py{python}"
+    return f"{version}+py{python}"
 
 
 def write(path: Path, text: str, mode: int = 0o644) -> None:

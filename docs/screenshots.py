@@ -62,8 +62,7 @@ async def of_a_robot() -> None:
             async with app.run_test(size=WIDE) as pilot:
                 await until(lambda: states(app).count("ok") == FLOWING, pilot)
                 await until(lambda: len(app.snapshot().routes[0].history) > HISTORY, pilot)
-                demo.desk.stop()
-                await pilot.press("j", "j", "j", "p")
+                demo.robot.mute("/scan")  # the one fault of the pictures, which the lines at the top explain
                 await until(lambda: "stopped" in states(app), pilot)
                 await pilot.pause(1.0)  # the table puts the fault on top, and the cursor stays on its topic
                 await take(pilot, "main", "g")

@@ -18,9 +18,9 @@ from bench.attacks.target import Attack, paced
 from tests.support.rogue import Rogue
 
 from rsb_bridge.wire.connection import ClientConnection
-from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramReader, Probe
+from rsb_bridge.wire.datagram import DatagramReader, Probe
 from rsb_bridge.wire.messages import Accept, Describe, Hello, Ping, Propose, Ready
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.sealing import PROBE_ROUTE, Suite
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -168,6 +168,9 @@ class EngineApi(ABC):
     def look(self, viewer: str, topics: tuple[str, ...], wish: Wish, link: str = "") -> Future[Viewed | None]:
         return self.do(commands.Look(viewer, topics, wish, link))
 
+    def end_look(self, viewer: str) -> Future[None]:
+        return self.do(commands.EndLook(viewer))
+
     def draft_message(self, topic: str, type_name: str = "") -> Future[Draft]:
         return self.do(commands.DraftMessage(topic, type_name))
 

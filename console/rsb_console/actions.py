@@ -135,6 +135,53 @@ ACTIONS: tuple[Action, ...] = (
            Group.CONSOLE, in_footer=True),
 )  # fmt: skip
 
+KEYS_ON_SCREENS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
+    (
+        "On a picture (v, V)",
+        (
+            ("esc q v", "Close it"),
+            ("t", "Show the messages as text, or as a picture again"),
+            ("space", "Hold the picture; the topic goes on"),
+            ("+ - 0", "Zoom in, zoom out, show all"),
+            ("← → ↑ ↓", "Move the view; on a plot, the cursor"),
+            ("[ ] c", "Of points: tilt the view, change what their colours mean"),
+            ("h", "Draw it in another way: usual, plot, tree"),
+            ("l", "Of a map: lay the other topics over it, or show it alone"),
+            ("< >", "Fewer or more pictures a second"),
+            ("p", "Write the picture to a file"),
+        ),
+    ),
+    (
+        "Goal on a map",
+        (
+            ("g", "Begin to set a goal"),
+            ("← → ↑ ↓", "Move it; after ⏎, turn it"),
+            ("⏎", "Go on to its heading, then to the form that publishes it"),
+            ("esc", "Leave it"),
+        ),
+    ),
+    (
+        "Drive (D, or d on a picture)",
+        (
+            ("← → ↑ ↓", "Drive while a key is held"),
+            ("uiojlm,.", "The same, and diagonally, as with teleop_twist_keyboard"),
+            ("space k", "Stop"),
+            ("+ -", "Faster, slower"),
+            ("A", "Arm the topic, or disarm it"),
+            ("esc q", "Leave"),
+        ),
+    ),
+    (
+        "In a form",
+        (
+            ("↑ ↓ tab", "Next or previous field"),
+            ("⏎", "Go to what is missing, else accept"),
+            ("F8", "Of something to add: show all fields"),
+            ("esc", "Leave without a change"),
+        ),
+    ),
+)
+"""The keys of screens that have their own, with their meanings."""
 _CONSOLE_ACTIONS = {action.id: action for action in ACTIONS}
 _ON_FLEET = {
     "back": "Drop the filter, the marks",

@@ -192,10 +192,9 @@ class ConsoleApp(TerminalApp[None]):
         self.engine = engine
         try:
             await asyncio.to_thread(engine.start)
-            self.note = ""
-        except EngineError as error:
-            self.note = "not started"
-            self.notify(str(error), title="Not started", severity="error", markup=False, timeout=30)
+        except EngineError:  # its log has the reason, which the screen shows
+            await asyncio.to_thread(self._close_server)  # nobody attaches to what does not run
+        self.note = ""
         self.pull()
 
     def _new_engine(self, session: Session, base: Path) -> EngineApi:
@@ -235,6 +234,9 @@ class ConsoleApp(TerminalApp[None]):
     def _stop_engine(self) -> None:
         if self.engine is not None:
             self.engine.stop()
+        self._close_server()
+
+    def _close_server(self) -> None:
         if self._server is not None:
             self._server.close()
             self._server = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from textual.app import App, ReturnType
+from textual.screen import SystemModalScreen
 
 from rsb_console.actions import ACTIONS, BY_ID, Action, Group, bindings
 from rsb_console.look import themes
@@ -114,6 +115,15 @@ class TerminalApp(App[ReturnType]):
         if known is not None and known.changes and self.readonly:
             return False
         return super().check_action(action, parameters)
+
+    def key_question_mark(self) -> None:
+        """Show the keys. Textual calls this if no binding has the key: those of dialogs leave out the app's."""
+        from rsb_console.screens.help import HelpScreen  # noqa: PLC0415 -- keeps the start short
+
+        if not isinstance(self.screen, HelpScreen | SystemModalScreen):
+            self.action_help()
+
+    key_f1 = key_question_mark
 
     def action_help(self) -> None:
         from rsb_console.screens.help import HelpScreen  # noqa: PLC0415 -- keeps the start short

@@ -58,7 +58,7 @@ def test_a_client_s_session_gives_leave_to_the_server() -> None:
 def test_it_is_read_from_the_file_and_its_mistakes_are_found() -> None:
     session, problems = build({**SERVER, "clients": [{"name": "robot1", "key_file": "k", "bench": {"seconds": 10}}]})
     assert not problems
-    assert session.clients[0].bench == BenchmarkLimits(seconds=10)
+    assert session.listed_clients[0].bench == BenchmarkLimits(seconds=10)
     assert validate(session) == []
     for wrong in ({"seconds": 0}, {"megabytes": -1}, {"max_rate": 0}, {"bytes": 5}, "yes"):
         _, problems = build({**SERVER, "bench": wrong})
@@ -70,7 +70,7 @@ def test_a_server_s_own_leave_is_for_its_only_client() -> None:
     assert not problems
     assert session.accepted_clients[0].bench == BenchmarkLimits()
     both = with_client(session, Client("robot2", key_file="l"))
-    assert [client.bench for client in both.clients] == [BenchmarkLimits(), None]
+    assert [client.bench for client in both.listed_clients] == [BenchmarkLimits(), None]
     assert validate(both) == []
     assert build({**SERVER, "bench": {}, "clients": [{"name": "robot1", "key_file": "k"}]})[1]
 

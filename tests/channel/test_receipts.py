@@ -5,9 +5,11 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, cast
 
+from tests.support.session_keys import session_keys
+
 from rsb_bridge.channel.datagram_channel import WINDOW, DatagramReceiver
 from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter
-from rsb_bridge.wire.sealing import SessionKeys, Suite
+from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:
     from rsb_bridge.channel.channel import RouteSink
@@ -19,7 +21,7 @@ _SMALL, _RAISED = 200_000, 4_000_000
 
 def test_a_sender_hears_soon_of_a_buffer_that_has_become_larger() -> None:
     """Before it has sent as much as it may without a receipt, which is a part of the smaller one."""
-    keys = SessionKeys(Suite.PLAIN, None, bytes(8))
+    keys = session_keys(Suite.PLAIN, None, bytes(8))
     writer = DatagramWriter(keys.route_sealer(1, "client"), keys.link_id, 1)
     receipts: list[Receipt] = []
     carrier = SimpleNamespace(
@@ -29,7 +31,7 @@ def test_a_sender_hears_soon_of_a_buffer_that_has_become_larger() -> None:
         shortages={},
     )
     route = SimpleNamespace(id=1, deliver=lambda _: None)
-    reader = DatagramReader(keys.datagram_opener(1, "client"), 1)
+    reader = DatagramReader(session_keys(Suite.PLAIN, None, bytes(8)).datagram_opener(1, "client"), 1)
     receiver = DatagramReceiver(cast("UdpChannel", carrier), cast("RouteSink", route), reader)
 
     def come(size: int) -> None:

@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.datagram_channel import DatagramSender, datagram_channel
@@ -24,9 +25,9 @@ from rsb_bridge.channel.udp_channel import (
 from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.udp import Udp
-from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramWriter, Probe
+from rsb_bridge.wire.datagram import DatagramWriter, Probe
 from rsb_bridge.wire.framing import Budget
-from rsb_bridge.wire.sealing import SessionKeys, Suite
+from rsb_bridge.wire.sealing import PROBE_ROUTE, Suite
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Iterable, Iterator
@@ -106,7 +107,7 @@ class Server:
 
 
 def _keys(link_id: bytes, role: Role) -> DataKeys:
-    return DataKeys(SessionKeys(Suite.AESGCM, bytes(32), link_id), role, Budget(1 << 20))
+    return DataKeys(session_keys(Suite.AESGCM, bytes(32), link_id), role, Budget(1 << 20))
 
 
 @asynccontextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import asyncio
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -54,6 +55,13 @@ def test_each_command_line_of_python_has_p() -> None:
                 assert isinstance(following, ast.Constant), f"{path}:{node.lineno}"
                 assert following.value == "-P", f"{path}:{node.lineno}: a module of the working folder would run"
     assert len(checked) >= 5
+
+
+def test_no_shell_runs_python_without_p() -> None:
+    for path in SOURCES:
+        texts = [node.value for node in nodes(path) if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+        for command in (text for text in texts if "bin/python" in text):
+            assert not re.search(r"bin/python\S* -[mc]", command), f"{path}: {command}"
 
 
 def test_every_module_that_starts_children_is_known() -> None:

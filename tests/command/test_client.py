@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, get_args
 
@@ -22,6 +24,7 @@ from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.session import Client, May, Session, Topic
 from rsb_bridge.model.snapshot import State
 from rsb_console.command.client_command import ClientCommandProblem, ClientEffect
+from rsb_console.command.target import Asking
 from rsb_console.session.client_files import ClientFileProblem, RobotFileText
 
 if TYPE_CHECKING:
@@ -127,7 +130,7 @@ def test_a_server_of_one_client_keeps_letting_it_in(tmp_path: Path, run: Run) ->
     """It has no list: its client has its own name and key."""
     path = tmp_path / "robot1.yaml"
     write_key(tmp_path / "robot1.key")
-    save(replace(SERVER, name="robot1", key_file="robot1.key", clients=()), path)
+    save(replace(SERVER, name="robot1", key_file="robot1.key", clients=None), path)
     assert run("add", "robot2", str(path)).code == 0
     assert load(path).clients == (Client("robot1"), ROBOT2)
 
@@ -214,12 +217,42 @@ def test_a_key_is_replaced_while_both_count(path: Path, run: Run, machine: Machi
     assert (again.code, says(again.err, ClientFileProblem.NO_NEXT_KEY, name="robot1")) == (2, True)
 
 
+@pytest.mark.parametrize("runs", [False, True], ids=["no server", "not linked"])
+@pytest.mark.parametrize(("answer", "finished"), [("y\n", True), ("n\n", False), ("", False), (None, False)])
+def test_a_finish_asks_if_the_client_may_not_have_the_new_key(
+    path: Path,
+    run: Run,
+    machine: Machine,
+    monkeypatch: pytest.MonkeyPatch,
+    runs: bool,
+    answer: str | None,
+    finished: bool,
+) -> None:
+    if runs:
+        engine = ScriptedEngine(SERVER)
+        engine.now = dataclasses.replace(engine.now, links=(dataclasses.replace(LINK, state=State.DOWN),))
+        machine.serve(engine, file=path)
+    run("rekey", "robot1", str(path), "--keep-old")
+    before = path.read_text()
+    terminal = io.StringIO(answer or "")
+    monkeypatch.setattr(terminal, "isatty", lambda: answer is not None)
+    monkeypatch.setattr(sys, "stdin", terminal)
+    ran = run("rekey", "robot1", str(path), "--finish")
+    assert (ran.code == 0, path.read_text() == TEXT) == (finished, finished)
+    if not finished:
+        assert path.read_text() == before
+        problem = Asking.NOBODY if answer is None else ClientCommandProblem.NOT_FINISHED
+        assert says(ran.err, problem)
+        assert ran.code == (2 if answer is None else 1)
+        assert run("rekey", "robot1", str(path), "--finish", "--json").code == 2
+
+
 def test_a_finish_that_was_cut_off_is_done_again(path: Path, run: Run) -> None:
     """The new key was put in place, and the session was not saved."""
     run("rekey", "robot1", str(path), "--keep-old")
     new = path.with_name("robot1-next.key")
     path.with_name("robot1.key").write_bytes(new.read_bytes())
-    assert run("rekey", "robot1", str(path), "--finish").code == 0
+    assert run("rekey", "robot1", str(path), "--finish", "--yes").code == 0
     assert path.read_text() == TEXT
     assert not new.exists()
 
@@ -229,7 +262,7 @@ def test_a_key_that_others_share_stays_theirs(path: Path, run: Run) -> None:
     save(replace(SERVER, key_file="all.key", shared_keys=True, clients=(Client("robot1"), Client("robot2"))), path)
     assert run("rekey", "robot2", str(path), "--keep-old").code == 0
     own = read_key(path.with_name("all-next.key"))
-    assert run("rekey", "robot2", str(path), "--finish").code == 0
+    assert run("rekey", "robot2", str(path), "--finish", "--yes").code == 0
     assert load(path).clients == (Client("robot1"), Client("robot2", "all-next.key"))
     assert read_key(path.with_name("all.key")) == shared
     assert read_key(path.with_name("all-next.key")) == own
@@ -245,7 +278,7 @@ def test_the_next_key_of_a_whole_server_is_replaced_by_hand(tmp_path: Path, run:
     path = tmp_path / "robot1.yaml"
     for name in ("robot1.key", "new.key"):
         write_key(tmp_path / name)
-    save(replace(SERVER, name="robot1", key_file="robot1.key", next_key_file="new.key", clients=()), path)
+    save(replace(SERVER, name="robot1", key_file="robot1.key", next_key_file="new.key", clients=None), path)
     text = path.read_text()
     for options in ((), ("--finish",)):
         ran = run("rekey", "robot1", str(path), *options)
@@ -268,10 +301,10 @@ def test_the_keys_that_root_makes_belong_to_whoever_runs_the_server(path: Path, 
 def test_the_key_of_a_server_of_one_client_is_renewed_in_place(tmp_path: Path, run: Run) -> None:
     path = tmp_path / "robot1.yaml"
     before = write_key(tmp_path / "robot1.key")
-    save(replace(SERVER, name="robot1", key_file="robot1.key", clients=()), path)
+    save(replace(SERVER, name="robot1", key_file="robot1.key", clients=None), path)
     assert run("rekey", "robot1", str(path)).code == 0
     assert read_key(tmp_path / "robot1.key") != before
-    assert load(path).clients == ()
+    assert load(path).clients is None
 
 
 def test_a_client_that_shares_a_key_gets_one_of_its_own(path: Path, run: Run) -> None:
@@ -312,7 +345,6 @@ def test_the_list_says_who_is_linked_and_which_key_is_missing(path: Path, run: R
             2,
             "may: " + ValueMistake.MISFIT(value="'write'", expected=f"one of {', '.join(get_args(May))}", hint=""),
         ),
-        (("remove", "robot1"), 2, ClientProblem.LAST(name="robot1")),
         (("remove", "robto1"), 2, ClientProblem.MISSPELT(name="robto1", near="robot1")),
         (("rekey", "x"), 2, ClientProblem.UNKNOWN(name="x", names="robot1")),
         (("show", "x"), 2, ClientProblem.UNKNOWN(name="x", names="robot1")),
@@ -355,7 +387,7 @@ def test_files_that_cannot_take_a_client(path: Path, run: Run) -> None:
 def test_an_existing_key_is_used_where_it_is_named(path: Path, run: Run) -> None:
     key = write_key(path.with_name("other.key"))
     assert run("add", "robot2", str(path), "--key-file", "other.key").code == 0
-    assert load(path).clients[1].key_file == "other.key"
+    assert load(path).listed_clients[1].key_file == "other.key"
     assert read_key(path.with_name("other.key")) == key
 
 
@@ -375,3 +407,17 @@ def test_without_encryption_there_is_no_key(path: Path, run: Run) -> None:
     assert "key" not in ran.err
     assert parse(ran.out, Path("robot2.yaml")).use_encryption is False
     assert run("rekey", "robot2", str(path)).code == 2
+
+
+def test_a_server_begins_without_clients(tmp_path: Path, run: Run) -> None:
+    path = tmp_path / "pc.yaml"
+    save(replace(SERVER, clients=()), path)
+    assert "clients: []" in path.read_text()
+    empty = path.read_text()
+    assert run("list", str(path), "--json").json["clients"] == []
+    assert run("show", "robot1", str(path)).code == 2
+    assert run("add", "robot1", str(path)).code == 0
+    assert load(path).clients == (Client("robot1", "robot1.key"),)
+    assert run("remove", "robot1", str(path)).code == 0
+    assert load(path).clients == ()
+    assert path.read_text() == empty

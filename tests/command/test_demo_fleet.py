@@ -26,6 +26,7 @@ from rsb_console.command import demo
 from rsb_console.command.demo import HOW_TO_END
 from rsb_console.command.headless import Signals, bridge_until_told
 from rsb_console.fleet.fleet import Robot
+from rsb_console.session.demo_session import SimulatedPart, own_domain
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
@@ -59,9 +60,33 @@ def test_each_engine_is_linked_and_has_a_line(program: tuple[str, ...], engines:
     command = [sys.executable, *program, "demo", "--fleet", "--robots", "2", "--no-ui", "--seconds", "0.1"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=WITHIN, check=False)
     assert done.returncode == 0, done.stderr
-    rows = [line.split()[:2] for line in done.stdout.splitlines()[-len(engines) :]]
-    assert rows == [[name, "ok"] for name in engines], done.stdout
+    lines = done.stdout.splitlines()[-len(engines) :]
+    assert [line.split()[:2] for line in lines] == [[name, "ok"] for name in engines], done.stdout
+    assert "unheard" not in "".join(lines), done.stdout
     assert [*temporary.iterdir()] == []
+
+
+def later(robot: SimulatedPart, messages: int) -> None:
+    """Wait until a robot has published that many further messages of its battery, at 1 Hz."""
+    before = robot.published["/battery_state"]
+    eventually(lambda: robot.published["/battery_state"] >= before + messages, WITHIN)
+
+
+def test_a_listener_hears_the_robots_and_a_muted_topic_stops(tmp_path: Path) -> None:
+    domain = own_domain()
+    robot = SimulatedPart.start("robot", domain, tmp_path)
+    listener = SimulatedPart.start("listener", domain, tmp_path, "/battery_state", "/pose")
+    try:
+        eventually(lambda: listener.received.get("/battery_state"), WITHIN)
+        assert listener.received["/pose"] == 0
+        robot.mute("/scan")
+        later(robot, 2)
+        scans = robot.published["/scan"]
+        later(robot, 2)
+        assert robot.published["/scan"] == scans
+    finally:
+        robot.stop()
+        listener.stop()
 
 
 class Looks:

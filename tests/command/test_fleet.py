@@ -125,7 +125,10 @@ def test_the_fields_that_are_documented_are_printed(engine: ServerEngine, capsys
 def test_a_command_for_each(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
     ran = fleet(capsys, "exec", "robot1", "robot3", "--", "pause", "/camera")
     assert ran.code == 0
-    assert ran.out.splitlines() == ["robot1: done", "robot3: done"]
+    assert [line.partition(" of ")[0] for line in ran.out.splitlines()] == [
+        "robot1: paused: /camera",
+        "robot3: paused: /camera",
+    ]
     assert engine.commands == [("pause", "robot1 /camera", True), ("pause", "robot3 /camera", True)]
 
 
@@ -151,7 +154,8 @@ def test_what_fails_for_one_is_named(engine: ServerEngine, capsys: pytest.Captur
     ran = fleet(capsys, "exec", "--all", "--", "pause", "/camera")
     assert ran.code == 1
     one, two, three = ran.out.splitlines()
-    assert (one, three) == ("robot1: done", "robot3: done")
+    assert one.startswith("robot1: paused")
+    assert three.startswith("robot3: paused")
     assert two.startswith("robot2: /camera is not bridged")
     ran = fleet(capsys, "exec", "--all", "--json", "--", "pause", "/camera")
     assert [each["code"] for each in ran.json["robots"]] == [0, 2, 0]

@@ -48,6 +48,8 @@ STEP = 4.0
 class Engine:
     """Answers each question with the next of its answers, and further ones never."""
 
+    bridge = Namespace(role="server")
+
     def __init__(self, *answers: Viewed | Exception) -> None:
         self._answers = list(answers)
 
@@ -79,7 +81,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -
         monkeypatch.setattr("time.monotonic", lambda: now[0])
         monkeypatch.setattr("time.sleep", lambda _: None)
         with pytest.raises(KeyboardInterrupt):
-            look_command._many(cast("RemoteEngine", Engine(*answers)), ARGUMENTS)
+            look_command._many(cast("RemoteEngine", Engine(*answers)), "viewer", ARGUMENTS)
         return capsys.readouterr().out.split("\x1b[H")[1:]
 
     return draw
@@ -157,7 +159,7 @@ def test_it_prints_a_picture_and_how_old_it_is(ran: Any, engine: ScriptedEngine,
     assert (first, second) == CHARACTERS.rows
     assert says(status, LookText.AGE)
     assert "a note" in status
-    assert "robot1" in status
+    assert "the server" in status  # though the link has the client's name
 
 
 def test_it_waits_for_a_picture(ran: Any, engine: ScriptedEngine) -> None:
@@ -174,7 +176,7 @@ def test_a_picture_for_programs(ran: Any, engine: ScriptedEngine) -> None:
     assert 1.5 <= found.pop("age") < 60
     assert found == {
         "ok": True,
-        "side": "robot1",
+        "side": "the server",
         "type": "sensor_msgs/msg/LaserScan",
         "messages": 3,
         "size": 4,
@@ -237,6 +239,26 @@ def test_of_several_topics_it_prints_the_last_picture(
     assert ran("/map", "/scan", "--once").out.startswith("both\n")
 
 
+def test_several_topics_wait_for_the_one_without_which_nothing_can_be_drawn(ran: Any, engine: ScriptedEngine) -> None:
+    engine.viewed = [viewed(None, problem="no transform yet"), viewed(None, problem="no transform yet"), viewed()]
+    assert ran("/scan", "/tf", "--once").out.startswith("a row\n")
+
+
+def test_a_problem_does_not_replace_a_picture_of_several_topics(
+    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(look_command, "_SETTLE_SECONDS", 1.0)
+    engine.viewed = [viewed(), viewed(None, problem="no transform any more")]
+    assert ran("/map", "/tf", "--once").out.startswith("a row\n")
+
+
+@pytest.mark.parametrize("answer", [viewed(), viewed(None, problem="numpy is missing there")])
+def test_the_command_ends_its_view(ran: Any, engine: ScriptedEngine, answer: Viewed) -> None:
+    engine.viewed = [answer]
+    ran("/scan", "--once")
+    eventually(lambda: engine.commands[-1] == ("end_look",))
+
+
 # -- colours
 
 
@@ -260,7 +282,8 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     [
         ({"TERM": "xterm", "COLORTERM": "truecolor"}, "\x1b[38;2;255;0;0;48;2;0;0;255m▀"),
         ({"TERM": "xterm-256color"}, "\x1b[38;5;196;48;5;21m▀"),
-        ({"TERM": "xterm"}, "\x1b[31;44m▀"),
+        ({"TERM": "xterm"}, "\x1b[30;40m▀"),  # greys: 16 colours have no shades
+        ({"TERM": "screen"}, "\x1b[30;40m▀"),
     ],
 )
 def test_a_terminal_gets_the_colours_that_it_has(

@@ -200,17 +200,22 @@ def test_topics_lists_what_is_bridged_or_could_be(ran: Any, engine: ScriptedEngi
     assert ran("topics").out == "→ /scan 10.0 Hz (19 dropped)\n"
     assert [each["topic"] for each in ran("topics", "--json").json["topics"]] == ["/scan"]
     sides = [(each["side"], each["topic"]) for each in ran("topics", "--available", "--json").json["available"]]
-    assert sides == [("here", "/camera/depth"), ("robot1", "/camera/depth")]
+    assert sides == [("here", "/camera/depth"), ("the server", "/camera/depth")]
 
 
 def test_commands_do_what_they_say(ran: Any, engine: ScriptedEngine) -> None:
     added = ran("add", "/map", "receive", "protocol=udp", "qos={depth: 3}", "paused=yes", "--json")
     assert added.json == {"ok": True, "key": "/map"}
+    assert "/odom" in ran("add", "/odom", "receive").out
+    engine.commands.pop()
     changed = ran("edit", "/scan", "max_rate=", "qos=sensor_data")
-    assert (changed.code, changed.out) == (0, "")
-    for command in ("remove", "pause", "resume", "disarm"):
-        assert ran(command, "/scan").code == 0
-    assert ran("retry").code == 0
+    assert changed.code == 0
+    for field in ("max_rate", "qos", "/scan", "robot1"):
+        assert field in changed.out
+    for command, effect in (("remove", "removed"), ("pause", "paused"), ("resume", "resumed"), ("disarm", "disarmed")):
+        did = ran(command, "/scan")
+        assert (did.code, did.out) == (0, f"{effect}: /scan of robot1 (transmit, /scan there)\n")
+    assert "all links" in ran("retry").out
     restarted = ran("restart")
     assert "linked again" in restarted.out
     assert engine.commands == [
@@ -382,10 +387,10 @@ def test_what_is_not_understood_is_refused_with_the_commands_own_usage(
     ran: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):
-        ran("echo", "robot1", "/scan")
+        ran("echo", "/scan", "/map")
     refused = capsys.readouterr().err
     assert refused.startswith("usage: rsb-console echo ")
-    assert refused.endswith("unrecognized arguments: /scan\n")
+    assert refused.endswith("unrecognized arguments: /map\n")
 
 
 def test_on_a_server_of_several_the_client_has_to_be_named(ran: Any, machine: Machine) -> None:

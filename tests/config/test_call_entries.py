@@ -86,7 +86,7 @@ def test_what_the_documents_show_is_right() -> None:
 
 def test_a_server_lists_it_under_its_clients() -> None:
     listed = EVERY_KIND.replace("\n", "\n    ").rstrip(" ")
-    (client,) = parse(f"{SERVER}clients:\n  - name: robot1\n    {listed}", FILE).clients
+    (client,) = parse(f"{SERVER}clients:\n  - name: robot1\n    {listed}", FILE).listed_clients
     assert client.topics == parse(CLIENT + EVERY_KIND, FILE).topics
 
 

@@ -1,5 +1,6 @@
 """Key files are Fernet's, and nothing but the file ever shows a key."""
 
+import base64
 import os
 from pathlib import Path
 
@@ -85,10 +86,10 @@ def test_a_key_never_shows_itself(tmp_path: Path) -> None:
 
 def test_a_fingerprint_is_the_start_of_the_sha256(tmp_path: Path) -> None:
     path = tmp_path / "key.txt"
-    path.write_text("AAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA=\n")
-    # sha256 of 32 zero bytes, as sha256sum prints it
-    assert "66687aadf862bd776c8fc18b8e9f8e20".startswith(fingerprint(read_key(path)).replace(" ", ""))
-    assert fingerprint(read_key(path)) == "6668 7aad f862 bd77"
+    path.write_text("AAECAwQFBgcICQoLDA0ODxAREhMUFRYXGBkaGxwdHh8=\n")
+    # sha256 of the bytes 0 to 31, as sha256sum prints it
+    assert "630dcd2966c4336691125448bbb25b4f".startswith(fingerprint(read_key(path)).replace(" ", ""))
+    assert fingerprint(read_key(path)) == "630d cd29 66c4 3366"
 
 
 def test_a_key_that_others_can_read_comes_with_a_warning(tmp_path: Path) -> None:
@@ -173,6 +174,9 @@ def test_a_keys_file_says_when_it_was_written(tmp_path: Path) -> None:
         (b"!" * 44, KeyFileProblem.NO_KEY, {"length": 44}),
         (b"\xff" * 44, KeyFileProblem.NO_KEY, {"length": 44}),
         (b"A" * 5000, KeyFileProblem.TOO_LARGE, {}),
+        (b"A" * 43 + b"=", KeyFileProblem.WEAK, {"count": 1}),
+        (base64.urlsafe_b64encode(b"ab" * 16), KeyFileProblem.WEAK, {"count": 2}),
+        (base64.urlsafe_b64encode(bytes(range(11)) + bytes(21)), KeyFileProblem.WEAK, {"count": 11}),
     ],
 )
 def test_a_file_without_a_key_is_refused_and_not_quoted(
@@ -184,6 +188,16 @@ def test_a_file_without_a_key_is_refused_and_not_quoted(
         read_key(path)
     assert says(caught.value, code, path=path, **parameters)
     assert len(content.strip()) < 5 or content.decode("ascii", "replace").strip() not in str(caught.value)
+
+
+def test_a_passphrase_in_place_of_a_key_comes_with_a_warning(tmp_path: Path) -> None:
+    path = tmp_path / "key.txt"
+    write_key(path)
+    path.write_bytes(base64.urlsafe_b64encode(b"correct horse battery staple, 42"))
+    (warning,) = read_key(path).warnings
+    assert says(warning, KeyWarning.PRINTABLE, path=path)
+    path.write_bytes(base64.urlsafe_b64encode(b"correct horse battery staple, 4\x80"))
+    assert not read_key(path).warnings
 
 
 def test_files_that_cannot_be_are_named(tmp_path: Path) -> None:

@@ -21,6 +21,8 @@ from rsb_bridge.config.rights import (
 )
 from rsb_bridge.config.session_file import SessionError, dump, parse
 from rsb_bridge.config.validation import validate
+from rsb_bridge.model.benchmark import BenchmarkLimits, bench_topic
+from rsb_bridge.model.pictures import view_topic
 from rsb_bridge.model.session import Client, Grant, Session, Topic
 
 if TYPE_CHECKING:
@@ -193,3 +195,30 @@ def test_what_is_typed_in_one_line() -> None:
     for wrong in ("{topics: /a, may: write}", "{topics: /a", "{topics: *}"):
         with pytest.raises(GrantError):
             typed_grants(wrong)
+
+
+@pytest.mark.parametrize("bench", [None, BenchmarkLimits()])
+@pytest.mark.parametrize(
+    ("use", "remedy"),
+    [
+        (Use(view_topic(1), "read"), None),
+        (Use(view_topic(1), "publish"), DeniedRemedy.RENAME),
+        (Use(f"/robot1{view_topic(1)}", "publish"), DeniedRemedy.RENAME),
+        (Use(view_topic(1), "call", kind="service"), DeniedRemedy.RENAME),
+        (Use(bench_topic("tcp", "up"), "call", kind="service"), DeniedRemedy.RENAME),
+    ],
+)
+def test_a_reserved_name_is_refused_as_that(use: Use, remedy: Wording | None, bench: BenchmarkLimits | None) -> None:
+    refusal = rights_of_client(Client("robot1", bench=bench), "pc").refusal(use)
+    if remedy is None:
+        assert refusal is None
+    else:
+        assert refusal is not None
+        assert says(refusal.remedy, remedy)
+        assert says(refusal.reason, DeniedText.NOT_ALLOWED, peer="robot1", use=str(use))
+
+
+def test_a_benchmark_without_permission_has_its_own_remedy() -> None:
+    refusal = rights_of_client(Client("robot1"), "pc").refusal(Use(bench_topic("tcp", "up"), "publish"))
+    assert refusal is not None
+    assert says(refusal.remedy, DeniedRemedy.ADD_BENCH)

@@ -49,13 +49,6 @@ def test_the_ament_index_finds_it(prefix: Path, monkeypatch: pytest.MonkeyPatch)
     assert (share / "package.xml").is_file()
 
 
-def test_the_versions_are_one() -> None:
-    package = ET.parse(_PACKAGE / "package.xml").getroot()
-    assert package.findtext("name") == "rsb_console"
-    assert package.findtext("version") == _PROJECT["project"]["version"]
-    assert f'version="{_PROJECT["project"]["version"]}"' in (_PACKAGE / "setup.py").read_text()
-
-
 def test_rosdep_knows_all_that_the_package_needs() -> None:
     """The keys are packages of ROS itself, which jazzy/distribution.yaml of ros/rosdistro lists."""
     package = ET.parse(_PACKAGE / "package.xml").getroot()

@@ -25,7 +25,7 @@ def test_there_are_samples_for_each_kind() -> None:
     assert sessions["control-pc"].role == "server"
     assert sessions["bluetooth"].is_bluetooth
     assert sessions["robot1"].server_port == sessions["control-pc"].server_port
-    assert sessions["robot1"].name in {client.name for client in sessions["control-pc"].clients}
+    assert sessions["robot1"].name in {client.name for client in sessions["control-pc"].listed_clients}
 
 
 def test_the_two_sides_of_the_readmes_first_bridge_fit() -> None:
@@ -33,7 +33,7 @@ def test_the_two_sides_of_the_readmes_first_bridge_fit() -> None:
     server, client = (parse(block.partition("```")[0], Path("README.md")) for block in readme.split("```yaml\n")[1:])
     assert (server.role, client.role) == ("server", "client")
     assert server.server_port == client.server_port
-    assert [(each.name, each.key_file) for each in server.clients] == [(client.name, client.key_file)]
+    assert [(each.name, each.key_file) for each in server.listed_clients] == [(client.name, client.key_file)]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -235,7 +235,7 @@ def test_the_clients_of_a_server_keep_their_comments_too(tmp_path: Path) -> None
     text = next(path for path in CONFIGS if path.stem == "control-pc").read_text()
 
     def change(session: Session) -> Session:
-        one, _, visitor = session.clients
+        one, _, visitor = session.listed_clients
         return replace(session, clients=(one, replace(visitor, allow=(), deny=("/camera/raw", "/b")), Client("robot3")))
 
     with pytest.raises(SessionError, match=pattern(SessionMistake.KEY_FILE_MISSING)):
@@ -354,7 +354,7 @@ clients:
 def test_what_a_server_proposes_is_kept_under_the_client(
     tmp_path: Path, change: Callable[[Client, Client], tuple[Client, ...]], old: str, new: str
 ) -> None:
-    now = edited(SERVER, tmp_path, lambda session: replace(session, clients=change(*session.clients)))
+    now = edited(SERVER, tmp_path, lambda session: replace(session, clients=change(*session.listed_clients)))
     assert now == SERVER.replace(old, new)
 
 
@@ -380,7 +380,7 @@ def written(draw: st.DrawFn, session: Session) -> Written:  # noqa: PLR0915 -- o
     """A file that says a session, as somebody could have written it."""
     counter = iter(range(10_000))
     made = Written()
-    entries = session.topics or session.clients
+    entries = session.topics or session.listed_clients
 
     def comment() -> str:
         return draw(st.sampled_from(["", "", f" # c{next(counter)}", f"     #c{next(counter)}: - {{x}} 'y' \"z"]))
@@ -590,7 +590,7 @@ def test_a_save_is_a_merge(sessions: st.SearchStrategy[Session], line_break: str
     path = Path("robot1.yaml")
     assert parse(text, path) == session
     now, owners = data.draw(changed(session))
-    for topics in (now.topics, *(client.topics for client in now.clients)):
+    for topics in (now.topics, *(client.topics for client in now.listed_clients)):
         assume(len({called(topic) for topic in topics}) == len(topics))
     result = merged(text, now)
     assert same(parse(result, path), now), result

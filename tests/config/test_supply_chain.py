@@ -1,4 +1,4 @@
-"""What a release and an image are made of: commits, hashes and digests, and of the checkout only what they need."""
+"""The ingredients of a release and an image: commits, hashes and digests, and only the needed files of the checkout."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_actions_are_named_by_their_commit(workflow: Path) -> None:
     assert used
     for action, comment in used:
         assert re.fullmatch(r"[\w-]+/[\w/-]+@[0-9a-f]{40}", action), action
-        assert re.fullmatch(r" # v\d+\.\d+\.\d+", comment), f"{action}: name its version, for whoever reads it"
+        assert re.fullmatch(r" # v\d+\.\d+\.\d+", comment), f"{action}: name its version, for readers"
 
 
 @pytest.mark.parametrize("workflow", WORKFLOWS, ids=lambda path: path.stem)
@@ -44,7 +44,7 @@ def test_a_job_has_no_more_rights_than_it_names(workflow: Path) -> None:
 
 
 def test_containers_are_named_by_their_digest() -> None:
-    images = [str(job["container"]) for path in WORKFLOWS for job in jobs(path).values() if "container" in job]
+    images = [str(job["container"]["image"]) for path in WORKFLOWS for job in jobs(path).values() if "container" in job]
     stages = re.findall(r"^FROM (\S+)", (ROOT / "Dockerfile").read_text(encoding="utf-8"), re.MULTILINE)
     for image in [*images, *(stage for stage in stages if not stage.startswith("$"))]:
         assert re.fullmatch(r"[\w./-]+:[\w.-]+@sha256:[0-9a-f]{64}", image), image
@@ -52,7 +52,7 @@ def test_containers_are_named_by_their_digest() -> None:
 
 @pytest.mark.parametrize("path", ["Makefile", "Dockerfile", "deb/build.py"])
 def test_a_build_installs_by_hash(path: str) -> None:
-    """Of what has no hash, only the files of the checkout, without what these depend on."""
+    """Only the files of the checkout have no hash; they come without their dependencies."""
     text = (ROOT / path).read_text(encoding="utf-8").replace("\\\n", " ")
     for line in re.findall(r".*(?:bin/pip install|\[\*into).*", text):
         for command in re.split(r"&&", line):
@@ -89,7 +89,15 @@ def test_the_image_gets_what_the_wheel_is_built_from() -> None:
         ("git", "ls-files"), cwd=ROOT, capture_output=True, text=True, check=True, timeout=60
     ).stdout.splitlines()
     wheel = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]
-    sources = [*wheel["packages"], *wheel["shared-data"], "pyproject.toml", "README.md", "LICENSE", "locks/fleet.txt"]
+    sources = [
+        *wheel["packages"],
+        *wheel["shared-data"],
+        "pyproject.toml",
+        "README.md",
+        "LICENSE",
+        "hatch_build.py",
+        "locks/fleet.txt",
+    ]
     for source in sources:
         of_source = [path for path in tracked if path == source or path.startswith(f"{source}/")]
         assert of_source, source
@@ -104,3 +112,13 @@ def test_the_containers_session_is_in_a_folder_of_its_own() -> None:
     binds = [each for each in mounts if each.startswith(".")]
     assert binds == ["./session:/session:ro"]
     assert "/session/" in (ROOT / ".gitignore").read_text(encoding="utf-8").splitlines()
+
+
+def test_robostack_has_what_the_package_needs() -> None:
+    """Nothing here reads `pixi.toml` but this test: pixi's own schema is on its site."""
+    pixi = tomllib.loads((ROOT / "pixi.toml").read_text(encoding="utf-8"))
+    assert set(pixi) == {"workspace", "dependencies", "pypi-dependencies", "tasks"}
+    assert all(channel.startswith("https://prefix.dev/") for channel in pixi["workspace"]["channels"])
+    extras = PROJECT["project"]["optional-dependencies"]
+    assert set(extras["ros"]) <= set(pixi["dependencies"])
+    assert set(pixi["pypi-dependencies"]["rsb-console"]["extras"]) <= set(extras)

@@ -213,6 +213,8 @@ async def fill(pilot: Pilot[None], **values: str) -> None:
     for key, value in values.items():
         form = form_of(pilot.app)
         await until(pilot, lambda f=form: not f.input_guard.covers(Paste("")), "a form that listens")
+        if not form.fields[key].display:
+            await pilot.press("f8")  # all fields
         control = form.fields[key].control
         control.focus()
         control.value = ""
@@ -222,7 +224,10 @@ async def fill(pilot: Pilot[None], **values: str) -> None:
 
 async def choose(pilot: Pilot[None], key: str, value: str) -> None:
     """Move a choice until `value` is chosen."""
-    control = form_of(pilot.app).fields[key].control
+    field = form_of(pilot.app).fields[key]
+    if not field.display:
+        await pilot.press("f8")  # all fields
+    control = field.control
     control.focus()
     for _ in range(10):
         if control.value == value:

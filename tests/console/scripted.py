@@ -313,6 +313,8 @@ class ScriptedEngine(EngineApi):
                 if self.viewed:
                     self.viewing.set_result(self.viewed.pop(0))
                 return self.viewing
+            case commands.EndLook():
+                return self._done(None, "end_look")
             case commands.DraftMessage(topic, type_name):
                 self.commands.append(("draft", topic, type_name))
                 draft = self.drafts.get(topic)

@@ -1,15 +1,29 @@
 """One registry: keys, footer, help and palette agree, and nothing is beyond reach."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 from tests.console.driving import drive, engine_of, gone, scripted_app, shown, text, until
 from tests.support.wording import pattern
+from textual.binding import Binding
 from textual.pilot import Pilot
+from textual.screen import Screen
 
-from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS, Action, Group
+from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS, KEYS_ON_SCREENS, Action, Group
+from rsb_console.app import ConsoleApp
 from rsb_console.preferences import KeymapError, PreferenceProblem, load_keymap, split_keys
+from rsb_console.screens.dialog import ConfirmScreen
+from rsb_console.screens.drive_screen import _WAYS, DriveScreen
+from rsb_console.screens.form_screen import FormScreen
+from rsb_console.screens.help import HelpScreen
+from rsb_console.screens.links_screen import LinksScreen
+from rsb_console.screens.look_screen import Subject
 from rsb_console.screens.main import MainText
+from rsb_console.screens.session_files import WelcomeScreen
+from rsb_console.screens.topic_form import TopicScreen
+from rsb_console.screens.view_screen import ViewScreen
 
 EATEN = {"ctrl+s", "ctrl+q", "ctrl+a", "ctrl+b", "ctrl+j", "ctrl+enter"}
 
@@ -106,7 +120,68 @@ def test_help_lists_every_action_with_its_keys_and_id(width: int) -> None:
         await pilot.press("escape")
         await gone(pilot, "Next line")
 
-    drive(app, steps, size=(width, 100))
+    drive(app, steps, size=(width, 140))
+
+
+def screens(app: ConsoleApp) -> dict[str, Callable[[], Screen[Any]]]:
+    """Makes of screens of their own."""
+    return {
+        "pictures": lambda: ViewScreen(app, Subject(("/map",), "", "nav_msgs/msg/OccupancyGrid", ())),
+        "welcome": lambda: WelcomeScreen((), readonly=False),
+        "question": lambda: ConfirmScreen("Remove?", "", "Remove"),
+        "links": lambda: LinksScreen(app),
+    }
+
+
+@pytest.mark.parametrize("key", ["question_mark", "f1"])
+@pytest.mark.parametrize("name", screens(cast("ConsoleApp", None)))
+def test_every_screen_shows_the_keys(name: str, key: str) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        app.push_screen(screens(app)[name]())
+        await pilot.pause()
+        below = app.screen
+        await pilot.press(key)
+        await until(pilot, lambda: isinstance(app.screen, HelpScreen), "the keys")
+        await pilot.press(key)
+        await until(pilot, lambda: app.screen is below, "the screen below")
+
+    drive(app, steps)
+
+
+@pytest.mark.parametrize("name", ["pictures", "welcome"])
+def test_a_new_session_from_other_screens(name: str) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        if name == "welcome":
+            await pilot.press("f5")
+            await until(pilot, lambda: isinstance(app.screen, WelcomeScreen), "the welcome")
+        else:
+            app.push_screen(screens(app)[name]())
+            await pilot.pause()
+        await pilot.press("f2")
+        await shown(pilot, "New session")
+        await until(pilot, lambda: isinstance(app.screen, FormScreen), "the form")
+
+    drive(app, steps)
+
+
+def test_the_keys_of_pictures_goals_and_driving_are_listed() -> None:
+    listed = " ".join(keys for _, rows in KEYS_ON_SCREENS for keys, _ in rows).split()
+    labels = {"plus": "+", "minus": "-", "space": "space", "escape": "esc", "enter": "⏎", "less_than_sign": "<",
+              "greater_than_sign": ">", "left_square_bracket": "[", "right_square_bracket": "]", "left": "←",
+              "right": "→", "up": "↑", "down": "↓", "equals_sign": "+", "f8": "F8"}  # fmt: skip
+    for screen in (ViewScreen, DriveScreen, TopicScreen):
+        for binding in screen.BINDINGS:
+            assert isinstance(binding, Binding)
+            for each in binding.key.split(","):
+                assert labels.get(each, each) in [*listed, "d"], (screen, each)
+    steering = "".join(listed)
+    assert all({"comma": ",", "full_stop": "."}.get(key, labels.get(key, key)) in steering for key in _WAYS)
 
 
 def test_the_palette_finds_an_action_by_its_words_and_does_it() -> None:

@@ -64,6 +64,21 @@ def test_those_of_one_cause_are_told_of_together_each_robots_apart() -> None:
     assert other.startswith("◇ robot2: /robot2/0: nobody subscribes to /robot2/0 (also")
 
 
+def test_topics_that_nobody_here_subscribes_to_are_one_line_whatever_their_robot() -> None:
+    links = (LINK, replace(LINK, name="robot2"))
+    unheard = [
+        replace(
+            route(f"/{robot}/{n}", State.UNHEARD, link=robot, cause="no_subscriber", reason=reason), outgoing=n == 2
+        )
+        for robot in ("robot1", "robot2")
+        for n in range(3)
+        for reason in [f"nobody subscribes to /{robot}/{n} in domain 3"]
+    ]
+    told = said(*unheard, links=links, role="server")
+    assert [line.partition(" ")[2].split(":")[0] for line in told] == ["/robot1/0", "robot1", "robot2"]
+    assert told[0].endswith("(also /robot1/1, /robot2/0 and /robot2/1)")
+
+
 def test_the_first_is_whole_and_the_others_are_counted() -> None:
     first, second = route("/a", State.DOWN, reason=QOS), route("/b", State.DOWN, reason="refused there")
     assert drawn(first, second, width=120, most=3) == [f" ✗ /a: {QOS}", " ✗ /b: refused there"]

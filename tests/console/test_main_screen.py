@@ -3,7 +3,7 @@
 import csv
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import pytest
@@ -28,6 +28,7 @@ from tests.support.long import long
 from textual.pilot import Pilot
 from textual.widgets import Button
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_console.app import ConsoleApp
@@ -36,6 +37,9 @@ from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.main import EmptyTable
 from rsb_console.session.history_report import export_topics
 from rsb_console.widgets.detail_parts import DetailText
+
+if TYPE_CHECKING:
+    from rsb_bridge.control.control_server import ControlServer
 
 
 @on_main()
@@ -414,13 +418,25 @@ def test_an_engine_that_cannot_start_says_why_and_the_console_stays() -> None:
     class Broken(ScriptedEngine):
         def start(self) -> None:
             self.now = replace(self.now, running=False, links=(), routes=())
-            raise EngineError("port 49152 taken")
+            self.happened = [
+                Event(1, NOW, Level.ERROR, EventCode.ENGINE_NOT_STARTED, "port 49152 taken: choose another one")
+            ]
+            raise EngineError("port 49152 taken: choose another one")
 
+    class Server:
+        is_open = True
+
+        def close(self) -> None:
+            self.is_open = False
+
+    server = Server()
     app = scripted_app(make_engine=Broken)
+    app._serve = lambda *_: (cast("ControlServer", server), None)
 
     async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "port 49152 taken")
-        await shown(pilot, "not started")
+        await shown(pilot, "✗ robot1: port 49152 taken: choose another one")  # the banner
+        await shown(pilot, "ERROR engine port 49152 taken")  # the log
+        assert not server.is_open  # nobody attaches to it
         assert app.is_running
 
     drive(app, steps)

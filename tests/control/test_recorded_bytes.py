@@ -57,6 +57,7 @@ RECORDED: tuple[tuple[c.AnyCommand, bytes], ...] = (
         c.Look("v", ("/map", "/tf"), Wish(width=100, how="map"), "r1"),
         b"\x85\xa2is\xa4look\xa6viewer\xa1v\xa6topics\x92\xa4/map\xa3/tf\xa4wish\xde\x00\x02\xa5widthd\xa3how\xa3map\xa4link\xa2r1",
     ),
+    (c.EndLook("v"), b"\x82\xa2is\xa8end_look\xa6viewer\xa1v"),
     (c.DraftMessage("/t"), b"\x82\xa2is\xa5draft\xa5topic\xa2/t"),
     (c.DraftMessage("/t", "T"), b"\x83\xa2is\xa5draft\xa5topic\xa2/t\xa9type_name\xa1T"),
     (c.Publish("/t", "{}"), b"\x83\xa2is\xa7publish\xa5topic\xa2/t\xa6fields\xa2{}"),

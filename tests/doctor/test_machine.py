@@ -10,6 +10,7 @@ import resource
 import shlex
 import shutil
 import socket
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -40,6 +41,26 @@ def test_what_a_udp_socket_may_hold(given: int, grade: Grade, tmp_path: Path, mo
     assert finding.grade == grade
     assert finding.facts["given"] == given
     assert (str(RECEIVE_BUFFER) in finding.remedy) == (grade == Grade.WARNING)
+
+
+@pytest.mark.parametrize(
+    ("rights", "landlock", "grade"),
+    [(False, 7, Grade.OK), (False, 4, Grade.OK), (False, 3, Grade.NOTE), (False, 0, Grade.NOTE), (True, 0, Grade.NOTE)],
+)
+def test_how_the_process_that_draws_is_confined(
+    rights: bool, landlock: int, grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    facts = {"no_new_privileges": True, "no_capabilities": not rights, "landlock": landlock}
+    ran = SimpleNamespace(stdout=json.dumps(facts))
+    monkeypatch.setattr("rsb_bridge.doctor.machine.subprocess.run", lambda *_, **__: ran)
+    (finding,) = found("pictures", tmp_path)
+    assert (finding.grade, bool(finding.remedy), finding.facts) == (grade, grade != Grade.OK, facts)
+
+
+def test_the_confinement_is_tried_on_this_machine(tmp_path: Path) -> None:
+    (finding,) = found("pictures", tmp_path)
+    assert finding.facts["no_new_privileges"]
+    assert finding.facts["no_capabilities"]
 
 
 def test_a_udp_socket_is_asked_as_the_bridge_asks_it(tmp_path: Path) -> None:

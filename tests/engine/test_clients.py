@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.bridge import carries, find, happened, heard, link, linked
+from tests.support.bridge import carries, find, happened, heard, link, linked, now
 from tests.support.domain import text
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
@@ -49,7 +49,7 @@ def test_a_client_comes_and_goes_while_another_stays(bridge: Bridge, robot: Doma
     eventually(lambda: not linked(second, "robot2"))
     eventually(lambda: "robot2" in link(second, "robot2").reason, what="the client gets the reason")
     assert [each.name for each in server.snapshot().links] == ["robot1"]
-    assert [each.name for each in server.session.clients] == ["robot1"]
+    assert [each.name for each in server.session.listed_clients] == ["robot1"]
     assert find(server, "/map") is None
 
     out.publish(text("all along"))
@@ -71,7 +71,7 @@ def test_changes_that_wait_for_each_other_undo_nothing(bridge: Bridge) -> None:
     new = (Client("robot2", topics=topics), Client("robot3"), Client("robot4"))
     for change in [server.add_client(each) for each in new]:
         change.result(60)
-    assert sorted(server.session.clients, key=lambda each: each.name) == [Client("robot1"), *new]
+    assert sorted(server.session.listed_clients, key=lambda each: each.name) == [Client("robot1"), *new]
 
 
 def test_a_key_is_changed(bridge: Bridge) -> None:
@@ -110,7 +110,6 @@ def test_what_cannot_be_done_is_refused_and_changes_nothing(bridge: Bridge) -> N
         (lambda: server.add_client(Client("robot2", deny=("scan",))), "'scan' matches no topic"),
         (lambda: server.change_client(Client("robot2")), unknown),
         (lambda: server.remove_client("robot2"), unknown),
-        (lambda: server.remove_client("robot1"), pattern(ClientProblem.LAST, name="robot1")),
         (lambda: client.add_client(Client("robot2")), Unable.NOT_A_SERVER()),
     )
     for command, words in refused:
@@ -141,7 +140,7 @@ def test_clients_that_share_a_key_are_refused_unless_it_is_meant(bridge: Bridge)
     server.use_file(path)
     with pytest.raises(EngineError, match=words):
         server.reload().result(60)
-    assert [each.name for each in server.session.clients] == ["robot1", "robot2"]
+    assert [each.name for each in server.session.listed_clients] == ["robot1", "robot2"]
     server.stop()
     bridge.server(clients=both, shared_keys=True)
 
@@ -153,3 +152,16 @@ def test_the_log_says_who_came_and_went(bridge: Bridge) -> None:
     server.remove_client("robot2").result(60)
     assert happened(server, EventCode.OPERATOR_CLIENTS, "client robot2: added")
     assert happened(server, EventCode.OPERATOR_CLIENTS, "client robot2: removed")
+
+
+def test_a_server_begins_without_clients_and_loses_its_last_one(bridge: Bridge, pc: Domain) -> None:
+    server = bridge.server(clients=())
+    assert now(server).links == ()
+    assert now(server).running
+    server.add_client(Client("robot1")).result(60)
+    client = bridge.client()
+    eventually(lambda: linked(client) and linked(server))
+    server.remove_client("robot1").result(60)
+    assert now(server).links == ()
+    assert server.session.clients == ()
+    eventually(lambda: not linked(client), 30)

@@ -222,7 +222,7 @@ def test_a_demand_is_dropped_only_by_an_edit_that_names_it_and_is_agreed_to(brid
     server.edit_topic(key, plain, drop_arm=True).result(60)
     yard.publish_until({"/cmd_vel", "/free"})
     assert server.session.armed == ()
-    assert not any(each.arm for each in server.session.clients[0].topics)
+    assert not any(each.arm for each in server.session.listed_clients[0].topics)
     here = eventually(lambda: happened(server, EventCode.OPERATOR_ARM_DROPPED))
     there = eventually(lambda: happened(client, EventCode.OPERATOR_ARM_DROPPED))
     assert (here.topic, here.from_peer, there.topic, there.from_peer) == ("/cmd_vel", False, "/cmd_vel", True)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from std_srvs.srv import SetBool
 from tests.support.bridge import now, route
 from tests.support.domain import LATCHED, text
+from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.model.session import Topic
@@ -25,8 +26,7 @@ TIMED_OUT = os.strerror(errno.ETIMEDOUT)
 
 def lose_channel(engine: Engine) -> None:
     """End the only route's channel, as the kernel does if keepalive packets get no answer; wait for the next one."""
-    assert engine._bridge is not None
-    (link,), context = engine._bridge.links(), engine._bridge.context
+    (link,), context = inside(engine).links(), inside(engine).context
     (half,) = link.routes.values()
     eventually(lambda: half.connected)
     opening = half.id

@@ -126,7 +126,7 @@ def test_a_topic_has_the_name_that_the_servers_screen_shows(bridge: Bridge) -> N
     server.edit_topic(keys[0], Topic("/robot1/words", "transmit")).result(60)
     eventually(lambda: find(client, "/words") and find(server, "/robot1/words") and not find(client, "/chat"))
     server.edit_topic(route(server, "/robot1/odom").key, replace(both, max_rate=5.0)).result(60)
-    names = [topic.topic for topic in server.session.clients[0].topics]
+    names = [topic.topic for topic in server.session.listed_clients[0].topics]
     assert names == ["/words", "/map", "/scan", "/robot1/odom"]
     with pytest.raises(EngineError, match=pattern(Denied.WHICH_CLIENT, clients="robot1, robot2")):
         server.add_topic(Topic("/tf", "transmit")).result(60)

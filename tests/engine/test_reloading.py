@@ -223,7 +223,7 @@ def test_clients_are_added_changed_and_removed_without_the_others_noticing(
     assert link(first).since == since
     assert len(codes(first, EventCode.LINK_UP)) == 1
 
-    file.reload(clients=(*file.session.clients, Client("robot2", key_file="robot2.key")))
+    file.reload(clients=(*file.session.listed_clients, Client("robot2", key_file="robot2.key")))
     second.retry().result(60)
     eventually(lambda: linked(second, "robot2"))
     assert link(first).since == since

@@ -277,6 +277,35 @@ def test_a_view_that_cannot_be_opened_leaves_no_route(
     looked_while(talker, server, "/pose")
 
 
+def test_a_view_that_is_ended_makes_room_for_the_next_one(bridge: Bridge, robot: Domain) -> None:
+    talker = Talker(robot, "/pose")
+    server, client = bridge.both()
+    for number in range(VIEWS_OF_PEER + 2):
+        looked_while(talker, server, "/pose", viewer=f"viewer{number}")
+        server.end_look(f"viewer{number}").result(30)
+        assert views(server) == []
+    eventually(lambda: not views(client), 30)
+
+
+def test_a_view_that_is_ended_while_it_opens_leaves_nothing(bridge: Bridge, robot: Domain) -> None:
+    publisher = robot.publisher("/pose", PoseStamped)
+    server, client = bridge.both()
+    asked = server.look("me", ("/pose",), WISH, "robot1")
+    server.end_look("me").result(30)
+    eventually(lambda: asked.done() or publisher.publish(pose(1.0)), 30)
+    eventually(lambda: not views(server) and not views(client), 30)
+
+
+def test_the_log_names_the_topic_and_not_the_route_of_the_pictures(bridge: Bridge, robot: Domain) -> None:
+    talker = Talker(robot, "/pose")
+    server, client = bridge.both()
+    looked_while(talker, server, "/pose")
+    server.end_look("me").result(30)
+    eventually(lambda: any(event.code == EventCode.LINK_VIEW_ENDED for event in client.events()), 30)
+    said = [event for engine in (server, client) for event in engine.events()]
+    assert not [event for event in said if "rsb_look" in f"{event.text} {event.topic}"]
+
+
 def test_one_viewer_that_asks_for_two_topics_at_once_leaves_nothing(bridge: Bridge, robot: Domain) -> None:
     talkers = [Talker(robot, topic) for topic in ("/pose", "/other")]
     server, client = bridge.both()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 import pytest
@@ -72,6 +72,24 @@ def test_a_server_reads_a_robot_unless_its_file_says_no(bridge: Bridge, robot: D
     eventually(lambda: "robot1 denies /secret to the server" in route(server, "/secret").reason)
     assert find(client, "/secret") is None
     eventually(lambda: "/scan" in {each.topic for each in server.topics("robot1").result(60)})
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+def test_messages_cross_after_a_refused_proposal(
+    protocol: Literal["tcp", "udp"], bridge: Bridge, robot: Domain, pc: Domain
+) -> None:
+    """Both sides count it in the chain from which the keys of routes come."""
+    robot.publisher("/secret")
+    out, listener = robot.publisher("/scan"), pc.listener("/scan")
+    server = bridge.server()
+    bridge.client(deny=(Grant("/secret", may="read"),))
+    eventually(lambda: linked(server))
+    server.add_topic(Topic("/secret", "transmit")).result(60)
+    eventually(lambda: route(server, "/secret").cause == "refused")
+    server.add_topic(Topic("/scan", "transmit", protocol=protocol)).result(60)
+    carries([out], server, ["/scan"])
+    out.publish(text("seen"))
+    assert heard(listener, 1) == [text("seen")]
 
 
 def test_what_a_file_lists_the_server_may_edit(bridge: Bridge, pc: Domain) -> None:

@@ -112,6 +112,9 @@ class Side(FakePeer):
     def closed(self, route_id: int) -> None:
         self.ids.closed(route_id)
 
+    def derive_keys(self, route_id: int, *, proposed_here: bool) -> None:
+        pass
+
     def refusal(self, topic: str) -> str:
         return ""
 

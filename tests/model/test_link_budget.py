@@ -102,11 +102,21 @@ def test_nothing_is_known_of_the_link() -> None:
 
 
 def test_more_than_was_ever_seen() -> None:
-    now = snapshot(carries=1e5, source=CapacitySource.SEEN)
+    now = snapshot(sent("/other", "normal", 30.0, 500_000), carries=28e6, source=CapacitySource.SEEN)
     cost = cost_of(now, "robot1", Topic("/image", "transmit", type=_IMAGE))
     assert cost.over > 0
     assert as_report(cost)["capacity_source"] == "seen"
     assert len(describe_cost(cost, NOW)) == 2
+
+
+def test_a_link_that_has_carried_next_to_nothing_tells_nothing() -> None:
+    """One that has just come up, for example."""
+    now = snapshot(carries=1e3, source=CapacitySource.SEEN)
+    cost = cost_of(now, "robot1", Topic("/image", "transmit", type=_IMAGE))
+    assert (cost.capacity, cost.over, cost.sufferers) == (None, 0.0, ())
+    assert cost.gets == cost.load.bytes_per_second
+    measured = cost_of(snapshot(carries=1e3), "robot1", Topic("/image", "transmit", type=_IMAGE))
+    assert measured.over > 0
 
 
 def test_what_a_topic_brings() -> None:

@@ -76,7 +76,7 @@ def test_all_is_well() -> None:
 
 def test_what_an_engine_says_of_itself() -> None:
     """It sends what its server gets."""
-    session = msgspec.structs.replace(SERVER, name="robot1", role="client", clients=(), group="yard")
+    session = msgspec.structs.replace(SERVER, name="robot1", role="client", clients=None, group="yard")
     now = Snapshot(NOW, "robot1", "client", "10.0.0.20", 1, running=True, links=(UP,), routes=(a("/scan"),))
     battery = Battery(0.5, NOW)
     losses = {"a": Loss(0.1, 9.0), "b": Loss(0.2, 5.0)}

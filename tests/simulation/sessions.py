@@ -27,7 +27,7 @@ def server_session(clients: Sequence[str], random: Random, *, encrypted: bool) -
         domain_id=1,
         use_name=True,
         use_encryption=encrypted,
-        clients=() if alone else tuple(Client(name=each) for each in clients),
+        clients=None if alone else tuple(Client(name=each) for each in clients),
     )
 
 

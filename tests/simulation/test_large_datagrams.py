@@ -12,6 +12,7 @@ from tests.simulation.loop import SimulatedLoop
 from tests.simulation.machine import Machine, Process
 from tests.simulation.network import Network
 from tests.simulation.sockets import simulated
+from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.datagram_channel import DatagramReceiver, DatagramSender, datagram_channel
@@ -22,7 +23,7 @@ from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.udp import Udp
 from rsb_bridge.wire.framing import Budget
-from rsb_bridge.wire.sealing import SessionKeys, Suite
+from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -70,7 +71,7 @@ class Side:
         self.machine.receive_buffer = receive_buffer
         self.process = Process(self.machine)
         self.events: list[tuple[EventCode, str]] = []
-        self.keys = DataKeys(SessionKeys(Suite.AESGCM, bytes(32), _LINK), role, Budget(1 << 28))
+        self.keys = DataKeys(session_keys(Suite.AESGCM, bytes(32), _LINK), role, Budget(1 << 28))
         self.probe = PathProbe(self.keys)
         self.channels = UdpChannels(network.loop, self._log)
         self.route = Route(outgoing=role == "client")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import socket
 from typing import TYPE_CHECKING, Any, Self
 
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Event
     from rsb_bridge.wire.events import Event as WireEvent
 
-ANNA, BOB = Key(b"a" * 32), Key(b"b" * 32)
+ANNA, BOB = (Key(hashlib.sha256(name).digest()) for name in (b"anna", b"bob"))
 
 
 def granted(name: str, key: Key, may: OperatorMay = "change") -> dict[str, Granted]:

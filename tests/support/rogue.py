@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Self, TypeVar
 
 from rsb_bridge.model.calls import FEATURE
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
-from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramWriter, Probe
+from rsb_bridge.wire.datagram import DatagramWriter, Probe
 from rsb_bridge.wire.events import Accepted, Established, Received, StreamName
 from rsb_bridge.wire.framing import CONTROL_LIMIT, MESSAGE_LIMIT, MORE, DataWriter
 from rsb_bridge.wire.messages import Accept, Describe, Hello, Propose, Ready, Refuse
 from rsb_bridge.wire.records import Source
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.sealing import PROBE_ROUTE, Suite
 
 if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
@@ -79,6 +79,9 @@ class Rogue:
     def say(self, *messages: ControlMessage) -> None:
         """Send control messages, all at once. From any thread."""
         with self._saying:
+            for message in messages:
+                if isinstance(message, Propose):
+                    self.keys.proposed(message.route, "client")
             self._control.sendall(b"".join(self._connection.send(message) for message in messages))
 
     def say_raw(self, content: bytes) -> None:

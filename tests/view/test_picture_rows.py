@@ -16,7 +16,7 @@ Image = pytest.importorskip("PIL.Image", reason="needs Pillow")
 RED, GREEN, BLUE, WHITE, BLACK = b"\xff\0\0", b"\0\xff\0", b"\0\0\xff", b"\xff\xff\xff", b"\0\0\0"
 
 
-def rows(content: Cells | Pixels | Series, width: int = 80, height: int = 24, **how: bool) -> list[str]:
+def rows(content: Cells | Pixels | Series, width: int = 80, height: int = 24, **how: int) -> list[str]:
     """Return the characters of a picture."""
     return ["".join(part.text for part in row) for row in picture_rows(content, width, height, **how)]
 
@@ -49,28 +49,28 @@ def test_below_an_odd_last_row_it_is_black() -> None:
 
 def test_without_colours_a_character_is_as_bright_as_its_two_pixels() -> None:
     greys = bytes(level for level in range(0, 260, 26) for _ in range(3))
-    assert rows(Pixels(10, 2, greys * 2), colours=False) == [RAMP]
-    assert rows(Pixels(2, 2, BLACK + WHITE + BLACK + WHITE), colours=False) == [RAMP[0] + RAMP[-1]]
-    assert rows(Pixels(1, 2, WHITE + BLACK), colours=False) == [RAMP[len(RAMP) // 2 - 1]]
+    assert rows(Pixels(10, 2, greys * 2), colours=0) == [RAMP]
+    assert rows(Pixels(2, 2, BLACK + WHITE + BLACK + WHITE), colours=0) == [RAMP[0] + RAMP[-1]]
+    assert rows(Pixels(1, 2, WHITE + BLACK), colours=0) == [RAMP[len(RAMP) // 2 - 1]]
 
 
 def test_green_is_brighter_than_red_and_red_than_blue() -> None:
-    (row,) = rows(Pixels(3, 1, GREEN + RED + BLUE), colours=False)
+    (row,) = rows(Pixels(3, 1, GREEN + RED + BLUE), colours=0)
     assert [*row] == sorted(row, key=RAMP.index, reverse=True)
     assert len(set(row)) == 3
 
 
 def test_an_odd_last_row_is_as_bright_as_its_only_pixels() -> None:
-    assert rows(Pixels(2, 3, BLACK * 4 + WHITE * 2), colours=False) == [RAMP[0] * 2, RAMP[-1] * 2]
+    assert rows(Pixels(2, 3, BLACK * 4 + WHITE * 2), colours=0) == [RAMP[0] * 2, RAMP[-1] * 2]
 
 
 def test_without_colours_there_is_ascii_only_and_no_style() -> None:
-    drawn = picture_rows(Pixels(16, 9, bytes(range(216)) * 2), 80, 24, colours=False)
+    drawn = picture_rows(Pixels(16, 9, bytes(range(216)) * 2), 80, 24, colours=0)
     assert all(part.text.isascii() and part[1:] == ("", "") for row in drawn for part in row)
 
 
-@given(width=st.integers(1, 20), height=st.integers(1, 9), colours=st.booleans(), data=st.data())
-def test_an_image_has_a_cell_for_two_pixels(width: int, height: int, colours: bool, data: st.DataObject) -> None:
+@given(width=st.integers(1, 20), height=st.integers(1, 9), colours=st.sampled_from((0, 16, 256)), data=st.data())
+def test_an_image_has_a_cell_for_two_pixels(width: int, height: int, colours: int, data: st.DataObject) -> None:
     rgb = data.draw(st.binary(min_size=3 * width * height, max_size=3 * width * height))
     assert list(map(len, rows(Pixels(width, height, rgb), colours=colours))) == [width] * ((height + 1) // 2)
 
@@ -114,8 +114,8 @@ def test_webp_becomes_pixels() -> None:
     assert len(rows(Pixels(16, 10, data, "webp"))) == 5
 
 
-@pytest.mark.parametrize("colours", [True, False])
-def test_a_webp_image_of_another_size_is_refused(colours: bool) -> None:
+@pytest.mark.parametrize("colours", [0, 16, 256])
+def test_a_webp_image_of_another_size_is_refused(colours: int) -> None:
     with pytest.raises(UnreadableError):
         picture_rows(Pixels(16, 12, webp(16, 10), "webp"), 80, 24, colours=colours)
 
@@ -186,3 +186,27 @@ def test_a_mark_replaces_one_cell(column: int, row: int, expected: tuple[Part, .
 def test_a_mark_outside_changes_nothing(column: int, row: int) -> None:
     """However far: zooming in takes a goal a long way off."""
     assert with_mark(_ROWS, column, row, Part("X", "goal"), 6) == _ROWS
+
+
+@pytest.mark.parametrize("brightness", [0, 30, 85, 128, 170, 200, 255])
+def test_with_few_colours_greys_are_as_bright_as_the_image_on_the_whole(brightness: int) -> None:
+    side = 16
+    drawn = picture_rows(Pixels(side, side, bytes([brightness] * 3) * side * side), 80, 24, colours=16)
+    greys = [
+        int(colour[1:3], 16)
+        for row in drawn
+        for part in row
+        for colour in (part.style, part.background)
+        for _ in part.text
+    ]
+    assert len(greys) == side * side
+    assert set(greys) <= {0, 85, 170, 255}
+    assert sum(greys) / len(greys) == pytest.approx(brightness, abs=8)
+
+
+def test_with_few_colours_a_colour_is_as_bright_as_it_looks() -> None:
+    def brightness(colour: bytes) -> float:
+        (row,) = picture_rows(Pixels(4, 2, colour * 8), 80, 24, colours=16)
+        return sum(int(colour[1:3], 16) * len(part.text) for part in row for colour in (part.style, part.background))
+
+    assert brightness(GREEN) > brightness(RED) > brightness(BLUE)

@@ -3,6 +3,7 @@
 from typing import Any, TypeVar
 
 import pytest
+from tests.support.session_keys import propose
 
 from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 from rsb_bridge.wire.events import Established, Event
@@ -13,6 +14,8 @@ from rsb_bridge.wire.sealing import SessionKeys, Suite
 
 KEY = bytes(range(32))
 OTHER_KEY = bytes(32)
+ROUTES = (1, 3, 5, 7)
+"""Routes that a client has proposed on an established link."""
 HELLO = Hello(version="0.1.0", name="robot1", instance="abc", domain_id=2)
 WELCOME = Welcome(version="0.1.0", name="pc", link_id=b"linklink", instance="def", domain_id=0)
 T = TypeVar("T")
@@ -60,7 +63,7 @@ def established(
     (client_event,), (server_event,) = shake_hands(client, server)
     assert isinstance(client_event, Established)
     assert isinstance(server_event, Established)
-    return client, server, client_event.keys, server_event.keys
+    return client, server, propose(client_event.keys, ROUTES), propose(server_event.keys, ROUTES)
 
 
 def ready_to_accept(suite: Suite = Suite.AESGCM) -> tuple[ClientConnection, ServerConnection]:

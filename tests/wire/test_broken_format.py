@@ -5,6 +5,7 @@ import struct
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.session_keys import session_keys
 from tests.support.wording import says
 from tests.wire.links import (
     CONTROL_HEADER,
@@ -27,7 +28,7 @@ from rsb_bridge.wire.framing import CONTROL_LIMIT, pack_frame
 from rsb_bridge.wire.messages import Ping
 from rsb_bridge.wire.preamble import Kind, control_header, preamble_frame, refuse_frame
 from rsb_bridge.wire.protocol_error import Broken
-from rsb_bridge.wire.sealing import InvalidSeal, Sealer, SessionKeys, Suite
+from rsb_bridge.wire.sealing import InvalidSeal, Sealer, Suite
 
 End = ClientConnection | ServerConnection | DataConnection
 
@@ -147,7 +148,7 @@ def any_end(draw: st.DrawFn) -> End:
     """Either end of any stream, in any state it may be met in."""
     suite = draw(st.sampled_from(Suite))
     client, server = ready_to_accept(suite)
-    data = DataConnection(SessionKeys(suite, key_for(suite), b"linklink"), StreamName(1))
+    data = DataConnection(session_keys(suite, key_for(suite)), StreamName(1))
     live_client, live_server, _, _ = established(suite, multiplexed=draw(st.booleans()))
     ends: list[End] = [make_server(suite), client, server, data, live_client, live_server]
     return draw(st.sampled_from(ends))

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.session_keys import propose
 from tests.support.wording import pattern, says
 from tests.wire.links import (
     CONTROL_HEADER,
@@ -50,6 +51,7 @@ def test_both_sides_establish_and_hold_the_same_keys(suite: Suite, aes: bool) ->
     assert (client.peer, server.peer) == (WELCOME, HELLO)
     for event in (client, server):
         assert (event.keys.suite, event.keys.link_id) == (expected, WELCOME.link_id)
+        propose(event.keys, (1,))
     for role, sender, receiver in zip(ROLES, (client, server), (server, client), strict=True):
         sealed = sender.keys.route_sealer(1, role).seal(b"content", b"header")
         assert receiver.keys.stream_opener(1, role).open(sealed, b"header") == b"content"

@@ -2,6 +2,7 @@
 
 import pytest
 from tests.support.frames import StreamedReader, write_chunks
+from tests.support.session_keys import session_keys
 from tests.support.wording import says
 from tests.wire.links import OTHER_KEY, SUITES, WELCOME, established, make_server, the
 
@@ -11,7 +12,7 @@ from rsb_bridge.wire.framing import LENGTH, DataReader, DataWriter, pack_frame
 from rsb_bridge.wire.messages import Ping
 from rsb_bridge.wire.preamble import Kind, preamble_frame
 from rsb_bridge.wire.protocol_error import Broken
-from rsb_bridge.wire.sealing import SealError, SessionKeys, Suite
+from rsb_bridge.wire.sealing import SealError, Suite
 
 _NAME = StreamName(5, 4001, large=True)
 
@@ -68,7 +69,7 @@ def test_what_a_client_sends_after_its_data_preamble_is_left_over() -> None:
 @pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
 def test_a_data_stream_of_another_link_has_no_proof(suite: Suite) -> None:
     _, _, _, server_keys = established(suite)
-    stranger = SessionKeys(suite, OTHER_KEY, server_keys.link_id)
+    stranger = session_keys(suite, OTHER_KEY, server_keys.link_id)
     server = make_server(suite)
     attach = the(Attach, server.receive_data(DataConnection(stranger, _NAME).start()))
     with pytest.raises(SealError):

@@ -8,7 +8,6 @@ from tests.support.wording import pattern
 
 from rsb_bridge.wire.datagram import (
     FRAGMENTS_LIMIT,
-    PROBE_ROUTE,
     DatagramReader,
     DatagramWriter,
     Probe,
@@ -18,7 +17,7 @@ from rsb_bridge.wire.datagram import (
 )
 from rsb_bridge.wire.framing import SOURCE_FLAGS, SOURCE_SHIFT, ZSTD, Budget
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
-from rsb_bridge.wire.sealing import DatagramOpener, Sealer, Suite
+from rsb_bridge.wire.sealing import PROBE_ROUTE, DatagramOpener, Sealer, Suite
 
 KEY = bytes(range(32))
 LINK = b"linklink"

@@ -8,7 +8,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 from tests.support.wording import pattern
 
-from rsb_bridge.wire.handshake import NoiseHandshake, PlainHandshake
+from rsb_bridge.wire.handshake import NoiseHandshake, PlainHandshake, _hkdf
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
 
@@ -96,10 +96,23 @@ def test_keys_are_new_each_time(suite: Suite) -> None:
         client, server = NoiseHandshake(suite, PSK, b""), NoiseHandshake(suite, PSK, b"")
         server.read(client.write(b""))
         client.read(server.write(b""))
-        assert client.split() == server.split()
-        assert len(set(client.split())) == 3
-        links.add(client.split())
+        keys = client.split()
+        assert keys == server.split()
+        assert len(set(keys)) == 3
+        links.add(keys)
     assert len(links) == 3
+
+
+@pytest.mark.parametrize("suite", ENCRYPTED)
+def test_a_handshake_that_is_over_holds_no_secret(suite: Suite) -> None:
+    client, server = NoiseHandshake(suite, PSK, b""), NoiseHandshake(suite, PSK, b"")
+    server.read(client.write(b""))
+    client.read(server.write(b""))
+    secrets = {*client.split(), *server.split()}
+    for end in (client, server):
+        left = [value for value in vars(end).values() if isinstance(value, bytes)]
+        assert not any(isinstance(value, X25519PrivateKey) for value in vars(end).values())
+        assert not secrets & {each for value in left for each in _hkdf(value, b"")}
 
 
 @pytest.mark.parametrize("suite", ENCRYPTED)

@@ -1,11 +1,13 @@
 import hmac
 import struct
 import zlib
+from collections.abc import Iterable
 
 import pytest
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.session_keys import session_keys as proposed
 from tests.support.wording import pattern
 
 from rsb_bridge.wire.protocol_error import Misuse
@@ -195,36 +197,60 @@ def test_each_sequence_opens_once_and_only_within_the_window(
                 opener.open(sequence, sealed, b"header")
 
 
-def session_keys(suite: Suite = Suite.AESGCM, export: bytes = KEY) -> SessionKeys:
-    return SessionKeys(suite, None if suite is Suite.PLAIN else export, b"linklink")
+def session_keys(suite: Suite = Suite.AESGCM, export: bytes = KEY, routes: Iterable[int] = (1, 2, 3, 5)) -> SessionKeys:
+    return proposed(suite, None if suite is Suite.PLAIN else export, routes=routes)
 
 
-def expand(label: bytes, route: int, direction: int) -> bytes:
+def expand(secret: bytes, label: bytes, info: bytes = b"") -> bytes:
     """HKDF-Expand of RFC 5869 for one block: PROTOCOL.md 1.3, written out again."""
-    return hmac.digest(KEY, label + struct.pack(">IB", route, direction) + b"\x01", "sha256")
+    return hmac.digest(secret, label + info + b"\x01", "sha256")
+
+
+def chain(proposer: int, proposals: int) -> bytes:
+    """The chain of a side after so many of its proposals."""
+    secret = expand(KEY, b"rsb chain", bytes((proposer,)))
+    for _ in range(proposals):
+        secret = expand(secret, b"rsb next")
+    return secret
 
 
 @ENCRYPTED
 @pytest.mark.parametrize(("role", "direction"), [("client", 0), ("server", 1)])
-def test_data_keys_are_those_of_the_document(suite: Suite, role: Role, direction: int) -> None:
-    sealed = session_keys(suite).route_sealer(5, role).seal(b"content", b"header")
-    assert sealed == by_the_book(suite, expand(b"rsb data", 5, direction), 0, b"content", b"header")
+@pytest.mark.parametrize(("route", "secret"), [(0, KEY), (1, chain(0, 0)), (5, chain(0, 2)), (2, chain(1, 0))])
+def test_data_keys_are_those_of_the_document(
+    suite: Suite, role: Role, direction: int, route: int, secret: bytes
+) -> None:
+    sealed = session_keys(suite).route_sealer(route, role).seal(b"content", b"header")
+    key = expand(secret, b"rsb data", struct.pack(">IB", route, direction))
+    assert sealed == by_the_book(suite, key, 0, b"content", b"header")
 
 
 @ENCRYPTED
 def test_attach_proof_is_that_of_the_document(suite: Suite) -> None:
     proof = session_keys(suite).attach_proof(b"header", 5)
-    assert proof == by_the_book(suite, expand(b"rsb attach", 5, 0), 0, b"", b"header")
+    key = expand(chain(0, 2), b"rsb attach", struct.pack(">IB", 5, 0))
+    assert proof == by_the_book(suite, key, 0, b"", b"header")
 
 
 @SUITES
 def test_both_sides_derive_the_same_for_streams_and_datagrams(suite: Suite) -> None:
-    ours, theirs = session_keys(suite), session_keys(suite)
     cases: tuple[tuple[int, Role], ...] = ((1, "client"), (1, "server"), (2, "client"))
     for route, role in cases:
-        sealed = ours.route_sealer(route, role).seal(b"content", b"header")
-        assert theirs.stream_opener(route, role).open(sealed, b"header") == b"content"
-        assert theirs.datagram_opener(route, role).open(0, sealed, b"header") == b"content"
+        sealed = session_keys(suite).route_sealer(route, role).seal(b"content", b"header")
+        assert session_keys(suite).stream_opener(route, role).open(sealed, b"header") == b"content"
+        assert session_keys(suite).datagram_opener(route, role).open(0, sealed, b"header") == b"content"
+
+
+@given(st.permutations([1, 2, 3, 4, 5, 6]), st.sets(st.sampled_from([1, 2, 3, 4, 5, 6])))
+def test_both_sides_keep_in_step_whatever_crosses(taken: list[int], refused: set[int]) -> None:
+    """Proposals of both sides cross on the way, routes are refused and removed, and others use their keys later."""
+    ours, theirs = session_keys(routes=(1, 3, 5, 2, 4, 6)), session_keys(routes=(2, 1, 4, 6, 3, 5))
+    for route in refused:
+        ours.closed(route)
+    for route in taken:
+        if route not in refused:
+            sealed = ours.route_sealer(route, "client").seal(b"content", b"header")
+            assert theirs.datagram_opener(route, "client").open(0, sealed, b"header") == b"content"
 
 
 @ENCRYPTED
@@ -240,6 +266,32 @@ def test_no_other_route_direction_or_link_opens_it(suite: Suite) -> None:
             keys.stream_opener(route, role).open(sealed, b"header")
 
 
+def held(thing: object) -> set[bytes]:
+    """All bytes in an object's attributes and their containers."""
+    if isinstance(thing, bytes):
+        return {thing}
+    inside = thing.values() if isinstance(thing, dict) else thing if isinstance(thing, list | tuple | set) else ()
+    return set().union(*map(held, inside))
+
+
+@ENCRYPTED
+def test_who_takes_over_a_process_opens_nothing_earlier(suite: Suite) -> None:
+    """Neither what crossed before the epoch of an open route, nor what crossed on a closed one."""
+    keys = session_keys(suite)
+    early = [keys.route_sealer(route, "client").seal(b"content", b"header") for route in (0, 1, 3)]
+    keys.closed(3)
+    secrets = held(vars(keys))
+    assert secrets
+    for _ in range(4):
+        infos = [struct.pack(">IB", route, 0) for route in (0, 1, 3)]
+        candidates = {expand(each, b"rsb data", info) for each in secrets for info in infos}
+        for key in {each for each in candidates | secrets if len(each) == 32}:
+            for sealed in early:
+                with pytest.raises(SealError):
+                    StreamOpener(suite, key).open(sealed, b"header")
+        secrets = {expand(each, b"rsb next") for each in secrets}
+
+
 @SUITES
 def test_both_sides_of_one_link_derive_the_same_secret_of_sample_tags(suite: Suite) -> None:
     ours, theirs, other = session_keys(suite), session_keys(suite), session_keys(suite, bytes(32))
@@ -247,12 +299,17 @@ def test_both_sides_of_one_link_derive_the_same_secret_of_sample_tags(suite: Sui
     assert ours.sample_secret is None or ours.sample_secret != other.sample_secret
 
 
-def test_a_route_has_one_sealer_each_way() -> None:
+def test_each_key_is_handed_out_once() -> None:
     keys = session_keys()
     keys.route_sealer(1, "client")
-    keys.route_sealer(1, "server")
-    with pytest.raises(ValueError, match=pattern(Misuse.SEALER_TAKEN, route=1)):
-        keys.route_sealer(1, "client")
+    keys.stream_opener(1, "server")
+    keys.closed(2)
+    for route, role in (1, "client"), (1, "server"), (2, "client"), (9, "client"):
+        with pytest.raises(ValueError, match=pattern(Misuse.NO_KEY_LEFT, route=route)):
+            keys.route_sealer(route, role)  # type: ignore[arg-type]
+    keys.closed(2)
+    with pytest.raises(SealError):
+        keys.check_attach_proof(b"header", 2, b"")
 
 
 @SUITES
@@ -266,4 +323,4 @@ def test_attach_proof_holds_for_its_header_and_route_only(suite: Suite) -> None:
         keys.check_attach_proof(b"header of 5", 5, b"")
     if suite is not Suite.PLAIN:
         with pytest.raises(SealError):
-            keys.check_attach_proof(b"header of 5", 7, proof)
+            keys.check_attach_proof(b"header of 5", 3, proof)

@@ -10,8 +10,9 @@ import os
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.wire.datagram import PROBE_ROUTE, Probe, Receipt, by_addressee, unpack_probe
+from rsb_bridge.wire.datagram import Probe, Receipt, by_addressee, unpack_probe
 from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.sealing import PROBE_ROUTE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

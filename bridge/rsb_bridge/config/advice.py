@@ -114,7 +114,7 @@ def advise(session: Session, domain_variable: str | None, middleware: str = "") 
     yield from _metrics(session)
     yield from _topics(session.topics, "", session)
     yield from _denied(session.topics, "", dataclasses.replace(rights_of_server(session), allow=()), session)
-    for at, client in enumerate(session.clients):
+    for at, client in enumerate(session.listed_clients):
         where = join("clients", at)
         yield from _topics(client.topics, where, session)
         yield from _denied(client.topics, where, rights_of_client(client, session.name), session)
@@ -252,7 +252,7 @@ def moves_a_robot(topic: Topic) -> bool:
 def _entries(session: Session) -> Iterator[tuple[Client | None, Topic]]:
     """Yield a session's entries, each with the client that a server has it for."""
     yield from ((None, topic) for topic in session.topics)
-    yield from ((client, topic) for client in session.clients for topic in client.topics)
+    yield from ((client, topic) for client in session.listed_clients for topic in client.topics)
 
 
 def guarded_here_alone(session: Session) -> Iterator[str]:

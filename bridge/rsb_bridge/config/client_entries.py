@@ -17,7 +17,6 @@ class ClientProblem(Wording):
     """The reason why a server's list of clients cannot be changed so."""
 
     EXISTS = "{name} is a client already; `client rekey {name}` makes a new key for it"
-    LAST = "{name} is the server's only client: add another one first, or stop the server"
     UNKNOWN = "{name} is no client of this server; its clients: {names}"
     MISSPELT = "{name} is no client of this server; did you mean {near}?"
     NOT_A_SERVER = "only a server has clients, and this is a client's session"
@@ -54,12 +53,10 @@ def without_client(session: Session, name: str) -> Session:
     """Return a server's session without one of its clients.
 
     Raises:
-        ClientError: there is no such client, or no other.
+        ClientError: there is no such client.
     """
     old = client_named(session, name)
     clients = tuple(each for each in _clients(session) if each != old)
-    if not clients:
-        raise ClientError(ClientProblem.LAST(name=name))
     return msgspec.structs.replace(session, clients=clients, bench=None)
 
 
@@ -75,7 +72,7 @@ def client_named(session: Session, name: str) -> Client:
         near = difflib.get_close_matches(name, names, n=1)
         if near:
             raise ClientError(ClientProblem.MISSPELT(name=name, near=near[0]))
-        raise ClientError(ClientProblem.UNKNOWN(name=name, names=", ".join(names)))
+        raise ClientError(ClientProblem.UNKNOWN(name=name, names=", ".join(names) or "none"))
     return clients[names.index(name)]
 
 

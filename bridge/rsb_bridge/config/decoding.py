@@ -131,7 +131,9 @@ def did_you_mean(word: str, options: list[str]) -> str:
 
 def _value(name: str, value: object, kind: Any, problems: list[Problem], location: str) -> dict[str, Any]:
     """Return the keyword argument for the struct; empty if the value has a problem."""
-    if get_origin(kind) is tuple:
+    listed = _alternatives(kind)
+    if len(listed) == 1 and get_origin(listed[0]) is tuple:  # a list, perhaps without a default
+        kind = listed[0]
         if not isinstance(value, list | tuple):
             message = ValueMistake.NO_VALUE() if value is None else ValueMistake.NOT_A_LIST(value=show(value))
             problems.append(Problem(location, message))

@@ -122,7 +122,7 @@ def _holder(model: type[msgspec.Struct], **others: Any) -> type[msgspec.Struct]:
 
 
 _CLIENT = _holder(Client)
-SESSION_FILE = _holder(Session, clients=tuple[_CLIENT, ...])  # type: ignore[valid-type]
+SESSION_FILE = _holder(Session, clients=tuple[_CLIENT, ...] | None)  # type: ignore[valid-type]
 """`Session` with lists for each kind, here and in its clients."""
 
 
@@ -168,7 +168,7 @@ def as_written(value: msgspec.Struct) -> msgspec.Struct:
         name: tuple(as_written(topic) for topic in value.topics if topic.kind == kind) for kind, name in LISTS.items()
     }
     if isinstance(value, Session):
-        given["clients"] = tuple(map(as_written, value.clients))
+        given["clients"] = None if value.clients is None else tuple(map(as_written, value.clients))
     return model(**given)
 
 
@@ -180,7 +180,9 @@ def _written(topic: Topic, key: str, field: str) -> Any:
 def as_session(written: msgspec.Struct) -> Session:
     """Return the session that a file says, given as `SESSION_FILE`."""
     given = _given(written)
-    return Session(**given | {"clients": tuple(Client(**_given(client)) for client in given["clients"])})
+    listed = given["clients"]
+    clients = None if listed is None else tuple(Client(**_given(client)) for client in listed)
+    return Session(**given | {"clients": clients})
 
 
 def as_topic(kind: Kind, written: msgspec.Struct) -> Topic:

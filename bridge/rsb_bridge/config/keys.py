@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
 
 KEY_BYTES = 32
+DIFFERENT_BYTES = 12
+"""Least number of different bytes in a key. Of random keys, one in 10^25 has fewer."""
 DEFAULT_KEY_FILE = "key.txt"
 _MAX_FILE = 4096  # bytes; a key file is 45
 # The second form is a key that lost its padding.
@@ -54,6 +56,10 @@ class KeyFileProblem(Wording):
         "{path}: holds no key: a key is 44 characters of URL-safe base64 ({bytes} bytes); the last word of the file "
         "has {length} characters"
     )
+    WEAK = (
+        "{path}: holds no random key, because it has only {count} different bytes: make one with "
+        "`rsb-console keygen {path} --force`, and copy it to the other side"
+    )
     NOT_GIVEN = "no key_file for {name}: make one with `rsb-console keygen`, and copy it to the other side"
     SHARED = (
         "{owners}: whoever has it can connect under any of these names, with its rights. Give each its own key "
@@ -66,6 +72,10 @@ class KeyWarning(Wording):
     """A risk of a valid key, and its remedy."""
 
     READABLE = "{path}: others may read this key (mode {mode}): run `chmod 600 {path}`"
+    PRINTABLE = (
+        "{path}: the key has printable bytes only, so it may be a passphrase that can be guessed: make a new one with "
+        "`rsb-console keygen`, and copy it to the other side"
+    )
     OTHER_OWNER = (
         "{path}: belongs to another user (uid {uid}), who can read and replace it: make this user its owner (chown)"
     )
@@ -209,7 +219,10 @@ def read_key(path: Path) -> Key:
     if len(content) > _MAX_FILE:
         raise KeyFileError(KeyFileProblem.TOO_LARGE(path=path))
     key = _parse(content.decode("ascii", errors="replace"), path)
-    return Key(key.secret, tuple(_risks(path, status, folder, of_folder)), status.st_mtime)
+    risks = [*_risks(path, status, folder, of_folder)]
+    if all(0x20 <= byte < 0x7F for byte in key.secret):  # of random keys, one in 10^13
+        risks.append(KeyWarning.PRINTABLE(path=path))
+    return Key(key.secret, tuple(risks), status.st_mtime)
 
 
 def _risks(path: Path, status: os.stat_result, folder: Path, of_folder: int) -> Iterator[str]:
@@ -230,6 +243,8 @@ def _parse(text: str, path: Path) -> Key:
     secret = _decode(words[-1])
     if secret is None:
         raise KeyFileError(KeyFileProblem.NO_KEY(path=path, bytes=KEY_BYTES, length=len(words[-1])))
+    if (count := len(set(secret))) < DIFFERENT_BYTES:
+        raise KeyFileError(KeyFileProblem.WEAK(path=path, count=count))
     return Key(secret)
 
 

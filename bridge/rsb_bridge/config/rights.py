@@ -132,6 +132,7 @@ class DeniedRemedy(Wording):
     CHANGE_DENY = "change {entry} in deny {place}"
     CHANGE_ALLOW = "change {entry} in allow {place}"
     ADD_BENCH = "add bench: {{}} {place}"
+    RENAME = "choose another name, this one is reserved for pictures and benchmarks"
     ADD_ALLOW = "add {entry} to allow {place}"
     LIST = "list it under {list} {place}, with {direction}"
     LIST_OR_ALLOW = "list it under {list} {place}, with {direction}, or add {entry} to allow there"
@@ -302,9 +303,11 @@ class Rights:
     def refusal(self, use: Use) -> Refusal | None:
         """Return the reason why the peer may not do something, or None if it may."""
         if is_view_topic(use.topic):  # its viewer asks for topics, whose rights are checked then
-            return None if use.may == "read" and use.kind == "topic" else self._no_leave()
+            return None if use.may == "read" and use.kind == "topic" else self._reserved(use)
         if is_bench_topic(use.topic):
-            return None if self.bench is not None and use.kind == "topic" else self._no_leave()
+            if use.kind != "topic":
+                return self._reserved(use)
+            return None if self.bench is not None else self._no_benchmark()
         for grant in self._about(self.deny, use, also=_meant_by(use)):
             if not grant.protocol or use.protocol in protocols_of(grant):
                 return Refusal(
@@ -322,7 +325,12 @@ class Rights:
         reason = DeniedText.NOT_ALLOWED(owner=self.owner, peer=self.peer, may=use.may, use=use)
         return Refusal(reason, self._remedy(use))
 
-    def _no_leave(self) -> Refusal:
+    def _reserved(self, use: Use) -> Refusal:
+        """Return the refusal of a use that only this program's own topics could have."""
+        reason = DeniedText.NOT_ALLOWED(owner=self.owner, peer=self.peer, may=use.may, use=use)
+        return Refusal(reason, DeniedRemedy.RENAME())
+
+    def _no_benchmark(self) -> Refusal:
         reason = DeniedText.NO_BENCHMARK(owner=self.owner, peer=self.peer)
         where = f"to {self.place.removeprefix('of ')}" if self.place.startswith("of ") else self.place
         return Refusal(reason, DeniedRemedy.ADD_BENCH(place=where))

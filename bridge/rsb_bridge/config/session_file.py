@@ -136,7 +136,7 @@ def demand_lines(text: str, path: Path) -> dict[SourceKey, int]:
         for source, place in zip(sources_of_names(session.armed), places, strict=True)
     }
     holders = [("", "", session.topics)]
-    holders += [(join("clients", at), each.name, each.topics) for at, each in enumerate(session.clients)]
+    holders += [(join("clients", at), each.name, each.topics) for at, each in enumerate(session.listed_clients)]
     for where, client, topics in holders:
         for topic, here in zip(topics, locations(topics), strict=True):
             if topic.arm:
@@ -157,9 +157,10 @@ def same(one: Session, other: Session) -> bool:
 def _in_order(session: Session) -> Session:
     clients = tuple(
         msgspec.structs.replace(client, topics=_sorted(client.topics))
-        for client in sorted(session.clients, key=lambda client: client.name)
+        for client in sorted(session.listed_clients, key=lambda client: client.name)
     )
-    return msgspec.structs.replace(session, topics=_sorted(session.topics), clients=clients)
+    listed = None if session.clients is None else clients
+    return msgspec.structs.replace(session, topics=_sorted(session.topics), clients=listed)
 
 
 def _sorted(topics: tuple[Topic, ...]) -> tuple[Topic, ...]:

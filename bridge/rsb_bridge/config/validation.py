@@ -306,7 +306,10 @@ def validate(session: Session) -> list[Problem]:
     """Return all problems of a session."""
     data = msgspec.to_builtins(as_written(session))
     problems = build(data)[1]
-    holders = [("", session.topics), *((join("clients", at), each.topics) for at, each in enumerate(session.clients))]
+    holders = [
+        ("", session.topics),
+        *((join("clients", at), each.topics) for at, each in enumerate(session.listed_clients)),
+    ]
     for where, topics in holders:
         for topic, here in zip(topics, locations(topics), strict=True):
             found = _foreign(topic, join(where, here))
@@ -368,7 +371,7 @@ def _within(location: str, outer: str) -> bool:
 
 
 def _session(session: Session) -> Iterator[Problem]:
-    yield from _name(session.name, "name", use_name=session.use_name and not session.clients)
+    yield from _name(session.name, "name", use_name=session.use_name and session.clients is None)
     yield from _group(session.group, "group")
     yield from _address(session)
     link = transports.of_link(session.server_ip)
@@ -417,7 +420,9 @@ def _on_fault(command: str | tuple[str, ...]) -> Iterator[Problem]:
 
 def _profiles(session: Session) -> Iterator[Problem]:
     given = [("profile", session.profile)]
-    given += [(join(join("clients", at), "profile"), client.profile) for at, client in enumerate(session.clients)]
+    given += [
+        (join(join("clients", at), "profile"), client.profile) for at, client in enumerate(session.listed_clients)
+    ]
     for location, profile in given:
         if session.is_bluetooth and profile not in (None, "bluetooth"):
             yield Problem(location, SessionMistake.PROFILE_ON_BLUETOOTH(profile=profile))
@@ -525,7 +530,7 @@ def _clashes(topics: Sequence[Topic], where: str, session: Session, client: str 
 def _clients(session: Session) -> Iterator[Problem]:
     if session.role == "server" and session.topics:
         yield Problem("role", SessionMistake.TOPICS_OF_SERVER(list=LISTS[session.topics[0].kind]))
-    if session.role == "client" and session.clients:
+    if session.role == "client" and session.clients is not None:
         yield Problem("role", SessionMistake.CLIENTS_OF_CLIENT())
     for key, given in (("shared_keys", session.shared_keys), ("ports", session.ports is not None)):
         if session.role == "client" and given:
@@ -537,10 +542,10 @@ def _clients(session: Session) -> Iterator[Problem]:
     if session.role == "server" and (session.allow or session.deny):
         yield Problem("allow" if session.allow else "deny", SessionMistake.KEY_OF_ITS_CLIENT())
     yield from benchmark_limit_problems(session.bench, "bench")
-    if session.bench is not None and session.clients:
+    if session.bench is not None and session.clients is not None:
         yield Problem("bench", SessionMistake.KEY_OF_ITS_CLIENT())
     names: dict[str, int] = {}
-    for at, client in enumerate(session.clients):
+    for at, client in enumerate(session.listed_clients):
         location = join("clients", at)
         yield from benchmark_limit_problems(client.bench, join(location, "bench"))
         yield from _group(client.group, join(location, "group"))
@@ -572,7 +577,7 @@ def key_file_problems(session: Session) -> Iterator[Problem]:
     yield from _names(session, "")
     yield from _replaces(session.next_key_file, session.key_file, "")
     owners: list[tuple[str, str | None]] = []
-    for at, client in enumerate(session.clients):
+    for at, client in enumerate(session.listed_clients):
         location = join("clients", at)
         owners.append((location, client.key_file))
         yield from _names(client, location)
@@ -580,7 +585,7 @@ def key_file_problems(session: Session) -> Iterator[Problem]:
     if session.role == "client" and session.next_key_file is not None:
         yield Problem("next_key_file", SessionMistake.NEXT_KEY_ON_CLIENT())
     if session.use_encryption and session.key_file is None:
-        for location, key_file in owners or [("", None)]:
+        for location, key_file in [("", None)] if session.clients is None else owners:
             if key_file is None:
                 yield Problem(join(location, "key_file"), SessionMistake.KEY_FILE_MISSING())
 

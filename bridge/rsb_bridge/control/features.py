@@ -22,6 +22,7 @@ from rsb_bridge.model.commands import (
     Command,
     DraftMessage,
     EditTopic,
+    EndLook,
     Look,
     Publish,
     RemoveTopic,
@@ -38,7 +39,7 @@ ACKNOWLEDGE = "acknowledge"
 ARMED = "armed"
 """The field `armed` of sessions, and `drop_arm` of commands."""
 LOOK = "look"
-"""The command `Look`."""
+"""The commands `Look` and `EndLook`."""
 PUBLISH = "publish"
 """The commands `DraftMessage` and `Publish`."""
 TOTALS = "totals"
@@ -46,7 +47,13 @@ TOTALS = "totals"
 FEATURES: Final = (ACKNOWLEDGE, ARMED, "check_messages", "late_after", LOOK, "max_age", "on_fault", PUBLISH, TOTALS)
 """All features of this version. A feature with the name of a field of sessions or topics is that field."""
 
-COMMANDS: Final[dict[type, str]] = {Acknowledge: ACKNOWLEDGE, DraftMessage: PUBLISH, Look: LOOK, Publish: PUBLISH}
+COMMANDS: Final[dict[type, str]] = {
+    Acknowledge: ACKNOWLEDGE,
+    DraftMessage: PUBLISH,
+    EndLook: LOOK,
+    Look: LOOK,
+    Publish: PUBLISH,
+}
 """The features of commands."""
 FIELDS: Final[dict[type, dict[str, str]]] = {
     Topic: {name: name for name in FEATURES if name in Topic.__struct_fields__},
@@ -141,7 +148,7 @@ def with_unknown_kept(
         return msgspec.structs.replace(command, topic=_kept(command.topic, before, features))
     if isinstance(command, ChangeClient):
         client = command.client
-        entries = (each.topics for each in session.clients if each.name == client.name)
+        entries = (each.topics for each in session.listed_clients if each.name == client.name)
         before_of = {each.identity: each for each in next(entries, ())}
         topics = tuple(_kept(each, before_of.get(each.identity, each), features) for each in client.topics)
         return msgspec.structs.replace(command, client=msgspec.structs.replace(client, topics=topics))

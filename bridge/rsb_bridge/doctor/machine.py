@@ -47,6 +47,8 @@ _GROUP = "224.0.0.1"
 _IFF_UP, _IFF_LOOPBACK, _IFF_MULTICAST = 0x1, 0x8, 0x1000
 _SIOCGIFFLAGS = 0x8913
 _ANSWERS_WITHIN = 2.0  # s
+_CONFINED_WITHIN = 20.0  # s; a slow computer starts Python for seconds
+_LANDLOCK_OF_TCP = 4
 _LOCKED_WITHIN = 5.0
 """s until Fast DDS has locked a new file."""
 _Chain: TypeAlias = tuple[str, str, str]
@@ -60,6 +62,12 @@ class MachineText(Wording):
     """Findings about a machine, and remedies."""
 
     PROGRAM = "rsb-console {version}, Python {python}, {system}"
+    CONFINED = "the process that draws reads only the program's files, and has no TCP (Landlock {landlock})"
+    CONFINED_BUT_NETWORK = "the process that draws reads only the program's files, but has TCP (Landlock {landlock})"
+    NOT_CONFINED = "the process that draws can read what its user can, and has a network: this kernel has no Landlock"
+    HAS_RIGHTS = "the process that draws keeps root's rights, or can gain some"
+    CONFINED_REMEDY = "Linux 6.7 or newer with Landlock (boot parameter lsm=landlock,...)"
+    RIGHTS_REMEDY = "run the bridge as a user of its own, not as root"
     NO_BLUETOOTH_SOCKETS = "this Python has no Bluetooth sockets"
     BLUETOOTH_REMEDY = "for Bluetooth links, run it with the distribution's own Python (/usr/bin/python3)"
     NO_ADAPTER = "no adapter: links over Bluetooth need one"
@@ -121,6 +129,7 @@ def checks(environ: Mapping[str, str], root: Path = Path("/")) -> tuple[Check, .
     return (
         Check("program", "program", _program),
         Check("extras", "extras", _extras),
+        Check("pictures", "pictures", _pictures),
         Check("shared_memory", "shared memory", partial(_shared_memory, root / "dev/shm")),
         Check("udp_buffers", "UDP buffers", _udp_buffers),
         Check("multicast", "multicast", _multicast),
@@ -155,6 +164,26 @@ def _extras() -> Iterator[Finding]:
         yield Finding("extras", Grade.NOTE, "extras", text, remedy, found)
     else:
         yield Finding("extras", Grade.OK, "extras", MachineText.EXTRAS(installed=" and ".join(found)), facts=found)
+
+
+def _pictures() -> Iterator[Finding]:
+    """Have a process confine itself as the one that draws does."""
+    trial = (sys.executable, "-P", "-m", "rsb_bridge.view.confinement")
+    try:
+        ran = subprocess.run(trial, capture_output=True, timeout=_CONFINED_WITHIN, check=True)  # noqa: S603 -- own program
+    except subprocess.SubprocessError as error:
+        raise OSError(str(error)) from error
+    facts = json.loads(ran.stdout)
+    landlock, remedy = facts["landlock"], ""
+    if not (facts["no_new_privileges"] and facts["no_capabilities"]):
+        text, remedy = MachineText.HAS_RIGHTS(), MachineText.RIGHTS_REMEDY()
+    elif landlock == 0:
+        text, remedy = MachineText.NOT_CONFINED(), MachineText.CONFINED_REMEDY()
+    elif landlock < _LANDLOCK_OF_TCP:
+        text, remedy = MachineText.CONFINED_BUT_NETWORK(landlock=landlock), MachineText.CONFINED_REMEDY()
+    else:
+        text = MachineText.CONFINED(landlock=landlock)
+    yield Finding("pictures", Grade.NOTE if remedy else Grade.OK, "pictures", text, remedy, facts)
 
 
 def _shared_memory(folder: Path) -> Iterator[Finding]:

@@ -157,6 +157,7 @@ class Bridge:
             commands.DisarmTopic: arming.disarm,
             commands.DraftMessage: self._publishing.draft,
             commands.EditTopic: topics.edit,
+            commands.EndLook: self._viewing.end,
             commands.KeepArmed: arming.keep,
             commands.Look: self._viewing.look,
             commands.Pause: topics.pause,

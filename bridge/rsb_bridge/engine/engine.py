@@ -223,7 +223,11 @@ class Engine(EngineApi):
     def start(self) -> None:
         with self._starting:
             self._check_not_stopped()
-            self._start()
+            try:
+                self._start()
+            except EngineError as error:
+                self._events.add(Level.ERROR, EventCode.ENGINE_NOT_STARTED, str(error))
+                raise
             try:
                 self._check_not_stopped()
             except EngineError:

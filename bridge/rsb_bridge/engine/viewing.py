@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.link_views import PeerView
-    from rsb_bridge.model.commands import Look
+    from rsb_bridge.model.commands import EndLook, Look
 
 VIEWS = 8
 """Views of all consoles at the same time."""
@@ -67,7 +67,7 @@ class _View:
 
 
 class Viewing:
-    """Answers `Look`.
+    """Answers `Look` and `EndLook`.
 
     Args:
         context: the engine's.
@@ -104,6 +104,13 @@ class Viewing:
         finally:
             view.asking -= 1
             view.used_at = self._context.now()
+            if self._views.get(command.viewer) is not view:  # it was ended while it was opened
+                view.close()
+
+    async def end(self, command: EndLook) -> None:
+        """End a console's view, which may have ended."""
+        if (view := self._views.pop(command.viewer, None)) is not None:
+            view.close()
 
     async def _next(self, view: _View, command: Look) -> Viewed | None:
         place = command.link, command.topics

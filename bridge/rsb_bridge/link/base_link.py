@@ -239,7 +239,6 @@ class BaseLink(ABC):
         self.bridges: tuple[str, ...] = ()
         self.routes: dict[str, Route] = {}
         self.ids = RouteIds(is_client=is_client)
-        self.closed = self.ids.closed
         self.budget = PeerBudget(context.now())
         self.revisions = Revisions()
         self.duplicates = DuplicateClients(name)
@@ -337,6 +336,17 @@ class BaseLink(ABC):
     @abstractmethod
     def open_udp_channel(self, transport: DatagramTransport, port: int) -> UdpChannel | None:
         """Open datagrams to the peer's port. Return None on failure, and on a server: there, a probe opens them."""
+
+    def derive_keys(self, route_id: int, *, proposed_here: bool) -> None:
+        """Derive the keys of a route. Call it once for each proposal, in the order in which they cross."""
+        if self.keys is not None:
+            self.keys.proposed(route_id, "client" if self.is_client is proposed_here else "server")
+
+    def closed(self, route_id: int) -> None:
+        """Record that an opening of a route is over."""
+        self.ids.closed(route_id)
+        if self.keys is not None:
+            self.keys.closed(route_id)
 
     # --- up and down
 

@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
 
-_REMEMBERED: Final = 10_000
 _GONE: Final = f"gone for {GONE_AFTER / 60:g} min"
 _IN_ONE_MESSAGE = 200
 
@@ -407,14 +406,13 @@ class LinkPatterns(Extension):
     def _wanted(self) -> dict[Identity, tuple[PatternEntry, Topic]]:
         """Return the matching topics, each with its winning pattern, in the order of patterns and names."""
         session, rights = self._context.session, as_if_listed(self._link.rights)
-        own = {session.shutdown_topic, session.diagnostics_topic}
+        own = {session.shutdown_topic, session.diagnostics_topic} - {None}  # as most topics have no remote_topic
         found: list[tuple[int, str, Topic]] = []
+        before, self._known = self._known, {}  # names that are gone are forgotten
         for local, names in ((True, self._here), (False, self.there)):
             for (kind, name), type_name in (names or {}).items():
                 key = local, kind, name, type_name
-                if key not in self._known:
-                    self._known[key] = self._first_match(*key, rights)
-                match = self._known[key]
+                match = self._known[key] = before[key] if key in before else self._first_match(*key, rights)
                 if match is not None and own.isdisjoint((name, match[1].topic, match[1].remote_topic)):
                     found.append((match[0], name, match[1]))
         found.sort(key=itemgetter(0, 1))
@@ -427,8 +425,6 @@ class LinkPatterns(Extension):
         self, local: bool, kind: Kind, name: str, type_name: str, rights: Rights
     ) -> tuple[int, Topic] | None:
         """Return the index of the first pattern that matches a name, and the topic to bridge."""
-        if len(self._known) >= _REMEMBERED:
-            self._known.clear()
         for at, entry in enumerate(self.entries):
             if entry.topic.kind == kind and self.is_local(entry) == local:
                 topic = entry.match(name, type_name)

@@ -256,7 +256,7 @@ class Server:
     def remedy_for_unknown(self, name: str) -> str:
         """Return the remedy for an unknown client name: for this side's operator only, not for the client."""
         session = self.context.session
-        correct = "correct name" if session.clients else f"set name to {session.name!r}"
+        correct = "correct name" if session.clients is not None else f"set name to {session.name!r}"
         return f"rsb-console client add {shlex.quote(name)}, or {correct} in the robot's session"
 
     def _link_of(self, link_id: bytes) -> ServerLink | None:

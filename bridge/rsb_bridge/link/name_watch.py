@@ -32,8 +32,6 @@ _SHARE = 20
 _LONGEST_PAUSE = 10.0
 _ALWAYS_AFTER = 60.0
 """s after which it looks even without a change, in case one was missed."""
-_REMEMBERED = 10_000
-"""Names whose match is remembered."""
 
 
 class Follower(Protocol):
@@ -117,25 +115,25 @@ class NameWatch:
     def _search(self) -> list[_Found]:
         """Return what matches. Runs on another thread."""
         ros, session = self._context.ros, self._context.session
+        before, self._known = self._known, {}  # which names match; those that are gone are forgotten
         own = (session.shutdown_topic, session.diagnostics_topic)
         topics = ros.topics() if "topic" in self._patterns else ()
         found = [
             _Found(("topic", name), agreed_type(publishers)[0], publishers)
             for name in topics
-            if name not in own and self._matches(("topic", name)) and (publishers := ros.publishers(name))
+            if name not in own and self._matches(("topic", name), before) and (publishers := ros.publishers(name))
         ]
         kinds = [kind for kind in self._patterns if kind != "topic"]
         for entry in called_in(ros, kinds) if kinds else ():
-            if entry.publishers and self._matches((entry.kind, entry.topic)):
+            if entry.publishers and self._matches((entry.kind, entry.topic), before):
                 servers = ros.servers(entry.topic + LANES[entry.kind][0].suffix)
                 found.append(_Found((entry.kind, entry.topic), entry.type_name, servers))
         return found
 
-    def _matches(self, named: Named) -> bool:
-        if (known := self._known.get(named)) is not None:
+    def _matches(self, named: Named, before: dict[Named, bool]) -> bool:
+        if (known := before.get(named)) is not None:
+            self._known[named] = known
             return known
-        if len(self._known) >= _REMEMBERED:
-            self._known.clear()
         kind, name = named
         never = is_hidden(name) or name in OF_EVERY_NODE
         self._known[named] = not never and any(each.match(name) is not None for each in self._patterns[kind])

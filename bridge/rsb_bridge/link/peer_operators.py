@@ -93,6 +93,8 @@ class PeerOperators:
         self._did(code, what, route, message.who, "", new)
 
     def _did(self, code: EventCode, what: str, route: Route, who: str, old: str, new: str) -> None:
+        if not route.shown:
+            return  # a view, whose beginning and end are logged with the topic that is looked at
         if not self._budget.take(1, self._now()):
             return
         topic, who = route.local_topic, self.says(who)

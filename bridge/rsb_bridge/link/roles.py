@@ -247,7 +247,7 @@ class ServerRole:
         links = tuple(self._server.links.values())
         clients = tuple(msgspec.structs.replace(link.entry.client, topics=link.listed_topics()) for link in links)
         session = self._context.session
-        if not session.clients and not any(client.topics for client in clients):
+        if session.clients is None and not any(client.topics for client in clients):
             return session
         return msgspec.structs.replace(session, clients=clients, bench=None)
 

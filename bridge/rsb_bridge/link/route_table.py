@@ -386,6 +386,7 @@ class RouteTable(Extension):
             pausing = route.pausing
             opening = {"route": route_id, "paused": pausing.paused, "pause_revision": pausing.revision}
             opening |= self.arming.demanded(route)
+            self._link.derive_keys(route_id, proposed_here=True)
             self._link.send(msgspec.structs.replace(route.proposal, **opening, who=who, edited=edited))
 
     # --- what the peer says
@@ -414,9 +415,11 @@ class RouteTable(Extension):
         if not self._link.ids.take_of_peer(proposal.route):
             self._link.protocol_error(f"invalid route id {proposal.route} in a proposal")
             return
+        self._link.derive_keys(proposal.route, proposed_here=False)
         try:
             route = self._take_up(proposal)
         except LinkError as error:
+            self._link.closed(proposal.route)
             self._refuse(proposal, "denied", str(error))
         else:
             self._link.spawn(self._accept(route, proposal))

@@ -11,6 +11,8 @@ class EventCode(StrEnum):
     ENGINE_LISTENING = "engine.listening"
     ENGINE_NOT_LISTENING = "engine.not_listening"
     """A restart could not bind the server's ports; it is tried again."""
+    ENGINE_NOT_STARTED = "engine.not_started"
+    """The session cannot run as it is; the text says why."""
     ENGINE_RESTARTING = "engine.restarting"
     ENGINE_RELOAD_FAILED = "engine.reload_failed"
     """The session file was read again; it has mistakes or could not be applied in full, as the text explains."""

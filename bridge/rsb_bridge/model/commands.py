@@ -249,6 +249,18 @@ class Look(Command[Viewed | None], frozen=True, tag="look"):
     link: str = ""
 
 
+class EndLook(Command[None], frozen=True, tag="end_look"):
+    """End a view at once, which makes room for another one.
+
+    Attributes:
+        viewer: identifies the view, which may have ended.
+    """
+
+    right = Right.LOOK
+    refreshes = False
+    viewer: Annotated[str, Meta(min_length=1, max_length=64)]
+
+
 class DraftMessage(Command[Draft], frozen=True, tag="draft"):
     """Make a message for an operator to change: one that passes soon, or the type's defaults.
 
@@ -372,6 +384,7 @@ AnyCommand: TypeAlias = (
     | Reload
     | Topics
     | Peek
+    | EndLook
     | Look
     | DraftMessage
     | Publish

@@ -203,7 +203,10 @@ def cost_of(
     if capacity is not None and capacity.source == CapacitySource.SEEN and capacity.bytes_per_second < used:
         capacity = msgspec.structs.replace(capacity, bytes_per_second=used)  # more than before crosses right now
     own = Wish(RANKS[topic.priority], load.bytes_per_second)
-    if capacity is None:
+    if capacity is None or (
+        # So little has crossed, as on a link that has just come up, that it tells nothing about this topic.
+        capacity.source == CapacitySource.SEEN and capacity.bytes_per_second < own.bytes_per_second
+    ):
         return Cost(load, used, None, own.bytes_per_second)
     shares = allot(capacity.bytes_per_second, wishes | {"": own})
     sufferers = tuple(

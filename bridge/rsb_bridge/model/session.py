@@ -318,7 +318,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
             that `rsb_bridge.config.validation` splits into words as a shell would.
         topics: a client's topics.
         armed: names and patterns on this side that require arming, with or without an entry.
-        clients: the clients of a server, or empty for one client with the session's own name and key.
+        clients: the clients of a server; empty if it has none yet, or None for one with the session's own name and key.
         ports: TCP and UDP ports that clients' topics may have on the server, or None for any 16 for each client.
         allow: on a client, the server's rights to bridge, as in `Client`. If empty, the server may read all topics, and
             publish, call and serve the entries of `topics`.
@@ -353,7 +353,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     on_fault: str | tuple[str, ...] | None = None
     topics: tuple[Topic, ...] = ()
     armed: tuple[str | Armed, ...] = ()
-    clients: tuple[Client, ...] = ()
+    clients: tuple[Client, ...] | None = None
     allow: tuple[str | Grant, ...] = ()
     deny: tuple[str | Grant, ...] = ()
     ports: tuple[int, ...] | Literal["none"] | None = None
@@ -377,7 +377,12 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     @property
     def accepted_clients(self) -> tuple[Client, ...]:
         """The clients of a server."""
-        return self.clients or (Client(self.name, bench=self.bench, group=self.group),)
+        return (Client(self.name, bench=self.bench, group=self.group),) if self.clients is None else self.clients
+
+    @property
+    def listed_clients(self) -> tuple[Client, ...]:
+        """The clients that the session names."""
+        return self.clients or ()
 
     @property
     def adapter(self) -> str | None:

@@ -1,7 +1,8 @@
 """A simulated robot and the desk it talks to, for the demo: real topics, about the sizes of the thesis's table 3.1.
 
-Run as ``python -m rsb_bridge.ros.simulation robot|desk DOMAIN``: it prints a JSON line of message counts by topic every
-second, and ends with its standard input, so that it never outlives its starter.
+Run as ``python -m rsb_bridge.ros.simulation robot|desk|listener DOMAIN [TOPIC...]``: it prints a JSON line of message
+counts by topic every second, and ends with its standard input, so that it never outlives its starter. A line of its
+standard input is a topic that it stops publishing. The listener subscribes to topics of simulated robots.
 """
 
 from __future__ import annotations
@@ -27,12 +28,13 @@ from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import BatteryState, Image, LaserScan
+from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from rsb_bridge.ros import simulated_room
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable, Sequence
 
 SCAN_RATE, ODOM_RATE, BATTERY_RATE, GOAL_RATE, CAMERA_RATE = 10.0, 50.0, 1.0, 1.0, 10.0
 """Hz."""
@@ -56,10 +58,12 @@ class Simulation:
     Attributes:
         published: messages by topic.
         received: messages by topic.
+        muted: topics that are not published any more, though their publishers stay.
     """
 
     def __init__(self, domain_id: int, name: str, *, parameters: bool = False) -> None:
         self.published: dict[str, int] = {}
+        self.muted: set[str] = set()
         self.received: dict[str, int] = {}
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
@@ -83,6 +87,8 @@ class Simulation:
         self.published[topic] = 0
 
         def publish() -> None:
+            if topic in self.muted:
+                return
             publisher.publish(make(time.monotonic() - self._began))
             self.published[topic] += 1
 
@@ -264,21 +270,42 @@ class Desk(Simulation):
         return goal
 
 
+class Listener(Simulation):
+    """The control side of a fleet: subscribes to its robots' topics."""
+
+    def __init__(self, domain_id: int, topics: Iterable[str]) -> None:
+        super().__init__(domain_id, "simulated_operators_desk")
+        for topic in topics:
+            self._counts(BatteryState if topic.endswith("/battery_state") else String, topic, 10)
+
+
 def main() -> None:
     """Simulate until standard input ends."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("part", choices=("robot", "desk"))
+    parser.add_argument("part", choices=("robot", "desk", "listener"))
     parser.add_argument("domain", type=int)
+    parser.add_argument("topics", nargs="*")
     arguments = parser.parse_args()
-    simulation = (Robot if arguments.part == "robot" else Desk)(arguments.domain)
+    simulation = _part(arguments.part, arguments.domain, arguments.topics)
     next_line = 0.0
-    while not select.select([sys.stdin], [], [], 0)[0]:
+    while True:
+        if select.select([sys.stdin], [], [], 0)[0]:
+            line = sys.stdin.readline()
+            if not line:
+                break
+            simulation.muted.add(line.strip())
         simulation.spin_once(0.1)
         if time.monotonic() >= next_line:
             next_line = time.monotonic() + 1.0
             _report(simulation)
     _report(simulation)
     simulation.close()
+
+
+def _part(name: str, domain: int, topics: Sequence[str]) -> Simulation:
+    if name == "listener":
+        return Listener(domain, topics)
+    return Robot(domain) if name == "robot" else Desk(domain)
 
 
 def _report(simulation: Simulation) -> None:

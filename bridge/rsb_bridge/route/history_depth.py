@@ -6,7 +6,7 @@ keeps at least as many as have come. So a short-lived second subscription (a pro
 
 A publisher that never pauses publishes while it is probed, so its depth is known only within bounds. No live message
 waits for that: each is sent with the most that its publisher may keep, and the peer drops what is too much as soon as
-it is told the depth. Only a history waits for a moment, because a depth that is known makes it cheaper for the peer.
+it gets the depth. Only a history waits for a moment, because with a known depth it costs the peer one publisher.
 """
 
 from __future__ import annotations
@@ -377,7 +377,7 @@ class _Probe:
         self._complete = False
 
     def take(self, batch: Sequence[RawMessage], now: float) -> None:
-        """Take messages. Once all wanted numbers have come, the probe ends a moment later, whatever comes meanwhile."""
+        """Take messages. Once all wanted numbers have come, the probe ends a moment later, even if more come."""
         for message in batch:
             self.first.setdefault(message.gid, message.number)
             self.last[message.gid] = message.number

@@ -32,6 +32,8 @@ _ALONE = 16
 _MATCHED_WITHIN = 0.5  # s
 _LOOKS_AGAIN_AFTER = 0.02  # s
 _ACKNOWLEDGED_WITHIN = 0.5  # s
+_OVERTAKEN_WITHIN = 0.1
+"""s in which a message could overtake that of another publisher; a subscriber that acknowledges none delays others."""
 _ASKED = 4
 """Publishers asked for their subscribers: the oldest, which have been discovered by all."""
 _GONE_AFTER = 10.0
@@ -78,12 +80,16 @@ class _History:
         newest: number of its newest message that came here.
         outputs: the publishers here that have its messages.
         waiting: messages that wait for the newest output to be discovered.
+        last: the output that published last, or None.
+        last_at: s, when it did.
     """
 
     seen_at: float
     newest: int = 0
     outputs: list[_OutputHistory] = field(default_factory=list)
     waiting: deque[tuple[_OutputHistory, bytes, Callable[[], bool] | None]] = field(default_factory=deque)
+    last: _OutputHistory | None = None
+    last_at: float = 0.0
 
 
 class LatchedTopic:
@@ -209,11 +215,11 @@ class LatchedTopic:
             output.kept.popleft()
         output.kept.append((number, memory))
         history.newest = number
-        if history.waiting or not self._matched(output, now):
+        if history.waiting or not self._is_next(history, output, now):
             history.waiting.append((output, content, still_wanted))
             self._look_again()
         else:
-            output.publisher.publish(content)
+            self._publish(history, output, content, now)
         self._drop_older(history, number - depth)
         return True
 
@@ -289,6 +295,22 @@ class LatchedTopic:
         self._budget.give(PUBLISHER_COST + sum(size for _, size in output.kept))
         output.kept.clear()
 
+    def _publish(self, history: _History, output: _OutputHistory, content: bytes, now: float) -> None:
+        history.last, history.last_at = output, now
+        output.publisher.publish(content)
+
+    def _is_next(self, history: _History, output: _OutputHistory, now: float) -> bool:
+        """Whether a message may be published: it overtakes none that another output has published before."""
+        if not self._matched(output, now):
+            return False
+        last = history.last  # discovered here, a publisher may still be unknown there: then its message comes later
+        return (
+            last is None
+            or last is output
+            or now - history.last_at >= _ACKNOWLEDGED_WITHIN
+            or last.publisher.acknowledged
+        )
+
     def _matched(self, output: _OutputHistory, now: float) -> bool:
         """Whether those who have discovered the other publishers have discovered an output's, or had time to."""
         if now - output.made_at >= _MATCHED_WITHIN:
@@ -305,12 +327,12 @@ class LatchedTopic:
         self._timer = None
         now = self._loop.time()
         for history in self._histories.values():
-            while history.waiting and self._matched(history.waiting[0][0], now):
+            while history.waiting and self._is_next(history, history.waiting[0][0], now):
                 output, content, still_wanted = history.waiting.popleft()
                 if still_wanted is not None and not still_wanted():
                     continue
                 try:
-                    output.publisher.publish(content)
+                    self._publish(history, output, content, now)
                 except RosError as error:
                     self._failed(error)
             if history.waiting:

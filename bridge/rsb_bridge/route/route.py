@@ -52,6 +52,8 @@ _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
 _PROPOSED_WITHIN = 3.0
 _REFUSED_WITHIN = 5.0
 """Seconds after which a retried route is unlikely to be refused again."""
+_PICTURES = "pictures"
+"""The name in the log of a route that no operator has listed."""
 
 
 class Owner(Peer, Protocol):
@@ -581,8 +583,11 @@ class Route:
 
     def log(self, level: Level, code: EventCode, text: str, **about: Unpack[About]) -> None:
         """Add an event about this route."""
-        about["link"], about["topic"] = self.peer.name, self.local_topic
-        self.context.log(level, code, f"{self.local_topic}: {text}", **about)
+        if not self.shown and level is Level.INFO:
+            return  # a view's beginning and end are logged with the topic that is looked at
+        name = self.local_topic if self.shown else _PICTURES
+        about["link"], about["topic"] = self.peer.name, name
+        self.context.log(level, code, f"{name}: {text}", **about)
 
 
 def route_key(link: str, proposal: Propose) -> str:

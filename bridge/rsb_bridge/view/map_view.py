@@ -51,7 +51,7 @@ _NAMED = 12
 class MapProblem(Wording):
     """The reason why a map, or a layer of it, cannot be drawn."""
 
-    NOTHING = "nothing to draw in frame {frame!r} so far"
+    NOTHING = "nothing to draw in frame {frame!r}"
     BAD_GRID = "the grid of {width:,}×{height:,} cells has {got:,} values"
     NO_TRANSFORM = "{topic}: no transform from {frame!r} to {target!r} yet: add the topic /tf"
     NO_LAYER = "{topic}: {type_name} has no place on a map"
@@ -159,6 +159,8 @@ class MapView(View):
             self._frames[child] = parent, transform
 
     def draw(self, wish: Wish) -> Drawn:
+        if not self._layers:
+            return Drawn()
         target = wish.frame or self._usual_frame()
         placed: list[tuple[_Layer, Transform]] = []
         notes, problem = [f"frame {target}"], ""

@@ -2,7 +2,7 @@
 
 It reads a `Task` from standard input, and writes its `Picture` to standard output, each as four bytes of length,
 big-endian, and MessagePack. It ends with its input. `rsb_bridge.view.renderer` starts it, and kills it if it takes too
-long; it limits its own memory.
+long; it limits its own memory and rights.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from rsb_bridge.cdr.description import DescriptionError, read_description
 from rsb_bridge.model.pictures import PICTURE_LIMIT, Picture, Wish
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.view.confinement import confine
 from rsb_bridge.view.drawing import Received, UndrawableError, number
 
 if TYPE_CHECKING:
@@ -191,6 +192,8 @@ class Artist:
                 problem = str(error)
         try:
             view = self._view(task)
+            if not task.seen:  # a view's own words would be about messages, and hold up who waits for the first one
+                return about
             view.now = task.now / 1e9
             drawn = view.draw(task.wish)
         except UndrawableError:
@@ -277,6 +280,7 @@ def main() -> None:
     """Draw until the input ends."""
     os.nice(_NICE)
     _limit_memory()
+    confine()
     artist, tasks = Artist(), msgspec.msgpack.Decoder(Task)
     while (body := read_frame(sys.stdin.buffer)) is not None:
         signal.alarm(_SECONDS)

@@ -266,13 +266,12 @@ class DataConnection(PreambleStream):
 
     def __init__(self, keys: SessionKeys, name: StreamName) -> None:
         super().__init__()
-        self._keys = keys
-        self._name = name
+        header = data_header(keys.link_id, name)
+        self._beginning = pack_frame(header, keys.attach_proof(header, name.number))
 
     def start(self) -> bytes:
         """Return the bytes to write first."""
-        header = data_header(self._keys.link_id, self._name)
-        return pack_frame(header, self._keys.attach_proof(header, self._name.number))
+        return self._beginning
 
     def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
         match kind:

@@ -26,7 +26,7 @@ Origin = TypeVar("Origin")
 
 MAGIC = 0xB5
 FRAGMENTS_LIMIT = 65535
-PROBE_ROUTE = 0
+
 
 _HEADER = struct.Struct(">BBHHI8sQIQ")
 _HEADER_SIZE = _HEADER.size

@@ -131,8 +131,14 @@ class NoiseHandshake:
         return payload
 
     def split(self) -> HandshakeKeys:
-        """Return the control keys, and a third output of the same HKDF, from which data keys are derived."""
-        return HandshakeKeys(*_hkdf(self._ck, b""))
+        """Return the control keys, and a third output of the same HKDF, from which data keys are derived.
+
+        The handshake forgets its secrets, because the connection keeps it.
+        """
+        keys = HandshakeKeys(*_hkdf(self._ck, b""))
+        self._ck = self._k = b""
+        del self._ephemeral
+        return keys
 
     def _dh(self, remote: bytes) -> bytes:
         try:

@@ -59,7 +59,7 @@ class Misuse(Wording):
     NOT_ESTABLISHED = "nothing can be sent before the connection is established"
     KEY_LENGTH = "{suite} takes a key of {expected} bytes"
     SESSION_KEY_LENGTH = "a session key has {expected} bytes, not {length}"
-    SEALER_TAKEN = "route {route} has a sealer already: a route id is used once in a link's life"
+    NO_KEY_LEFT = "route {route} was not proposed on this connection, or its key is in use: each key is handed out once"
 
 
 class ProtocolError(Exception):

@@ -25,7 +25,11 @@ EPOCH_BITS = 20
 EPOCHS_AHEAD = 256
 """Epochs by which a datagram may be ahead of the newest authentic one: limits how many keys a forged one costs."""
 
+PROBE_ROUTE = 0
+"""The route of the probes of a UDP path, which nobody proposes."""
+
 _REKEY_SEQUENCE = 2**64 - 1
+_DIRECTIONS: dict[Role, int] = {"client": 0, "server": 1}
 
 
 class Suite(IntEnum):
@@ -284,40 +288,52 @@ class DatagramOpener:
 class SessionKeys:
     """The data keys of a link, one for each route and direction, derived from its handshake (PROTOCOL.md, 1.3).
 
+    Each side's proposals advance a chain, one way. A key is handed out once and kept nowhere else. So nobody who takes
+    over this process can derive the keys of earlier routes, or the earlier keys of a route that is open.
+
     Attributes:
         suite: of the link.
         link_id: 8 bytes; names the link in preambles and datagrams.
+        sample_secret: the secret of sample tags (`SampleTags`), or None without encryption.
     """
 
     def __init__(self, suite: Suite, export: bytes | None, link_id: bytes) -> None:
         self.suite = suite
         self.link_id = link_id
-        self._export = export
-        self._sealing: set[tuple[int, Role]] = set()
+        self.sample_secret = None if export is None else derive_sample_secret(export)
+        self._chains: dict[Role, bytes | None] = {
+            role: _expand(export, b"rsb chain", bytes((direction,))) for role, direction in _DIRECTIONS.items()
+        }
+        self._data: dict[tuple[int, Role], bytes | None] = {}
+        self._attach = _expand(export, b"rsb attach")
+        self._derive(PROBE_ROUTE, export)
+
+    def proposed(self, route: int, proposer: Role) -> None:
+        """Derive the keys of a route when its proposal is sent or received, in the order of the control stream."""
+        chain = self._chains[proposer]
+        self._derive(route, chain)
+        self._chains[proposer] = _expand(chain, b"rsb next")
+
+    def closed(self, route: int) -> None:
+        """Forget the keys of a route that nobody has taken."""
+        for role in _DIRECTIONS:
+            self._data.pop((route, role), None)
 
     def route_sealer(self, route: int, sending_role: Role) -> Sealer:
         """Seals a route's data in one direction. There is only one, because a second would repeat nonces.
 
         Raises:
-            ValueError: it was requested before.
+            ValueError: it was requested before, or the route was not proposed.
         """
-        if (route, sending_role) in self._sealing:
-            raise ValueError(Misuse.SEALER_TAKEN(route=route))
-        self._sealing.add((route, sending_role))
-        return Sealer(self.suite, self._data_key(route, sending_role))
+        return Sealer(self.suite, self._take(route, sending_role))
 
     def stream_opener(self, route: int, sending_role: Role) -> StreamOpener:
-        """Opens a route's data on a stream; `sending_role` is the peer's."""
-        return StreamOpener(self.suite, self._data_key(route, sending_role))
+        """Opens a route's data on a stream; `sending_role` is the peer's. Raises as `route_sealer`."""
+        return StreamOpener(self.suite, self._take(route, sending_role))
 
     def datagram_opener(self, route: int, sending_role: Role) -> DatagramOpener:
-        """Opens a route's datagrams; `sending_role` is the peer's."""
-        return DatagramOpener(self.suite, self._data_key(route, sending_role))
-
-    @property
-    def sample_secret(self) -> bytes | None:
-        """The secret of sample tags (`rsb_bridge.wire.sample_tags`), or None without encryption."""
-        return None if self._export is None else derive_sample_secret(self._export)
+        """Opens a route's datagrams; `sending_role` is the peer's. Raises as `route_sealer`."""
+        return DatagramOpener(self.suite, self._take(route, sending_role))
 
     def attach_proof(self, header: bytes, stream: int) -> bytes:
         """Return a client's proof that a data stream is its own, over the preamble frame up to the proof."""
@@ -331,16 +347,23 @@ class SessionKeys:
         """
         StreamOpener(self.suite, self._attach_key(stream)).open(proof, header)
 
-    def _data_key(self, route: int, sending_role: Role) -> bytes | None:
-        return self._derive(b"rsb data", route, 0 if sending_role == "client" else 1)
+    def _derive(self, route: int, secret: bytes | None) -> None:
+        for role, direction in _DIRECTIONS.items():
+            self._data[route, role] = _expand(secret, b"rsb data", struct.pack(">IB", route, direction))
 
     def _attach_key(self, stream: int) -> bytes | None:
-        return self._derive(b"rsb attach", stream, 0)
+        return _expand(self._attach, b"rsb stream", struct.pack(">I", stream))
 
-    def _derive(self, label: bytes, route: int, direction: int) -> bytes | None:
-        if self._export is None:
-            return None
-        return HKDFExpand(SHA256(), KEY_LENGTH, label + struct.pack(">IB", route, direction)).derive(self._export)
+    def _take(self, route: int, sending_role: Role) -> bytes | None:
+        try:
+            return self._data.pop((route, sending_role))
+        except KeyError:
+            raise ValueError(Misuse.NO_KEY_LEFT(route=route)) from None
+
+
+def _expand(secret: bytes | None, label: bytes, info: bytes = b"") -> bytes | None:
+    """Return HKDF-Expand of a secret, or None without encryption."""
+    return None if secret is None else HKDFExpand(SHA256(), KEY_LENGTH, label + info).derive(secret)
 
 
 FEATURE = "sample_tags"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -204,6 +205,9 @@ def _import_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="replace an existing session file")
 
 
+_WITH_A_PATH = ("--control", "--fleet", "--output", "-o")
+
+
 class _CommandParser(argparse.ArgumentParser):
     """Takes options in any place, and shows its own usage when it refuses something."""
 
@@ -212,6 +216,7 @@ class _CommandParser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]  # argparse's is overloaded, by the kind of namespace
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
+        args = self._bridge_first(args)
         if self._intermixes:  # argparse calls this for the options, then for the rest
             return super().parse_known_args(args, namespace)
         plain = self._subparsers or not {"-h", "--help"}.isdisjoint(
@@ -226,6 +231,19 @@ class _CommandParser(argparse.ArgumentParser):
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return found, []
+
+    def _bridge_first(self, args: Sequence[str] | None) -> Sequence[str] | None:
+        """Return arguments with ``--bridge`` before a bridge's name that stands before a topic, as in ``status NAME``.
+
+        A topic begins with a slash, and a bridge's name does not.
+        """
+        names = {action.dest for action in self._actions if not action.option_strings}
+        if not args or "--bridge" not in self._option_string_actions or names.isdisjoint(("topic", "topics")):
+            return args
+        first, *rest = args
+        plain = [word for before, word in itertools.pairwise(args) if before not in _WITH_A_PATH]
+        is_name = not first.startswith(("-", "/")) and any(word.startswith(("/", "*")) for word in plain)
+        return ["--bridge", first, *rest] if is_name else args
 
 
 class _Version(argparse.Action):
@@ -259,8 +277,10 @@ exit codes:
 def add_bench_command(command: AddCommand, complete: Complete) -> None:
     """Add `bench`; for the arguments see `rsb_console.command.remote_arguments.add_remote_commands`."""
     parser = command("bench", lazily("bench", "bench_command"), "measure what this machine, or a link, carries", _BENCH)
-    name = parser.add_argument("bridge", metavar="NAME", nargs="?", help="a running bridge, or its session file")
+    which = "a running bridge, or its session file"
+    name = parser.add_argument("bridge", metavar="NAME", nargs="?", default=argparse.SUPPRESS, help=which)
     complete(name, "bridges_and_files")
+    complete(parser.add_argument("--bridge", metavar="NAME", help="the same"), "bridges_and_files")
     place_options(parser, complete)
     which = "the client, on a server with several clients"
     complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")

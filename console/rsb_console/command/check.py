@@ -52,6 +52,7 @@ _NAMED = 6
 class CheckText(Wording):
     """Warnings and hints of `rsb-console check`."""
 
+    NO_CLIENTS = "accepts nobody yet: `rsb-console client add NAME` adds a client"
     MAY_MOVE = "{peer} may publish topics that move a robot: {names}"
     MAY_ACT = "{peer} may call services that move or change a robot: {names}"
     SERVER_MAY_STOP = "the server may shut this bridge down"
@@ -94,7 +95,7 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
     for topic in session.topics:
         demanded = _demands_on(topic, session, None, demands, places or {})
         yield f"  {_route(topic, session, profile_of(session.profile))}{demanded}"
-    for client in session.clients:
+    for client in session.listed_clients:
         allowed, denied = _grants(client.allow) or "everything", _grants(client.deny)
         prefix = "" if client.use_name is None else f", {_prefix_of(client.name, use_name=client.use_name)}"
         yield f"  accepts {client.name}: {allowed}{', not ' if denied else ''}{denied}{prefix}"
@@ -103,8 +104,10 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
         for topic in client.topics:
             demanded = _demands_on(topic, session, client, demands, places or {})
             yield f"    proposes {_route(topic, session, profile_of(client.profile, session.profile))}{demanded}"
-    if session.role == "server" and not session.clients:
+    if session.role == "server" and session.clients is None:
         yield f"  accepts {session.name}: everything"
+    if session.clients == ():
+        yield f"  {CheckText.NO_CLIENTS()}"
     for source in filter(lambda each: each.arm, demands.sources):
         yield f"  requires arming on all its routes: {_demanded(source, places or {})}"
 
@@ -208,7 +211,7 @@ def _domain(session: Session) -> str:
 def _prefix(session: Session) -> str:
     if session.role == "client" and not session.use_name:
         return CheckText.PREFIX_IF_USED(name=session.name)
-    return _prefix_of("<name>" if session.clients else session.name, use_name=session.use_name)
+    return _prefix_of(session.name if session.clients is None else "<name>", use_name=session.use_name)
 
 
 def _prefix_of(name: str, *, use_name: bool) -> str:

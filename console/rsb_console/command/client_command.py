@@ -21,7 +21,15 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line, print_lines
-from rsb_console.command.target import ANSWERED_WITHIN, NoBridgeError, UsageError, chosen_bridge, reported
+from rsb_console.command.target import (
+    ANSWERED_WITHIN,
+    Asking,
+    NoBridgeError,
+    UsageError,
+    agreed,
+    chosen_bridge,
+    reported,
+)
 from rsb_console.session import client_files
 from rsb_console.session.client_files import begin_rotation, finish_rotation
 
@@ -46,6 +54,10 @@ class ClientCommandProblem(Wording):
         "{name} is linked with its old key, {fingerprint}: not finished. Copy the new key over the robot's and "
         "run `rsb-console reload` there; or end its link now: `rsb-console client rekey {name}`"
     )
+    NEW_KEY_UNUSED = (
+        "{name} is not linked, so it may never have used the new key. Without it, it cannot link any more. Finish?"
+    )
+    NOT_FINISHED = "not finished: both keys of {name} stay valid"
     SESSION_UNKNOWN = "{problem}: name the server's session file"
     SESSION_IN_NO_FILE = "{name} runs a session without a file: name the session file"
     BRIDGE_REFUSES = (
@@ -160,6 +172,9 @@ def _finish_rotation(arguments: Namespace, path: Path) -> int:
     link = _links(path, arguments.control).get(name)
     if link is not None and link.state is State.OK and link.fingerprint != link.next_fingerprint:
         raise EngineError(ClientCommandProblem.OLD_KEY_IN_USE(name=name, fingerprint=link.fingerprint))
+    has_next = client_named(client_files.open_server(path).session, name).next_key_file is not None
+    if has_next and (link is None or link.state is not State.OK) and not arguments.yes:
+        _ask_to_finish(arguments, name)
     changed = finish_rotation(path, name)
     told = _tell(
         arguments,
@@ -168,6 +183,19 @@ def _finish_rotation(arguments: Namespace, path: Path) -> int:
         lambda linked: (ClientEffect.FINISHED_LINK_STAYS if linked else ClientEffect.FINISHED)(name=name),
     )
     return _rotated(arguments, changed, told, "the key")
+
+
+def _ask_to_finish(arguments: Namespace, name: str) -> None:
+    """Ask whether to end a rotation though the client may not have the new key.
+
+    Raises:
+        UsageError: nobody is there to ask.
+        EngineError: the operator does not want it.
+    """
+    if arguments.json:
+        raise UsageError(Asking.NOBODY())
+    if not agreed(ClientCommandProblem.NEW_KEY_UNUSED(name=name)):
+        raise EngineError(ClientCommandProblem.NOT_FINISHED(name=name))
 
 
 def _rotated(arguments: Namespace, changed: Changed, told: str, what: str, steps: Sequence[str] = ()) -> int:

@@ -17,6 +17,7 @@ from rsb_bridge.config.fleet_file import load_fleet
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import keep_output_clean
 from rsb_console.bench.results import BenchError
 from rsb_console.bench.simulated_fleet import WITH_BATTERY, fleet, listening
@@ -25,7 +26,7 @@ from rsb_console.command.shell import FAILURE, HUNG_UP, INTERRUPTED, OK, print_e
 from rsb_console.fleet.fleet import Fleet, Memory
 from rsb_console.fleet.server_source import ServerFleet
 from rsb_console.fleet.zenoh_source import ZenohFleet
-from rsb_console.session.demo_session import need_ros, own_domain, running_demo
+from rsb_console.session.demo_session import SimulatedPart, need_ros, own_domain, running_demo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -147,12 +148,16 @@ def simulated(robots: int) -> Iterator[Simulated]:
     sys.stdout.flush()
     over = "zenoh" if over_zenoh else "tcp"
     names = [f"robot{number}" for number in range(1, robots + 1)]
+    domain = own_domain()
     with (
         tempfile.TemporaryDirectory(prefix="rsb-fleet-") as folder,
         fleet(
-            Path(folder), names, domain=own_domain(), over=over, load=WITH_BATTERY, groups=GROUPS, operated=over_zenoh
+            Path(folder), names, domain=domain, over=over, load=WITH_BATTERY, groups=GROUPS, operated=over_zenoh
         ) as running,
+        contextlib.ExitStack() as stack,
     ):
+        topics = [f"/{name}{talk.topic}" for name in names for talk in WITH_BATTERY.talks]
+        stack.callback(SimulatedPart.start("listener", domain, Path(folder), *topics).stop)
         control = running.start_control()
         running.start_robots(running.names)
         listening(control, running.session)
@@ -255,11 +260,16 @@ def _heard(shown: Fleet, engines: int, as_they_are: Callable[[], bool]) -> list[
         robots = shown.robots()
         enough = as_they_are()
         heard = len(robots) >= engines and all(_has_said(robot, asked) for robot in robots)
-        if heard and (enough or all(robot.summary.state is RobotState.OK for robot in robots)):
+        if heard and (enough or all(map(_is_well, robots))):
             return robots
         if time.time() > asked + (_SEEN_WITHIN if enough else _WELL_WITHIN):
             return robots
         time.sleep(_LOOK_EVERY)
+
+
+def _is_well(robot: Robot) -> bool:
+    """Whether nothing is wrong with a robot, and the desk hears all its topics: it begins with the robots."""
+    return robot.summary.state is RobotState.OK and State.UNHEARD not in robot.summary.states
 
 
 def _has_said(robot: Robot, since: float) -> bool:

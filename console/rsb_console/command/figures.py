@@ -155,7 +155,7 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
             raise engine.lacks(TOTALS)
         route = chosen_route(engine, arguments)
         if not arguments.json:
-            print_line(_where(route, other_side(engine, route)))
+            print_line(_where(route, other_side(engine, route.link)))
             sys.stdout.flush()
         ends = None if arguments.lasts is None else time.monotonic() + arguments.lasts
         window, printed, messages = Window(arguments.window), 0, 0

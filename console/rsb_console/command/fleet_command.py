@@ -22,7 +22,7 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.remote_arguments import IN_FLEET
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
-from rsb_console.command.target import NoBridgeError, UsageError, chosen_bridge, fleet_file, reported
+from rsb_console.command.target import NoBridgeError, UsageError, agreed, chosen_bridge, fleet_file, reported
 from rsb_console.fleet.fleet import Fleet, Memory, UnknownRobotError, memory_path
 from rsb_console.fleet.rolling import Rollout, names_of, report, said, way_back
 from rsb_console.fleet.server_source import ServerFleet
@@ -57,7 +57,6 @@ class FleetProblem(Wording):
         "the topic or the change is missing, for example: rsb-console fleet edit robot1 /camera max_rate=5"
     )
     JSON_CANNOT_ASK = "--json does not ask: give --yes, or --dry-run"
-    NOBODY_TO_ASK = "no operator can answer: give --yes, or --dry-run"
 
 
 def run(name: str, arguments: Namespace) -> int:
@@ -296,7 +295,7 @@ def _edit(arguments: Namespace) -> int:
             if arguments.json:
                 print_line(json_line({"ok": not problems, "plan": [*map(_planned, steps)]}))
             return FAILURE if problems else OK
-        if not arguments.yes and not _agreed(f"Change {len(wanted)} of {len(steps)} robots, one after the other?"):
+        if not arguments.yes and not agreed(f"Change {len(wanted)} of {len(steps)} robots, one after the other?"):
             print_error("nothing is changed")
             return FAILURE
         with _interruptible(rollout):
@@ -332,19 +331,6 @@ def _silent(_: Step, __: str) -> None:
     pass
 
 
-def _agreed(question: str) -> bool:
-    """Whether an operator answers yes.
-
-    Raises:
-        UsageError: nobody is there to ask.
-    """
-    if not sys.stdin.isatty():
-        raise UsageError(FleetProblem.NOBODY_TO_ASK())
-    print_line(f"{question} [y/N]")
-    sys.stdout.flush()
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
-
-
 def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequence[Step]) -> int:
     """Report the outcome, and undo the change if the operator wants it. Return the exit code."""
     stopped = outcome.failed is not None or bool(outcome.left)
@@ -356,7 +342,7 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequ
     undone = False
     if stopped and outcome.changed:
         undone = arguments.undo or (
-            not arguments.yes and _agreed(f"Restore the previous settings on {names_of(outcome.changed)}?")
+            not arguments.yes and agreed(f"Restore the previous settings on {names_of(outcome.changed)}?")
         )
         if undone:
             kept = rollout.undo(outcome, _silent if arguments.json else _told)

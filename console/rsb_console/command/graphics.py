@@ -36,7 +36,7 @@ _QUESTION = b"\x1b_Gi=31,s=1,v=1,a=q,t=d,f=24;AAAA\x1b\\\x1b[c"
 _DEVICE = re.compile(rb"\x1b\[\?([0-9;]*)c")
 _SIXEL_ATTRIBUTE = b"4"
 _DEFINED = re.compile(r"#([0-9]+);2;[0-9]+;[0-9]+;[0-9]+")
-"""The definition of a colour, which in xterm does not select it, too."""
+"""The definition of a colour, which in xterm does not select it, too. textual-image 0.13 and newer does select it."""
 _IMAGE = 1
 _CHUNK = 4096
 _USUAL_CELL = 10.0, 20.0

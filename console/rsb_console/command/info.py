@@ -40,7 +40,7 @@ def print_info(arguments: Namespace) -> int:
             print_line(json_line({"ok": True, **values, "link_status": of_links.get(route.link)}))
         else:
             figures = measured(engine, route, _MEASURED) if _loses(route) else None
-            for line in _lines(route, link, other_side(engine, route), figures):
+            for line in _lines(route, link, other_side(engine, route.link), figures):
                 print_line(line)
     return OK
 

@@ -45,6 +45,7 @@ class LocalText(Wording):
 
     SESSION_MISSING = "--no-ui needs a session file: rsb-console run --no-ui SESSION"
     NEW_KEY = "{path}: a new key, fingerprint {fingerprint}. Copy the file to the other side, and keep it secret."
+    IMPORTED = "written: {path}; `rsb-console check {path}` describes it"
     KEY_OPTION = "{field} is given with {option}"
     TERMINAL_GONE = "the console needs a terminal, and its own has gone. Without it: {instead}"
     NO_TERMINAL = (
@@ -193,6 +194,8 @@ def import_thesis(arguments: Namespace) -> int:
         print_lines(dump(session).removesuffix("\n"))
     for note in notes:
         print_error(note)
+    if output is not None:
+        print_line(LocalText.IMPORTED(path=output))
     return OK
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
 import shutil
@@ -23,10 +24,10 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.graphics import DETAIL, ImagePrinter, protocol_of_terminal, why_not
 from rsb_console.command.shell import OK, print_line
-from rsb_console.command.target import UsageError, attached, done, failed, reported
+from rsb_console.command.target import UsageError, attached, done, failed, other_side, reported
 from rsb_console.look import formats
 from rsb_console.look.glyphs import to_ascii
-from rsb_console.look.picture_rows import UnreadableError, notes_line, picture_rows, reads_webp
+from rsb_console.look.picture_rows import COLOURS, UnreadableError, notes_line, picture_rows, reads_webp
 from rsb_console.session.picture_files import FORMATS, picture_file
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ _FAILURE = 1
 _ANSWERED_WITHIN = 60.0
 _TRIED_AGAIN_AFTER = 1.0
 _REDRAWN_AFTER = 1.0
+_ENDED_WITHIN = 5.0
 _SETTLE_SECONDS = 2.0
 _STYLES = {
     "dim": "bright_black", "strong": "bold", "axis": "bright_black", "ok": "green", "warning": "yellow",
@@ -76,15 +78,25 @@ def _look(arguments: Namespace) -> int:
         arguments.graphics = "blocks" if once or arguments.ascii else protocol_of_terminal()
     elif problem := why_not(arguments.graphics):
         raise UsageError(problem)
+    viewer = secrets.token_hex(8)
     with attached(arguments, read_only=True) as engine:
-        return _one(engine, arguments) if once else _many(engine, arguments)
+        try:
+            return (_one if once else _many)(engine, viewer, arguments)
+        finally:
+            _end(engine, viewer)
 
 
-def _one(engine: RemoteEngine, arguments: Namespace) -> int:
+def _end(engine: RemoteEngine, viewer: str) -> None:
+    """End the view, so that the next command finds room for its own."""
+    with contextlib.suppress(EngineError, TimeoutError):
+        engine.end_look(viewer).result(_ENDED_WITHIN)
+
+
+def _one(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
     """Print one picture, or write it to a file."""
     wish = _wish(arguments)
     seconds = _ANSWERED_WITHIN if arguments.timeout is None else arguments.timeout
-    viewed = _first(engine, arguments, wish, seconds)
+    viewed = _first(engine, viewer, arguments, wish, seconds)
     if viewed is None or viewed.picture.content is None:
         problem = viewed.picture.problem if viewed is not None else ""
         text = problem or LookText.NOTHING_CAME(topic=arguments.topics[0], seconds=seconds)
@@ -101,9 +113,13 @@ def _one(engine: RemoteEngine, arguments: Namespace) -> int:
     return done(arguments, file=str(arguments.output))
 
 
-def _first(engine: RemoteEngine, arguments: Namespace, wish: Wish, seconds: float) -> Viewed | None:
-    """Return the first picture; of several topics the last one of some time, since they come one after another."""
-    viewer, newest, came = secrets.token_hex(8), None, 0.0
+def _first(engine: RemoteEngine, viewer: str, arguments: Namespace, wish: Wish, seconds: float) -> Viewed | None:
+    """Return the first picture, or the reason why there is none.
+
+    Several topics come one after another: of them, return the last picture of some time, and wait for what they add,
+    such as the transforms of `/tf`, before there is a picture.
+    """
+    newest, came, several = None, 0.0, len(arguments.topics) > 1
     deadline = time.monotonic() + seconds
     while (left := deadline - time.monotonic()) > 0:
         try:
@@ -112,11 +128,17 @@ def _first(engine: RemoteEngine, arguments: Namespace, wish: Wish, seconds: floa
             break
         if viewed is None or (viewed.picture.content is None and not viewed.picture.problem):
             continue
-        if newest is None:
-            settles = _SETTLE_SECONDS if len(arguments.topics) > 1 else 0.0
-            deadline = min(deadline, time.monotonic() + settles)
-        newest, came = viewed, time.monotonic()
-    return None if newest is None else _aged(newest, came)
+        drawn = viewed.picture.content is not None
+        if not several or (drawn and (newest is None or newest.picture.content is None)):
+            deadline = min(deadline, time.monotonic() + (_SETTLE_SECONDS if several else 0.0))
+        if drawn or newest is None or newest.picture.content is None:
+            newest, came = viewed, time.monotonic()
+    return None if newest is None else _named(engine, _aged(newest, came))
+
+
+def _named(engine: RemoteEngine, viewed: Viewed) -> Viewed:
+    """Return a picture with the name of the side that drew it, instead of its link's."""
+    return msgspec.structs.replace(viewed, where=other_side(engine, viewed.where)) if viewed.where else viewed
 
 
 def _aged(viewed: Viewed, came: float) -> Viewed:
@@ -152,9 +174,9 @@ def _print(viewed: Viewed, wish: Wish, arguments: Namespace) -> None:
     print_line(_status(viewed))
 
 
-def _many(engine: RemoteEngine, arguments: Namespace) -> int:
+def _many(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
     """Draw pictures until an interrupt."""
-    viewer, console = secrets.token_hex(8), _console(arguments)
+    console = _console(arguments)
     printer = None if arguments.graphics == "blocks" else ImagePrinter(arguments.graphics)
     sys.stdout.write(_ENTER)
     try:
@@ -182,7 +204,7 @@ def _many(engine: RemoteEngine, arguments: Namespace) -> int:
                     lines = [_encoded(console, _cut(row, wish.width)) for row in _rows(viewed, wish, arguments)]
             except (EngineError, UnreadableError) as error:  # the picture is damaged
                 problem = problem or str(error)
-            shown = None if viewed is None else _aged(viewed, came)
+            shown = None if viewed is None else _named(engine, _aged(viewed, came))
             status = problem or (LookText.NO_MESSAGE() if shown is None else _status(shown))
             last = f"{single_cells(escape_text(status))[: wish.width]}{_CLEAR_LINE}"
             if image is not None:
@@ -230,7 +252,7 @@ def _rows(viewed: Viewed, wish: Wish, arguments: Namespace) -> list[Row]:
     if content is None:
         return []
     try:
-        return picture_rows(content, wish.width, wish.height, colours=_console(arguments).color_system is not None)
+        return picture_rows(content, wish.width, wish.height, colours=COLOURS[_console(arguments).color_system])
     except UnreadableError as error:
         raise EngineError(str(error)) from None
 

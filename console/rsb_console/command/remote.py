@@ -10,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rsb_bridge.config.difference import changes, described
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.link_budget import as_report, cost_of, describe_cost
@@ -44,9 +45,10 @@ from rsb_console.command.target import (
     chosen,
     chosen_route,
     done,
-    done_with_all,
+    done_with,
     failed,
     named,
+    other_side,
     reported,
     result,
 )
@@ -77,6 +79,7 @@ class RemoteProblem(Wording):
     CONDITION_UNKNOWN = "--for {condition}: not one of flowing TOPIC, linked [CLIENT], stopped"
     NOT_BRIDGED = "{topic} is not bridged{hint}; `rsb-console add` adds a topic"
     NOT_BROUGHT = "no client has brought {topic} so far{hint}"
+    NO_CLIENT = "add {topic}: the server has no client yet; `rsb-console client add NAME` adds one"
     CLIENT_MISSING = "add {topic}: several clients; choose one with --link {links}"
     RATE_WITHOUT_DRY_RUN = "add {topic}: --rate and --size are for --dry-run, which adds nothing"
     DRY_RUN_OF_CALLS = "add {topic}: --dry-run is for topics only; calls go first and have no budget"
@@ -134,12 +137,12 @@ def _topics(arguments: Namespace) -> int:
 
 
 def _available(engine: RemoteEngine, arguments: Namespace) -> int:
-    sides: dict[str, tuple[TopicInfo, ...]] = {"": result(engine.topics())}
+    sides: dict[str, tuple[TopicInfo, ...]] = {"here": result(engine.topics())}
     for link in engine.snapshot().links:
         if link.state is State.OK:
-            sides[link.name] = result(engine.topics(link.name))
+            sides[other_side(engine, link.name)] = result(engine.topics(link.name))
     found = [
-        {"side": side or "here", "kind": info.kind, "topic": info.topic, "type": info.type_name,
+        {"side": side, "kind": info.kind, "topic": info.topic, "type": info.type_name,
          "publishers": info.publishers, "subscriptions": info.subscriptions}
         for side, infos in sides.items() for info in infos
     ]  # fmt: skip
@@ -192,15 +195,16 @@ def _bw(arguments: Namespace) -> int:
 
 def _remove(arguments: Namespace) -> int:
     with attached(arguments) as engine:
-        result(engine.remove_topic(chosen(engine, arguments).key, drop_arm=arguments.drop_arm))
-        return done(arguments)
+        found = chosen(engine, arguments)
+        result(engine.remove_topic(found.key, drop_arm=arguments.drop_arm))
+        return done_with(arguments, [found], "removed")
 
 
 def _pause(arguments: Namespace, *, paused: bool = True) -> int:
     with attached(arguments) as engine:
         found = all_chosen(engine, arguments)
         carried_out([engine.pause(each.key, paused) for each in found])
-        return done_with_all(arguments, found, "paused" if paused else "resumed")
+        return done_with(arguments, found, "paused" if paused else "resumed")
 
 
 def _resume(arguments: Namespace) -> int:
@@ -209,18 +213,20 @@ def _resume(arguments: Namespace) -> int:
 
 def _ack(arguments: Namespace) -> int:
     with attached(arguments) as engine:
+        what = "not acknowledged any more" if arguments.undo else "acknowledged"
         if arguments.topic in {link.name for link in engine.snapshot().links}:
             result(engine.acknowledge("", not arguments.undo, link=arguments.topic))
-        else:
-            result(engine.acknowledge(chosen(engine, arguments).key, not arguments.undo))
-        return done(arguments)
+            return done(arguments, f"{what}: link {arguments.topic}")
+        found = chosen(engine, arguments)
+        result(engine.acknowledge(found.key, not arguments.undo))
+        return done_with(arguments, [found], what)
 
 
 def _retry(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         check_link(engine, arguments.link)
         result(engine.retry(arguments.link))
-        return done(arguments)
+        return done(arguments, f"trying again: {arguments.link or 'all links'}")
 
 
 def _restart(arguments: Namespace) -> int:
@@ -255,7 +261,7 @@ def _stop(arguments: Namespace) -> int:
             if time.monotonic() > deadline:
                 raise TimeoutError
             time.sleep(_LOOK_EVERY)
-        return done(arguments)
+        return done(arguments, f"stopped: {engine.bridge.name}")
 
 
 # --- waiting
@@ -366,12 +372,16 @@ def _add(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         check_link(engine, arguments.link)
         links = [link.name for link in engine.snapshot().links]
+        if not links:
+            raise UsageError(RemoteProblem.NO_CLIENT(topic=arguments.topic))
         if len(links) > 1 and not arguments.link:
             raise UsageError(RemoteProblem.CLIENT_MISSING(topic=arguments.topic, links=" or --link ".join(links)))
         topic = _topic(values, keys, engine, None)
         if arguments.dry_run:
             return _say_cost(arguments, topic, engine, arguments.link or links[0])
-        return done(arguments, key=result(engine.add_topic(topic, arguments.link)))
+        key = result(engine.add_topic(topic, arguments.link))
+        side = other_side(engine, arguments.link or links[0])
+        return done(arguments, f"added: {described(topic)}, with {side}", key=key)
 
 
 def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: str) -> int:
@@ -398,7 +408,8 @@ def _edit(arguments: Namespace) -> int:
         if not arguments.keys:
             raise UsageError(RemoteProblem.NOTHING_TO_CHANGE(topic=arguments.topic))
         topic = _topic(values_of(route.spec), arguments.keys, engine, route.spec)
-        return done(arguments, key=result(engine.edit_topic(route.key, topic, drop_arm=arguments.drop_arm)))
+        key = result(engine.edit_topic(route.key, topic, drop_arm=arguments.drop_arm))
+        return done_with(arguments, [route], f"changed ({', '.join(changes(route.spec, topic)) or 'nothing'})", key=key)
 
 
 def _direction_and_keys(arguments: Namespace) -> tuple[str, list[str]]:
@@ -512,7 +523,7 @@ def _disarm(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         routes = all_chosen(engine, arguments)
         carried_out([engine.disarm(route.key) for route in routes])
-        return done_with_all(arguments, routes, "disarmed", one=True)
+        return done_with(arguments, routes, "disarmed")
 
 
 # --- what happened

@@ -234,7 +234,7 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
         "--last", default="8h", metavar="SPAN", help="time span: 8h, 30m, ...; at most 24h (%(default)s)"
     )
     report.add_argument("--csv", action="store_true", help="print CSV, for a spreadsheet")
-    wait = remote("wait", "wait until topics flow, a link is up, or the bridge has stopped", _WAIT, about_topic=True)
+    wait = remote("wait", "wait until topics flow, a link is up, or the bridge has stopped", _WAIT)
     _wait_arguments(wait, complete)
     echo = remote("echo", "print a topic's messages, two a second at most", _EXIT_ECHO, about_topic=True)
     _echo_arguments(echo, complete)
@@ -348,7 +348,7 @@ def bridge_options(
     complete: Complete,
     *,
     json: bool = True,
-    which: str = "the bridge, by the name that `status` prints; needed where several run",
+    which: str = "the bridge, by the name that `status` prints; needed where several run. NAME may come first, too",
     over: str = _OVER,
 ) -> None:
     """Add the options of every command that attaches: the choice of the bridge and ``--json``."""
@@ -409,6 +409,7 @@ def add_client_commands(command: AddCommand, complete: Complete) -> None:
     steps.add_argument("--keep-old", action="store_true", help=keep)
     finish = "end a rotation once the client has the new key: the old key becomes invalid"
     steps.add_argument("--finish", action="store_true", help=finish)
+    rekey.add_argument("--yes", action="store_true", help="with --finish: do not ask, though the client is not linked")
     client("show", "print a client's session file again", hands_out=True)
 
 

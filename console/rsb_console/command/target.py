@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shlex
+import sys
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
@@ -68,6 +69,12 @@ class RouteChoice(Wording):
     SEVERAL_PATTERNS = "{topic} is followed {count} times; choose one: {options}"
     UNKNOWN_PATTERN = "there is no pattern {topic}{hint}"
     UNKNOWN_LINK = "{bridge} has no link {name!r}, only {known}"
+
+
+class Asking(Wording):
+    """A question to the operator."""
+
+    NOBODY = "no operator can answer: give --yes"
 
 
 class UsageError(Exception):
@@ -221,11 +228,26 @@ def result(future: Future[T]) -> T:
     return future.result(ANSWERED_WITHIN)
 
 
-def done(arguments: Namespace, **results: object) -> int:
-    """Report success to programs; people see it by the exit code."""
+def done(arguments: Namespace, said: str = "", **results: object) -> int:
+    """Report success: `said` to people, unless it is empty, and the results to programs."""
     if arguments.json:
         print_line(json_line({"ok": True, **results}))
+    elif said:
+        print_line(said)
     return OK
+
+
+def agreed(question: str) -> bool:
+    """Whether an operator answers yes.
+
+    Raises:
+        UsageError: nobody is there to ask.
+    """
+    if not sys.stdin.isatty():
+        raise UsageError(Asking.NOBODY())
+    print_line(f"{question} [y/N]")
+    sys.stdout.flush()
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
 def chosen_route(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot:
@@ -267,9 +289,9 @@ def _routes_meant(engine: RemoteEngine, arguments: Namespace) -> list[RouteSnaps
     raise UsageError(RouteChoice.NOT_BRIDGED(topic=arguments.topic, hint=suggestion(arguments.topic, known)))
 
 
-def other_side(engine: RemoteEngine, route: RouteSnapshot) -> str:
-    """Return the name of a route's other side: a client's link has the client's own name."""
-    return "the server" if engine.bridge.role == "client" else route.link
+def other_side(engine: RemoteEngine, link: str) -> str:
+    """Return the name of a link's other side: a client's link has the client's own name."""
+    return "the server" if engine.bridge.role == "client" else link
 
 
 def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | PatternSnapshot:
@@ -314,20 +336,18 @@ def carried_out(commands: Iterable[Future[None]]) -> None:
         raise failure
 
 
-def done_with_all(
-    arguments: Namespace, found: Sequence[RouteSnapshot | PatternSnapshot], what: str, *, one: bool = False
+def done_with(
+    arguments: Namespace, found: Sequence[RouteSnapshot | PatternSnapshot], what: str, **results: object
 ) -> int:
-    """Report a command on all routes of a name, if there are several.
+    """Report a command on all routes of a name.
 
     Args:
         arguments: arguments of the command.
         found: the routes.
         what: the command's effect, in words.
-        one: whether to report a single route, too.
+        results: of the command, for programs.
     """
     several = len(found) > 1
-    if not several and not one:
-        return done(arguments)
     routes = [
         {
             "link": each.link,
@@ -340,7 +360,7 @@ def done_with_all(
     for each in () if arguments.json else routes:
         there = f", {each['remote_topic']} there" if each["remote_topic"] else ""
         print_line(f"{what}: {arguments.topic} of {each['link']} ({each['direction']}{there})")
-    return done(arguments, routes=routes) if several else done(arguments)
+    return done(arguments, "", **results | ({"routes": routes} if several else {}))
 
 
 def _patterns_meant(engine: RemoteEngine, arguments: Namespace) -> list[PatternSnapshot]:

@@ -17,6 +17,24 @@ if TYPE_CHECKING:
 RAMP = " .:-=+*#%@"
 """Characters for an image on a terminal without colours, from dark to light."""
 _UPPER_HALF = "▀"
+COLOURS = {None: 0, "standard": 16, "windows": 16, "256": 256, "truecolor": 1 << 24}
+"""The number of a terminal's colours, by rich's name of its colour system."""
+_FEW = 16
+_GREYS = ("#000000", "#555555", "#aaaaaa", "#ffffff")
+"""The greys of a terminal with 16 colours. Its other colours would make blotches of an image."""
+_BAYER = ((0, 8, 2, 10), (12, 4, 14, 6), (3, 11, 1, 9), (15, 7, 13, 5))
+"""Thresholds of ordered dithering, in sixteenths of a step: unlike diffused errors they do not flicker from picture to
+picture."""
+_SIDE = len(_BAYER)
+
+
+def _shades(threshold: int) -> bytes:
+    """Return the index of the grey for each brightness, where a pixel has a threshold."""
+    steps = len(_GREYS) - 1
+    return bytes(min(steps, (grey * steps * 16 // 255 + threshold) // 16) for grey in range(256))
+
+
+_SHADES = tuple(tuple(map(_shades, row)) for row in _BAYER)
 
 
 class Part(NamedTuple):
@@ -37,7 +55,7 @@ Row = tuple[Part, ...]
 
 
 def picture_rows(
-    content: Cells | Pixels | Series, width: int, height: int, *, colours: bool = True, cursor: int | None = None
+    content: Cells | Pixels | Series, width: int, height: int, *, colours: int = 256, cursor: int | None = None
 ) -> list[Row]:
     """Return a picture's rows.
 
@@ -45,7 +63,7 @@ def picture_rows(
         content: of the picture.
         width: cells that a plot fills.
         height: cells that a plot fills.
-        colours: whether images have colours; else they are drawn in ASCII by brightness.
+        colours: the terminal's. With few, images are dithered in greys; without, they are drawn in ASCII by brightness.
         cursor: column of a plot whose values are shown, or None.
 
     Raises:
@@ -54,7 +72,9 @@ def picture_rows(
     if isinstance(content, Pixels):
         if content.width > MOST_COLUMNS or content.height > 2 * MOST_ROWS:
             raise UnreadableError("an image is larger than any that blocks are asked for")
-        return _half_blocks(content) if colours else _brightness(content)
+        if colours > _FEW:
+            return _half_blocks(content)
+        return _dithered(content) if colours else _brightness(content)
     if isinstance(content, Series):
         return [tuple(Part(*part) for part in row) for row in plot_rows(content, width, height, cursor=cursor)]
     return _cells(content)
@@ -128,9 +148,31 @@ def _half_blocks(pixels: Pixels) -> list[Row]:
     return rows
 
 
+def _dithered(pixels: Pixels) -> list[Row]:
+    """Draw an image in the few greys of a terminal."""
+    width, grey = pixels.width, _grey(pixels)
+    lines = []
+    for y in range(pixels.height):
+        line = bytearray(grey[y * width : (y + 1) * width])
+        for x, shades in enumerate(_SHADES[y % _SIDE]):
+            line[x::_SIDE] = line[x::_SIDE].translate(shades)
+        lines.append(line)
+    rows: list[Row] = []
+    for y in range(0, pixels.height, 2):
+        lower = lines[y + 1] if y + 1 < len(lines) else bytes(width)
+        runs = ((shades, len([*same])) for shades, same in groupby(zip(lines[y], lower, strict=True)))
+        rows.append(tuple(Part(_UPPER_HALF * count, _GREYS[fore], _GREYS[back]) for (fore, back), count in runs))
+    return rows
+
+
+def _grey(pixels: Pixels) -> bytes:
+    """Return the brightness of each pixel."""
+    rgb = rgb_of(pixels)
+    return bytes((54 * rgb[at] + 183 * rgb[at + 1] + 19 * rgb[at + 2]) >> 8 for at in range(0, len(rgb), 3))  # Rec. 709
+
+
 def _brightness(pixels: Pixels) -> list[Row]:
-    width, rgb = pixels.width, rgb_of(pixels)
-    grey = [(54 * rgb[at] + 183 * rgb[at + 1] + 19 * rgb[at + 2]) >> 8 for at in range(0, len(rgb), 3)]  # Rec. 709
+    width, grey = pixels.width, _grey(pixels)
     rows: list[Row] = []
     for y in range(0, pixels.height, 2):
         upper = grey[y * width : (y + 1) * width]

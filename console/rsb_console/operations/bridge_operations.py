@@ -38,6 +38,7 @@ _LINES_SHOWN = 12
 class OperationText(Wording):
     """Questions and notes about changes of the bridge."""
 
+    NO_CLIENT = "this server has no client yet: add one first, with a in the links (c)"
     NOTHING_TO_UNDO = "nothing to undo: nothing was changed on this console"
     NOTHING_MORE_TO_UNDO = "nothing more to undo"
     AS_IN_FILE = "the bridge already runs as in the session file"
@@ -180,6 +181,9 @@ class BridgeOperations:
 
         engine = self._console.engine
         if engine is None:
+            return
+        if not engine.snapshot().links:
+            self._console.notify(OperationText.NO_CLIENT(), severity="warning", markup=False, timeout=8)
             return
 
         async def add(draft: Draft) -> None:

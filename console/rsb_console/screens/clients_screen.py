@@ -264,7 +264,7 @@ class AddClientScreen(FormScreen[Client]):
         except ClientError:
             return {"name": ClientText.EXISTS()}
         problems: dict[str, str] = {}
-        here = f"clients[{len(session.clients) - 1}]."
+        here = f"clients[{len(session.listed_clients) - 1}]."
         for problem in validate(session):
             if problem.location.startswith(here):
                 field = problem.location.removeprefix(here).partition("[")[0]

@@ -13,6 +13,7 @@ from textual.screen import ModalScreen
 from textual.widgets import Button, Static
 
 from rsb_bridge.api import EngineError
+from rsb_console.actions import BY_ID
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED
 from rsb_console.widgets.lines import Line, LiveLines
@@ -68,6 +69,17 @@ class Dialog(Vertical):
 
 class FullScreen(ModalScreen[T]):
     """A screen that hides all below it, which is not drawn meanwhile."""
+
+    BINDINGS: ClassVar = [Binding(BY_ID["new_session"].keys, "leave_for('new_session')", show=False)]
+
+    def action_leave_for(self, action: str) -> None:
+        """Close the screen, and do something of the main screen.
+
+        Args:
+            action: its id.
+        """
+        self.dismiss(None)
+        self.app.call_later(self.app.run_action, f"screen.{action}")
 
 
 class ConfirmScreen(ModalScreen[bool]):

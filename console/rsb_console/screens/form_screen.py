@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
 T = TypeVar("T")
+_AROUND = 11
+"""Lines that are not the form's: the frame, help and buttons, and below the dialog those of a toast."""
 SEEN_AFTER = 0.1  # s from a refusal until it is drawn, which takes two or three refreshes
 
 
@@ -65,6 +67,10 @@ class FormScreen(ModalScreen[T | None]):
 
     def on_mount(self) -> None:
         self.check()
+
+    def on_resize(self) -> None:
+        """Leave room for a toast below the dialog; the fields scroll."""
+        self.form.styles.max_height = max(4, self.size.height - _AROUND)
 
     def on_field_changed(self) -> None:
         self.check()

@@ -11,7 +11,7 @@ from textual.binding import Binding
 from textual.command import DiscoveryHit, Hit, Provider
 from textual.screen import ModalScreen
 
-from rsb_console.actions import NAMESPACE, Group
+from rsb_console.actions import KEYS_ON_SCREENS, NAMESPACE, Group
 from rsb_console.widgets.lines import Line, LiveLines
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class HelpScreen(ModalScreen[None]):
         actions: actions to describe.
     """
 
-    BINDINGS: ClassVar = [Binding("escape,q,question_mark,enter", "dismiss", show=False)]
+    BINDINGS: ClassVar = [Binding("escape,q,question_mark,f1,enter", "dismiss", show=False)]
 
     def __init__(self, console: ConsoleShell, actions: Sequence[Action]) -> None:
         super().__init__()
@@ -82,6 +82,14 @@ class HelpScreen(ModalScreen[None]):
                 yield ((f"  {keys:<{KEYS_WIDTH - 2}}", "key"), (f"{first:<{room}}", ""), (action.id, "dim"))
                 yield from ((((" " * KEYS_WIDTH + text), ""),) for text in more)
             yield ()
+        if any(action.id == "look" for action in shown):
+            for chapter, keys_there in KEYS_ON_SCREENS:
+                yield ((chapter, "head"),)
+                for keys, meaning in keys_there:
+                    first, *more = textwrap.wrap(meaning, room + ID_WIDTH - 2)
+                    yield ((f"  {keys:<{KEYS_WIDTH - 2}}", "key"), (first, ""))
+                    yield from (((" " * KEYS_WIDTH + text, ""),) for text in more)
+                yield ()
         others = f"Other keys: {self.console.config / 'keys.yaml'}, one line each, like   pause: P"
         yield from (((text, "dim"),) for text in textwrap.wrap(others, max(20, width), drop_whitespace=False))
 

@@ -13,7 +13,7 @@ from textual.screen import ModalScreen, Screen
 from textual.widgets import Static
 
 from rsb_bridge.model.shortage import why_not_written
-from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.wording import Wording
 from rsb_console.actions import ACTIONS, BY_ID, Group, bindings
 from rsb_console.look import formats
@@ -22,7 +22,7 @@ from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.bars import KeyBar, KeyEntry, StatusBar, View, state_counts, warning_count
 from rsb_console.widgets.columns import is_armed
 from rsb_console.widgets.detail import DetailPane
-from rsb_console.widgets.fault_pane import FaultLines, MoreKeys, faults_of
+from rsb_console.widgets.fault_pane import Fault, FaultLines, MoreKeys, faults_of
 from rsb_console.widgets.filter import Prompt
 from rsb_console.widgets.log import WORD, LogPane, plain
 from rsb_console.widgets.topics import FAULTS, TopicsTable
@@ -125,7 +125,8 @@ class MainScreen(Screen[None]):
         self._link_counts = (*state_counts(snapshot.links, FAULTS), *warning_count(snapshot.links))
         height, only = self.app.size.height, self.topics.faults_only
         keys = MoreKeys(self._key("links"), f"{self._key('detail')} on one" if only else self._key("faults"))
-        self.faults.show(faults_of(snapshot), max(3, height // (2 if only else 4)), keys, snapshot.time)
+        faults = [*self._engine_faults(snapshot), *faults_of(snapshot)]
+        self.faults.show(faults, max(3, height // (2 if only else 4)), keys, snapshot.time)
         self._held += new_events
         if self._frozen_since is None:
             self.log_pane.add(self._held)
@@ -155,9 +156,17 @@ class MainScreen(Screen[None]):
         note = console.note or lost
         return View(session, console.refresh_rate, self._frozen_since, console.readonly, note, cause, attached=attached)
 
-    def _cause_of_death(self) -> str:
+    def _engine_faults(self, snapshot: Snapshot) -> list[Fault]:
+        """Return the reason why the engine does not run, if it has logged one."""
+        cause = "" if snapshot.running or self.console.engine is None else self._last_error()
+        return [Fault("✗", State.DOWN.value, "", snapshot.name, cause, of_link=True)] if cause else []
+
+    def _last_error(self) -> str:
         events = [*self.log_pane.events, *self._held]
-        cause = next((event.text for event in reversed(events) if event.level is Level.ERROR), "")
+        return next((event.text for event in reversed(events) if event.level is Level.ERROR), "")
+
+    def _cause_of_death(self) -> str:
+        cause = self._last_error()
         way_on = "" if self.console.readonly or self.console.attached_to else f"{self._key('restart')} starts it again"
         return ", ".join(part for part in (way_on, cause) if part)
 

@@ -120,10 +120,10 @@ class NewSessionScreen(FormScreen[NewSession]):
             assert isinstance(control, Input)
             control.placeholder = f"{name}.{suffix}" if name else ""
         self._fields["clients"].display = values["role"] == "server"
-        self._fields["key_file"].display = encrypted and not self.result(self.form.values).session.clients
+        self._fields["key_file"].display = encrypted and not self.result(self.form.values).session.listed_clients
         super().check()
         new = self.result(self.form.values)
-        fleet = bool(new.session.clients)
+        fleet = bool(new.session.listed_clients)
         about_key = self._about_keys(new) if encrypted and name else ""
         self._fields["key_file"].note.set_text("" if fleet else about_key)
         self._fields["clients"].note.set_text(about_key if fleet else "")
@@ -131,7 +131,7 @@ class NewSessionScreen(FormScreen[NewSession]):
     def _about_keys(self, new: NewSession) -> str:
         """Describe the key files: created or existing."""
         about = ((path.name, self._about_key(path)) for path in _key_paths(new))
-        if not new.session.clients:
+        if not new.session.listed_clients:
             return next(text for _, text in about)
         return "\n".join(f"{name} {text}" for name, text in about if text)
 
@@ -154,7 +154,7 @@ class NewSessionScreen(FormScreen[NewSession]):
             if location == "zenoh":  # where its routers are is written in the file
                 location = "server_ip"
             problems.setdefault(location, problem.message)
-        names = [client.name for client in new.session.clients]
+        names = [client.name for client in new.session.listed_clients]
         if len(set(names)) < len(names):
             problems["clients"] = f"{next(each for each in names if names.count(each) > 1)} occurs twice"
         if not values["name"]:
@@ -169,7 +169,7 @@ class NewSessionScreen(FormScreen[NewSession]):
             problems["path"] = FileText.MISSING()
         if not {"key_file", "name", "clients"} & problems.keys():
             for path in _key_paths(new):
-                problems |= _at("clients" if new.session.clients else "key_file", _key_problem(path))
+                problems |= _at("clients" if new.session.listed_clients else "key_file", _key_problem(path))
         return problems
 
     def result(self, values: Mapping[str, str]) -> NewSession:
@@ -185,7 +185,7 @@ class NewSessionScreen(FormScreen[NewSession]):
             use_name=values["use_name"] == "yes",
             use_encryption=encrypted,
             key_file=values.get("key_file") or f"{name}.key" if encrypted and not names else None,
-            clients=tuple(Client(each, key_file_name(each) if encrypted else None) for each in names),
+            clients=tuple(Client(each, key_file_name(each) if encrypted else None) for each in names) or None,
             **({"server_port": 0} | data),  # type: ignore[arg-type]  # what is no number is the rules' to refuse
         )
         return NewSession(session, typed_path(values["path"] or f"{name}.yaml"))
@@ -201,12 +201,12 @@ class NewSessionScreen(FormScreen[NewSession]):
             try:
                 key = write_key(path)
             except KeyFileError as error:
-                self.form.show_problems({"clients" if result.session.clients else "key_file": str(error)})
+                self.form.show_problems({"clients" if result.session.listed_clients else "key_file": str(error)})
                 return
-            if not result.session.clients:
+            if not result.session.listed_clients:
                 message = f"{path}: fingerprint {fingerprint(key)}. Copy it to the other side."
                 self.notify(message, title="A new key", markup=False, timeout=15)
-        if result.session.clients:
+        if result.session.listed_clients:
             handed = handed_out(SessionFile(result.path, "", result.session))
             await self.console.ask(HandoutScreen(HANDOUT, handed))
         if await self._may_run(result.path):
@@ -239,7 +239,7 @@ def number(text: str) -> int | str:
 
 def _key_paths(new: NewSession) -> list[Path]:
     """Return the paths of the session's keys, existing or not."""
-    names = [client.key_file for client in new.session.clients] or [new.session.key_file]
+    names = [client.key_file for client in new.session.listed_clients] or [new.session.key_file]
     return [key_path(new.path.parent, name) for name in names if name is not None]
 
 

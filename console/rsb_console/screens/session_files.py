@@ -15,6 +15,7 @@ from textual.widgets import Button, Static
 from rsb_bridge.config.files import replace_file, typed_path
 from rsb_bridge.config.session_file import SessionError, load
 from rsb_bridge.model.wording import Wording
+from rsb_console.actions import BY_ID
 from rsb_console.screens.dialog import Dialog
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.saving import path_problem
@@ -259,8 +260,10 @@ class WelcomeScreen(ModalScreen[str]):
     BINDINGS: ClassVar = [
         Binding("enter", "choose", show=False),
         Binding("escape", "dismiss('')", show=False),
-        Binding("question_mark,f1", "app.help", show=False),
-        *(Binding(key, f"dismiss('{choice}')", show=False) for choice, (key, _, _) in CHOICES.items()),
+        *(
+            Binding(f"{key},{BY_ID[choice].keys}", f"dismiss('{choice}')", show=False)
+            for choice, (key, _, _) in CHOICES.items()
+        ),
         *(Binding(str(number), f"select_recent({number})", show=False) for number in range(1, RECENT + 1)),
     ]
 

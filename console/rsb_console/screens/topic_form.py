@@ -6,10 +6,12 @@ import asyncio
 from dataclasses import replace
 from functools import partial
 from itertools import islice
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from rich.cells import cell_len
 from textual import on, work
+from textual.binding import Binding
+from textual.widgets import Button
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model import transports
@@ -30,6 +32,8 @@ from rsb_console.widgets.picker import PickField, Suggestion
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 
+    from textual.app import ComposeResult
+
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Kind, Session, Topic
     from rsb_bridge.model.snapshot import RouteSnapshot, TopicInfo
@@ -41,6 +45,8 @@ ORDER = (
     "on_end", "paused",
 )  # fmt: skip
 """The keys of all fields, in the order in which an operator thinks of them."""
+FIRST = ("link", "topic", "kind", "direction", "provider", "type", "qos", "protocol", "priority")
+"""The keys of the fields that a form of something new begins with; the others have good defaults."""
 _LABELS: dict[Kind, str] = {"topic": "Topic", "service": "Service", "action": "Action", "parameters": "Node"}
 _FOLDERS: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "action"}
 LOOK_EVERY = 2.0  # s between two looks at the graphs
@@ -181,6 +187,8 @@ class TopicScreen(FormScreen[Draft]):
         route: the route to edit, or None for something new.
     """
 
+    BINDINGS: ClassVar = [Binding("f8", "unfold", show=False)]
+
     def __init__(
         self, engine: EngineApi, do: Callable[[Draft], Awaitable[object]], route: RouteSnapshot | None = None
     ) -> None:
@@ -190,6 +198,7 @@ class TopicScreen(FormScreen[Draft]):
         self._specs = fields_by_kind(engine.session, Ends.of(now, self._links[0]), route)
         self._kind: Kind = KINDS[0] if route is None else route.spec.kind
         self._kind_chosen = False
+        self._is_folded = route is None
         self._found: dict[str | None, tuple[TopicInfo, ...]] = {}
         self._errors: dict[str | None, str] = {}
         self._awaited: set[str | None] = set()
@@ -215,12 +224,36 @@ class TopicScreen(FormScreen[Draft]):
         for key, field in self.form.fields.items():
             if key in specs:
                 field.describe(specs[key])
-            field.display = key in specs or key == "link"
+            field.display = (key in specs or key == "link") and (
+                not self._is_folded or key in FIRST or bool(field.value)
+            )
 
     def _field(self, spec: Spec) -> Field:
         if spec.key == "topic" and self._route is None:
             return PickField(spec, is_literal=lambda text: text.startswith("/"))
         return Field(spec)
+
+    def compose_buttons(self) -> ComposeResult:
+        if self._is_folded:
+            yield Button("More (F8)", id="more", compact=True)
+        yield from super().compose_buttons()
+
+    def press(self, button: str) -> None:
+        if button == "more":
+            self.action_unfold()
+        else:
+            super().press(button)
+
+    def action_unfold(self) -> None:
+        """Show all fields, and go to the first one that was hidden."""
+        if not self._is_folded:
+            return
+        hidden = [field for field in self.form.fields.values() if not field.display]
+        self._is_folded = False
+        self._show_kind()
+        self.query_one("#more").display = False
+        if appeared := [field for field in hidden if field.display]:
+            appeared[0].control.focus()
 
     @property
     def _link(self) -> str:

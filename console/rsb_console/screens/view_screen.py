@@ -27,7 +27,15 @@ from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.worker import VIEWS
 from rsb_console.look import formats
-from rsb_console.look.picture_rows import Part, UnreadableError, notes_line, picture_rows, reads_webp, with_mark
+from rsb_console.look.picture_rows import (
+    COLOURS,
+    Part,
+    UnreadableError,
+    notes_line,
+    picture_rows,
+    reads_webp,
+    with_mark,
+)
 from rsb_console.look.plot_lines import AXIS
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.screens.drive_screen import DriveScreen, why_not_driven
@@ -232,6 +240,11 @@ class ViewScreen(FullScreen[bool]):
         self.set_interval(1.0, self._entitle)
         self.call_after_refresh(self._begin)
 
+    def on_unmount(self) -> None:
+        """End the view, so that the next one finds room: there are few."""
+        if (engine := self.console.engine) is not None:
+            engine.end_look(self._viewer)
+
     def on_resize(self) -> None:
         self.call_after_refresh(self._fit)
 
@@ -298,7 +311,9 @@ class ViewScreen(FullScreen[bool]):
         rows: list[Row] = []
         if content is not None:
             try:
-                colours = self.app.console.color_system is not None and not self.app.ansi_color
+                colours = COLOURS[self.app.console.color_system]
+                if self.app.ansi_color:
+                    colours = min(colours, COLOURS["standard"])
                 width, height = self._wish.width, self._wish.height
                 rows = picture_rows(content, width, height, colours=colours, cursor=self._cursor)
                 if (scale := self._scale) is not None and self._goal is not None and self._goal.frame != scale.frame:

@@ -61,12 +61,13 @@ class SimulatedPart:
     received: dict[str, int] = field(default_factory=dict)
 
     @classmethod
-    def start(cls, part: str, domain: int, folder: Path) -> SimulatedPart:
+    def start(cls, part: str, domain: int, folder: Path, *topics: str) -> SimulatedPart:
         with (folder / f"{part}.log").open("w") as log:  # Fast DDS writes to standard error
             process = ChildProcess(
                 "rsb_bridge.ros.simulation",
                 part,
                 str(domain),
+                *topics,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
@@ -82,6 +83,12 @@ class SimulatedPart:
             for line in lines:
                 counts = json.loads(line)
                 self.published, self.received = counts["published"], counts["received"]
+
+    def mute(self, topic: str) -> None:
+        """Have it stop publishing a topic, though its publisher stays: the fault that a newcomer is shown."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{topic}\n")
+        self.process.stdin.flush()
 
     def stop(self) -> None:
         assert self.process.stdin is not None

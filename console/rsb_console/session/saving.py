@@ -150,7 +150,8 @@ def _renamed(session: Session, rename: Callable[[str], str]) -> Session:
     def rename_in(entry: _Entry) -> _Entry:
         return msgspec.structs.replace(entry, key_file=name(entry.key_file), next_key_file=name(entry.next_key_file))
 
-    return msgspec.structs.replace(rename_in(session), clients=tuple(map(rename_in, session.clients)))
+    clients = None if session.clients is None else tuple(map(rename_in, session.clients))
+    return msgspec.structs.replace(rename_in(session), clients=clients)
 
 
 def path_problem(text: str) -> str:

@@ -226,7 +226,9 @@ def _topic_faults(snapshot: Snapshot) -> Iterator[Fault]:
     links = {link.name: link for link in snapshot.links}
     for route in sorted((*snapshot.routes, *pattern_rows(snapshot)), key=lambda route: (route.state.rank, route.topic)):
         if _needs_words(route) and not explained_by_link(route, links.get(route.link)):
-            robot = route.link if several else ""
+            unheard_here = route.cause == Cause.NO_SUBSCRIBER and not route.outgoing
+            # One line for all robots: it is this side whose nodes do not subscribe.
+            robot = route.link if several and not unheard_here else ""
             sign, measured = STATE_SIGN[route.state], route.state is State.SLOW or route.cause == Cause.LOSSY
             yield Fault(sign, route.state.value, robot, route.topic, _reason(route), of_link=False, measured=measured)
 

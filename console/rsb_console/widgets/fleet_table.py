@@ -9,8 +9,9 @@ from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.robot_summary import RobotState
+from rsb_bridge.model.snapshot import State
 from rsb_console.look import formats
-from rsb_console.look.glyphs import ACK_WORD, KNOWN, sparkline
+from rsb_console.look.glyphs import ACK_WORD, KNOWN, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.columns import HISTORY, WIDE, Column, filled
 from rsb_console.widgets.lines import LiveLines, clip, fit, fit_middle
 from rsb_console.widgets.selectable_list import SelectableList
@@ -18,6 +19,7 @@ from rsb_console.widgets.selectable_list import SelectableList
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+    from rsb_bridge.model.robot_summary import RobotSummary
     from rsb_console.fleet.fleet import Fleet, Robot
     from rsb_console.widgets.filter import Pattern
     from rsb_console.widgets.lines import Line
@@ -437,6 +439,13 @@ def state_counts(robots: Iterable[Robot]) -> Line:
     )
 
 
+def _unheard(summaries: Sequence[RobotSummary]) -> Line:
+    """Count the topics that nobody subscribes to, as a robot's console does: they flow, so that their robot is well."""
+    count = sum(summary.states.get(State.UNHEARD, 0) for summary in summaries)
+    text = f" │ {STATE_SIGN[State.UNHEARD]} {count} {STATE_WORD[State.UNHEARD].lower()}"
+    return ((text, State.UNHEARD.value),) if count else ()
+
+
 class FleetStatus(LiveLines):
     """The number of robots in each state, and below it each source without data."""
 
@@ -470,6 +479,7 @@ class FleetStatus(LiveLines):
             (f" {formats.counted(len(robots), 'robot')}", ""),
             *state_counts(robots),
             *(((f" │ {formats.counted(len(servers), 'server')}", ""), *state_counts(servers)) if servers else ()),
+            *_unheard(clients),
             *(
                 ((f" │ from {formats.byte_rate(rx)} │ to {formats.byte_rate(tx)}", "dim"),)
                 if self.width >= ROOMY
@@ -512,9 +522,8 @@ class RobotDetail(LiveLines):
             self._lines = list(_detail(rows[0], max(20, self.size.width)))
         else:
             wrong = [row for row in rows if row.robot.summary.state.is_wrong]
-            self._lines = [_in_a_line(row) for row in wrong[: self.LINES]] or [
-                ((" nothing is wrong" if rows else "", ""),)
-            ]
+            well = ((" nothing is wrong" if rows else "", ""), *_unheard([row.robot.summary for row in rows]))
+            self._lines = [_in_a_line(row) for row in wrong[: self.LINES]] or [well]
             if len(wrong) > self.LINES:
                 self._lines[-1] = ((f" and {len(wrong) - self.LINES + 1} more", "dim"),)
         self.entitle(f" {title} " if title else "")

@@ -34,7 +34,7 @@ def _read_picture(data: bytes) -> None:
     check_text(picture.problem, 500)
     if picture.content is None:
         return
-    for colours in (True, False):
+    for colours in (0, 16, 256):
         try:
             rows = picture_rows(picture.content, _WIDTH, _HEIGHT, colours=colours)
         except UnreadableError:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from tests.fuzz.editing import behind, edit_bytes
 from tests.fuzz.parser import Parser
+from tests.support.session_keys import session_keys
 from tests.wire.links import WELCOME, key_for, make_client, make_server
 
 from rsb_bridge.model.text import is_clean
@@ -25,7 +26,7 @@ from rsb_bridge.wire.events import (
 )
 from rsb_bridge.wire.framing import PREAMBLE_LIMIT, pack_frame
 from rsb_bridge.wire.preamble import MESSAGE_LIMIT, Kind, data_header, preamble_frame, refuse_frame
-from rsb_bridge.wire.sealing import SessionKeys, Suite
+from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -86,7 +87,7 @@ def _client(suite: Suite, multiplexed: bool) -> End:
 
 
 def _data_client(suite: Suite, _: bool) -> End:
-    connection = DataConnection(SessionKeys(suite, key_for(suite), b"linklink"), StreamName(1))
+    connection = DataConnection(session_keys(suite, key_for(suite)), StreamName(1))
     connection.start()
     return connection
 

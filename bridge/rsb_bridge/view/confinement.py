@@ -1,0 +1,99 @@
+"""Takes from the process that draws what drawing does not need: ``python -m rsb_bridge.view.confinement`` tries it.
+
+The process decodes what nodes publish, with libraries such as Pillow. A message that takes over one of them shall find
+neither files nor a network nor rights. Each measure holds for the rest of the process's life, or is left out where the
+kernel does not have it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import struct
+import sys
+from typing import NamedTuple
+
+import msgspec
+
+_NO_NEW_PRIVILEGES = 38  # prctl
+_DROP_FROM_BOUNDING_SET = 24  # prctl
+_CAPABILITIES = 64  # of which Linux 6 has 41
+_CAPABILITY_VERSION = 0x20080522
+# The same on every architecture that Python's Linux wheels are for.
+_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
+_PATH_BENEATH = 1
+_READ_FILE, _READ_DIR = 1 << 2, 1 << 3
+_FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}
+"""Number of rights to files that a version of Landlock knows, by the version that began with it."""
+_TCP, _TCP_SINCE = 0b11, 4  # bind, connect
+_SCOPES, _SCOPES_SINCE = 0b11, 6  # abstract sockets, signals
+_SYSTEM = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/localtime", "/sys/devices/system/cpu", "/dev/urandom")
+
+
+class Confinement(NamedTuple):
+    """The measures that hold.
+
+    Attributes:
+        no_new_privileges: no program can give it rights.
+        no_capabilities: it has none of root's rights.
+        landlock: version of the kernel's Landlock, which leaves it only the program's own files, to read, or 0.
+    """
+
+    no_new_privileges: bool
+    no_capabilities: bool
+    landlock: int
+
+
+def confine() -> Confinement:
+    """Confine this process, which has no other thread yet."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    no_new_privileges = libc.prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0) == 0
+    for capability in range(_CAPABILITIES):
+        libc.prctl(_DROP_FROM_BOUNDING_SET, capability, 0, 0, 0)  # only root may
+    header, none = struct.pack("=Ii", _CAPABILITY_VERSION, 0), bytes(24)
+    no_capabilities = libc.capset(header, none) == 0
+    return Confinement(no_new_privileges, no_capabilities, _landlock(libc) if no_new_privileges else 0)
+
+
+def _landlock(libc: ctypes.CDLL) -> int:
+    version = libc.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), 1)
+    if version < 1:
+        return 0
+    rights = (1 << max(count for since, count in _FILE_RIGHTS.items() if since <= version)) - 1
+    attributes = struct.pack("=Q", rights)
+    if version >= _TCP_SINCE:
+        attributes += struct.pack("=Q", _TCP)
+    if version >= _SCOPES_SINCE:
+        attributes += struct.pack("=Q", _SCOPES)
+    ruleset = libc.syscall(_CREATE_RULESET, attributes, ctypes.c_size_t(len(attributes)), 0)
+    if ruleset < 0:
+        return 0
+    try:
+        for path in _readable():
+            _allow_reading(libc, ruleset, path)
+        return version if libc.syscall(_RESTRICT_SELF, ruleset, 0) == 0 else 0
+    finally:
+        os.close(ruleset)
+
+
+def _readable() -> set[str]:
+    """Return the places of Python, its modules and their libraries: drawing imports some only when they are needed."""
+    libraries = os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)
+    paths = {*sys.path, *libraries, sys.prefix, sys.base_prefix, *_SYSTEM}
+    return {path for path in paths if path.startswith("/") and path != "/"}
+
+
+def _allow_reading(libc: ctypes.CDLL, ruleset: int, path: str) -> None:
+    try:
+        place = os.open(path, os.O_PATH | os.O_CLOEXEC)
+    except OSError:
+        return
+    try:
+        rights = _READ_FILE | _READ_DIR if os.path.isdir(path) else _READ_FILE  # noqa: PTH112 -- Path costs an import
+        libc.syscall(_ADD_RULE, ruleset, _PATH_BENEATH, struct.pack("=Qi", rights, place), 0)
+    finally:
+        os.close(place)
+
+
+if __name__ == "__main__":
+    sys.stdout.buffer.write(msgspec.json.encode(confine()._asdict()))
