@@ -6,11 +6,12 @@ import asyncio
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.session_keys import session_keys
 from tests.channel.sides import Route, connected, play, until
 
 from rsb_bridge.channel.stream_channel import LARGE
 from rsb_bridge.wire.framing import DATA, HEADER, MOVED, DataWriter, pack_frame
-from rsb_bridge.wire.sealing import SessionKeys, Suite
+from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -22,7 +23,7 @@ STREAMS = pytest.mark.parametrize("two", [False, True])
 
 
 def _writer(role: Role, route: int = 1) -> DataWriter:
-    return DataWriter(SessionKeys(Suite.AESGCM, bytes(range(32)), bytes(8)).route_sealer(route, role), route)
+    return DataWriter(session_keys(Suite.AESGCM, bytes(range(32)), routes=(1, 9)).route_sealer(route, role), route)
 
 
 @STREAMS
