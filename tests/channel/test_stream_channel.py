@@ -6,8 +6,8 @@ import asyncio
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.session_keys import session_keys
 from tests.channel.sides import Route, connected, play, until
+from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.stream_channel import LARGE
 from rsb_bridge.wire.framing import DATA, HEADER, MOVED, DataWriter, pack_frame
