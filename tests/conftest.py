@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import gc
+import os
+import shlex
 import sys
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from _pytest.unraisableexception import gc_collect_iterations_key
-from tests.support.locks import two_domains
+from tests.support.locks import domains_of
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
@@ -27,12 +29,12 @@ def pytest_configure(config: pytest.Config) -> None:
     At the end pytest would collect five times (for PyPy), which takes seconds after the console's tests.
     """
     gc.set_threshold(100_000, 20, 20)
+    for name in ("COLUMNS", "LINES"):  # readline puts them where only a child sees them: a worker of pytest-xdist
+        os.environ.pop(name, None)
     config.stash[gc_collect_iterations_key] = 1
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """``--share 1/3`` runs every third file, from the first on, so that a large folder is run by three processes."""
-    parser.addoption("--share", metavar="K/N", help="run every N-th file, from the K-th on")
     parser.addoption("--random", action="store_true", help="Hypothesis draws new examples, and more of them")
 
 
@@ -45,24 +47,64 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
     if b"hypothesis" in module_path.read_bytes():
         from hypothesis import HealthCheck, settings
 
-        random = parent.config.getoption("random")
+        config = parent.config
+        random = config.getoption("random")
+        more = random or config.getoption("cov_source", None)  # the wire's coverage is complete with 100
         settings.register_profile(
             "patient",
             deadline=None,
-            max_examples=100 if random or module_path.parent.name == "wire" else 30,  # its coverage must be complete
+            max_examples=100 if more else 30,
             derandomize=not random,
             suppress_health_check=[HealthCheck.too_slow],
         )
         settings.load_profile("patient")
 
 
-def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave out the files of other shares, without reading them."""
-    share = config.getoption("share")
-    if not share or not collection_path.match("test_*.py"):
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: Any) -> None:
+    """Tell a worker of pytest-xdist whether it runs lanes; its own ``--dist`` says ``no``."""
+    node.workerinput["lanes"] = node.config.getoption("dist") == "loadscope"
+
+
+def _has_lanes(config: pytest.Config) -> bool:
+    return bool(getattr(config, "workerinput", {}).get("lanes"))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """With ``-n N --dist loadscope``, N workers run lanes of tests."""
+    if config.getoption("dist") != "loadscope":
         return None
-    first, every = map(int, share.split("/"))
-    return collection_path not in sorted(collection_path.parent.glob("test_*.py"))[first - 1 :: every] or None
+    from tests.support.lanes import Lanes
+
+    config.option.loadscopereorder = False
+    return Lanes(config, log)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if _has_lanes(config):
+        from tests.support.lanes import sort_by_lane
+
+        sort_by_lane(items)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if _has_lanes(item.config):
+        from tests.support.lanes import give_way
+
+        give_way(item)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_sessionfinish(session: pytest.Session) -> Generator[None]:
+    """End with the command that runs again what failed."""
+    yield
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if reporter is None:  # in a worker
+        return
+    failed = [*reporter.stats.get("failed", ()), *reporter.stats.get("error", ())]
+    if found := dict.fromkeys(report.nodeid for report in failed if report.nodeid.startswith("tests/")):
+        reporter.write_line(f"\nAgain: {sys.executable} -m pytest {shlex.join(found)}", red=True)
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
@@ -99,13 +141,13 @@ def _own_control_sockets(tmp_path_factory: pytest.TempPathFactory) -> Iterator[N
 @pytest.fixture(scope="session")
 def _domains() -> int:
     """The first of two domains that no other run on this machine uses."""
-    return two_domains()
+    return domains_of("engines")
 
 
-@pytest.fixture(scope="session")
-def _further_domains() -> int:
-    """The first of two more."""
-    return two_domains()
+@pytest.fixture
+def spare_domains() -> int:
+    """The first of two domains for programs that end with the test."""
+    return domains_of("programs")
 
 
 @pytest.fixture(scope="session")
@@ -141,9 +183,9 @@ def pc(_pc_domain: Domain) -> Iterator[Domain]:
 
 
 @pytest.fixture
-def third(_further_domains: int) -> Iterator[Domain]:
+def third() -> Iterator[Domain]:
     """A domain beside those two."""
-    yield from _domain(_further_domains)
+    yield from _domain(domains_of("programs"))
 
 
 @pytest.fixture

@@ -15,7 +15,6 @@ from xml.etree import ElementTree as ET
 import msgspec
 import pytest
 from tests.support.commands import parser_and_commands, rsb_console
-from tests.support.locks import two_domains
 from tests.support.waiting import eventually
 from tests.support.wording import says
 
@@ -113,8 +112,8 @@ def test_a_bridge_that_does_not_run_is_named() -> None:
 # --- on this machine
 
 
-def test_a_short_run_on_this_machine(tmp_path: Path) -> None:
-    near = two_domains()
+def test_a_short_run_on_this_machine(tmp_path: Path, spare_domains: int) -> None:
+    near = spare_domains
     plot = tmp_path / "plot.svg"
     code, output, errors = bench(
         *TINY, "--quick", "--transports", "tcp", "--domains", f"{near},{near + 1}", "--plot", str(plot)
@@ -191,8 +190,8 @@ def test_without_the_peer_s_leave_nothing_is_measured(socket: Callable[..., str]
     assert "measure this link" in report.notes[0]
 
 
-def test_ctrl_c_prints_what_was_measured_and_leaves_no_process() -> None:
-    near = two_domains()
+def test_ctrl_c_prints_what_was_measured_and_leaves_no_process(spare_domains: int) -> None:
+    near = spare_domains
     command = [sys.executable, "-m", "rsb_console", "bench", "--json", "--domains", f"{near},{near + 1}"]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}
     with _killed_at_last(subprocess.Popen(command, **pipes)) as running:

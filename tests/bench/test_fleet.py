@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 from bench.fleet import Plan, measure
-from tests.support.locks import two_domains
 from tests.support.waiting import eventually
 
 from rsb_bridge.cdr.decoder import decode
@@ -33,8 +32,8 @@ ROOT = Path(__file__).parents[2]
 WITHIN = 90.0
 
 
-def test_a_fleet_links_flows_comes_back_and_bears_a_flood() -> None:
-    found = measure(3, domain=two_domains(), plan=Plan(settles=0.0, watched=1.0, down=0.7))
+def test_a_fleet_links_flows_comes_back_and_bears_a_flood(spare_domains: int) -> None:
+    found = measure(3, domain=spare_domains, plan=Plan(settles=0.0, watched=1.0, down=0.7))
     assert found.routes == 3 * USUAL.routes
     assert 0 < found.linked.half <= found.linked.last <= found.flowing.last
     assert 0 < found.again.half <= found.again.last <= found.again_flowing.last
@@ -46,8 +45,8 @@ def test_a_fleet_links_flows_comes_back_and_bears_a_flood() -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_nothing_of_a_bench_that_is_ended_runs_on(number: signal.Signals, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "bench.fleet", "--robots", "2", "--domain", str(two_domains())]
+def test_nothing_of_a_bench_that_is_ended_runs_on(number: signal.Signals, tmp_path: Path, spare_domains: int) -> None:
+    command = [sys.executable, "-m", "bench.fleet", "--robots", "2", "--domain", str(spare_domains)]
     bench = subprocess.Popen(command, cwd=ROOT, env=os.environ | {"TMPDIR": str(tmp_path)}, stdout=subprocess.DEVNULL)
     try:
         # The control side and the robots; their nodes do not name the folder.

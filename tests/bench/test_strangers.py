@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import pytest
 from bench.strangers import FLAT, SHORT, Flood, measure
-from tests.support.locks import two_domains
 from tests.support.long import long
 
 
 @pytest.mark.parametrize(
     "flood", [*long(SHORT[0]), SHORT[1], *long(SHORT[2])], ids=[flood.transport for flood in SHORT]
 )
-def test_a_flood_leaves_the_memory_as_it_was_and_a_robot_links(flood: Flood) -> None:
+def test_a_flood_leaves_the_memory_as_it_was_and_a_robot_links(flood: Flood, spare_domains: int) -> None:
     if flood.transport == "zenoh":
         pytest.importorskip("zenoh")
-    near = two_domains()
-    row = measure(flood, near, near + 1)
+    row = measure(flood, spare_domains, spare_domains + 1)
     assert row.sent > 10
     assert row.linked is not None
     assert row.peak - row.before <= FLAT

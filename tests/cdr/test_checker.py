@@ -228,7 +228,7 @@ def test_types_within_types_within_types() -> None:
     assert time.monotonic() - began < 5.0
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=settings().max_examples * 2, deadline=None)
 @given(
     st.lists(st.sampled_from([3, 4, INT, DOUBLE, STRING]), min_size=1, max_size=5),
     st.lists(st.text("ab", max_size=9), max_size=12),
@@ -307,7 +307,7 @@ def descriptions(draw: Callable[[Any], Any]) -> TypeDescription:
     return TypeDescription(types[0], tuple(types[1:]))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=settings().max_examples * 2, deadline=None)
 @given(descriptions(), st.binary(max_size=64), st.lists(st.integers(0, 5), max_size=40), st.booleans())
 def test_nothing_else_is_raised_whatever_comes(
     description: TypeDescription, noise: bytes, words: list[int], little: bool

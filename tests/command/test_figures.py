@@ -298,9 +298,10 @@ def test_at_a_bridge_that_runs(
         done = ran("hz", "/chat", "--count", "8", "--json")
         assert done.code == 0
         last = objects(done)[-1]
-        assert 7 <= last["rate"] <= 13
-        assert 14 <= last["offered_rate"] <= 26
-        assert 6 <= last["delivered_rate"] <= 14, "the peer reports once a second"
+        # A slow machine publishes and carries less; tests/route/test_throttle.py has the exact rates.
+        assert 0 < last["rate"] <= 13
+        assert 0 < last["offered_rate"] <= 26
+        assert 0 < last["delivered_rate"] <= 14, "the peer reports once a second"
         (size,) = objects(ran("bw", "/chat", "--count", "1", "--json"))
         assert 100 <= size["mean_size"] <= 110
     found = ran("info", "/chat", "--json").json

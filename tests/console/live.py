@@ -8,16 +8,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from tests.support.locks import two_domains
+from tests.support.locks import domains_of
 from tests.support.ports import free_port
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session, Topic
 
-HERE = two_domains()
+HERE = domains_of("nodes")
 THERE = HERE + 1
-ELSEWHERE = two_domains()
+ELSEWHERE = domains_of("programs")
 """ROS domains of this run's own: otherwise the searched lists would have other tests' topics."""
 COMMAND = Path(sys.executable).with_name("rsb-console")
 

@@ -47,7 +47,9 @@ def flows(now: Snapshot, topic: str = CHATTER) -> bool:
     return any(route.topic == topic and route.rate > 0 for route in now.routes)
 
 
-@pytest.mark.parametrize(("domain", "sign", "direction"), [(HERE, "→", "transmit"), (THERE, "←", "receive")])
+@pytest.mark.parametrize(
+    ("domain", "sign", "direction"), [(HERE, "→", "transmit"), (THERE, "←", "receive")], ids=["here", "there"]
+)
 def test_a_topic_of_either_sides_graph_is_added_flows_and_is_saved(
     tmp_path: Path, domain: int, sign: str, direction: str
 ) -> None:

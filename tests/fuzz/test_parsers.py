@@ -30,7 +30,7 @@ def test_what_was_found_once_is_read(path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", PARSERS)
-@settings(max_examples=60, deadline=None, database=None, suppress_health_check=list(HealthCheck))
+@settings(deadline=None, database=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data(), random=st.randoms(use_true_random=False))
 def test_anything_is_read_or_refused(name: str, data: st.DataObject, random: Random) -> None:
     parser = PARSERS[name]

@@ -5,7 +5,7 @@ CI runs other folders at the same time.
 
 from __future__ import annotations
 
-from tests.support.locks import two_domains
+from tests.support.locks import domains_of
 
-DOMAIN = two_domains()
+DOMAIN = domains_of("nodes")
 ANOTHER = DOMAIN + 1

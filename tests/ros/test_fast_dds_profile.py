@@ -8,8 +8,6 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
-from tests.support.locks import two_domains
-
 from rsb_bridge.ros import memory
 
 _PROFILE = Path(__file__).parents[2] / "configs" / "fastdds-large-messages.xml"
@@ -42,9 +40,9 @@ def test_its_histories_are_the_bridges_own() -> None:
     assert histories(_PROFILE) == histories(_HISTORIES)
 
 
-def test_fast_dds_takes_the_profile() -> None:
+def test_fast_dds_takes_the_profile(spare_domains: int) -> None:
     environ = os.environ | {memory.profile_variable(os.environ): str(_PROFILE)}
-    command = [sys.executable, "-c", _NODE, str(two_domains())]
+    command = [sys.executable, "-c", _NODE, str(spare_domains)]
     ran = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=120, check=True)
     assert "Error" not in ran.stderr
     segments = [int(line.split()[1]) for line in ran.stdout.splitlines() if line.startswith("segment ")]

@@ -8,7 +8,6 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tests.support.locks import two_domains
 from tests.support.resources import resources
 
 from rsb_bridge.ros import memory
@@ -45,9 +44,9 @@ receiver.stop()
 """
 
 
-def test_what_a_history_held_goes_back_to_the_kernel() -> None:
+def test_what_a_history_held_goes_back_to_the_kernel(spare_domains: int) -> None:
     """Its reader and its writer held 100 MB, each once."""
-    command = [sys.executable, "-c", _LARGE, str(two_domains())]
+    command = [sys.executable, "-c", _LARGE, str(spare_domains)]
     subprocess.run(command, cwd=Path(__file__).parents[2], timeout=120, check=True)
 
 

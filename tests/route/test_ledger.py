@@ -61,7 +61,7 @@ def check(ledger: Ledger) -> None:
 
 
 @given(st.lists(steps, max_size=40), st.booleans())
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=settings().max_examples * 5, deadline=None)
 def test_no_report_makes_a_part_negative_or_the_sum_wrong(taken: list[tuple[Any, ...]], numbered: bool) -> None:
     ledger = RouteLedger(numbered=numbered)
     for now, (what, *details) in enumerate(taken):

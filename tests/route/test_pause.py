@@ -85,7 +85,7 @@ steps = st.sampled_from(["client on", "client off", "server on", "server off", "
 
 
 @given(st.lists(steps, max_size=40))
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=settings().max_examples * 5, deadline=None)
 def test_a_cut_loses_messages_but_not_the_agreement(taken: list[str]) -> None:
     """After a cut the proposer tells its state, and the other side its own if that is later (PROTOCOL.md, 3)."""
     client, server = pair()

@@ -363,7 +363,7 @@ _TAKES_A_PLACE = [
 ]  # fmt: skip
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=settings().max_examples * 3, deadline=None)
 @given(ROUTES, USERS, st.integers(0, 2**32))
 @example(_TAKES_A_PLACE, {Place(0, "/b"), Place(1, "/b"), Place(2, "/a")}, 17930)
 @example(_TURNS_OUT, {Place(0, "/a"), Place(1, "/b"), Place(2, "/a")}, 793)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import os
 import tempfile
 from pathlib import Path
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 
-_DOMAINS = range(2, 60, 2)
+_DOMAINS = range(2, 80, 2)  # tests/network has 80 and 81
 _NONE_FREE = 600.0
 """s that this run waits for others to end."""
 
@@ -23,6 +24,17 @@ _NONE_FREE = 600.0
 def two_domains() -> int:
     """Return the first of two ROS domains that no other run on this machine uses."""
     return locked("domains", _DOMAINS)
+
+
+@functools.cache
+def domains_of(use: str) -> int:
+    """Return the first of two domains that this process has for one use: those of two uses do not meet.
+
+    Args:
+        use: ``engines`` (nodes outlive a test), or ``nodes`` or ``programs`` (they end with it). More uses would be
+            more domains than there are for 12 workers.
+    """
+    return two_domains()
 
 
 def locked(what: str, numbers: Iterable[int]) -> int:

@@ -14,8 +14,8 @@ from rsb_bridge.model.limits import discovery_domain
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-_BLOCK = 200
-_BLOCKS = range(22_400, 30_000, _BLOCK)
+_BLOCK = 130
+_BLOCKS = range(27_400, 32_600, _BLOCK)
 """Between the ports of the tests' domains (7400 + 250 a domain), which a server refuses in its own domain, and those
 that the kernel gives out."""
 

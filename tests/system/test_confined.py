@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import os
 import shutil
 import signal
@@ -121,3 +122,10 @@ def test_what_a_bridge_does_not_need_is_refused() -> None:
     run = confined(sys.executable, "-c", "import os; os.sched_setaffinity(0, {0})")
     assert "PermissionError" in run.stderr
     assert confined("/bin/sh", "-c", "umask; ulimit -n").stdout.split()[0] == "0077"
+
+
+def test_the_process_that_draws_confines_itself_further() -> None:
+    """The filter lets Landlock through, where the kernel has it."""
+    trial = (sys.executable, "-P", "-m", "rsb_bridge.view.confinement")
+    free = subprocess.run(trial, cwd=ROOT, capture_output=True, text=True, timeout=120, check=True).stdout
+    assert json.loads(confined(*trial).stdout)["landlock"] == json.loads(free)["landlock"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support.counting import TOPIC, CountedBridge
-from tests.support.locks import two_domains
+from tests.support.locks import domains_of
 from tests.support.long import long
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -30,7 +30,7 @@ _OUTAGES = 3
 @pytest.fixture(scope="module")
 def domains() -> tuple[int, int]:
     """The client's, and the server's."""
-    first = two_domains()
+    first = domains_of("programs")
     return first, first + 1
 
 

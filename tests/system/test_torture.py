@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.locks import two_domains
+from tests.support.locks import domains_of
 from tests.system.torture import ages, attacks, demands
 from tests.system.torture.ends import WITNESS, Arrival
 from tests.system.torture.judge import Window, judge
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @pytest.fixture(scope="module")
 def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
     """The ROS nodes of all these tests."""
-    made = Nodes.start(tmp_path_factory.mktemp("torture"), two_domains())
+    made = Nodes.start(tmp_path_factory.mktemp("torture"), domains_of("programs"))
     yield made
     made.close()
 

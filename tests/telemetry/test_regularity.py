@@ -130,7 +130,9 @@ def test_messages_at_random_or_in_bursts_are_not_said_to_have_stopped_or_to_be_s
 
 
 @pytest.mark.parametrize(
-    "gaps", [changing(0.1, 1.0, 600.0), changing(1.0, 0.1, 600.0), changing(0.5, 5.0, 1800.0)], ids=str
+    "gaps",
+    [changing(0.1, 1.0, 600.0), changing(1.0, 0.1, 600.0), changing(0.5, 5.0, 1800.0)],
+    ids=["falls", "rises", "falls far"],
 )
 def test_a_rate_that_changes_slowly_is_not_said_to_have_stopped(gaps: Gaps) -> None:
     assert [watched(gaps, 1800.0, seed).stopped for seed in SEEDS] == [[]] * len(SEEDS)

@@ -1,0 +1,22 @@
+"""Which tests `make test` runs in one worker."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.support import lanes
+
+
+def test_folders_that_lanes_name_exist() -> None:
+    named = {*lanes.COMPUTING, *lanes.ALONE, *lanes.SHARED, *(set(lanes.FIRST) - set(lanes.COMPUTING.values()))}
+    assert named <= {path.name for path in Path(__file__).parents[1].iterdir()}
+
+
+def test_what_computes_has_three_lanes_and_every_other_file_its_own() -> None:
+    assert {lanes.lane_of(f"tests/{folder}/test_x.py::test_y[a::b]") for folder in lanes.COMPUTING} == {
+        "simulation",
+        "checks",
+        "pure",
+    }
+    assert lanes.lane_of("tests/engine/test_late.py::test_y[a/b::c]") == "tests/engine/test_late.py"
+    assert lanes.lane_of("tests/network/test_x.py::test_y") == lanes.lane_of("tests/network/test_z.py::test_y")

@@ -1,0 +1,66 @@
+"""Lanes: tests that pytest-xdist runs in one worker, one after the other (``-n N --dist loadscope``).
+
+What only computes has three lanes and a lower priority, and fills the cores while the others wait. Where tests that
+talk by DDS starve, one participant of a process may discover another without being discovered by it, for good (seen
+once in 700 starts on a core shared by eight). Every other file is a lane of its own.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from xdist.scheduler import LoadScopeScheduling
+
+if TYPE_CHECKING:
+    import pytest
+
+COMPUTING = {"simulation": "simulation", "checks": "checks"} | dict.fromkeys(
+    ("cdr", "channel", "config", "fleet", "fuzz", "history", "model", "route", "wire"), "pure"
+)
+ALONE = {"bluetooth", "network", "release"}
+"""Folders whose tests share machines, hosts or builds."""
+SHARED = {"calls": 3}
+"""Folders that start processes for all their tests, and so run in a few lanes."""
+FIRST = ("simulation", "checks", "pure", *ALONE, "soak", "calls", "system", "engine", "console", "bench", "control")
+"""What takes the longest; the rest fills the gaps at the end."""
+
+
+def folder_of(nodeid: str) -> str:
+    return nodeid.split("/", 2)[1]
+
+
+def lane_of(nodeid: str) -> str:
+    """Return the lane of a test."""
+    folder, file = folder_of(nodeid), nodeid.split("::", 1)[0]
+    if folder in COMPUTING:
+        return COMPUTING[folder]
+    if folder in ALONE:
+        return folder
+    if folder in SHARED:
+        return f"{folder}/{sum(file.encode()) % SHARED[folder]}"
+    return file
+
+
+def sort_by_lane(items: list[pytest.Item]) -> None:
+    """Bring the longest lanes to the front."""
+
+    def rank(item: pytest.Item) -> int:
+        name = lane_of(item.nodeid)
+        name = name if name in FIRST else folder_of(item.nodeid)
+        return FIRST.index(name) if name in FIRST else len(FIRST)
+
+    items.sort(key=rank)
+
+
+def give_way(item: pytest.Item) -> None:
+    """Lower this worker's priority from the first test on that only computes."""
+    if folder_of(item.nodeid) in COMPUTING:
+        os.setpriority(os.PRIO_PROCESS, 0, max(5, os.getpriority(os.PRIO_PROCESS, 0)))
+
+
+class Lanes(LoadScopeScheduling):  # type: ignore[misc]
+    """Gives the next lane to the first worker that is free."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return lane_of(nodeid)
