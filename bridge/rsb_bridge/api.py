@@ -126,8 +126,8 @@ class EngineApi(ABC):
     def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> Future[None]:
         return self.do(commands.Acknowledge(key, acknowledged, link))
 
-    def arm(self, key: str) -> Future[None]:
-        return self.do(commands.ArmTopic(key))
+    def arm(self, key: str, *, shared: bool = False) -> Future[None]:
+        return self.do(commands.ArmTopic(key, shared))
 
     def disarm(self, key: str) -> Future[None]:
         return self.do(commands.DisarmTopic(key))

@@ -103,7 +103,7 @@ class ConsoleApp(TerminalApp[None]):
         self.fault_bell = Bell(self.bell, is_on=self.preferences.bell)
         self.changes = Changes()
         console: Console = self
-        bridge = BridgeOperations(console, lambda: self.main.selected)
+        bridge = BridgeOperations(console, lambda: self.main.selected, lambda: self.main)
         self.sessions = SessionOperations(console, bridge.reload)
         self.main: MainScreen = self.main_screen(console, {Group.OPERATE: bridge, Group.SESSION: self.sessions})
         self.attached_to = ""
@@ -292,6 +292,7 @@ class ConsoleApp(TerminalApp[None]):
         if events:
             self._last_event = events[-1].number
         snapshot = self.snapshot()
+        self.needs_young_keys = any(route.arming is not None for route in snapshot.routes)
         self.deadman.keep(self.engine, snapshot)
         self.fault_bell.look(self.engine, snapshot)
         if any(isinstance(screen, FullScreen) for screen in self.screen_stack):
@@ -323,7 +324,8 @@ class ConsoleApp(TerminalApp[None]):
 
     async def on_event(self, event: events.Event) -> None:
         """Note that the operator is active (Textual's)."""
-        self.deadman.saw(event)
+        if self.screen_stack and not self.input_gate.is_late(event):
+            self.deadman.saw(event, self.screen)
         await super().on_event(event)
 
 

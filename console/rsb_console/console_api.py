@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -21,6 +21,14 @@ if TYPE_CHECKING:
     from rsb_console.session.changes import Changes
 
 T = TypeVar("T")
+
+
+class OperatorWatch(Protocol):
+    """Finds out whether the operator watches what is armed."""
+
+    def armed_on(self, screen: Screen[Any]) -> None:
+        """Note that a topic is armed on a screen, whose keys count from then on."""
+        ...
 
 
 class ConsoleShell(Protocol):
@@ -140,6 +148,11 @@ class Console(ConsoleShell, Protocol):
         ...
 
     # --- the operator
+
+    @property
+    def deadman(self) -> OperatorWatch:
+        """The proof to the engine that the operator watches what is armed."""
+        ...
 
     def pull(self) -> None:
         """Show the engine's present state now."""

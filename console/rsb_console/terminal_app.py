@@ -13,7 +13,9 @@ from rsb_console.look.glyphs import AsciiFilter, ControlFilter
 from rsb_console.preferences import Preferences
 from rsb_console.screens.help import ActionsProvider
 from rsb_console.terminal.driver import ConsoleDriver
+from rsb_console.terminal.input_gate import GuardedScreen, InputGate
 from rsb_console.terminal.input_queue import InputQueue
+from rsb_console.terminal.pulse import ASKED_EVERY
 from rsb_console.terminal.shutdown import ForcedEnd, ShutdownReason, record_crash
 from rsb_console.widgets.lines import LOOK_CLASSES
 
@@ -62,6 +64,9 @@ class TerminalApp(App[ReturnType]):
         self.preferences = Preferences(self.config, theme)
         self.shutdown_reason = ShutdownReason.QUIT
         self.input_queue = InputQueue(self, dialogs)
+        self.input_gate = InputGate(self)
+        self.needs_young_keys = False
+        """Whether something can be driven or armed, so that the terminal has to prove how young its keys are."""
         self.terminal = 1
         """File descriptor of the terminal."""
         self._forced_end = ForcedEnd(self.stop)
@@ -94,6 +99,15 @@ class TerminalApp(App[ReturnType]):
             self.register_theme(theme)
         self.theme = self.preferences.theme
         self.set_keymap(self.preferences.keymap)
+        if isinstance(self._driver, ConsoleDriver):
+            self.input_gate.pulse = self._driver.pulse
+        self.set_interval(ASKED_EVERY, self._ask_terminal)
+
+    def _ask_terminal(self) -> None:
+        if isinstance(self._driver, ConsoleDriver) and (
+            self.needs_young_keys or any(isinstance(each, GuardedScreen) for each in self.screen_stack)
+        ):
+            self._driver.ask()
 
     def tell_problems(self) -> None:
         """Tell what is wrong with the preferences."""
@@ -152,7 +166,9 @@ class TerminalApp(App[ReturnType]):
 
     async def on_event(self, event: events.Event) -> None:
         """Handle an event as Textual does, but input only when it is its turn."""
-        if not self.input_queue.takes(event):
+        if self.input_queue.takes(event):
+            return
+        if event.is_forwarded or not self.screen_stack or not self.input_gate.refuses(event, self.screen):
             await super().on_event(event)
 
     # --- end

@@ -68,5 +68,9 @@ def test_exit_codes_stand_in_one_table_and_in_the_help() -> None:
 
 def test_every_cause_of_a_link_is_documented() -> None:
     text = (DOCS / "states.md").read_text(encoding="utf-8")
-    section = text.partition("## Why a link is not up\n")[2].partition("\n## ")[0]
-    assert set(re.findall(r"`(\w+)`", section)) == {cause.value for cause in LinkCause if cause}
+    headings = ("## Why a link is not up\n", "## Faults of a link that is up\n")
+    tables = "".join(text.partition(heading)[2].partition("\n## ")[0] for heading in headings)
+    cells = re.findall(r"^\| (`[^|]+`) \|", tables, re.MULTILINE)
+    assert {code for cell in cells for code in re.findall(r"`(\w+)`", cell)} == {
+        cause.value for cause in LinkCause if cause
+    }

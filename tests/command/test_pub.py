@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import io
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -20,11 +21,14 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.engine.publishing import PublishProblem
 from rsb_bridge.model.by_hand import Draft, Published
 from rsb_bridge.model.calls import FIELDS_LENGTH
+from rsb_bridge.model.clock import Clock as SteadyClock
+from rsb_bridge.model.command_origin import acting
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_console.command import pub_command
-from rsb_console.command.pub_command import PubText
+from rsb_console.command.pub_command import _LOOK_EVERY, PubText
 from rsb_console.session.by_hand import ByHandText
+from rsb_console.session.landing import REPORTED_WITHIN, LandingText
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -80,7 +84,7 @@ class Clock:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
     monkeypatch.setattr(pub_command, "time", made)
-    monkeypatch.setattr(pub_command, "Clock", made)
+    monkeypatch.setattr(SteadyClock, "steady", staticmethod(made.steady))
     return made
 
 
@@ -136,6 +140,28 @@ def test_some_messages_at_a_rate(ran: Any, engine: ScriptedEngine, clock: Clock)
     engine.published = [TAKEN] * 5
     assert ran("/words", "data: hello", "--count", "5", "--rate", "4").code == 0
     assert clock.slept == [0.25] * 4
+
+
+@pytest.mark.parametrize(
+    ("rate", "armed", "on_end", "end"),
+    [
+        ("10", True, "zero", ("{}", 0.5)),
+        ("2", True, "zero", ("{}", 1.0)),
+        ("10", True, '{"x": 1}', ('{"x": 1}', 0.5)),
+        ("10", True, "none", ("", 0.5)),
+        ("10", False, "zero", ("", 0.5)),
+        ("0.5", True, "zero", ("", 0.5)),
+    ],
+)
+def test_messages_at_a_rate_end_with_what_stops_the_robot(
+    rate: str, armed: bool, on_end: str, end: tuple[str, float], ran: Any, engine: ScriptedEngine, clock: Clock
+) -> None:
+    """The engine publishes it, so that it comes even if the command is killed."""
+    arming = ArmingSnapshot(armed=armed, on_end=on_end)
+    engine.now = replace(engine.now, routes=(route("/words", outgoing=True, max_age=1.0, arming=arming),))
+    engine.published = [TAKEN] * 2
+    assert ran("/words", "data: go", "--count", "2", "--rate", rate).code == 0
+    assert {(each.rest, each.rest_after) for each in sent(engine)} == {end}
 
 
 def test_messages_that_are_late_are_not_made_up_for(
@@ -217,8 +243,9 @@ def test_the_result_for_programs(ran: Any, engine: ScriptedEngine, clock: Clock)
         "subscriptions": 1,
         "links": ["robot1"],
         "not_over": [{"link": "robot2", "state": "down", "reason": "no link"}],
+        "landed": [{"ok": False, "report": LandingText.UNREPORTED(link="robot1", seconds=REPORTED_WITHIN)}],
     }
-    assert len(clock.slept) == 1
+    assert [each for each in clock.slept if each > _LOOK_EVERY] == [1.0]
 
 
 def test_nobody_for_programs(ran: Any, engine: ScriptedEngine) -> None:
@@ -325,7 +352,9 @@ def test_at_a_bridge_that_runs(bridge: Bridge, robot: Domain, pc: Domain, machin
         "subscriptions": found["subscriptions"],
         "links": ["robot1"],
         "not_over": [],
+        "landed": found["landed"],
     }
+    assert [each["ok"] for each in found["landed"]] == [True]
     assert found["subscriptions"] >= 1
     eventually(lambda: words.texts(10) == ["hello"] and near.texts(10) == ["hello"])
     assert ran("/words", "dta: hello").code == 2
@@ -348,7 +377,8 @@ def test_an_armed_topic_of_a_bridge_that_runs(
     assert refused.code == 1
     assert says(refused.err, PublishProblem.NOT_ARMED, topic="/cmd")
     eventually(lambda: all(each.snapshot().routes[0].state == "disarmed" for each in (server, client)))
-    consoles.arm(server)
+    with acting(f"{getpass.getuser()} on pts/9"):
+        consoles.arm(server, shared=True)  # as `rsb-console arm` does
     assert ran("/cmd", "data: go", "--count", "3", "--rate", "20").code == 0
     eventually(lambda: motors.texts(10) == ["go"] * 3)
     publisher.publish(text("by a node"))

@@ -8,8 +8,9 @@ import msgspec
 import pytest
 
 from rsb_bridge.config.session_file import SessionError, demand_places, load_file, parse, save
+from rsb_bridge.config.topic_rules import topic_problems
 from rsb_bridge.model.session import Armed, Session, Topic
-from rsb_console.command.check import summary
+from rsb_console.command.check import CheckText, hints, summary
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -46,6 +47,7 @@ def test_the_lines_that_demand_are_found(tmp_path: Path) -> None:
         ("/cmd_vel",),
         ("/cmd_vel", "/arm/**", Armed("/stop", deadman=5.0)),
         ("/cmd_vel", Armed("/a*", "topic", "geometry_msgs/msg/Twist")),
+        (Armed("/cmd_vel", on_end="none"), Armed("/helm", on_end={"linear": {"x": 0.1}})),
         (),
     ],
 )
@@ -68,6 +70,9 @@ def test_what_is_saved_is_what_is_read(armed: tuple[str | Armed, ...], tmp_path:
         ('[{name: "/a/***"}]', "armed[0].name"),
         ("[{name: /a, kind: node}]", "armed[0].kind"),
         ("/cmd_vel", "armed"),
+        ("[{name: /cmd_vel, on_end: stop}]", "armed[0].on_end"),
+        ('[{name: /cmd_vel, on_end: "{x: 1"}]', "armed[0].on_end"),
+        ("[{name: /cmd_vel, on_end: {x: %s}}]" % ("1" * 200), "armed[0].on_end"),
     ],
 )
 def test_mistakes_are_located(armed: str, location: str, tmp_path: Path) -> None:
@@ -86,6 +91,33 @@ def test_check_names_the_line_that_demands(tmp_path: Path) -> None:
     assert "pc.yaml:14" in shadowed
     (listed,) = [line for line in lines if "/arm/**" in line]
     assert "pc.yaml:7" in listed
+
+
+def test_what_a_robot_gets_when_its_arming_ends_is_shown_with_the_line(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(
+        "name: r\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 5\nuse_encryption: false\n"
+        "armed: [{name: /helm, on_end: {x: 1}}]\ntopics:\n"
+        "  - {topic: /helm, direction: receive}\n"
+        "  - {topic: /cmd_vel, direction: receive, type: Twist, arm: true}\n"
+        "  - {topic: /light, direction: receive, type: Bool, arm: true}\n"
+        "  - {topic: /go, direction: receive, arm: true, on_end: none}\n"
+    )
+    session = load_file(path).session
+    shown = {line.split()[1]: line for line in summary(session, demand_places(path)) if line.startswith("  receive")}
+    assert '{"x": 1}' in shown["/helm"]
+    assert "robot.yaml:6" in shown["/helm"].rpartition('{"x": 1}')[2]
+    assert CheckText.ENDS_WITH_ZERO() in shown["/cmd_vel"]
+    assert CheckText.ENDS_WITH_NOTHING() in shown["/light"]
+    assert CheckText.ENDS_WITH(message="none", line="robot.yaml:11") in shown["/go"]
+    (alone,) = [line for line in hints(session) if "/cmd_vel" in line]
+    assert alone == CheckText.NO_OTHER_GUARD(names="/cmd_vel")
+
+
+@pytest.mark.parametrize("topic", [Topic("/a", "receive", on_end="zero"), Topic("/a", "receive", kind="service")])
+def test_only_a_topic_that_has_to_be_armed_has_an_end(topic: Topic) -> None:
+    topic = msgspec.structs.replace(topic, on_end="zero")
+    assert "on_end" in {problem.location for problem in topic_problems(topic, "", None, None)}
 
 
 def test_a_line_that_only_limits_the_age_demands_no_arming() -> None:

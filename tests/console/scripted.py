@@ -283,6 +283,8 @@ class ScriptedEngine(EngineApi):
                 return self._done(topic.topic, "add", topic, link)
             case commands.EditTopic(key, topic, drop_arm):
                 return self._done(key, "edit", key, topic, *["drop_arm"] * drop_arm)
+            case commands.ArmTopic(key, shared):
+                return self._done(None, "arm", key, *["shared"] * shared)
             case commands.RemoveTopic(key, drop_arm):
                 return self._done(None, "remove", key, *["drop_arm"] * drop_arm)
             case commands.Acknowledge(key, acknowledged, link):

@@ -236,8 +236,7 @@ def test_a_console_that_dies_disarms(end: str, robot: Robot, tmp_path: Path) -> 
     try:
         tmux.wait_for("⊘ DISARMED")
         tmux("send-keys", "A")
-        tmux.wait_for(f"Arm {CHATTER} of robot1?")
-        tmux("send-keys", "y")
+        tmux.agree(f"Arm {CHATTER} of robot1?")
         tmux.wait_for("◆ ARMED")
         robot.is_armed()
         if end == "killed":
@@ -262,8 +261,7 @@ def test_the_robot_s_own_console_that_dies_disarms_the_other_side(tmp_path: Path
     ):
         tmux.wait_for("⊘ DISARMED")
         tmux("send-keys", "A")
-        tmux.wait_for(f"Arm {CHATTER} of robot1?")
-        tmux("send-keys", "y")
+        tmux.agree(f"Arm {CHATTER} of robot1?")
         tmux.wait_for("◆ ARMED")
         armed = every_so_often(lambda: (at := there.topic()["arming"]) and at["armed"] and at, "armed there, too")
         assert armed["here"] is False

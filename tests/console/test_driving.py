@@ -7,7 +7,19 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from tests.console.driving import AppSteps, drive, engine_as, engine_of, gone, notified, put, scripted_app, shown, until
+from tests.console.driving import (
+    AppSteps,
+    drive,
+    engine_as,
+    engine_of,
+    gone,
+    notified,
+    put,
+    scripted_app,
+    shown,
+    text,
+    until,
+)
 from tests.console.scripted import ScriptedEngine, route
 from tests.support.wording import says
 from textual.events import Key
@@ -15,7 +27,7 @@ from textual.pilot import Pilot
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
-from rsb_bridge.model.by_hand import Published
+from rsb_bridge.model.by_hand import Draft, Published
 from rsb_bridge.model.commands import Publish
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
@@ -385,6 +397,108 @@ async def test_it_is_disarmed_at_once_and_armed_after_a_question(
     await pilot.press("y")
     await until(pilot, lambda: engine_of(app).commands[1:] == [("arm", "/cmd_vel")], "armed")
     assert isinstance(app.screen, DriveScreen)
+
+
+def arming(*, here: bool = True, by: str = "anna") -> ArmingSnapshot:
+    return ArmingSnapshot(armed=True, by=by, here=here, deadman=60.0)
+
+
+def test_leaving_the_screen_disarms_what_it_has_armed(clock: Clock) -> None:
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        await pilot.press("A")
+        await shown(pilot, "Arm /cmd_vel of robot1?")
+        await pilot.press("y")
+        await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
+        put(app, ARMED)
+        await pilot.press("escape")
+        await until(pilot, lambda: engine_of(app).commands[1:] == [("disarm", "/cmd_vel")], "disarmed")
+
+    driving(DISARMED, steps)
+
+
+@driven
+async def test_leaving_the_screen_leaves_armed_what_was_before(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock
+) -> None:
+    await pilot.press("escape")
+    await until(pilot, lambda: app.screen is app.main, "the list")
+    assert engine_of(app).commands == []
+
+
+@driven
+async def test_another_driver_is_named(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    put(app, replace(ARMED, arming=arming(here=False, by="robot1 says: bert")))
+    await shown(pilot, DriveText.ARMED_BY, who="robot1 says: bert")
+
+
+def test_no_velocity_is_shown_while_disarmed(clock: Clock) -> None:
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        await shown(pilot, DriveText.NOT_WHILE_DISARMED)
+        await pressed(pilot, clock, "up")
+        assert f"{SPEED:+.2f}" not in text(app)
+
+    driving(DISARMED, steps)
+
+
+def test_other_robots_that_a_topic_moves_are_named_and_asked_for(clock: Clock) -> None:
+    other = replace(ARMED, key="other", link="robot2")
+    app = scripted_app(make_engine=lambda session, base: Robot(session, base, (ARMED, other)))
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/cmd_vel")
+        await pilot.press("D")
+        await shown(pilot, DriveText.SEVERAL(topic="/cmd_vel", count=2))
+        await shown(pilot, "robot1 and robot2")
+        await pilot.press("n")
+        await until(pilot, lambda: app.screen is app.main, "the list")
+        await pilot.press("D")
+        await shown(pilot, DriveText.SEVERAL(topic="/cmd_vel", count=2))
+        await pilot.press("y")
+        await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
+
+    drive(app, steps)
+
+
+def test_only_keys_on_the_screen_that_armed_a_topic_keep_it_armed(clock: Clock) -> None:
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        kept: list[bool] = []
+        engine_of(app).keep_armed = lambda *, pressed: kept.append(pressed)  # type: ignore[method-assign, assignment, return-value]
+        await pilot.press("A", "y")
+        put(app, ARMED)
+        kept.clear()
+        await pilot.press("up")
+        await until(pilot, lambda: any(kept), "a key that counts")
+        await pilot.press("escape")
+        await until(pilot, lambda: app.screen is app.main, "the list")
+        app.pull()
+        kept.clear()
+        await pilot.press("up", "down")
+        app.pull()
+        assert kept
+        assert not any(kept)
+
+    driving(DISARMED, steps)
+
+
+@pytest.mark.parametrize(
+    ("spec", "known"),
+    [(Topic("/cmd_vel", "transmit", type="Twist"), True), (Topic("/cmd_vel", "transmit"), False)],
+)
+def test_the_type_may_have_a_short_name_or_be_known_to_the_bridge_only(clock: Clock, spec: Topic, known: bool) -> None:
+    unknown = replace(ARMED, type_name="", spec=spec)
+    app = scripted_app(make_engine=lambda session, base: Robot(session, base, (unknown,)))
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/cmd_vel")
+        if not known:
+            engine_of(app).drafts["/cmd_vel"] = Draft(TWIST, "")
+        await pilot.press("D")
+        await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
+        await pressed(pilot, clock, "up")
+        await until(pilot, lambda: sent(app), "a command")
+        assert sent(app)[0].type_name == TWIST
+
+    drive(app, steps)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.by_hand import Published
+from rsb_bridge.model.by_hand import OLD_AFTER, Published
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.pictures import Cells, Picture, PictureError, Scale, check_picture
 from rsb_console.command import pub_command
@@ -48,9 +48,9 @@ def by_screen(engine: Any) -> Published:
 def test_an_old_message_gets_no_further_ticket(
     publish: Callable[[Any], Published], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    engine = Slow(by_hand.OLD_AFTER - 0.1, monkeypatch)
+    engine = Slow(OLD_AFTER - 0.1, monkeypatch)
     assert publish(engine).is_done
-    engine = Slow(by_hand.OLD_AFTER + 0.1, monkeypatch)
+    engine = Slow(OLD_AFTER + 0.1, monkeypatch)
     with pytest.raises(EngineError):
         publish(engine)
     assert not engine.published

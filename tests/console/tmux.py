@@ -34,6 +34,16 @@ class Tmux:
             time.sleep(0.05)
         return picture
 
+    def agree(self, question: str) -> None:
+        """Answer a question with Yes once its keys count; a key that comes late on a busy machine is ignored."""
+        self.wait_for(question)
+        deadline = time.monotonic() + 120
+        while question in self.picture:
+            assert time.monotonic() < deadline, f"{question!r} stays:\n{self.picture}"
+            if "y yes" in self.picture:
+                self("send-keys", "y")
+            time.sleep(0.5)
+
     def __enter__(self) -> "Tmux":
         return self
 

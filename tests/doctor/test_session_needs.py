@@ -138,3 +138,32 @@ def test_a_session_with_zenoh_on_a_machine_without(
 def test_types_that_are_not_installed(tmp_path: Path) -> None:
     client = session(role="client", topics=(Topic("/a", "transmit", type="no_such_msgs/msg/A"),))
     assert [(each.code, each.grade) for each in found("session", client, tmp_path)] == [("types", Grade.NOTE)]
+
+
+@pytest.mark.parametrize(
+    ("said", "grade"),
+    [
+        ('{"/cmd_vel": {"/base": {"cmd_vel_timeout": 0.5}}}', Grade.OK),
+        ('{"/cmd_vel": {"/base": {"cmd_vel_timeout": 0.0}}}', Grade.WARNING),
+        ('{"/cmd_vel": {"/base": {}}}', Grade.WARNING),
+        ('{"/cmd_vel": {"/base": null}}', Grade.UNKNOWN),
+        ('{"/cmd_vel": {}}', Grade.UNKNOWN),
+        ("", Grade.UNKNOWN),
+    ],
+)
+def test_whether_the_base_stops_by_itself(said: str, grade: Grade, tmp_path: Path) -> None:
+    commands = Topic("/cmd_vel", "receive", arm=True)
+    robot = session(role="client", topics=(commands,), domain_id=7)
+    asked = tmp_path / "asked"
+    command = ("sh", "-c", f"echo \"$@\" > {asked}; echo '{said}'", "sh")
+    checks = session_needs.checks(robot, tmp_path / "robot.yaml", {}, tmp_path, command)
+    (finding,) = examine(check for check in checks if check.code == "base")
+    assert finding.grade == grade
+    assert asked.read_text().split() == ["7", "/cmd_vel"]
+
+
+@pytest.mark.parametrize("topic", [Topic("/cmd_vel", "transmit", arm=True), Topic("/cmd_vel", "receive")])
+def test_no_base_is_asked_where_nothing_is_armed_that_comes_here(topic: Topic, tmp_path: Path) -> None:
+    robot = session(role="client", topics=(topic,))
+    checks = session_needs.checks(robot, tmp_path / "robot.yaml", {}, tmp_path, ("false",))
+    assert not list(examine(check for check in checks if check.code == "base"))

@@ -17,17 +17,18 @@ from tests.support.bridge import balance, carries, happened, now, route
 from tests.support.consoles import Consoles
 from tests.support.domain import BEST_EFFORT, LATCHED, RELIABLE, Domain, text
 from tests.support.waiting import eventually, holds
-from tests.support.wording import pattern
+from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.engine.publishing import AT_ONCE, ENDS_AFTER, TOPICS, PublishProblem
 from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import acting
+from rsb_bridge.model.command_origin import acting, on_console
 from rsb_bridge.model.commands import Command, Pause, Publish, RemoveTopic, Restart, ShutDown
 from rsb_bridge.model.pictures import view_topic
 from rsb_bridge.model.session import Armed, Client, Topic
+from rsb_console.session.landing import Landing, LandingText
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -303,6 +304,34 @@ def driven(bridge: Bridge, pc: Domain, consoles: Consoles) -> tuple[Engine, Engi
     return server, client
 
 
+@pytest.mark.parametrize("type_name", ["auto", "Twist"])
+def test_a_topic_is_driven_whose_type_only_the_robot_knows(
+    bridge: Bridge, robot: Domain, consoles: Consoles, type_name: str
+) -> None:
+    """As documented: ``{topic: /cmd_vel, direction: receive, arm: true}``, and no publisher on the control PC."""
+    motors = robot.listener("/cmd", Twist)
+    server, _ = bridge.both(replace(DRIVEN, type=type_name))
+    eventually(lambda: route(server, "/cmd").arming is not None)
+    assert server.draft_message("/cmd").result(30).type_name == TWIST
+    consoles.arm(server)
+    drive(server, 0.1)
+    eventually(lambda: speeds(motors)[:1] == [0.1], 10)
+    eventually(lambda: speeds(motors)[-1] == 0.0, 10)
+
+
+def test_what_has_landed_is_reported(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
+    """The counts are the robot's: given to DDS there, and the nodes that subscribe."""
+    robot.listener("/cmd", Twist)
+    server, _ = driven(bridge, pc, consoles)
+    landing = Landing("/cmd", now(server))
+    links = drive(server, 0.1).links
+    assert links == ("robot1",)
+    eventually(lambda: landing.is_known(now(server), links) and route(server, "/cmd").subscribers, 10)
+    ((landed, report),) = landing.reports(now(server), links)
+    assert landed
+    assert says(report, LandingText.DELIVERED)
+
+
 def test_a_rest_does_not_outlive_its_arming(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
     """The motion ends when the topic is disarmed, and does not continue when it is armed again."""
     motors = robot.listener("/cmd", Twist)
@@ -374,6 +403,45 @@ def test_what_disarms_ends_the_motion_first(
     }
     server.do(commands[command])
     eventually(lambda: [deserialize_message(each, Twist).linear.x for each in motors.payloads] == [0.1, 0.0])
+
+
+def test_only_the_holder_drives(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
+    """Two people who drive at the same time would send the robot to and fro."""
+    motors = robot.listener("/cmd", Twist)
+    server, client = driven(bridge, pc, consoles)
+    drive(server, 0.1)
+    with (
+        on_console("another"),
+        acting("bert on pts/7"),
+        pytest.raises(EngineError, match=pattern(PublishProblem.ANOTHER_DRIVES)),
+    ):
+        drive(server, 0.5)
+    with pytest.raises(EngineError, match=pattern(PublishProblem.ANOTHER_DRIVES)):
+        publish(client, "linear: {x: 0.6}", type_name=TWIST)
+    with on_console("another"):
+        server.disarm(route(server, "/cmd").key).result(30)  # anybody may
+    eventually(lambda: speeds(motors)[-1:] == [0.0], 10)
+    assert set(speeds(motors)) == {0.1, 0.0}
+
+
+def test_an_arming_by_a_shell_is_for_the_commands_of_its_operator(
+    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
+) -> None:
+    motors = robot.listener("/cmd", Twist)
+    pc.publisher("/cmd", Twist)
+    server, client = bridge.both(DRIVEN)
+    eventually(lambda: can_be_armed(server, client))
+    with on_console("arm"), acting("anna on pts/1"):
+        server.arm(route(server, "/cmd").key, shared=True).result(30)
+    with on_console("pub"), acting("anna on pts/2"):
+        publish(server, "linear: {x: 0.1}")
+    with (
+        on_console("pub"),
+        acting("bert on pts/1"),
+        pytest.raises(EngineError, match=pattern(PublishProblem.ANOTHER_DRIVES)),
+    ):
+        publish(server, "linear: {x: 0.5}")
+    eventually(lambda: speeds(motors)[:1] == [0.1], 10)
 
 
 def test_a_console_that_goes_ends_the_motion(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
@@ -484,7 +552,8 @@ def test_tickets_of_another_engine_are_void(bridge: Bridge, robot: Domain, pc: D
     server, client = driven(bridge, pc, consoles)
     ticket = publish(server, "").ticket
     assert server.publish("/cmd", "", ticket=ticket).result(30).is_done
-    assert not server.publish("/cmd", "", ticket=publish(client, "", type_name=TWIST).ticket).result(30).is_done
+    another = publish(client, "", "/text", type_name=STRING).ticket
+    assert not server.publish("/cmd", "", ticket=another).result(30).is_done
 
 
 def test_a_demand_of_another_type_is_no_demand(bridge: Bridge, robot: Domain) -> None:

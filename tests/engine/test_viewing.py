@@ -8,7 +8,7 @@ import signal
 import time
 from collections import Counter
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
 
     from rsb_bridge.engine import Engine
+    from rsb_bridge.link.link import Link
     from rsb_bridge.model.pictures import Viewed
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.view.worker import Task
@@ -92,6 +93,16 @@ def looked_while(talker: Talker, engine: Engine, topic: str, wish: Wish = WISH, 
         if viewed is not None and viewed.picture.content is not None:
             return viewed
         future = engine.look(about.get("viewer", "me"), (topic,), wish, about.get("link", ""))
+
+
+def drawing(link: Link) -> dict[Any, Any]:
+    """Return the views of a link that are being drawn."""
+    return link.views._drawing
+
+
+def viewer(engine: Engine) -> Any:
+    """Return the views of the console `me`."""
+    return inside(engine)._viewing._views["me"]
 
 
 def views(engine: Engine) -> list[str]:
@@ -180,10 +191,10 @@ def test_a_right_that_is_taken_away_ends_the_view(bridge: Bridge, robot: Domain)
     eventually(lambda: linked(client) and linked(server))
     looked_while(talker, server, "/pose")
     (link,), context = inside(client).links(), inside(client).context
-    assert link.views._drawing
+    assert drawing(link)
     denied = msgspec.structs.replace(context.session, deny=(Grant("/pose", may="look"),))
     context.call(lambda: setattr(context, "session", denied))
-    eventually(lambda: not link.views._drawing, 30)
+    eventually(lambda: not drawing(link), 30)
 
     def refused() -> bool:
         try:
@@ -253,7 +264,7 @@ def test_a_peer_names_topics_as_rights_do(
     with pytest.raises(EngineError, match=pattern(TopicMistake.NOT_ABSOLUTE)):
         server.look("me", (name,), WISH, "robot1").result(30)
     (link,) = inside(client).links()
-    assert not link.views._drawing
+    assert not drawing(link)
 
 
 @pytest.mark.parametrize("name", NO_NAMES)
@@ -327,7 +338,7 @@ def test_a_picture_is_of_the_topic_that_was_asked_for_last(bridge: Bridge, pc: D
     for _ in range(20):  # another picture waits for the viewer
         talker()
         time.sleep(0.02)
-    own = inside(server)._viewing._views["me"]
+    own = viewer(server)
     eventually(own.news.is_set)
 
     def text() -> Viewed | None:
@@ -342,10 +353,10 @@ def test_a_view_goes_on_over_a_new_connection(bridge: Bridge, robot: Domain) -> 
     server, client = bridge.both()
     looked_while(talker, server, "/pose")
     (link,), context = inside(client).links(), inside(client).context
-    before = {view for view, _ in link.views._drawing.values()}
+    before = {view for view, _ in drawing(link).values()}
     assert before
     context.call(link.fail)
-    eventually(lambda: before.isdisjoint(view for view, _ in link.views._drawing.values()), 30)
+    eventually(lambda: before.isdisjoint(view for view, _ in drawing(link).values()), 30)
     eventually(lambda: linked(client) and linked(server), 30)
 
     def looked_again() -> bool:
@@ -356,7 +367,7 @@ def test_a_view_goes_on_over_a_new_connection(bridge: Bridge, robot: Domain) -> 
         return True
 
     eventually(looked_again, 60)
-    assert len(views(server)) == len(views(client)) == len(link.views._drawing) == 1
+    assert len(views(server)) == len(views(client)) == len(drawing(link)) == 1
     assert all(not view._feeds and view._is_closed for view in before)
 
 
@@ -379,7 +390,7 @@ def test_messages_are_counted_from_the_beginning_of_the_view(bridge: Bridge, pc:
     looked_while(talker, server, "/pose")
     before = looked_while(talker, server, "/pose").picture.messages
     unreliable = pc.publisher("/pose", PoseStamped, qos=QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
-    view = inside(server)._viewing._views["me"].own
+    view = viewer(server).own
     assert view is not None
     first = view._feeds["/pose"]
 

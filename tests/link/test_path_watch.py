@@ -59,9 +59,10 @@ class Path:
             for stream, packets in ((self.control, 2), (self.data, 0 if stalled else rate)):
                 lost = sum(self._random.random() < loss for _ in range(packets))
                 before = self._packets[stream]
+                again = int(stalled > 0 and stream is self.data)
                 self._packets[stream] = PacketCounts(
-                    before.sent + packets,
-                    before.lost + lost,
+                    before.sent + packets + again,
+                    before.lost + lost + again,
                     before.acknowledged + PACKET * (packets - lost),
                     stalled if stream is self.data else 0,
                     2 if stalled and stream is self.data else 0,
@@ -132,6 +133,15 @@ def test_what_a_full_link_loses_is_not_the_path() -> None:
     path.pass_(10)
     path.pass_(30, loss=0.3, ping=PING + 0.04)
     assert set(path.told) == {None}
+
+
+def test_a_lossy_path_that_fills_up_stays_lossy_for_a_while() -> None:
+    path = Path()
+    path.pass_(10, loss=0.3)
+    path.pass_(10, loss=0.3, ping=PING + 0.04)
+    assert path.cause is LinkCause.LOSSY
+    path.pass_(20, loss=0.3, ping=PING + 0.04)
+    assert path.cause is None
 
 
 def test_large_packets_are_lost_once_a_new_stream_proves_it() -> None:

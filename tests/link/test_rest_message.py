@@ -19,7 +19,8 @@ from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, Disarmed
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lease import LASTS
-from rsb_bridge.route.rest_message import EVERY, TIMES
+from rsb_bridge.route.rest_message import EVERY, TIMES, RestMessage
+from rsb_bridge.route.source_publishers import SourcePublishers
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import with_number
 from rsb_bridge.wire.messages import Describe
@@ -56,18 +57,26 @@ class Heard(NamedTuple):
 
 
 class Robot(NoRos):
-    """The robot's ROS, which notes what is published."""
+    """The robot's ROS, which notes what is published.
+
+    Attributes:
+        heard: by the robot's nodes.
+        installed: types.
+        open_at_rest: whether a publisher of a message that moves was open when another message came.
+        voices: all publishers so far.
+    """
 
     def __init__(self, loop: VirtualLoop) -> None:
         super().__init__()
         self.installed = (TWIST, POSE)
         self.heard: list[Heard] = []
-        self.open = 0
+        self.voices: list[Voice] = []
+        self.open_at_rest = False
         self._loop = loop
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Voice:
-        self.open += 1
-        return Voice(self, self._loop, self.open)
+        self.voices.append(Voice(self, self._loop, len(self.voices) + 1))
+        return self.voices[-1]
 
     def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
         if type_name not in self.installed:
@@ -91,14 +100,19 @@ class Voice:
 
     def __init__(self, robot: Robot, loop: VirtualLoop, number: int) -> None:
         self.gid = bytes([number]) * 16
-        self._robot, self._loop, self._is_open = robot, loop, True
+        self._robot, self._loop = robot, loop
+        self.is_open, self.has_moved = True, False
 
     def publish(self, payload: bytes) -> None:
-        assert self._is_open
+        assert self.is_open
+        if bytes(payload) == MOVES:
+            self.has_moved = True
+        else:
+            self._robot.open_at_rest |= any(each.is_open and each.has_moved for each in self._robot.voices)
         self._robot.heard.append(Heard(self._loop.time(), bytes(payload)))
 
     def close(self) -> None:
-        self._is_open = False
+        self.is_open = False
 
 
 class Driven:
@@ -224,14 +238,35 @@ def test_the_robot_rests_at_once_however_it_is_disarmed(
     ends(driven, at)
     hear_all(driven.pair)
     assert driven.robot.heard[1:] == [(began, RESTS)]
+    assert not driven.robot.open_at_rest
     for _ in range(20):
-        driven.drive(half=half, number=number)  # what was under way
+        driven.drive(half=half, number=number)  # messages that were in flight
         driven.wait(0.05)
     rests = driven.robot.heard[1:]
     assert {each.payload for each in rests} == {RESTS}
     assert len(rests) == TIMES
     assert rests[-1].at - began == pytest.approx(EVERY * (TIMES - 1), abs=0.01)
     assert not loop.errors
+
+
+@pytest.mark.parametrize(
+    ("owner", "rule"),
+    [(IncomingRoute, "lapsed"), (RestMessage, "begin"), (RestMessage, "moved"), (SourcePublishers, "close")],
+)
+def test_each_rule_is_needed(
+    owner: type, rule: str, driven: Driven, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without it, the robot moves on, or a publisher is left open that may still deliver what moves."""
+    by_an_operator(driven, 1)
+    hear_all(driven.pair)
+    driven.describe()
+    arm(driven.pair[1], loop).result()
+    let_time_pass(driven.pair, loop, 0.5)
+    monkeypatch.setattr(owner, rule, lambda *_: None)
+    driven.drive()
+    by_an_operator(driven, 1)
+    hear_all(driven.pair)
+    assert driven.payloads[-1] == MOVES or driven.robot.open_at_rest
 
 
 def test_the_robot_rests_once_the_sides_no_longer_hear_each_other(driven: Driven, loop: VirtualLoop) -> None:
@@ -323,7 +358,7 @@ def test_the_more_careful_session_says_what_follows(
     loop: VirtualLoop,
     make_context: Callable[..., Context],
 ) -> None:
-    """Of two messages the robot's counts; both sides show which."""
+    """The robot's message counts; both sides show it."""
     driven = Driven(loop, make_context, on_end=on_end, there=there)
     driven.drive()
     assert driven.half.on_end == shown

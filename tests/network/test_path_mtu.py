@@ -46,7 +46,7 @@ def test_large_packets_that_vanish_without_a_word(
     for topic in ("/scan", "/odom"):
         bridge.robot.talk(topic, rate=5, size=_LARGE)
     for side, who in ((bridge.client, ""), (bridge.server, "robot1: ")):
-        eventually(lambda side=side: side.link().get("cause") == LinkCause.LARGE_PACKETS, what="the link says it")
+        eventually(lambda side=side: side.link().get("cause") == LinkCause.LARGE_PACKETS, what="the link shows it")
         for topic in ("/scan", "/odom"):
             reason = _remedied(side, topic, "down", Cause.NO_PATH, "MTU")
             assert reason.startswith("robot1: ") is bool(who), reason

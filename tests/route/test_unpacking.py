@@ -102,7 +102,7 @@ def test_each_turn_has_one_that_grows_much(loop: HeldLoop, make_context: Callabl
 
 
 class HeldLoop(VirtualLoop):
-    """A loop whose other threads work when they are told.
+    """A loop whose other threads work on the test's command.
 
     Attributes:
         held: their work, and what gets its result.

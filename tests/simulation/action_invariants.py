@@ -175,26 +175,36 @@ def _offered(run: Run, action: ActionFlow) -> bool:
     return any(each.node == node for each in servers[action.near_services[0]])
 
 
+def pending(route: CallsRoute) -> Any:
+    """Return the table of a half's calls in flight."""
+    return route._pending  # type: ignore[attr-defined]
+
+
+def queued(route: CallsRoute) -> list[CallFrame]:
+    """Return the frames of a half that wait for its channel."""
+    return list(route._outbox._frames.values())
+
+
 def in_flight(route: CallsRoute) -> int:
     """The calls of a half for which anybody waits."""
     action = route.action if isinstance(route, CallingRoute) else None
     waiting = len(action.waiting) if action is not None else 0
-    return len(route._pending) + waiting  # type: ignore[attr-defined]
+    return len(pending(route)) + waiting
 
 
 def left_of_ended_calls(route: CallsRoute) -> list[str]:
     """Return tables of a half that still hold ended calls."""
-    pending = route._pending  # type: ignore[attr-defined]
+    calls = pending(route)
     found = [
         f"{frame.what.name} {frame.call} in the outbox"
-        for frame in route._outbox._frames.values()
-        if frame.call and frame.what.name != "REFUSED" and frame.call not in pending
+        for frame in queued(route)
+        if frame.call and frame.what.name != "REFUSED" and frame.call not in calls
     ]
     if isinstance(route, ProvidingRoute):
-        found += [f"number {number}" for number, call in route._by_number.items() if call not in pending]
+        found += [f"number {number}" for number, call in route._by_number.items() if call not in calls]
         kept = route.action.answers._kept.items() if route.action is not None else ()
-        found += [f"{each} of {what}" for what, one in kept for each in one.calls if each not in pending]
-    if not len(pending) and pending._timer is not None and not pending._deadlines:
+        found += [f"{each} of {what}" for what, one in kept for each in one.calls if each not in calls]
+    if not len(calls) and calls._timer is not None and not calls._deadlines:
         found.append("a timer")
     return found
 
@@ -204,8 +214,8 @@ def left_at_rest(route: CallsRoute) -> list[str]:
     found = left_of_ended_calls(route)
     tables: dict[str, object] = {
         "calls in flight": route.calls.in_flight,
-        "calls under way": len(route._pending),  # type: ignore[attr-defined]
-        "frames": len(route._outbox._frames),
+        "calls under way": len(pending(route)),
+        "frames": len(queued(route)),
     }
     if isinstance(route, CallingRoute) and (caller := route.action) is not None:
         tables |= {"waiting calls": len(caller.waiting), "running goals": len(caller.goals.running())}

@@ -6,6 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
+from tests.simulation.action_invariants import queued
 from tests.simulation.call_harness import CallHarness
 from tests.simulation.test_calls import lived, until
 from tests.support.goals import cancel_request, goal, goal_request
@@ -134,7 +135,7 @@ def test_calls_that_expire_while_nothing_gets_through_hold_nothing(play: Play, m
                 server.answer()
                 await asyncio.sleep(5.0)
                 assert harness.counted()[answers].expired == 100
-                assert not half._outbox._frames
+                assert not queued(half)
 
     lived(play, harness, live())
 

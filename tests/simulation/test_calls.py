@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
 import pytest
+from tests.simulation.action_invariants import pending
 from tests.simulation.call_harness import SETTLED, TYPE, CallHarness
 from tests.simulation.ros import hash_of
 
@@ -63,7 +64,7 @@ async def until(condition: Callable[[], object], within: float) -> None:
 
 def under_way(route: CallsRoute) -> list[Call]:
     """The calls of a half."""
-    return list(route._pending._calls.values())  # type: ignore[attr-defined]
+    return list(pending(route)._calls.values())
 
 
 def say(harness: CallHarness) -> tuple[tuple[State, str], tuple[State, str]]:

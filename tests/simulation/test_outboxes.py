@@ -6,6 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.simulation.action_invariants import queued
 from tests.simulation.call_harness import CallHarness
 from tests.simulation.test_calls import lived, until
 
@@ -33,12 +34,12 @@ def test_nothing_waits_of_calls_that_have_expired(provider: str, play: Play) -> 
             for _ in range(100):
                 client.ask(random.randbytes(20_000))
             await asyncio.sleep(1.0)
-            assert near._outbox._frames
-            assert far._outbox._frames
+            assert queued(near)
+            assert queued(far)
             await asyncio.sleep(1.5)
             assert [calls.in_flight for calls in harness.counted()] == [0, 0]
-            assert not near._outbox._frames
-            assert not far._outbox._frames
+            assert not queued(near)
+            assert not queued(far)
             assert "did not answer" not in far.calls.last_failure, "the node did, and the link is at fault"
 
     lived(play, harness, live())

@@ -20,10 +20,10 @@ class Consoles:
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
-    def arm(self, engine: Engine, topic: str = "/cmd") -> None:
+    def arm(self, engine: Engine, topic: str = "/cmd", *, shared: bool = False) -> None:
         """Arm a topic on an engine's console."""
         self._engines.add(engine)
-        engine.arm(route(engine, topic).key).result(30)
+        engine.arm(route(engine, topic).key, shared=shared).result(30)
 
     def _run(self) -> None:
         while not self._ended.wait(0.5):

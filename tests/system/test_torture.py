@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.locks import domains_of
-from tests.system.torture import ages, attacks, demands
+from tests.support.long import long_cases
+from tests.system.torture import ages, attacks, demands, rests
 from tests.system.torture.ends import WITNESS, Arrival
 from tests.system.torture.judge import Window, judge
 from tests.system.torture.stage import TOPIC, Nodes
@@ -55,6 +56,25 @@ def test_nothing_old_reaches_the_robot(nodes: Nodes, name: str, transport: Trans
 
 def test_nothing_reaches_the_robot_after_an_operator_was_told_that_it_is_disarmed(nodes: Nodes) -> None:
     check(attacks.attack(nodes, "disarm-data-held", "tcp"))
+
+
+@pytest.mark.parametrize(
+    ("name", "transport", "driver"),
+    [
+        ("cut", "udp", "node"),
+        ("pc: disarm", "tcp", "hand"),
+        ("robot: SIGTERM", "tcp", "hand on robot"),
+        *long_cases(
+            ("pc: kill -9", "zenoh", "node"), ("router stopped", "zenoh", "hand"), ("robot: edit", "udp", "hand")
+        ),
+    ],
+)
+def test_the_last_message_at_the_robot_rests_however_its_arming_ends(
+    nodes: Nodes, name: str, transport: Transport, driver: rests.Driver
+) -> None:
+    """When it comes is for `python -m tests.system.torture rests`, on a machine with nothing else to do."""
+    found = rests.run(nodes, name, transport, driver)
+    assert (found.last, found.moving_after_rest) == ("rest", 0), found
 
 
 @pytest.mark.long

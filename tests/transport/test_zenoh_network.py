@@ -73,6 +73,21 @@ async def in_network(router: Router, service: str = "server", *watched: str) -> 
         network.close()
 
 
+def waiting_bytes(endpoint: Endpoint) -> int:
+    """Return the bytes that wait for the endpoint's loop."""
+    return endpoint._waiting_bytes
+
+
+def budget_of(endpoint: Endpoint) -> Strangers:
+    """Return the endpoint's budget for strangers."""
+    return endpoint._strangers
+
+
+def soon(endpoint: Endpoint, work: Callable[[], object]) -> None:
+    """Have the endpoint's loop do something, as Zenoh's threads do."""
+    endpoint._soon(work)  # type: ignore[arg-type]
+
+
 async def known_stranger(router: Router, server: Endpoint) -> Any:
     """Return a stranger whose router knows the endpoint; before that it drops samples."""
     other = stranger(router)
@@ -225,7 +240,7 @@ def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: pytest.
                 other.put(key, bytes(1000), congestion_control=zenoh.CongestionControl.BLOCK)
             eventually(lambda: len(counted) == 500)  # the loop has had no turn
             other.close()
-            await until(lambda: server._waiting_bytes == 0)
+            await until(lambda: waiting_bytes(server) == 0)
             assert len(came) == 100_000 // (1000 + endpoints._OVERHEAD)
 
     asyncio.run(test())
@@ -244,7 +259,7 @@ def test_a_long_sample_of_a_stranger_is_neither_copied_nor_queued(router: Router
             other.put(f"{at}/{'2' * 16}", bytes(STRANGER_LIMIT), attachment=Header(Kind.DATA, 0, 0).pack())
             await until(lambda: asked)
             assert asked == ["2" * 16]
-            assert server._strangers.turned_away == 1
+            assert budget_of(server).turned_away == 1
             other.close()
 
     asyncio.run(test())
@@ -318,11 +333,11 @@ def test_what_strangers_send_takes_no_room_from_peers(router: Router) -> None:
             for number in range(500):
                 other.put(f"{at}/{number:016x}/{NOBODY}", bytes(1000), **settings)
             other.put(f"{at}/{NOBODY}/{NOBODY}", bytes(1_000_000), **settings)
-            eventually(lambda: server._waiting_bytes)  # the loop has had no turn
+            eventually(lambda: waiting_bytes(server))  # the loop has had no turn
             await until(lambda: peer.came)
-            assert server._strangers.used == 0
+            assert budget_of(server).used == 0
             assert len(asked) == 100_000 // (1000 + endpoints._OVERHEAD)
-            assert server._strangers.turned_away == 500 - len(asked)
+            assert budget_of(server).turned_away == 500 - len(asked)
             other.close()
 
     asyncio.run(test())
@@ -346,7 +361,7 @@ def test_few_first_samples_of_strangers_wait(router: Router) -> None:
             for number in range(1000):
                 other.put(f"{at}/{number:016x}/{NOBODY}", b"x", **settings)
             other.put(f"{at}/{NOBODY}/{NOBODY}", b"x", **settings)
-            eventually(lambda: server._waiting_bytes)  # the loop has had no turn
+            eventually(lambda: waiting_bytes(server))  # the loop has had no turn
             await until(lambda: before and not server._of_strangers)
             assert before[0] <= endpoints._STRANGERS_AT_A_TIME
             assert len(asked) == endpoints._STRANGERS_WAIT
@@ -371,7 +386,7 @@ def test_what_comes_while_a_stream_is_proven_stays_in_order(router: Router) -> N
                         self.trusted = True
                         server.trust(NOBODY, NOBODY)
                         put(5)
-                        eventually(lambda: server._waiting_bytes)
+                        eventually(lambda: waiting_bytes(server))
 
             end = Proving(trusted=False)
             server.add(NOBODY, NOBODY, end)
@@ -412,7 +427,7 @@ def test_a_flood_does_not_keep_the_loop_from_its_other_work() -> None:
             async with in_network(router) as server:
                 turns: list[int] = []
                 for number in range(5 * endpoints._AT_A_TIME):
-                    server._soon(lambda number=number: turns.append(number))  # type: ignore[misc]
+                    soon(server, lambda number=number: turns.append(number))  # type: ignore[misc]
                 seen_at: list[int] = []
                 while len(turns) < 5 * endpoints._AT_A_TIME:
                     await asyncio.sleep(0)
@@ -429,8 +444,8 @@ def test_one_arrival_that_fails_does_not_hold_up_the_next(router: Router) -> Non
         asyncio.get_running_loop().set_exception_handler(lambda *_: None)
         async with in_network(router) as server:
             done: list[bool] = []
-            server._soon(lambda: 1 // 0)  # type: ignore[arg-type]
-            server._soon(lambda: done.append(True))
+            soon(server, lambda: 1 // 0)
+            soon(server, lambda: done.append(True))
             await until(lambda: done)
 
     asyncio.run(test())

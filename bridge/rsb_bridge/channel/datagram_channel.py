@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.channel import Counts, Pace
 from rsb_bridge.channel.udp_channel import BufferShortage
-from rsb_bridge.transport.streams import BATCH_BYTES
+from rsb_bridge.transport.streams import BATCH_BYTES, PacketCounts
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.wire.datagram import Receipt
 
@@ -247,10 +247,10 @@ class DatagramSender(_DatagramChannel):
         """Seconds since a receipt told of further datagrams; infinite before the first."""
         return self._loop.time() - self._receipted_at
 
-    def packets(self) -> tuple[int, int]:
-        """Return how many datagrams were sent and lost, by the last receipt."""
+    def packets(self) -> PacketCounts:
+        """Return the counts of datagrams, by the last receipt."""
         newest, opened = self._receipted
-        return newest + 1, newest + 1 - opened
+        return PacketCounts(newest + 1, max(0, newest + 1 - opened), newest + 1, 0, 0)
 
     def _note_arrivals(self, opened: int, now: float) -> None:
         arrivals = self._arrivals

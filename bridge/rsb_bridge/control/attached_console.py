@@ -13,6 +13,8 @@ from rsb_bridge.control import protocol
 from rsb_bridge.control.features import FEATURES, known_features, knows_all, with_unknown_kept, without_unknown
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
+from rsb_bridge.control.tickets import TicketClock
+from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.command_origin import acting, on_console, undoing
 from rsb_bridge.model.commands import ArmTopic, Right, Stop
 from rsb_bridge.model.wording import Wording
@@ -40,6 +42,7 @@ class RequestRefused(Wording):
 
     READ_ONLY = "{reason}: nothing can be changed"
     ATTACHED_READ_ONLY = "attached read-only"
+    LATE = "the command came too late: its way to the bridge, or this program, was held up; give it again"
     TOO_MANY_WAITING = "{count} requests already wait for an answer: try again later"
 
 
@@ -137,6 +140,7 @@ class Console:
         self._welcomed = False
         self._tasks = Tasks(self._loop, self.abort)
         self._requests = 0
+        self._tickets = TicketClock()
         self._has_armed = False
         self._born = self._taken_at = self._loop.time()
         self._waiting = 0
@@ -237,6 +241,8 @@ class Console:
             self.send(protocol.Failed(request.id, RequestRefused.READ_ONLY(reason=reason)))
         elif self._requests >= protocol.REQUESTS_WAITING:
             self.send(protocol.Failed(request.id, RequestRefused.TOO_MANY_WAITING(count=protocol.REQUESTS_WAITING)))
+        elif request.command.expires and not 0 <= self._tickets.age(request.ticket) <= TICKET_LIFE:
+            self.send(protocol.Failed(request.id, RequestRefused.LATE(), late=True, ticket=self._tickets.issue()))
         else:
             self._requests += 1
             self._has_armed |= isinstance(request.command, ArmTopic)
@@ -249,14 +255,14 @@ class Console:
         try:
             with acting(self._operator), undoing(request.undo), on_console(self):
                 result = await self._execute(request.id, command)
-            reply: ToConsole = protocol.reply(request.id, result)
+            reply: protocol.Reply | protocol.Failed = protocol.reply(request.id, result)
         except EngineError as error:
             reply = protocol.Failed(request.id, str(error), isinstance(error, InvalidRequestError))
         finally:
             self._requests -= 1
         if command.right is Right.CHANGE and self._sender.sent is not None and self._buffered == 0:
             await self._send_state()  # before the reply: the operator wants to see the effect
-        self.send(reply)
+        self.send(msgspec.structs.replace(reply, ticket=self._tickets.issue()))
 
     async def _execute(self, request: int, command: AnyCommand) -> object:
         done = asyncio.wrap_future(self._engine.do(command, lambda text: self._step(request, text)))
@@ -337,7 +343,7 @@ class Console:
             for state in self._sender.differences(
                 snapshot, session, waits_for_operator=engine.waits_for_operator, encoded=encoded
             ):
-                self.send(state)
+                self.send(state if state.more else msgspec.structs.replace(state, ticket=self._tickets.issue()))
                 if state.more:
                     await asyncio.sleep(_PAUSE)
             encoded.keep_only(snapshot)

@@ -84,6 +84,7 @@ class RequestProblem(Wording):
 
     TOO_LONG = "this command is too long: {length:,} bytes"
     NOT_UNICODE = "this command has bytes that are no Unicode text: write it in UTF-8"
+    TOO_LATE = "not done: the bridge answers too slowly, or this program stood still; give the command again"
     UNEXPECTED_REPLY = "unexpected reply to this command"
     INVALID_PICTURE = "the bridge sent no valid picture: {error}"
 
@@ -189,11 +190,13 @@ class Request(_Message, frozen=True, tag="request"):
         id: of the console's choosing.
         command: what to do.
         undo: whether it takes back an earlier command of this console; the bridge's log marks it.
+        ticket: the newest one that the console has (`rsb_bridge.control.tickets`).
     """
 
     id: int
     command: AnyCommand
     undo: bool = False
+    ticket: int = 0
 
 
 class PollState(_Message, frozen=True, tag="look"):
@@ -236,6 +239,7 @@ class State(_Message, frozen=True, tag="state"):
         session: as in `rsb_bridge.api.EngineApi`, or None if unchanged.
         waits_for_operator: as in `rsb_bridge.api.EngineApi`.
         refused: as in `rsb_bridge.model.snapshot.Snapshot`.
+        ticket: for requests of the next moment.
     """
 
     routes: tuple[msgspec.Raw, ...] = ()
@@ -250,6 +254,7 @@ class State(_Message, frozen=True, tag="state"):
     session: Session | None = None
     waits_for_operator: bool = False
     refused: tuple[RefusedClient, ...] = ()
+    ticket: int = 0
 
 
 class Events(_Message, frozen=True, tag="events"):
@@ -296,6 +301,7 @@ class Reply(_Message, frozen=True, tag="reply"):
         viewed: the result of `Look`.
         draft: the result of `DraftMessage`.
         published: the result of `Publish`.
+        ticket: for requests of the next moment.
     """
 
     id: int
@@ -306,6 +312,7 @@ class Reply(_Message, frozen=True, tag="reply"):
     viewed: Viewed | None = None
     draft: Draft | None = None
     published: Published | None = None
+    ticket: int = 0
 
 
 class Failed(_Message, frozen=True, tag="failed"):
@@ -315,11 +322,15 @@ class Failed(_Message, frozen=True, tag="failed"):
         id: of the request.
         reason: in words.
         invalid: whether the request itself is wrong, as in `rsb_bridge.api.InvalidRequestError`.
+        late: whether its ticket was too old; it may be repeated with the new one if its operator still wants it.
+        ticket: for requests of the next moment.
     """
 
     id: int
     reason: str
     invalid: bool = False
+    late: bool = False
+    ticket: int = 0
 
 
 class Goodbye(_Message, frozen=True, tag="goodbye"):

@@ -21,10 +21,11 @@ from rsb_bridge.control.control_sockets import AttachProblem, ControlError, NotS
 from rsb_bridge.control.features import hello, known_features, missing_feature, older_bridge_text
 from rsb_bridge.control.protocol import Failed, ProtocolError, Reply, Request, RequestProblem, Step, UnexpectedMessage
 from rsb_bridge.control.states import Receiver, out_of_reach
+from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import is_undo
-from rsb_bridge.model.commands import R
+from rsb_bridge.model.commands import Publish, R
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.telemetry.event_log import EventLog
@@ -65,6 +66,8 @@ class RemoteEngine(EngineApi):
         clock: the wall clock, or None for the machine's.
 
     Attributes:
+        given_at: the time (s) of `Clock.steady` when the operator gave the commands that this engine gets, or None for
+            the time when it gets them.
         bridge: the description of its bridge, from `start` on.
         read_only: whether the bridge refuses all changes, from `start` on.
         same_machine: whether the files that the bridge names are this machine's.
@@ -77,6 +80,8 @@ class RemoteEngine(EngineApi):
         self.same_machine = self._way.same_machine
         self._untrusted = None if self.same_machine else UntrustedMessages(time.monotonic())
         self._wants_read_only = read_only
+        self.given_at: float | None = None
+        self._ticket = 0
         self.bridge: BridgeInfo
         self.features: frozenset[str] = frozenset()
         self._log = EventLog(clock or Clock())
@@ -171,8 +176,10 @@ class RemoteEngine(EngineApi):
 
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
         future: Future[R] = Future()
+        given_at = Clock.steady() if self.given_at is None else self.given_at
+        waiting = _Waiting(command, future, step, is_undo(), given_at)
         try:
-            self._loop.call_soon_threadsafe(self._send_request, _Waiting(command, future, step), is_undo())
+            self._loop.call_soon_threadsafe(self._send_request, waiting)
         except RuntimeError:
             future.set_exception(EngineError(AttachProblem.DETACHED()))
         return future
@@ -250,13 +257,20 @@ class RemoteEngine(EngineApi):
                 if self._receiver is None:
                     raise ProtocolError(UnexpectedMessage.STATE_BEFORE_WELCOME())
                 if self._receiver.take(message):
+                    self._ticket = message.ticket
                     self._show(self._receiver)
                     return True
             case protocol.Events():
                 for event in message.events:
                     self._log.append(event)
                     self._followed = event.number
-            case protocol.Step() | protocol.Reply() | protocol.Failed():
+            case protocol.Failed(late=True):
+                self._ticket = message.ticket
+                self._send_request(self._requests.again(message))
+            case protocol.Reply() | protocol.Failed():
+                self._ticket = message.ticket or self._ticket
+                self._requests.take(message)
+            case protocol.Step():
                 self._requests.take(message)
             case protocol.Summary():
                 raise ProtocolError(UnexpectedMessage.UNASKED_SUMMARY())
@@ -322,14 +336,18 @@ class RemoteEngine(EngineApi):
 
     # --- requests
 
-    def _send_request(self, waiting: _Waiting[R], undo: bool) -> None:
+    def _send_request(self, waiting: _Waiting[R]) -> None:
+        """Send a command, unless its operator has waited so long that it may no longer be wanted."""
+        if waiting.is_old:
+            waiting.fail(EngineError(RequestProblem.TOO_LATE()))
+            return
         if self._connection is None:
             waiting.fail(EngineError(f"not attached: {self._lost}"))
             return
         if feature := missing_feature(waiting.command, self.features):  # the bridge would end the connection
             waiting.fail(self.lacks(feature))
             return
-        request = self._requests.new(waiting, undo=undo)
+        request = self._requests.new(waiting, self._ticket)
         try:
             size = len(protocol.encode(request))
         except UnicodeEncodeError:
@@ -349,11 +367,21 @@ class _Waiting(Generic[R]):
         command: as it was given.
         future: gets the result.
         step: called with each step of a restart, or None.
+        undo: whether it takes back an earlier command.
+        given_at: the time (s) of `Clock.steady` when the operator gave it.
     """
 
     command: Command[R]
     future: Future[R]
     step: Callable[[str], None] | None
+    undo: bool
+    given_at: float
+
+    @property
+    def is_old(self) -> bool:
+        """Whether nobody may want it any more: a velocity after a moment, anything else after some seconds."""
+        life = TICKET_LIFE if isinstance(self.command, Publish) and self.command.rest else OLD_AFTER
+        return self.command.expires and Clock.steady() - self.given_at > life
 
     def take(self, reply: Reply) -> None:
         if not self.future.set_running_or_notify_cancel():
@@ -375,11 +403,22 @@ class _Requests:
         self._ids = itertools.count(1)
         self._waiting: dict[int, _Waiting[Any]] = {}
 
-    def new(self, waiting: _Waiting[Any], *, undo: bool) -> Request:
-        """Return the message for a command; `undo` is whether it takes back an earlier command."""
+    def new(self, waiting: _Waiting[Any], ticket: int) -> Request:
+        """Return the message for a command."""
         number = next(self._ids)
         self._waiting[number] = waiting
-        return Request(number, cast("AnyCommand", waiting.command), undo)
+        return Request(number, cast("AnyCommand", waiting.command), waiting.undo, ticket)
+
+    def again(self, message: Failed) -> _Waiting[Any]:
+        """Return the command that a bridge refuses because it came late.
+
+        Raises:
+            ProtocolError: nobody has asked for that.
+        """
+        waiting = self._waiting.pop(message.id, None)
+        if waiting is None:
+            raise ProtocolError(UnexpectedMessage.UNASKED())
+        return waiting
 
     def take(self, message: Reply | Failed | Step) -> None:
         """Pass on what the bridge reports of a command.

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import errno
 import importlib.util
+import json
 import os
 import socket
+import subprocess
+import sys
 import time
 from functools import partial
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.advice import advise, missing_transports, uninstalled_types
+from rsb_bridge.config.advice import advise, guarded_here_alone, missing_transports, uninstalled_types
 from rsb_bridge.config.keys import KeyFileError, key_warnings, session_keys
+from rsb_bridge.config.validation import domain_of
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.doctor.finding import Check, Finding, Grade
 from rsb_bridge.doctor.machine import MachineText, bluetooth_adapters
@@ -21,11 +25,14 @@ from rsb_bridge.model import transports
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.session import Session
+
+_BASE_TIMEOUTS = (sys.executable, "-m", "rsb_bridge.ros.base_timeouts")
+_ASKED_FOR = 30.0  # s
 
 
 class NeedText(Wording):
@@ -44,10 +51,22 @@ class NeedText(Wording):
     NO_BLUETOOTH_SOCKETS = "the session uses Bluetooth, and this Python has no Bluetooth sockets"
     NO_ADAPTER = "the session uses Bluetooth, and this machine has no adapter"
     ADAPTER_REMEDY = "plug one in, or load its driver: rfkill list, and sudo dmesg | grep -i bluetooth"
+    BASE_STOPS = "{node} stops by itself when {topic} is silent ({timeouts})"
+    BASE_GOES_ON = "{node} has no parameter that stops it when {topic} is silent: it may go on if this bridge is killed"
+    BASE_REMEDY = "give the base a timeout, such as cmd_vel_timeout: 0.5, and try it with the wheels off the ground"
+    BASE_SILENT = "{node}, which {topic} drives, does not tell its parameters: try whether it stops by itself"
+    BASE_ABSENT = "no node subscribes to {topic} in domain {domain}: start the base to learn whether it stops by itself"
+    BASE_NOT_ASKED = "what {topics} drives could not be asked whether it stops by itself"
     NO_ZENOH = "the session uses Zenoh, and the package eclipse-zenoh is not installed"
 
 
-def checks(session: Session, path: Path, environ: Mapping[str, str], root: Path = Path("/")) -> tuple[Check, ...]:
+def checks(
+    session: Session,
+    path: Path,
+    environ: Mapping[str, str],
+    root: Path = Path("/"),
+    base_timeouts: Sequence[str] = _BASE_TIMEOUTS,
+) -> tuple[Check, ...]:
     """Return the checks of what a session needs.
 
     Args:
@@ -55,13 +74,47 @@ def checks(session: Session, path: Path, environ: Mapping[str, str], root: Path 
         path: of its file.
         environ: the environment.
         root: in place of ``/`` for ``/sys``.
+        base_timeouts: command that prints what `rsb_bridge.ros.base_timeouts` prints.
     """
     return (
         Check("ports", "ports", partial(_ports, session, path, environ)),
         Check("keys", "keys", partial(_keys, session, path)),
         Check("session", "session", partial(_transports, session, root)),
         Check("session", "session", partial(_advice, session, environ)),
+        Check("base", "base", partial(_base, session, environ, base_timeouts)),
     )
+
+
+def _base(session: Session, environ: Mapping[str, str], command: Sequence[str]) -> Iterator[Finding]:
+    """Find out whether what this bridge lets move stops by itself: the bridge cannot stop it if it is killed."""
+    names = tuple(dict.fromkeys(guarded_here_alone(session)))
+    if not names:
+        return
+    finding = partial(Finding, "base", subject="base")
+    try:
+        domain = domain_of(session, environ.get("ROS_DOMAIN_ID"))
+        ran = subprocess.run(  # noqa: S603 -- own program
+            [*command, str(domain), *names], capture_output=True, text=True, timeout=_ASKED_FOR, check=True
+        )
+        said: dict[str, dict[str, dict[str, float] | None]] = json.loads(ran.stdout.splitlines()[-1])
+    except (subprocess.SubprocessError, ValueError, IndexError):
+        yield finding(grade=Grade.UNKNOWN, text=NeedText.BASE_NOT_ASKED(topics=", ".join(names)))
+        return
+    for topic, nodes in said.items():
+        if not nodes:
+            yield finding(grade=Grade.UNKNOWN, text=NeedText.BASE_ABSENT(topic=topic, domain=domain))
+        for node, timeouts in nodes.items():
+            facts = {"topic": topic, "node": node, "timeouts": timeouts}
+            on = {name: value for name, value in (timeouts or {}).items() if value and value > 0}
+            if timeouts is None:
+                yield finding(grade=Grade.UNKNOWN, text=NeedText.BASE_SILENT(topic=topic, node=node), facts=facts)
+            elif on:
+                named = ", ".join(f"{name}: {value:g}" for name, value in on.items())
+                text = NeedText.BASE_STOPS(topic=topic, node=node, timeouts=named)
+                yield finding(grade=Grade.OK, text=text, facts=facts)
+            else:
+                text, remedy = NeedText.BASE_GOES_ON(topic=topic, node=node), NeedText.BASE_REMEDY()
+                yield finding(grade=Grade.WARNING, text=text, remedy=remedy, facts=facts)
 
 
 def _ports(session: Session, path: Path, environ: Mapping[str, str]) -> Iterator[Finding]:

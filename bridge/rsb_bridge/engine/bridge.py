@@ -45,6 +45,7 @@ from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.ros_graph import CALLED, graph_of
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.synthetic import resources
+from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.peeking import PeekError
 from rsb_bridge.route.topic_route import TopicRoute
@@ -382,6 +383,7 @@ class Bridge:
 
     async def _shut_down(self, _: commands.ShutDown) -> None:
         await self._publishing.end_motions()
+        self._arming.end_all(Disarmed.REOPENED)
         self._log.add(EventCode.OPERATOR_SHUT_DOWN, "shut down on both sides")
         self._role.shut_down(operator())
 
@@ -392,6 +394,7 @@ class Bridge:
                 step(message)
 
         await self._publishing.end_motions()
+        self._arming.end_all(Disarmed.REOPENED)
         self._log.add(EventCode.OPERATOR_RESTARTED, "restarted: all links are closed and opened again")
         await self._role.restart(report)
 
@@ -409,7 +412,7 @@ class Bridge:
         if dry_run:
             return [*self._dropped_by(session).values(), *(step.text for step in self._steps_to(session, keys))], []
         await self._publishing.end_motions()
-        self._arming.reloaded()
+        self._arming.end_all(Disarmed.RELOADED)
         return await self._reload(session, keys)
 
     def _dropped_by(self, session: Session) -> dict[Source, str]:

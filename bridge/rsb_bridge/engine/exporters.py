@@ -68,7 +68,9 @@ def _link(session: str, link: LinkSnapshot) -> Fields:
 def _route(session: str, route: RouteSnapshot) -> Fields:
     name = f"rsb {session}: {route.topic} {'to' if route.outgoing else 'from'} {route.link}"
     message = route.reason or (f"{route.rate:.1f} Hz" if route.state.flows else route.state.value)
-    values = _values(_TOPIC_FIGURES if route.calls is None else _CALL_FIGURES, route)
+    values = [*_values(_TOPIC_FIGURES if route.calls is None else _CALL_FIGURES, route)]
+    if route.arming is not None:
+        values.append(("armed by", route.arming.by))
     return _status(name, session, route.state.severity, message, values)
 
 

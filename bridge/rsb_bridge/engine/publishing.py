@@ -13,11 +13,13 @@ from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
 from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.link import topics_of_peer
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.link.topic_view import check_names
 from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.by_hand import TICKET_LIFE, Draft, Published
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.command_origin import console
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.qos import Qos, match_publishers, match_subscriptions
@@ -82,6 +84,7 @@ class PublishProblem(Wording):
     OTHER_VERSION = "{type_name} is installed here in another version than {topic} has: install that one"
     NOT_ARMED = "{topic} has to be armed{reason}: arm it first"
     ENDING = "{topic} is about to be disarmed, or the bridge to stop: nothing more is published by hand"
+    ANOTHER_DRIVES = "{topic} is armed by {who}, whose messages by hand pass alone: disarm it, then arm it yourself"
     NO_ROUTE_TO_ARM = "{topic} has to be armed, and no route of it is open: nothing can arm it"
     NO_DEADMAN = "{topic} cannot be driven: that needs arm: true and max_age on the topic, so that the robot stops"
 
@@ -309,6 +312,9 @@ class Publishing:
             raise LinkError(PublishProblem.NOT_ARMED(topic=topic, reason=f" ({reason})" if reason else ""))
         if armed and (self._ending[topic] or self._ending[_EVERY_TOPIC]):
             raise LinkError(PublishProblem.ENDING(topic=topic))
+        for route in armed:
+            if not route.arming.is_held_by(console(), acting_operator()):
+                raise LinkError(PublishProblem.ANOTHER_DRIVES(topic=topic, who=route.arming.by))
         if not armed and demand is not None and demand.arm:
             raise LinkError(PublishProblem.NO_ROUTE_TO_ARM(topic=topic))
         if driven and not (armed and all(_stops_by_itself(route) for route in routes)):
@@ -343,6 +349,8 @@ class Publishing:
         if not known:
             known = {expand_type_name(route.spec.type): set() for route in routes if route.spec.type != "auto"}
         name = expand_type_name(wanted) if wanted else ""
+        if not known and not name:
+            known = await self._types_there(routes)
         if not name and len(known) > 1:
             raise LinkError(PublishProblem.TYPES_DIFFER(topic=topic, types=", ".join(sorted(known))))
         name = name or next(iter(known), "")
@@ -354,6 +362,16 @@ class Publishing:
         if type_hash and known.get(name, set()) - {"", type_hash}:
             raise LinkError(PublishProblem.OTHER_VERSION(type_name=name, topic=topic))
         return _Resolved(name, type_hash, self._qos(topic, name, publishers, subscriptions, routes))
+
+    async def _types_there(self, routes: Sequence[TopicRoute[DataChannel]]) -> dict[str, set[str]]:
+        """Return the types that the other sides of routes know for their topics: of a robot's motors, for example."""
+        types: dict[str, set[str]] = {}
+        for route in routes:
+            with contextlib.suppress(LinkError):
+                for info in await topics_of_peer(self._links(), route.peer.name):
+                    if info.topic == route.far_topic and info.kind == "topic" and info.type_name:
+                        types[info.type_name] = set()
+        return types
 
     def _qos(
         self,

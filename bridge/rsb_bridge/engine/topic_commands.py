@@ -248,7 +248,7 @@ class ArmingCommands:
 
     async def arm(self, command: ArmTopic) -> None:
         link, route = self._find(command.key)
-        await link.table.arming.arm(route, console())
+        await link.table.arming.arm(route, console(), shared=command.shared)
 
     async def disarm(self, command: DisarmTopic) -> None:
         link, route = self._find(command.key)
@@ -266,10 +266,10 @@ class ArmingCommands:
         for link in self._links():
             link.table.arming.gone(console())
 
-    def reloaded(self) -> None:
-        """Disarm everything, because the session file may no longer fit what an operator has armed."""
+    def end_all(self, why: Disarmed) -> None:
+        """Disarm everything, before a change of the whole bridge: that takes time, in which robots would go on."""
         for link in self._links():
-            link.table.arming.disarm_all(Disarmed.RELOADED)
+            link.table.arming.disarm_all(why)
 
 
 async def _settled(routes: Iterable[Route]) -> None:

@@ -250,8 +250,13 @@ class LinkArming:
 
     # --- operators of this side
 
-    async def arm(self, route: Route, console: Hashable) -> None:
+    async def arm(self, route: Route, console: Hashable, *, shared: bool = False) -> None:
         """Arm a route for a console of this side; return once both sides count it as armed.
+
+        Args:
+            route: route to arm.
+            console: its holder.
+            shared: whether messages by hand of that operator's other consoles pass, too.
 
         Raises:
             LinkError: it cannot be armed now.
@@ -262,7 +267,7 @@ class LinkArming:
         answered = asyncio.Event()
         who = acting_operator()
         self.lease.hold()
-        arming.ask(who, console, self._context.now(), answered.set)
+        arming.ask(who, console, self._context.now(), answered.set, shared=shared)
         self._peer.send(Arm(route.id, who))
         await answered.wait()
         if not (arming.armed and arming.console == console):

@@ -17,13 +17,14 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.path_fault import PathFault, PathFaultText
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.transport.streams import PacketCounts
 from rsb_bridge.wire.records import PathRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
     from rsb_bridge.channel.datagram_channel import DatagramSender
-    from rsb_bridge.transport.streams import PacketCounts, Stream
+    from rsb_bridge.transport.streams import Stream
 
 _TICKS = 20
 """Ticks over which the share is averaged."""
@@ -36,7 +37,7 @@ _LOSSY_ABOVE, _WHOLE_BELOW = 0.05, 0.02
 _FORGOTTEN_AFTER = 10.0
 """s without a link after which it may go another way."""
 _PINGS = 3
-_QUEUE, _QUEUE_PART = 0.01, 0.25
+_QUEUE, _QUEUE_PART = 0.015, 0.25
 """s, and part of the shortest ping, by which all of the last pings take longer if a queue has built up on the path. If
 only packets are lost, some pings meet no loss."""
 _SILENT_AFTER = 2.5
@@ -52,6 +53,9 @@ _LARGE_AGAIN_AFTER = 10.0
 """s without a stalled stream after which large packets count as passing again."""
 STALLED = "nothing gets through it, though pings are answered"
 """The reason why a stalled stream is opened again."""
+
+
+_NOTHING = PacketCounts(0, 0, 0, 0, 0)
 
 
 class Pings(NamedTuple):
@@ -80,9 +84,17 @@ class _Loss:
         self.share: float | None = None
         self.lossy = 0.0
         self._ticks: deque[tuple[int, float]] = deque(maxlen=_TICKS)  # packets that count, and the part of them lost
+        self._skipped = 0
+
+    def skip(self) -> None:
+        """Leave a second out; after many in a row, begin again."""
+        self._skipped += 1
+        if self._skipped >= _TICKS:
+            self.clear()
 
     def tick(self, sent: int, lost: int) -> None:
-        """Take the packets of a second; none says nothing."""
+        """Take the packets of a second."""
+        self._skipped = 0
         counted = min(sent, _COUNTED)
         if lost and not any(part for _, part in self._ticks):
             self._ticks.clear()  # the share is that of the time since losses began
@@ -90,8 +102,6 @@ class _Loss:
         packets = sum(each for each, _ in self._ticks)
         if packets < _ENOUGH:
             self.share = None
-            if not packets:
-                self.lossy = 0.0
             return
         self.share = share = sum(part for _, part in self._ticks) / packets
         if self.lossy:
@@ -102,6 +112,7 @@ class _Loss:
     def clear(self) -> None:
         """Begin again."""
         self.share, self.lossy = None, 0.0
+        self._skipped = 0
         self._ticks.clear()
 
 
@@ -131,7 +142,7 @@ class PathWatch:
         self._large = False
         self._stalled_at = float("-inf")
         self._probe: tuple[int, int] | None = None  # answered pings and lost packets when the probe began
-        self._counts: dict[object, tuple[int, int, int]] = {}
+        self._counts: dict[object, PacketCounts] = {}  # of each carrier, when it last made progress
         self._pings: deque[float] = deque(maxlen=_PINGS)
         self._shortest = float("inf")
         self._ticked_at = float("-inf")
@@ -177,9 +188,11 @@ class PathWatch:
             self._loss.clear()
         self._ticked_at = now
         sent, lost, passed = self._gained(streams, senders)
-        if not passed or self._queues(pings.round_trip):
-            sent = lost = 0  # a gap, or a full link
-        self._loss.tick(sent, lost)
+        queues = self._queues(pings.round_trip)
+        if queues or not passed:  # a full link, or a gap
+            self._loss.skip()
+        else:
+            self._loss.tick(sent, lost)
         own = streams[control].lost if control in streams else 0
         stalled = self._probe_sizes(control, streams, pings, own, now, vanish=large_vanish)
         share = self._loss.share
@@ -191,19 +204,25 @@ class PathWatch:
 
     def _gained(
         self, streams: Mapping[Stream, PacketCounts], senders: Collection[DatagramSender]
-    ) -> tuple[int, int, int]:
-        """Return the packets sent and lost since the last tick, and how much was acknowledged."""
-        before = self._counts
-        self._counts = {stream: (each.sent, each.lost, each.acknowledged) for stream, each in streams.items()}
+    ) -> tuple[int, int, bool]:
+        """Return the packets sent and lost of the carriers that make progress, and whether any does.
+
+        A stalled stream counts once it goes on: until then, one that carries large packets may be all that is lost.
+        """
         # Datagrams are lost in full buffers, too. So they count only where TCP's losses are unknown.
-        if not streams:
-            self._counts |= {sender: (each[0], each[1], each[0]) for sender in senders if (each := sender.packets())}
-        sent = lost = passed = 0
-        for carrier, (all_sent, all_lost, all_passed) in self._counts.items():
-            sent_before, lost_before, passed_before = before.get(carrier, (0, 0, 0))
-            sent += max(0, all_sent - sent_before)
-            lost += max(0, all_lost - lost_before)
-            passed += max(0, all_passed - passed_before)
+        counts = dict[object, PacketCounts](streams.items()) or {each: each.packets() for each in senders}
+        before, self._counts = self._counts, {}
+        sent = lost = 0
+        passed = False
+        for carrier, now in counts.items():
+            then = before.get(carrier, _NOTHING)
+            if now.tries or now.acknowledged <= then.acknowledged:
+                self._counts[carrier] = then
+                continue
+            self._counts[carrier] = now
+            passed = True
+            sent += max(0, now.sent - then.sent)
+            lost += max(0, now.lost - then.lost)
         return sent, lost, passed
 
     def _queues(self, round_trip: float | None) -> bool:

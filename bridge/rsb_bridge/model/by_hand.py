@@ -6,6 +6,8 @@ import msgspec
 
 TICKET_LIFE = 1.0
 """s for which a ticket is valid: a command for a topic that has to be armed is not older than this."""
+OLD_AFTER = 5.0
+"""s after which a command that moves a robot is given up: what stood still for so long is no longer wanted."""
 REST_AFTER, LONGEST_REST = 0.5, 2.0
 """s, as usual and at most, after which an engine publishes by itself the message that ends a motion."""
 

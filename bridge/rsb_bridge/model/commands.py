@@ -49,6 +49,11 @@ class Command(msgspec.Struct, Generic[R_co], frozen=True, tag_field="is", omit_d
     refreshes: ClassVar[bool] = True
     cancellable: ClassVar[bool] = False
 
+    @property
+    def expires(self) -> bool:
+        """Whether an attached console's command is void if it comes late, because it may move a robot."""
+        return False
+
 
 class AddTopic(Command[str], frozen=True, tag="add"):
     """Bridge one more topic, or follow one more pattern. The result is the key of the route or the pattern.
@@ -100,6 +105,10 @@ class Pause(Command[None], frozen=True, tag="pause"):
     key: str
     paused: bool
 
+    @property
+    def expires(self) -> bool:
+        return not self.paused
+
 
 class Acknowledge(Command[None], frozen=True, tag="acknowledge"):
     """Acknowledge a fault until its state or its cause changes, or take that back.
@@ -118,10 +127,20 @@ class Acknowledge(Command[None], frozen=True, tag="acknowledge"):
 class ArmTopic(Command[None], frozen=True, tag="arm"):
     """Arm a topic for the console that gives the command; done once both sides hold it for armed.
 
-    The console has to keep the topic armed (`KeepArmed`).
+    The console has to keep the topic armed (`KeepArmed`). Only its messages by hand pass from then on.
+
+    Attributes:
+        key: of the route.
+        shared: whether messages by hand of that operator's other consoles pass, too: the commands of a shell are one
+            console each.
     """
 
     key: str
+    shared: bool = False
+
+    @property
+    def expires(self) -> bool:
+        return True
 
 
 class DisarmTopic(Command[None], frozen=True, tag="disarm"):
@@ -303,6 +322,10 @@ class Publish(Command[Published], frozen=True, tag="publish"):
     rest: str = ""
     rest_after: Annotated[float, Meta(gt=0, le=LONGEST_REST)] = REST_AFTER
 
+    @property
+    def expires(self) -> bool:
+        return True
+
 
 class Describe(Command[str], frozen=True, tag="describe"):
     """Find the description of a topic's type (`rsb_bridge.cdr.description`) on either side."""
@@ -337,6 +360,10 @@ class Call(Command[str], frozen=True, tag="call"):
     key: str
     request: str
     lane: str = ""
+
+    @property
+    def expires(self) -> bool:
+        return True
 
 
 class History(Command[HistoryReport], frozen=True, tag="history"):

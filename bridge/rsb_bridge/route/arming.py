@@ -107,6 +107,7 @@ class Arming:
         demanded_by: the lines that demand arming, in words.
         by: the operator who armed it, or empty if it is not armed.
         console: that operator's console on this side, or None if it was armed on the other side or is not armed.
+        shared: whether that operator's other consoles may publish by hand, too.
         why: the cause why it is not armed.
         reason: the same as a text.
         lease: lease of the link, or None before the first opening: nothing passes without it.
@@ -114,7 +115,7 @@ class Arming:
 
     __slots__ = (
         "_answered", "_deadline", "_first", "_key_pressed", "_phase", "_seen_at", "by", "console", "deadman",
-        "demanded_by", "lease", "own", "peer_on_end", "reason", "required", "why",
+        "demanded_by", "lease", "own", "peer_on_end", "reason", "required", "shared", "why",
     )  # fmt: skip
 
     def __init__(self, *, required: bool = False, deadman: float = 0.0) -> None:
@@ -135,6 +136,7 @@ class Arming:
         self._phase = phase
         self.by = ""
         self.console: Hashable | None = None
+        self.shared = False
         self._deadline = float("inf")
         self._seen_at = 0.0
         self._key_pressed = False
@@ -238,7 +240,9 @@ class Arming:
 
     # --- arming
 
-    def ask(self, by: str, console: Hashable, now: float, answered: Callable[[], None]) -> None:
+    def ask(
+        self, by: str, console: Hashable, now: float, answered: Callable[[], None], *, shared: bool = False
+    ) -> None:
         """Arm it for an operator of this side; nothing crosses before the other side agrees.
 
         Args:
@@ -246,8 +250,10 @@ class Arming:
             console: the operator's console.
             now: s.
             answered: called once messages may cross, or it is clear that they will not.
+            shared: whether that operator's other consoles may publish by hand, too.
         """
         self._hold(_Phase.ASKED, by, console)
+        self.shared = shared
         self._answered = answered
         self._seen_at, self._deadline = now, now + ANSWERED_WITHIN
 
@@ -289,6 +295,12 @@ class Arming:
 
     # --- the console
 
+    def is_held_by(self, console: Hashable, operator: str) -> bool:
+        """Whether messages by hand of an operator's console pass: one person drives at a time."""
+        if self.console is None:
+            return False
+        return console == self.console or (self.shared and account_of(operator) == account_of(self.by))
+
     def seen(self, console: Hashable, now: float, *, pressed: bool) -> None:
         """Note a console's sign of life at `now` (s); `pressed` means that its operator pressed a key."""
         if self.console is None or console != self.console:
@@ -319,6 +331,11 @@ class Arming:
         if self.console is not None and now - self._seen_at > CONSOLE_SILENT_AFTER:
             return Disarmed.CONSOLE_GONE
         return None
+
+
+def account_of(operator: str) -> str:
+    """Return who an operator is, without the terminal and the process."""
+    return operator.partition(" on ")[0].partition(" (")[0]
 
 
 def without_history(qos: Qos) -> Qos:

@@ -1,8 +1,7 @@
 """The message that a receiving half publishes by itself once an arming ends, so that the robot does not go on moving.
 
 It is agreed when the route opens, so nothing has to cross the link that may just have died. It goes through a publisher
-of its own: those of the moving messages are closed first, so that nothing they hold for slow subscribers comes after
-it.
+of its own: the publishers of the moving messages are closed first, so nothing they hold for slow subscribers follows it.
 """
 
 from __future__ import annotations
@@ -133,7 +132,7 @@ class RestMessage:
         return self._context.ros.serialize(self.spec.type_name, self._fields, self._context.wall_ns())
 
     def _is_rest(self, last: bytes, rest: bytes) -> bool:
-        """Whether a message is the rest, whatever its stamp."""
+        """Whether a message is the rest, apart from its stamp."""
         if self._fields is None:
             return last == rest
         return last[self._body_at :] == self._message()[self._body_at :]

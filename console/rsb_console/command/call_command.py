@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import re
-import sys
 import time
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import ITEMS, read_written
 from rsb_bridge.config.yaml_text import dump_yaml, inline
-from rsb_bridge.model.calls import FIELDS_LENGTH, LANES, FieldError
+from rsb_bridge.model.calls import LANES, FieldError
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line, json_value
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
-from rsb_console.command.target import ANSWERED_WITHIN, UsageError, attached, chosen_route, done, failed, reported
+from rsb_console.command.target import (
+    ANSWERED_WITHIN,
+    UsageError,
+    attached,
+    chosen_route,
+    done,
+    failed,
+    fields_from,
+    reported,
+)
 from rsb_console.session.draft import suggestion
 from rsb_console.session.parameter_values import KIND_NAMES, KINDS, refusal, set_request, value_of
 
@@ -58,8 +66,8 @@ def run(name: str, arguments: Namespace) -> int:
 
 
 def _call(arguments: Namespace) -> int:
-    request = sys.stdin.read(FIELDS_LENGTH + 1) if arguments.request == "-" else arguments.request
-    with attached(arguments) as engine:
+    request = fields_from(arguments, arguments.request)
+    with attached(arguments, expires=True) as engine:
         route = chosen_route(engine, arguments)
         text = response(engine, route, request, _lane(route, arguments.lane), arguments.timeout)
     if arguments.json:
@@ -174,7 +182,7 @@ def _set(arguments: Namespace) -> int:
         request = set_request(arguments.parameter, arguments.value or "''", arguments.type)
     except FieldError as error:
         raise UsageError(CallProblem.PARAMETER_VALUE_INVALID(value=arguments.value, problem=error)) from None
-    with attached(arguments) as engine:
+    with attached(arguments, expires=True) as engine:
         route = chosen_route(engine, arguments)
         answer = response(engine, route, request.text, "set_parameters")
     if (why := refusal(answer)) is not None:

@@ -2,26 +2,46 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.calls import FIELDS_LENGTH
+from rsb_bridge.model.by_hand import LONGEST_REST, OLD_AFTER, REST_AFTER
 from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.on_end import NONE, ZERO
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
-from rsb_console.command.target import UsageError, attached, done, reported, result
-from rsb_console.session.by_hand import OLD_AFTER, TRIES, ByHandText
+from rsb_console.command.target import UsageError, attached, done, fields_from, given_at, reported, result
+from rsb_console.session.by_hand import TRIES, ByHandText
+from rsb_console.session.landing import REPORTED_WITHIN, Landing
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.by_hand import Published
-    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+
+
+class _End(NamedTuple):
+    """The end of a motion.
+
+    Attributes:
+        rest: the message that stops the robot, or an empty string for none.
+        after: s after the last message, when the engine publishes it.
+    """
+
+    rest: str = ""
+    after: float = REST_AFTER
+
+
+_NO_END = _End()
+
+
+_LOOK_EVERY = 0.1
+"""s between two looks for a report."""
 
 
 class PubText(Wording):
@@ -44,8 +64,8 @@ def _pub(arguments: Namespace) -> int:
         return _template(arguments)
     if arguments.message is None:
         raise UsageError(PubText.NO_MESSAGE(topic=arguments.topic))
-    fields = sys.stdin.read(FIELDS_LENGTH + 1) if arguments.message == "-" else arguments.message
-    with attached(arguments) as engine:
+    fields = fields_from(arguments, arguments.message)
+    with attached(arguments, expires=True) as engine:
         return _publish(engine, arguments, fields)
 
 
@@ -62,10 +82,13 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
     """Publish once, or at a rate until the count or an interrupt."""
     limit = arguments.count or (1 if arguments.rate is None else None)
     pause = 1.0 if arguments.rate is None else 1 / arguments.rate
-    count, due, ticket = 0, Clock.steady(), 0
+    count, due, ticket = 0, given_at(arguments), 0
     last: Published | None = None
+    landing = Landing(arguments.topic, engine.snapshot())
     while limit is None or count < limit:
-        last = publish(engine, arguments.topic, fields, arguments.type, ticket, due)
+        end = _end(engine.snapshot(), arguments.topic, pause) if arguments.rate else _NO_END
+        engine.given_at = due
+        last = publish(engine, arguments.topic, fields, arguments.type, ticket, due, end)
         count, ticket = count + 1, last.ticket
         if count == 1 and limit != 1 and not arguments.json:
             _print(engine, arguments, last, count)
@@ -74,6 +97,7 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
             time.sleep(max(0.0, due - Clock.steady()))
     assert last is not None
     heard = bool(last.nodes or last.links)
+    landed = _landed(engine, landing, last.links) if limit is not None else []
     if arguments.json:
         missing = [
             {"link": route.link, "state": route.state, "reason": route.reason}
@@ -89,15 +113,29 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
                     "subscriptions": last.nodes,
                     "links": last.links,
                     "not_over": missing,
+                    "landed": [{"ok": ok, "report": report} for ok, report in landed],
                 }
             )
         )
     elif limit == 1:
         _print(engine, arguments, last, count)
+    for ok, report in () if arguments.json else landed:
+        (print_line if ok else print_error)(escape_text(report))
     return OK if heard else FAILURE
 
 
-def publish(engine: RemoteEngine, topic: str, fields: str, type_name: str, ticket: int, due: float) -> Published:
+def _end(snapshot: Snapshot, topic: str, pause: float) -> _End:
+    """Return what ends a motion by messages at an interval (s), if the topic is armed and they are not too rare."""
+    routes = [each for each in snapshot.routes if each.topic == topic and each.arming is not None]
+    on_end = next((each.arming.on_end for each in routes if each.arming is not None and each.arming.armed), NONE)
+    if on_end in ("", NONE) or 2 * pause > LONGEST_REST or not all(each.max_age for each in routes):
+        return _NO_END
+    return _End("{}" if on_end == ZERO else on_end, max(REST_AFTER, 2 * pause))
+
+
+def publish(
+    engine: RemoteEngine, topic: str, fields: str, type_name: str, ticket: int, due: float, end: _End = _NO_END
+) -> Published:
     """Publish a message, with a new ticket if the one before has become too old, but the message has not.
 
     Args:
@@ -107,19 +145,29 @@ def publish(engine: RemoteEngine, topic: str, fields: str, type_name: str, ticke
         type_name: its type, or an empty string if the topic has one.
         ticket: from the answer before, or 0.
         due: time (s) of `Clock.steady` when the operator wanted it published.
+        end: what ends the motion.
 
     Raises:
         EngineError: the bridge refuses it, or it is too old.
         TimeoutError: the bridge does not answer.
     """
     for _ in range(TRIES):
-        published = result(engine.publish(topic, fields, type_name, ticket=ticket))
+        message = engine.publish(topic, fields, type_name, ticket=ticket, rest=end.rest, rest_after=end.after)
+        published = result(message)
         if published.is_done:
             return published
         if Clock.steady() - due > OLD_AFTER:
             break
         ticket = published.ticket
     raise EngineError(ByHandText.TOO_SLOW(topic=topic))
+
+
+def _landed(engine: RemoteEngine, landing: Landing, links: tuple[str, ...]) -> list[tuple[bool, str]]:
+    """Wait for the other sides' reports on the messages."""
+    deadline = Clock.steady() + REPORTED_WITHIN
+    while not landing.is_known(engine.snapshot(), links) and Clock.steady() < deadline:
+        time.sleep(_LOOK_EVERY)
+    return landing.reports(engine.snapshot(), links)
 
 
 def _not_over(engine: RemoteEngine, published: Published, topic: str) -> list[RouteSnapshot]:

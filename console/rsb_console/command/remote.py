@@ -201,7 +201,7 @@ def _remove(arguments: Namespace) -> int:
 
 
 def _pause(arguments: Namespace, *, paused: bool = True) -> int:
-    with attached(arguments) as engine:
+    with attached(arguments, expires=not paused) as engine:
         found = all_chosen(engine, arguments)
         carried_out([engine.pause(each.key, paused) for each in found])
         return done_with(arguments, found, "paused" if paused else "resumed")
@@ -484,9 +484,9 @@ class _Keys:
 
 def _arm(arguments: Namespace) -> int:
     """Arm a topic until this process ends in any way; then the bridge disarms it. Return the exit code."""
-    with attached(arguments) as engine:
+    with attached(arguments, expires=True) as engine:
         route = chosen_route(engine, arguments)
-        result(engine.arm(route.key))
+        result(engine.arm(route.key, shared=True))  # for `rsb-console pub` in another shell
         _say_armed(arguments, route)
         why, cause = _hold(engine, route.key)
     return failed(arguments, RemoteProblem.DISARMED(topic=route.topic, reason=why), FAILURE, cause=cause)

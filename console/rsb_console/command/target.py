@@ -23,6 +23,8 @@ from rsb_bridge.control.control_sockets import (
     user_name,
 )
 from rsb_bridge.control.remote_engine import RemoteEngine
+from rsb_bridge.model.calls import FIELDS_LENGTH
+from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_bridge.model.text import join_first
@@ -163,8 +165,14 @@ def _answering(bridge: RunningBridge) -> RunningBridge:
 
 
 @contextlib.contextmanager
-def attached(arguments: Namespace, *, read_only: bool = False) -> Iterator[RemoteEngine]:
-    """Be attached to the bridge that the arguments mean; of a command for a fleet's robot, to what `attach` gives."""
+def attached(arguments: Namespace, *, read_only: bool = False, expires: bool = False) -> Iterator[RemoteEngine]:
+    """Be attached to the bridge that the arguments mean; of a command for a fleet's robot, to what `attach` gives.
+
+    Args:
+        arguments: of the command.
+        read_only: whether to change nothing.
+        expires: whether the command must not be carried out late, counted from the start of its process.
+    """
     if (attach := getattr(arguments, "attach", None)) is not None:
         engine = attach(read_only=read_only)
     elif getattr(arguments, "fleet", None) is not None:
@@ -172,6 +180,8 @@ def attached(arguments: Namespace, *, read_only: bool = False) -> Iterator[Remot
     else:
         engine = RemoteEngine(chosen_bridge(arguments).path, read_only=read_only)
         engine.start()
+    if expires:
+        engine.given_at = given_at(arguments)
     try:
         yield engine
     finally:
@@ -213,6 +223,21 @@ def ask_history(arguments: Namespace, seconds: float) -> HistoryReport:
     """Return the history of the bridge that the arguments name, over the last `seconds`."""
     with attached(arguments, read_only=True) as engine:
         return result(engine.history(seconds))
+
+
+def given_at(arguments: Namespace) -> float:
+    """Return when the operator gave the command, in s of `Clock.steady`; now, if it is not known."""
+    known: float = getattr(arguments, "given_at", None) or Clock.steady()
+    return known
+
+
+def fields_from(arguments: Namespace, text: str) -> str:
+    """Return fields in YAML that an argument gives, or standard input, whose end is then the time of the command."""
+    if text != "-":
+        return text
+    fields = sys.stdin.read(FIELDS_LENGTH + 1)
+    arguments.given_at = Clock.steady()
+    return fields
 
 
 # --- what it answers

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
 
 from textual.events import Key
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from textual.events import Event
+    from textual.screen import Screen
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
@@ -81,11 +83,15 @@ class BridgeOperations:
     Args:
         console: the app.
         selected: gives the topic under the cursor.
+        screen: gives the screen that shows it.
     """
 
-    def __init__(self, console: Console, selected: Callable[[], RouteSnapshot | None]) -> None:
+    def __init__(
+        self, console: Console, selected: Callable[[], RouteSnapshot | None], screen: Callable[[], Screen[Any]]
+    ) -> None:
         self._console = console
         self._selected = selected
+        self._screen = screen
         self._undoing = False
 
     async def pause(self) -> None:
@@ -123,6 +129,7 @@ class BridgeOperations:
             text = f"{route.topic} cannot be armed: it is paused; resume it first"
             self._console.notify(text, title="Not done", severity="warning", markup=False)
         elif await self._console.ask(ArmScreen(route)):
+            self._console.deadman.armed_on(self._screen())
             await self._console.command(engine.arm(route.key))
 
     async def _disarm(self, engine: EngineApi, route: RouteSnapshot) -> None:
@@ -160,15 +167,11 @@ class BridgeOperations:
 
     async def drive(self) -> None:
         """Drive by keys on the topic under the cursor."""
-        from rsb_console.screens.drive_screen import DriveScreen, why_not_driven  # noqa: PLC0415
+        from rsb_console.screens.drive_screen import drive  # noqa: PLC0415 -- keeps the start short
 
         route = self._selected()
-        if self._console.engine is None or route is None:
-            return
-        if problem := why_not_driven(route):
-            self._console.notify(problem, title="Not done", severity="warning", markup=False)
-        else:
-            await self._console.ask(DriveScreen(self._console, route))
+        if self._console.engine is not None and route is not None:
+            await drive(self._console, route)
 
     async def retry(self) -> None:
         engine = self._console.engine
@@ -201,7 +204,7 @@ class BridgeOperations:
             self._console.pull()
 
     async def edit_topic(self) -> None:
-        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import GuardedConfirmScreen  # noqa: PLC0415 -- keeps the start short
         from rsb_console.screens.topic_form import TopicScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
@@ -213,7 +216,7 @@ class BridgeOperations:
                 return
             now, since, new = engine.snapshot(), _last_event(engine), draft.topic
             drops = route.spec.arm and not new.arm
-            if drops and not await self._console.ask(ConfirmScreen(*_dropping(route), "Drop")):
+            if drops and not await self._console.ask(GuardedConfirmScreen(*_dropping(route), "Drop")):
                 raise EngineError("not changed: it still has to be armed")
             key = await asyncio.wrap_future(engine.edit_topic(route.key, new, drop_arm=drops))
             if new.topic != route.spec.topic and not new.is_pattern:
@@ -228,7 +231,7 @@ class BridgeOperations:
 
     async def remove_topic(self) -> None:
         """Remove the topic under the cursor, after a question."""
-        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import GuardedConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
         if route is None or engine is None:
@@ -238,7 +241,7 @@ class BridgeOperations:
             message += " Its name still has to be armed (armed in the session)."
         if route.pattern:
             message += f" {route.pattern} leaves it out from then on (except)."
-        if not await self._console.ask(ConfirmScreen(f"Remove {route.topic}?", message, "Remove")):
+        if not await self._console.ask(GuardedConfirmScreen(f"Remove {route.topic}?", message, "Remove")):
             return
         now, since = self._console.snapshot(), _last_event(engine)
         patterns = tuple((row.key, row.spec) for row in patterns_of(now, route.link, route.spec))
@@ -322,14 +325,22 @@ class BridgeOperations:
 
 
 class Deadman:
-    """Tells the engine, at each refresh, that the console is there, and of keys since the last one."""
+    """Tells the engine, at each refresh, that the console is there, and of keys since the last one.
+
+    Only keys on a screen on which a topic was armed count: who reads the help does not watch the robot.
+    """
 
     def __init__(self) -> None:
         self._pressed = False
+        self._screens: WeakSet[Screen[Any]] = WeakSet()
 
-    def saw(self, event: Event) -> None:
-        """Note a key press."""
-        self._pressed |= isinstance(event, Key)
+    def armed_on(self, screen: Screen[Any]) -> None:
+        """Note that a topic is armed on a screen."""
+        self._screens.add(screen)
+
+    def saw(self, event: Event, screen: Screen[Any]) -> None:
+        """Note a key press on a screen."""
+        self._pressed |= isinstance(event, Key) and screen in self._screens
 
     def keep(self, engine: EngineApi | None, snapshot: Snapshot) -> None:
         """Keep armed what is; the engine knows what this console has armed."""

@@ -21,7 +21,7 @@ from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, UNDER_WAY
-from rsb_console.screens.dialog import ConfirmScreen, beginning
+from rsb_console.screens.dialog import GuardedConfirmScreen, beginning
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.parameter_values import refusal, set_request
 from rsb_console.terminal.driver import copy
@@ -228,7 +228,7 @@ class CallScreen(FormScreen[Request]):
     async def accept(self, result: Request) -> None:
         if self._under_way_since is not None:
             self.notify(CallText.STILL_CALLING(), timeout=3)
-        elif await self.console.ask(ConfirmScreen(result.question, result.means, result.yes)):
+        elif await self.console.ask(GuardedConfirmScreen(result.question, result.means, result.yes)):
             self._pane.focus()
             self._call(result)
 

@@ -16,6 +16,7 @@ from rsb_bridge.api import EngineError
 from rsb_console.actions import BY_ID
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED
+from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate
 from rsb_console.widgets.lines import Line, LiveLines
 
 if TYPE_CHECKING:
@@ -42,6 +43,9 @@ _SCROLL = {
 _ASKED_LINES, _ASKED_CHARACTERS = 200, 4 << 10
 """Limits of the part of an operator's YAML that a question shows, as much as a person can read."""
 RUNNING = "◌"
+_NO_KEYS_YET = "…"
+_LOOK_EVERY = 0.1
+"""s between two looks whether the keys of a question count."""
 
 
 def beginning(fields: str) -> str:
@@ -108,7 +112,8 @@ class ConfirmScreen(ModalScreen[bool]):
         super().__init__()
         self._title, self._message, self._yes = title, message, yes
         self._scrolled = VerticalScroll(classes="message", can_focus=False)
-        self._keys = Static(self.KEYS, classes="hint keys", markup=False)
+        self._takes_keys = True
+        self._keys = Static(_NO_KEYS_YET, classes="hint keys", markup=False)
 
     def compose(self) -> ComposeResult:
         with Vertical(classes=f"dialog {self.SHAPE}") as dialog:
@@ -125,7 +130,8 @@ class ConfirmScreen(ModalScreen[bool]):
         self.call_after_refresh(self._show_keys)
 
     def _show_keys(self) -> None:
-        self._keys.update(self.KEYS + self.SCROLL_KEYS * (self._scrolled.max_scroll_y > 0))
+        keys = self.KEYS + self.SCROLL_KEYS * (self._scrolled.max_scroll_y > 0)
+        self._keys.update(keys if self._takes_keys else _NO_KEYS_YET)
 
     def action_scroll(self, to: str) -> None:
         """Show other lines of the message.
@@ -149,7 +155,30 @@ class ConfirmScreen(ModalScreen[bool]):
         self.dismiss(answer)
 
 
-class ArmScreen(ConfirmScreen):
+class GuardedConfirmScreen(GuardedScreen, ConfirmScreen):
+    """A question whose Yes moves a robot or takes something away: keys that were pressed before it are not for it."""
+
+    SAFE_KEYS = frozenset({"n", "escape", "ctrl+c"})
+    seen_after = SEEN_AFTER
+
+    def on_mount(self) -> None:
+        """Name the keys only once they count."""
+        if InputGate.of(self.app).is_on:
+            self._takes_keys = False
+            self.call_after_refresh(self._is_drawn)
+
+    def _is_drawn(self) -> None:
+        self.drawn_at = time.monotonic()
+        self._waiting = self.set_interval(_LOOK_EVERY, self._look)
+
+    def _look(self) -> None:
+        if InputGate.of(self.app).takes_keys(self):
+            self._waiting.stop()
+            self._takes_keys = True
+            self._show_keys()
+
+
+class ArmScreen(GuardedConfirmScreen):
     """Asks whether to arm a topic or a service.
 
     Args:
@@ -175,7 +204,7 @@ class OfferScreen(ConfirmScreen):
     VARIANT = "primary"
 
 
-class UndoScreen(ConfirmScreen):
+class UndoScreen(GuardedConfirmScreen):
     """Yes or No. The focus is on No if the undo removes something, or lets messages cross that do not cross now.
 
     Args:

@@ -2,12 +2,14 @@
 
 A key counts for `_KEY_LASTS`, and the engine ends a motion by itself if no further command comes
 (`rsb_bridge.model.commands.Publish.rest`). So the robot stops if the operator lets the key go, if the terminal or the
-console hangs, or if the way to the bridge does.
+console hangs, or if the way to the bridge does. Keys that come late never arrive here (`GuardedScreen`), unless a
+terminal multiplexer hides that they are late: then `Steering` is stricter.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections import deque
 from typing import TYPE_CHECKING, ClassVar
@@ -19,17 +21,22 @@ from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.text import escape_text
+from rsb_bridge.model.names import expand_type_name
+from rsb_bridge.model.text import escape_text, join_first
 from rsb_bridge.model.wording import Wording
-from rsb_console.screens.dialog import ArmScreen
+from rsb_console.screens.dialog import ArmScreen, GuardedConfirmScreen
 from rsb_console.session.by_hand import TWIST, TWIST_STAMPED, ByHandText, velocity
+from rsb_console.session.landing import Landing
+from rsb_console.terminal.input_gate import GuardedScreen, InputGate
 from rsb_console.terminal.input_queue import DIALOG
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from textual.app import ComposeResult
     from textual.events import Key
 
-    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.console_api import Console
 
 _KEY_LASTS = 0.6
@@ -42,6 +49,12 @@ _BURST, _BURST_SECONDS = 10, 0.1
 """Keys in so short a time were held up on their way: people and keyboards repeat them more slowly."""
 _IGNORED_FOR = 0.3
 """s after a burst in which keys are ignored."""
+_TOGETHER, _MANY_TOGETHER = 0.02, 4
+"""s between keys that a multiplexer has held up: they count as one, and so many are a burst. Keyboards repeat every
+0.03 s, and a connection that does not hang passes one on before the next."""
+_HELD = 0.15, 0.7
+"""s until a held key repeats for the first time, at least and at most: 0.66 is X11's default, the longest of the usual
+ones. Parts of a burst that TCP sends again come one round trip apart, mostly sooner than that."""
 _STOOD_STILL = 1.0
 """s without a look at the keys after which this process stood still: keys that waited for it are ignored."""
 _TICKETS = 3
@@ -56,6 +69,10 @@ _WAYS = {
 }  # fmt: skip
 """Forward and turn, counterclockwise, of each key, with the letters of teleop_twist_keyboard."""
 _STOPS = {"k", "space"}
+_LANDING_LASTS = 10.0
+"""s without a report after which the count of what has landed begins anew."""
+_NAMED = 4
+"""Robots in one line."""
 _KEYS = "↑↓←→ uiojlm,. drive · space stop · +- speed · A arm · esc leave"
 
 
@@ -68,15 +85,34 @@ class DriveText(Wording):
     LATE = "keys came late, all at once: they are ignored"
     DISARMED = "disarmed: press A to arm it{reason}"
     ARMED = "armed{left}"
+    ARMED_BY = "armed by {who}, whose messages pass alone; A disarms it"
     LEFT = ", for {seconds:.0f} s without a key"
+    NOT_WHILE_DISARMED = "keys do nothing while it is disarmed"
+    MOVED = "moves {robots}{round_trip}"
+    LANDED = "{moved}   {reports}"
+    ROUND_TRIP = ", round trip {milliseconds:.0f} ms"
+    SEVERAL = "Drive {count} robots by {topic}?"
+    SEVERAL_MEANS = "Its messages cross to {robots}: all of them move that are armed."
     GONE = "it is no longer bridged"
     OTHER_TYPE = "{topic} cannot be driven: its type is {type_name}, not Twist or TwistStamped"
     NOT_DRIVEN = "{topic} cannot be driven: set arm: true on the topic first (e), and leave max_age as it is"
 
 
-def why_not_driven(route: RouteSnapshot) -> str:
-    """Return the reason why a topic cannot be driven, or an empty string."""
-    type_name = route.type_name or route.spec.type
+def known_type(route: RouteSnapshot) -> str:
+    """Return the full name of a route's type, or an empty string if nobody on this side knows it."""
+    if route.type_name or route.spec.type == "auto":
+        return route.type_name
+    return expand_type_name(route.spec.type)
+
+
+def why_not_driven(route: RouteSnapshot, type_name: str = "") -> str:
+    """Return the reason why a topic cannot be driven, or an empty string.
+
+    Args:
+        route: the topic's.
+        type_name: the type, if the route does not know it.
+    """
+    type_name = known_type(route) or type_name
     if type_name not in (TWIST, TWIST_STAMPED):
         return DriveText.OTHER_TYPE(topic=route.topic, type_name=type_name or "unknown")
     if route.arming is None or not route.max_age:
@@ -84,15 +120,49 @@ def why_not_driven(route: RouteSnapshot) -> str:
     return ""
 
 
+def moved_by(route: RouteSnapshot, snapshot: Snapshot) -> list[str]:
+    """Return the robots that messages on a route's topic move, by the names of their links."""
+    if route.calls is not None or not route.outgoing:
+        return [route.link]
+    return sorted({each.link for each in snapshot.routes if each.outgoing and each.topic == route.topic} | {route.link})
+
+
+async def drive(console: Console, route: RouteSnapshot) -> None:
+    """Open the screen on a topic that can be driven, after a question if that moves other robots, too.
+
+    Only from a worker.
+    """
+    type_name = known_type(route)
+    if not type_name and console.engine is not None:
+        with contextlib.suppress(EngineError):  # then the reason names what is missing
+            type_name = (await asyncio.wrap_future(console.engine.draft_message(route.topic))).type_name
+    if problem := why_not_driven(route, type_name):
+        console.notify(problem, title="Not done", severity="warning", markup=False)
+        return
+    robots = moved_by(route, console.snapshot())
+    if len(robots) > 1:
+        title = DriveText.SEVERAL(topic=route.topic, count=len(robots))
+        means = DriveText.SEVERAL_MEANS(robots=join_first(robots, _NAMED))
+        if not await console.ask(GuardedConfirmScreen(title, means, "Drive")):
+            return
+    await console.ask(DriveScreen(console, route, type_name))
+
+
 class Steering:
     """The velocity that the operator's keys mean.
+
+    Args:
+        relayed: gives whether late keys may look young, because a multiplexer stands between them and this process.
 
     Attributes:
         speed: m/s of a key.
         turn: rad/s of a key.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, relayed: Callable[[], bool] = lambda: False) -> None:
+        self._relayed = relayed
+        self._pressed = ("", float("-inf"))
+        self._together = 0
         self.speed, self.turn = _SPEED, _TURN
         self._forward = self._left = 0
         self._forward_until = self._left_until = 0.0
@@ -106,6 +176,8 @@ class Steering:
         self._times.append(now)
         if len(self._times) == _BURST and now - self._times[0] < _BURST_SECONDS:
             self._ignored_until = now + _IGNORED_FOR
+        if self._relayed() and not self._is_held(key, now):
+            return
         if key in _STOPS or now < self._ignored_until:
             self._forward_until = self._left_until = 0.0
             return
@@ -115,6 +187,17 @@ class Steering:
             self._forward, self._forward_until = forward, now + _KEY_LASTS
         if left or letters:
             self._left, self._left_until = left, now + _KEY_LASTS
+
+    def _is_held(self, key: str, now: float) -> bool:
+        """Whether a key counts though it may have come late: it stops, or the robot moves, or the key repeats."""
+        (before, at), self._pressed = self._pressed, (key, now)
+        self._together = self._together + 1 if now - at < _TOGETHER else 1
+        if self._together >= _MANY_TOGETHER:
+            self._ignored_until = now + _IGNORED_FOR
+        if key in _STOPS or now < self._ignored_until:
+            return True
+        moves = now < max(self._forward_until, self._left_until)
+        return self._together == 1 and (moves or (key == before and _HELD[0] < now - at < _HELD[1]))
 
     def _look(self, now: float) -> None:
         if now - self._looked_at > _STOOD_STILL:
@@ -138,12 +221,13 @@ class Steering:
         return forward, self._left * self.turn if now < self._left_until else 0.0
 
 
-class DriveScreen(ModalScreen[None]):
+class DriveScreen(GuardedScreen, ModalScreen[None]):
     """Drives until it is closed. What is below stays in sight: a camera's picture, for example.
 
     Args:
         console: the app.
         route: the topic's.
+        type_name: its type.
     """
 
     BINDINGS: ClassVar = [
@@ -152,12 +236,19 @@ class DriveScreen(ModalScreen[None]):
         Binding("minus", f"speed({1 / _FASTER})", show=False),
         Binding("A", "arm", show=False),
     ]
+    SAFE_KEYS = frozenset({*_STOPS, "escape", "q", "A", "ctrl+c"})  # A disarms, or opens a question that is guarded
 
-    def __init__(self, console: Console, route: RouteSnapshot) -> None:
+    def __init__(self, console: Console, route: RouteSnapshot, type_name: str) -> None:
         super().__init__()
         self.console = console
         self._route = route
-        self._steering = Steering()
+        self._type_name = type_name
+        self._has_armed = False
+        self._links: tuple[str, ...] = ()
+        self._landing: Landing | None = None
+        self._landed_at = 0.0
+        self._reports = ""
+        self._steering = Steering(self._is_relayed)
         self._problem = ""
         self._ticket = self._refusals = 0
         self._pane = Static(id="drive", classes="dialog", markup=False)
@@ -170,6 +261,10 @@ class DriveScreen(ModalScreen[None]):
     def on_mount(self) -> None:
         self.set_interval(0.1, self._draw)
         self._drive()
+
+    def _is_relayed(self) -> bool:
+        pulse = InputGate.of(self.app).pulse
+        return pulse is not None and pulse.relayed
 
     # -- commands -----------------------------------------------------------------------------------------------------
 
@@ -197,7 +292,7 @@ class DriveScreen(ModalScreen[None]):
         Raises:
             EngineError: the bridge refuses it, or answers too slowly.
         """
-        engine, type_name = self.console.engine, self._route.type_name or self._route.spec.type
+        engine, type_name = self.console.engine, self._type_name
         if engine is None:
             raise EngineError(ByHandText.NO_SESSION())
         published = await asyncio.wrap_future(
@@ -210,7 +305,9 @@ class DriveScreen(ModalScreen[None]):
                 rest_after=_RESTS_AFTER,
             )
         )
-        self._ticket = published.ticket
+        self._ticket, self._links = published.ticket, published.links
+        if self._landing is None and published.is_done:
+            self._landing, self._landed_at = Landing(self._route.topic, self.console.snapshot()), time.monotonic()
         self._refusals = 0 if published.is_done else self._refusals + 1
         if self._refusals > _TICKETS:
             self._refusals = 0
@@ -240,7 +337,19 @@ class DriveScreen(ModalScreen[None]):
         if route.arming.armed:
             await self.console.command(engine.disarm(route.key))
         elif await self.console.ask(ArmScreen(route)):
+            self._has_armed = True
+            self.console.deadman.armed_on(self)
+            if not self.is_running:
+                return
             await self.console.command(engine.arm(route.key))
+
+    def on_unmount(self) -> None:
+        """Disarm what this screen has armed: nobody watches it any more."""
+        route, engine = self._current(), self.console.engine
+        if not self._has_armed or engine is None or route is None or route.arming is None:
+            return
+        if route.arming.here and route.arming.armed:
+            engine.disarm(route.key)
 
     # -- the picture --------------------------------------------------------------------------------------------------
 
@@ -250,10 +359,32 @@ class DriveScreen(ModalScreen[None]):
     def _draw(self) -> None:
         now = time.monotonic()
         forward, turn = self._steering.at(now)
-        moves = DriveText.MOVES(forward=forward, turn=turn) if forward or turn else DriveText.STANDS()
+        route = self._current()
+        if route is None or route.arming is None or not route.arming.armed:
+            moves = DriveText.NOT_WHILE_DISARMED()
+        else:
+            moves = DriveText.MOVES(forward=forward, turn=turn) if forward or turn else DriveText.STANDS()
         speed = DriveText.SPEED(speed=self._steering.speed, turn=self._steering.turn)
         problem = DriveText.LATE() if self._steering.came_late(now) else self._problem
-        self._pane.update(Content(escape_text(f"{moves}   ({speed})") + f"\n{self._state()}\n{escape_text(problem)}"))
+        lines = (f"{moves}   ({speed})", self._moved(), problem)
+        first, moved, last = map(escape_text, lines)
+        self._pane.update(Content(f"{first}\n{self._state()}\n{moved}\n{last}"))
+
+    def _moved(self) -> str:
+        snapshot = self.console.snapshot()
+        robots = join_first(moved_by(self._route, snapshot), _NAMED)
+        trip = next((link.rtt for link in snapshot.links if link.name == self._route.link), None)
+        moved = DriveText.MOVED(
+            robots=robots, round_trip="" if trip is None else DriveText.ROUND_TRIP(milliseconds=trip * 1e3)
+        )
+        if self._landing is None:
+            return moved
+        if (now := time.monotonic()) - self._landed_at > _LANDING_LASTS:
+            self._landed_at, self._landing = now, Landing(self._route.topic, snapshot)
+        elif self._landing.is_known(snapshot, self._links):
+            self._reports = "; ".join(text for _, text in self._landing.reports(snapshot, self._links))
+            self._landed_at, self._landing = now, Landing(self._route.topic, snapshot)
+        return DriveText.LANDED(moved=moved, reports=self._reports) if self._reports else moved
 
     def _state(self) -> str:
         route = self._current()
@@ -263,4 +394,6 @@ class DriveScreen(ModalScreen[None]):
             reason = f" ({escape_text(route.arming.reason)})" if route.arming.reason else ""
             return DriveText.DISARMED(reason=reason)
         left = route.arming.left
+        if not route.arming.here:
+            return DriveText.ARMED_BY(who=escape_text(route.arming.by))
         return DriveText.ARMED(left="" if left is None else DriveText.LEFT(seconds=left))

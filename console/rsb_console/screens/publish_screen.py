@@ -16,7 +16,7 @@ from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.look.glyphs import DONE, FAILED
-from rsb_console.screens.dialog import ConfirmScreen, beginning
+from rsb_console.screens.dialog import GuardedConfirmScreen, beginning
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.by_hand import publish
 from rsb_console.terminal.input_queue import DIALOG
@@ -177,7 +177,7 @@ class PublishScreen(FormScreen[Message]):
         peers = ", ".join(sorted({self.console.peer_of(each) for each in routes if each.state.flows}))
         fields = beginning(result.fields) or PublishText.ALL_DEFAULTS()
         means = PublishText.MEANS(links=PublishText.OVER(links=peers) if peers else "", fields=fields)
-        if await self.console.ask(ConfirmScreen(PublishText.QUESTION(topic=result.topic), means, "Publish")):
+        if await self.console.ask(GuardedConfirmScreen(PublishText.QUESTION(topic=result.topic), means, "Publish")):
             self._publish(result)
 
     @work(group="publish")

@@ -38,11 +38,12 @@ from rsb_console.look.picture_rows import (
 )
 from rsb_console.look.plot_lines import AXIS
 from rsb_console.screens.dialog import FullScreen
-from rsb_console.screens.drive_screen import DriveScreen, why_not_driven
+from rsb_console.screens.drive_screen import drive, why_not_driven
 from rsb_console.screens.look_screen import is_map
 from rsb_console.screens.publish_screen import Message, PublishScreen
 from rsb_console.session.by_hand import POSE, Goal
 from rsb_console.session.picture_files import formats_of, picture_file
+from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
 
 if TYPE_CHECKING:
@@ -455,7 +456,8 @@ class ViewScreen(FullScreen[bool]):
         chosen = [each for each in routes if each.link == where] or routes
         return next((each.topic for each in chosen if each.topic.endswith(_GOAL_TOPIC)), _GOAL_TOPIC)
 
-    def action_drive(self) -> None:
+    @work(group=DIALOG)
+    async def action_drive(self) -> None:
         """Drive the robot of the picture, which stays in sight."""
         if self.console.readonly:
             return
@@ -464,7 +466,7 @@ class ViewScreen(FullScreen[bool]):
         driven = [each for each in driven if each.link == where] or driven
         armed = [each for each in driven if each.arming is not None and each.arming.armed]
         if len(only := armed or driven) == 1:
-            self.app.push_screen(DriveScreen(self.console, only[0]))
+            await drive(self.console, only[0])
         else:
             text = ViewText.SEVERAL_DRIVEN() if only else ViewText.NOT_DRIVEN()
             self.notify(text, severity="warning", markup=False)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.yaml_text import inline
+from rsb_bridge.model.by_hand import OLD_AFTER
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.wording import Wording
 
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
 POSE, TWIST, TWIST_STAMPED = (f"geometry_msgs/msg/{name}" for name in ("PoseStamped", "Twist", "TwistStamped"))
 TRIES = 3
 """Tickets for one message: a slow way to the bridge may make one too old."""
-OLD_AFTER = 5.0
-"""s after which a message gets no further ticket: what stood still for so long no longer is the operator's wish."""
 _FAR = 1e4
 """Cells, beyond any picture."""
 

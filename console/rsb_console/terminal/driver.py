@@ -9,18 +9,22 @@ import shutil
 import subprocess
 import sys
 import threading
+import time
 from codecs import getincrementaldecoder
 from functools import partial
 from queue import Full
 from typing import TYPE_CHECKING, Any
 
+from textual import events
 from textual._parser import ParseTimeout
 from textual._xterm_parser import XTermParser
 from textual.drivers import linux_driver
 from textual.drivers.linux_driver import LinuxDriver
 
+from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU, Pulse
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
     from queue import Queue
 
@@ -30,6 +34,7 @@ if TYPE_CHECKING:
 # Textual 8 ends on bytes that are not UTF-8, such as the legacy mouse reports that tmux sends (its issue 6668).
 _ESCAPE = "\x1b"
 _CONTINUES_ESCAPE = "[Obf\x7f"  # begins a sequence, or is a word's key of line editing
+_KIND = "<terminal-kind>"
 _lenient = partial(getincrementaldecoder("utf-8"), "replace")
 vars(linux_driver)["getincrementaldecoder"] = lambda _encoding: _lenient
 
@@ -53,10 +58,18 @@ class KeyParser(XTermParser):
             yield from super().feed(char)
             self._after_escape = char == _ESCAPE
 
+    def _sequence_to_key_events(self, sequence: str, alt: bool = False) -> Iterable[events.Key]:
+        """Pass the terminal's kind on, which Textual would take for keys."""
+        if KIND.fullmatch(sequence):
+            return [events.Key(_KIND, sequence)]
+        return super()._sequence_to_key_events(sequence, alt)
+
 
 vars(linux_driver)["XTermParser"] = KeyParser
 
 _LOOK_EVERY_MS = 500
+_LAST_ANSWER_WITHIN, _LOOK_EVERY = 0.3, 0.01
+"""s to wait for the terminal's answer at the end, which would go to the shell; and between two looks for it."""
 CLOSE_TIMEOUT = 1.0  # s; then a terminal that does not read is given up
 
 
@@ -140,6 +153,8 @@ class ConsoleDriver(LinuxDriver):
         self._behind = False
         self._unwatched = threading.Event()
         self._continuing = False
+        self._asks = False
+        self.pulse = Pulse(os.environ)
 
     def _get_terminal_size(self) -> tuple[int, int]:
         """Return the terminal's columns and lines. Textual asks standard output, which may not be the terminal."""
@@ -163,6 +178,42 @@ class ConsoleDriver(LinuxDriver):
             self._queue.put_nowait(data)
         except Full:
             self._behind = True
+
+    # --- the terminal's pulse
+
+    def start_application_mode(self) -> None:
+        """Begin to draw (Textual's), and ask for the terminal's kind."""
+        super().start_application_mode()  # type: ignore[no-untyped-call]
+        self._asks = True
+        self.write(WHO_ARE_YOU)
+        self.ask()
+
+    def ask(self) -> None:
+        """Ask the terminal for a sign that it gets what is written, and that its keys come here."""
+        if self._asks and not self._behind and (question := self.pulse.question()):
+            self.write(question)
+
+    def process_message(self, message: Message) -> None:
+        """Take the terminal's answers, and note how young its keys are (Textual's)."""
+        match message:
+            case events.CursorPosition():
+                self.pulse.answered(message.x + 1)
+                return
+            case events.Key(key=key) if key == _KIND:
+                self.pulse.is_kind(KIND.fullmatch(message.character or "")["kind"])  # type: ignore[index]
+                return
+            case events.Paste():
+                message.text = self.pulse.without_answers(message.text)
+        self.pulse.stamp(message)
+        super().process_message(message)
+
+    def disable_input(self) -> None:
+        """Read no more keys (Textual's), but the last answer, which the shell would take for keys."""
+        self._asks = False
+        deadline = time.monotonic() + _LAST_ANSWER_WITHIN
+        while self.pulse.waits and time.monotonic() < deadline:
+            time.sleep(_LOOK_EVERY)
+        super().disable_input()
 
     @property
     def mouse(self) -> bool:

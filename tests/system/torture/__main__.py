@@ -120,7 +120,8 @@ def _rests(nodes: Nodes, arguments: argparse.Namespace) -> int:
                     continue
                 after = "never" if found.after is None else f"{found.after:.2f} s"
                 verdict = "  WRONG" if found.wrong else ""
-                print(f"{case}{found.last:8}{after:>12}{found.rests:>7}{found.moving:>13}{verdict}", flush=True)  # noqa: T201
+                moving = max(found.moving_after_rest, found.moving_late)
+                print(f"{case}{found.last:8}{after:>12}{found.rests:>7}{moving:>13}{verdict}", flush=True)  # noqa: T201
                 wrong += found.wrong
     return wrong
 

@@ -1,4 +1,4 @@
-"""What a robot hears last after an arming has ended, for each way in which it can end.
+"""The last messages that reach a robot after an arming has ended, for each kind of end.
 
 Somebody drives while the topic is armed: a node or a hand on the control PC, or a hand on the robot's own bridge. Then
 the arming ends, and an outside node on the robot's side notes what still comes.
@@ -44,10 +44,11 @@ _ENTRY = {"type": "geometry_msgs/msg/Twist"}
 
 @dataclass
 class Rested:
-    """What the robot's node heard from the end of an arming on.
+    """The messages that the robot's node heard from the end of an arming on.
 
     Attributes:
-        moving: messages that move and came after the first rest, or after the allowed time.
+        moving_after_rest: messages that move and came after the first rest.
+        moving_late: messages that move and came after the allowed time.
         last: what it heard last.
         after: s from the end until the first rest, or None without one.
         within: s in which the rest has to come.
@@ -55,7 +56,8 @@ class Rested:
         notes: what else there is to say.
     """
 
-    moving: int
+    moving_after_rest: int
+    moving_late: int
     last: str
     after: float | None
     within: float
@@ -65,7 +67,8 @@ class Rested:
     @property
     def wrong(self) -> bool:
         """Whether the robot was left moving, or for too long."""
-        return self.moving > 0 or self.last != "rest" or self.after is None or self.after > self.within
+        late = self.moving_late > 0 or self.after is None or self.after > self.within
+        return late or self.moving_after_rest > 0 or self.last != "rest"
 
 
 @dataclass
@@ -249,7 +252,8 @@ def _judge(stage: Stage, began: float, within: float) -> Rested:
     after_rest = sum(1 for each in since if each.number and first is not None and each.arrived > first)
     too_late = sum(1 for each in since if each.number and each.arrived > began + within + tolerance)
     return Rested(
-        max(after_rest, too_late),
+        after_rest,
+        too_late,
         "moving" if last.number else "rest",
         None if first is None else first - began,
         within + tolerance,

@@ -1,0 +1,109 @@
+"""Keeps late keys from screens on which a key moves a robot, or takes something away."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, ClassVar
+from weakref import WeakKeyDictionary
+
+from textual import events
+from textual.screen import Screen
+
+from rsb_bridge.model.wording import Wording
+from rsb_console.terminal.pulse import FRESH_FOR, heard_before
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from textual.app import App
+    from textual.message import Message
+
+    from rsb_console.terminal.pulse import Pulse
+
+SEEN_AFTER = 0.5
+"""s from the picture of a question until its keys count: nobody reads and answers it earlier."""
+_TOLD_EVERY = 3.0
+
+
+class LateInput(Wording):
+    """Texts about keys that came late."""
+
+    IGNORED = "keys came late: they are ignored"
+
+
+class GuardedScreen(Screen[Any]):
+    """A screen that takes young input only.
+
+    Attributes:
+        SAFE_KEYS: keys that are taken however late they come.
+        seen_after: s from its first picture until other keys count.
+    """
+
+    SAFE_KEYS: ClassVar[frozenset[str]] = frozenset()
+    seen_after = 0.0
+    drawn_at: float | None = None
+
+
+_gates: WeakKeyDictionary[App[Any], InputGate] = WeakKeyDictionary()
+
+
+class InputGate:
+    """Decides which input a `GuardedScreen` gets.
+
+    Args:
+        app: the app of the screens.
+        clock: gives s on the clock of `textual.events.Event.time`.
+
+    Attributes:
+        pulse: the terminal's, or None without a terminal: then no input is late.
+    """
+
+    def __init__(self, app: App[Any], clock: Callable[[], float] = time.monotonic) -> None:
+        self.pulse: Pulse | None = None
+        self._app = app
+        self._clock = clock
+        self._told_at = float("-inf")
+        _gates[app] = self
+
+    @classmethod
+    def of(cls, app: App[Any]) -> InputGate:
+        """Return the gate of an app."""
+        return _gates[app]
+
+    @property
+    def is_on(self) -> bool:
+        """Whether there is a terminal whose input may be late."""
+        return self.pulse is not None
+
+    def is_late(self, event: Message) -> bool:
+        """Whether an event from the terminal may be older than `FRESH_FOR`."""
+        return self.is_on and self._clock() - heard_before(event) >= FRESH_FOR
+
+    def refuses(self, event: Message, screen: Screen[Any]) -> bool:
+        """Whether a screen must not get an event; the operator is told why not."""
+        if not self.is_on or not isinstance(screen, GuardedScreen) or not _is_pressed(event):
+            return False
+        if isinstance(event, events.Key) and event.key in screen.SAFE_KEYS:
+            return False
+        if not self.is_late(event):
+            return not self._was_seen(screen, heard_before(event))
+        if self._clock() - self._told_at > _TOLD_EVERY:
+            self._told_at = self._clock()
+            self._app.notify(LateInput.IGNORED(), severity="warning", timeout=_TOLD_EVERY)
+        return True
+
+    def takes_keys(self, screen: GuardedScreen) -> bool:
+        """Whether a key that is pressed now would count."""
+        return self.pulse is None or self._was_seen(screen, self.pulse.heard_now)
+
+    def _was_seen(self, screen: GuardedScreen, heard: float) -> bool:
+        """Whether the operator may have read a screen before input that came after an answer."""
+        if screen.seen_after == 0.0:
+            return True
+        drawn_at = screen.drawn_at
+        # An answer to a question after the picture proves that the terminal has it.
+        return drawn_at is not None and self._clock() - drawn_at >= screen.seen_after and heard >= drawn_at
+
+
+def _is_pressed(event: Message) -> bool:
+    return isinstance(event, (events.Key, events.Paste, events.MouseDown, events.MouseUp, events.Click))

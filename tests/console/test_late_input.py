@@ -1,0 +1,309 @@
+"""Keys that come late: the terminal's pulse, screens that take young keys only, and driving behind a multiplexer."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.console.driving import drive, scripted_app, shown, until
+from textual import events
+
+from rsb_console.screens.dialog import GuardedConfirmScreen
+from rsb_console.screens.drive_screen import Steering
+from rsb_console.terminal.driver import KeyParser
+from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate
+from rsb_console.terminal.pulse import ANSWERS_WITHIN, ASKED_EVERY, FRESH_FOR, WHO_ARE_YOU, Pulse, heard_before
+
+if TYPE_CHECKING:
+    from textual.message import Message
+    from textual.pilot import Pilot
+
+
+class Time:
+    """A clock that tests set."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Line:
+    """A terminal at the other end of a line that may hang. What it sends arrives in order.
+
+    Attributes:
+        hangs: whether nothing passes in either direction.
+    """
+
+    def __init__(self, clock: Time, environ: dict[str, str] | None = None, *, latency: float = 0.0) -> None:
+        self.clock, self.latency = clock, latency
+        self.pulse = Pulse(environ or {}, clock)
+        self.hangs = False
+        self._to_terminal: list[tuple[float, int]] = []
+        self._to_console: list[tuple[float, int | Message]] = []
+        self.keys: list[events.Key] = []
+
+    def ask(self) -> None:
+        if question := self.pulse.question():
+            found = re.fullmatch(r"\x1b7\x1b\[1;(\d+)H\x1b\[6n\x1b8", question)
+            assert found is not None
+            self._to_terminal.append((self.clock() + self.latency / 2, int(found[1])))
+
+    def press(self, key: str = "up") -> None:
+        self._to_console.append((self.clock() + self.latency / 2, events.Key(key, None)))
+
+    def go_on(self, seconds: float) -> None:
+        """Let time pass, in which the console asks."""
+        until_, asked = self.clock.now + seconds, self.clock.now
+        while self.clock.now < until_:
+            self.clock.now += 0.01
+            if self.clock.now - asked >= ASKED_EVERY:
+                self.ask()
+                asked = self.clock.now
+            self.deliver()
+
+    def deliver(self) -> None:
+        if self.hangs:
+            return
+        now = self.clock()
+        for due, column in [each for each in self._to_terminal if each[0] <= now]:
+            self._to_terminal.remove((due, column))
+            self._to_console.append((now + self.latency / 2, column))
+        while self._to_console and self._to_console[0][0] <= now:
+            _, what = self._to_console.pop(0)
+            if isinstance(what, int):
+                self.pulse.answered(what)
+            else:
+                self.pulse.stamp(what)
+                assert isinstance(what, events.Key)
+                self.keys.append(what)
+
+    def fresh(self) -> list[bool]:
+        return [self.clock() - heard_before(each) < FRESH_FOR for each in self.keys]
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.3, 0.7])
+def test_a_key_counts_while_the_terminal_answers(latency: float) -> None:
+    line = Line(Time(), latency=latency)
+    line.go_on(3.0)
+    for _ in range(10):
+        line.press()
+        line.go_on(latency / 2 + 0.02)
+        assert line.fresh()[-1]
+        line.go_on(0.3)
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.3])
+@pytest.mark.parametrize("hang", [1.3, 8.0, 40.0])
+@pytest.mark.parametrize("keys", [1, 3, 9])
+def test_keys_that_a_hung_line_delivers_late_do_not_count(latency: float, hang: float, keys: int) -> None:
+    clock = Time()
+    line = Line(clock, latency=latency)
+    line.go_on(3.0)
+    line.hangs = True
+    line.go_on(0.1)
+    for _ in range(keys):
+        line.press()
+    line.go_on(hang)
+    line.hangs = False
+    line.deliver()
+    assert line.fresh() == [False] * keys
+    line.go_on(3.0)
+    line.keys.clear()
+    line.press()
+    line.go_on(latency / 2 + 0.02)
+    assert line.fresh() == [True]
+
+
+def test_a_console_that_stood_still_finds_its_keys_old() -> None:
+    clock = Time()
+    line = Line(clock)
+    line.go_on(1.0)
+    line.ask()
+    line.deliver()
+    line.press()
+    clock.now += 8.0
+    line.deliver()
+    assert line.fresh() == [False]
+
+
+def test_a_lost_answer_makes_no_other_one_older() -> None:
+    clock = Time()
+    pulse = Pulse({}, clock)
+    columns = [int(re.findall(r";(\d+)H", pulse.question())[0]) for _ in range(3)]
+    clock.now += 0.1
+    pulse.answered(columns[2])
+    assert pulse.heard == 100.0
+    asked = clock.now
+    column = int(re.findall(r";(\d+)H", pulse.question())[0])
+    pulse.answered(column)
+    assert pulse.heard == asked
+    pulse.answered(columns[0])
+    pulse.answered(7)
+    assert pulse.heard == asked
+
+
+def test_a_terminal_that_hangs_gets_few_questions() -> None:
+    clock = Time()
+    pulse = Pulse({}, clock)
+    count = 0
+    for _ in range(100):
+        clock.now += ASKED_EVERY
+        count += bool(pulse.question())
+    assert count == 8
+    clock.now += 10
+    assert pulse.question()
+
+
+@pytest.mark.parametrize(
+    ("kind", "relayed"),
+    [("84;0;0", True), ("83;40900;0", True), ("1;10;0", True), ("41;390;0", False), ("65;6800;1", False)],
+)
+def test_a_multiplexer_is_known_by_its_kind(kind: str, relayed: bool) -> None:
+    pulse = Pulse({})
+    pulse.answered(int(re.findall(r";(\d+)H", pulse.question())[0]))
+    pulse.is_kind(kind)
+    assert pulse.relayed is relayed
+
+
+@pytest.mark.parametrize("name", ["TMUX", "STY", "ZELLIJ"])
+def test_a_multiplexer_is_known_by_its_variable(name: str) -> None:
+    assert Pulse({name: "1"}).relayed
+
+
+def test_a_terminal_that_never_answers_is_as_a_multiplexer() -> None:
+    clock = Time()
+    pulse = Pulse({}, clock)
+    pulse.question()
+    key = events.Key("up", None)
+    pulse.stamp(key)
+    assert clock() - heard_before(key) >= FRESH_FOR
+    assert not pulse.relayed
+    clock.now += ANSWERS_WITHIN + 0.1
+    assert pulse.relayed
+    pulse.stamp(key)
+    assert clock() - heard_before(key) < FRESH_FOR
+
+
+def test_answers_in_a_paste_are_taken_out() -> None:
+    clock = Time()
+    pulse = Pulse({}, clock)
+    column = re.findall(r";(\d+)H", pulse.question())[0]
+    assert pulse.without_answers(f"a: 1\x1b[1;{column}R\nb: 2") == "a: 1\nb: 2"
+    assert pulse.heard == 100.0
+
+
+def test_the_kind_of_a_terminal_is_no_key() -> None:
+    assert WHO_ARE_YOU == "\x1b[>c"
+    parser = KeyParser()
+    keys = [each.key for each in parser.feed("a\x1b[>84;0;0cb") if isinstance(each, events.Key)]
+    assert (keys[0], keys[2], len(keys)) == ("a", "b", 3)
+    assert keys[1].startswith("<")
+
+
+# -- driving behind a multiplexer
+
+
+def moves(*presses: tuple[str, float], at: float) -> bool:
+    steering = Steering(lambda: True)
+    for key, now in presses:
+        steering.press(key, now)
+    return steering.at(at) != (0.0, 0.0)
+
+
+def test_a_motion_begins_with_the_second_key_of_a_held_one() -> None:
+    assert not moves(("up", 10.0), at=10.0)
+    assert moves(("up", 10.0), ("up", 10.5), at=10.5)
+    assert moves(("up", 10.0), ("up", 10.5), ("left", 10.6), at=11.15)
+    assert not moves(("up", 10.0), ("down", 10.5), at=10.5)
+    assert not moves(("up", 10.0), ("up", 11.0), at=11.0)
+
+
+def test_a_held_key_goes_on() -> None:
+    steering = Steering(lambda: True)
+    steering.press("up", 10.0)
+    for number in range(100):
+        now = 10.5 + number / 30
+        steering.press("up", now)
+        assert steering.at(now) == (0.2, 0.0)
+
+
+@pytest.mark.parametrize("count", [1, 3, 9, 240])
+@pytest.mark.parametrize("parts", [1, 2, 5])
+def test_keys_that_come_together_move_nothing(count: int, parts: int) -> None:
+    """They come in one piece, or in some a round trip apart, as TCP sends again what was lost."""
+    steering = Steering(lambda: True)
+    for number in range(count):
+        now = 10.0 + number * 1e-4 + (number * min(parts, count) // count) * 0.08
+        steering.press("up", now)
+        assert steering.at(now) == (0.0, 0.0)
+
+
+def test_a_stop_counts_at_once_behind_a_multiplexer() -> None:
+    assert not moves(("up", 10.0), ("up", 10.5), ("space", 10.501), at=10.501)
+
+
+# -- screens
+
+
+def gate_of(clock: Time) -> InputGate:
+    gate = InputGate(scripted_app(), clock)
+    gate.pulse = Pulse({}, clock)
+    gate._app.notify = lambda *_, **__: None  # type: ignore[method-assign]
+    return gate
+
+
+def key(name: str, heard: float) -> events.Key:
+    event = events.Key(name, None)
+    vars(event)["heard"] = heard
+    return event
+
+
+def test_a_guarded_screen_takes_young_keys_and_all_safe_ones() -> None:
+    clock = Time()
+    gate, screen = gate_of(clock), GuardedConfirmScreen("Arm?", "", "Arm")
+    assert gate.refuses(key("y", 99.9), screen)  # not drawn
+    assert not gate.refuses(key("n", 0.0), screen)
+    screen.drawn_at = 100.0
+    clock.now = 100.0 + SEEN_AFTER - 0.1
+    assert gate.refuses(key("y", clock.now), screen)
+    clock.now = 100.0 + SEEN_AFTER
+    assert not gate.refuses(key("y", clock.now), screen)
+    assert gate.refuses(key("y", 99.9), screen)  # pressed before the terminal had the picture, for all we know
+    assert not gate.refuses(key("y", 100.2), screen)
+    clock.now = 103.0
+    assert gate.refuses(key("y", 101.9), screen)
+    assert not gate.refuses(key("y", 102.1), screen)
+    assert gate.refuses(events.Paste("y"), screen) is False  # from no terminal
+    paste = events.Paste("y")
+    vars(paste)["heard"] = 101.9
+    assert gate.refuses(paste, screen)
+    assert not gate.refuses(key("y", 0.0), GuardedScreen.__mro__[1]())
+
+
+def test_the_pictures_of_a_question_say_when_its_keys_count() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        clock = Time()
+        app.input_gate.pulse = Pulse({}, clock)
+        clock.now += ANSWERS_WITHIN + 0.1  # it gives none
+        answers: list[Any] = []
+        question = GuardedConfirmScreen("Move the arm?", "It moves.", "Move")
+        question.seen_after = 60.0
+        app.push_screen(question, answers.append)
+        await until(pilot, lambda: question.drawn_at is not None, "drawn")
+        await pilot.press("y", "tab", "enter")
+        await asyncio.sleep(0)
+        assert app.screen is question
+        await shown(pilot, "…")
+        question.seen_after = 0.0
+        await shown(pilot, "y yes")
+        await pilot.press("y")
+        await until(pilot, lambda: answers == [True], "the answer")
+
+    drive(app, steps)

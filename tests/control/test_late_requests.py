@@ -1,0 +1,108 @@
+"""Commands of attached consoles that come late: what may move a robot is refused, and repeated only if still wanted."""
+
+from __future__ import annotations
+
+import inspect
+import typing
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.console.scripted import ScriptedEngine
+from tests.support.waiting import eventually
+from tests.support.wording import pattern
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.control.protocol import RequestProblem
+from rsb_bridge.control.tickets import TicketClock
+from rsb_bridge.model import commands
+from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
+from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.commands import ArmTopic, Call, Pause, Publish
+
+if TYPE_CHECKING:
+    from tests.support.control import Machine
+
+    from rsb_bridge.control.remote_engine import RemoteEngine
+    from rsb_bridge.model.commands import Command
+
+MOVING: list[Command[Any]] = [
+    ArmTopic("/scan"),
+    Pause("/scan", paused=False),
+    Publish("/scan", "{}"),
+    Call("/scan", "{}"),
+]
+
+
+def test_a_ticket_has_an_age() -> None:
+    now = [100.0]
+    tickets = TicketClock(lambda: now[0])
+    first = tickets.issue()
+    now[0] += 1.5
+    assert tickets.age(first) == pytest.approx(1.5, abs=0.002)
+    assert tickets.age(tickets.issue()) == 0
+    assert abs(TicketClock(lambda: now[0]).age(first)) > OLD_AFTER
+
+
+def test_what_moves_a_robot_expires() -> None:
+    assert all(each.expires for each in MOVING)
+    assert not Pause("/scan", paused=True).expires
+    kinds = [kind for kind in typing.get_args(commands.AnyCommand) if inspect.isclass(kind)]
+    assert {kind.__name__ for kind in kinds if "expires" in vars(kind)} == {type(each).__name__ for each in MOVING}
+
+
+def slow_line(remote: RemoteEngine, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
+    """Let the tickets that the console has grow old."""
+    remote._ticket -= int(seconds * 1e3)
+    monkeypatch.setattr(remote, "_look", lambda: None)  # no further ticket comes by itself
+
+
+@pytest.mark.parametrize("command", MOVING, ids=lambda each: type(each).__name__)
+@pytest.mark.parametrize("age", [0.0, TICKET_LIFE + 0.5, -60.0])
+def test_an_old_ticket_costs_a_round_trip_and_the_command_is_done_once(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch, command: Command[Any], age: float
+) -> None:
+    engine = ScriptedEngine()
+    machine.serve(engine)
+    remote = machine.attach()
+    slow_line(remote, monkeypatch, age)
+    remote.do(command)
+    eventually(lambda: engine.commands)
+    remote.do(Pause("/scan", paused=True)).result(60)
+    assert [each[0] for each in engine.commands][1:] == ["pause"]
+
+
+@pytest.mark.parametrize("command", MOVING, ids=lambda each: type(each).__name__)
+def test_a_command_that_was_given_long_ago_is_not_sent(machine: Machine, command: Command[Any]) -> None:
+    engine = ScriptedEngine()
+    machine.serve(engine)
+    remote = machine.attach()
+    remote.given_at = Clock.steady() - OLD_AFTER - 0.1
+    with pytest.raises(EngineError, match=pattern(RequestProblem.TOO_LATE)):
+        remote.do(command).result(60)
+    remote.do(Pause("/scan", paused=True)).result(60)
+    assert [each[0] for each in engine.commands] == ["pause"]
+
+
+@pytest.mark.parametrize("rest", ["", "{}"])
+def test_a_refused_command_is_repeated_only_while_it_may_be_wanted(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch, rest: str
+) -> None:
+    """The console, or its way to the bridge, stands still between the command and its refusal."""
+    engine = ScriptedEngine()
+    machine.serve(engine)
+    remote = machine.attach()
+    eventually(lambda: remote._ticket)
+    stood = (TICKET_LIFE if rest else OLD_AFTER) + 0.1
+    now = [Clock.steady()]
+    monkeypatch.setattr(Clock, "steady", staticmethod(lambda: now[0]))
+    again = remote._requests.again
+
+    def stand_still(message: Any) -> Any:
+        now[0] += stood
+        return again(message)
+
+    monkeypatch.setattr(remote._requests, "again", stand_still)
+    slow_line(remote, monkeypatch, TICKET_LIFE + 0.5)
+    with pytest.raises(EngineError, match=pattern(RequestProblem.TOO_LATE)):
+        remote.do(Publish("/scan", "{}", rest=rest)).result(60)
+    assert engine.commands == []
