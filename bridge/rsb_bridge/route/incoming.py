@@ -277,7 +277,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if not self._outputs:
             self._hint = type_hint(self.context.ros, self.remote_topic)
             return
-        if self.accepted and not self.paused and self.channel is None:
+        if self.accepted and self.channel is None:
+            # While it is paused, too: the other side may not know yet, and frames without a channel hold up their stream.
             self.peer.open_channel(self)
         before, self._subscribers = self._subscribers, self._outputs.subscriber_count
         now = self.context.now()
