@@ -183,6 +183,29 @@ def test_frames_wait_for_their_route_and_for_the_move() -> None:
     play(scene)
 
 
+def test_a_move_waits_for_its_route() -> None:
+    """Nothing else comes first if the first message is a large one."""
+    route = Route(1, outgoing=True)
+
+    async def scene() -> None:
+        async with connected(route) as (near, far):
+            near.routes[5], far.routes[5] = Route(5, outgoing=True), Route(5, outgoing=False)
+            near.carry(5)
+            near.routes[5].send(bytes(LARGE))
+            small, _ = near.pair.streams()
+
+            def has_come() -> bool:
+                far.tick()
+                return far.pair.over or small.acknowledged == small.sent > 0
+
+            await until(has_come)
+            assert not far.pair.over
+            far.carry(5)
+            await until(lambda: far.routes[5].payloads == [bytes(LARGE)])
+
+    play(scene)
+
+
 def test_held_frames_of_a_route_that_closes_hold_up_nobody() -> None:
     async def scene() -> None:
         async with connected(Route(2, outgoing=True)) as (near, far):

@@ -31,7 +31,7 @@ class RouteSink(Protocol):
 
     @property
     def rank(self) -> int:
-        """The rank of its priority among routes of the same stream."""
+        """The rank of its priority among routes of the same link."""
         ...
 
     def deliver(self, messages: Iterable[Message]) -> None:

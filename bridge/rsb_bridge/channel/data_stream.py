@@ -270,11 +270,12 @@ class StreamPair:
             SealError: a seal is invalid.
         """
         end = self._ends.get(route_id)
-        if end is not None and kind in (DATA, MOVED):
+        known = kind in (DATA, MOVED)
+        if known and end is not None:
             return end.received(stream, kind, frames)
-        if kind == DATA and self._routes.awaits_channel(route_id):
+        if known and self._routes.awaits_channel(route_id):
             return False  # the control message that opens its channel comes by another stream
-        if kind not in (DATA, MOVED) or not self._routes.is_closed_id(route_id):
+        if not known or not self._routes.is_closed_id(route_id):
             raise ProtocolError(Broken.FRAME_OF_UNKNOWN_ROUTE(kind=kind, route=route_id))
         return True
 

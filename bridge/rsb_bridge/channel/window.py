@@ -1,25 +1,22 @@
-"""Limits the data in transit on a stream channel, so that messages wait on the way for a second at most.
+"""Limits the data in transit on a link's data streams, so that messages wait on the way for a second at most.
 
 A stream accepts as much as the buffers of the kernel and of a tunnel behind it hold. On a link of 5 kB/s that
 is data for several minutes. So the receiver acknowledges bytes by receipts, and the sender keeps no more than a window
-of them in transit. The rest waits in the route's queue, which drops the oldest messages first.
+of them in transit. The rest waits in the routes' queues, which drop the oldest messages first.
 
 The window follows the age of the oldest unacknowledged byte. While the age is low, the window grows by the bytes that
 are acknowledged, so it doubles in a round trip, as TCP's does in slow start. Once the age exceeds `_LATE`, the window
 shrinks to the bytes that cross in `_AIM`. So the sender needs no initial rate, and a fast link never fills the window.
 
-This module uses neither sockets nor clocks. It counts bytes from the beginning of the stream.
+This module uses neither sockets nor clocks. It counts the bytes of all streams together.
 """
 
 from __future__ import annotations
 
 from collections import deque
 
-FEATURE = "receipts"
-"""The feature by which a side offers receipts (PROTOCOL.md, 1.6)."""
-
 FIRST = 4 * 1024
-"""Bytes in transit at the beginning, plus one message: 0.8 s of 5 kB/s for each topic."""
+"""Bytes in transit at the beginning, plus one turn: 0.8 s of 5 kB/s."""
 LEAST = 2 * 1024
 """Bytes of the smallest window."""
 _PARTS = 4
@@ -52,10 +49,10 @@ _MOST_MARKS, _MOST_RECEIPTS = 1024, 64
 
 
 class Window:
-    """The limit of a sending channel.
+    """The limit of one direction of a link.
 
     Attributes:
-        limit: count of sent bytes at which the channel is congested.
+        limit: count of sent bytes at which the link is congested.
         size: bytes that may be in transit.
         slow: whether messages wait on the path.
         back: s that a receipt takes to come back now; what waits in the other direction is not held against this one.

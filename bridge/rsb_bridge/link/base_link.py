@@ -362,7 +362,7 @@ class BaseLink(ABC):
 
     @property
     def sample_secret(self) -> bytes | None:
-        """The secret of the sample tags of routes' streams, or None if the peer sends none."""
+        """The secret of the sample tags of data streams, or None if the peer sends none."""
         if self.keys is None or sealing.FEATURE not in self.features:
             return None
         return self.keys.sample_secret

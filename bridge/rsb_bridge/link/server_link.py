@@ -76,7 +76,7 @@ class PortDenied(Wording):
     )
     TOO_MANY_DESCRIPTORS = (
         "{client}'s topics have used up their share of the server's {limit:,} file descriptors: {remedy} there, "
-        "or use protocol: udp, whose topics share one"
+        "or leave out ports of topics"
     )
 
 

@@ -36,7 +36,7 @@ def priority_of(rank: int) -> Priority:
 
 
 def weight_of(rank: int) -> int:
-    """Return the weight of a route's share of a full stream, relative to the weights of the others."""
+    """Return the weight of a route's share of a full link, relative to the weights of the others."""
     return _WEIGHTS[priority_of(rank)]
 
 

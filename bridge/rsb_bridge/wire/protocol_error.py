@@ -21,7 +21,7 @@ class Broken(Wording):
     CONTROL_TOO_SHORT = "a CONTROL frame ends before its name or its fingerprint does"
     NAME_NOT_UTF8 = "the name in a {frame} frame is not UTF-8"
     NAME_UNPRINTABLE = "the name in a {frame} frame has unprintable characters"
-    DATA_TOO_SHORT = "a DATA frame ends before its route does"
+    DATA_TOO_SHORT = "a DATA frame ends before its proof"
     UNKNOWN_SUITE = "unknown cipher suite"
     UNKNOWN_REFUSAL = "unknown refusal code"
     LEASE_HEADER_TOO_SHORT = "a lease header of {length} bytes: it has {expected}"
