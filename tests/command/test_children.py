@@ -28,7 +28,8 @@ STARTS = {"Popen", "run", "call", "check_call", "check_output", "create_subproce
 IN_PYTHON = {"fork", "forkpty", "system", "popen", "startfile"}
 MAY_START = {
     ".ci/install.py", "bridge/rsb_bridge/doctor/machine.py", "bridge/rsb_bridge/doctor/ros_setup.py",
-    "bridge/rsb_bridge/engine/fault_hook.py", "bridge/rsb_bridge/view/renderer.py",
+    "bridge/rsb_bridge/doctor/session_needs.py", "bridge/rsb_bridge/engine/fault_hook.py",
+    "bridge/rsb_bridge/view/renderer.py",
     "console/rsb_console/bench/loopback.py",
     "console/rsb_console/child.py", "console/rsb_console/terminal/driver.py", "deb/build.py",
 }  # fmt: skip

@@ -457,6 +457,9 @@ def written(draw: st.DrawFn, session: Session) -> Written:  # noqa: PLR0915 -- o
             made.add(f"{key}: {scalar(value)}{comment()}", key)
             between(draw(st.sampled_from([0, 2])))
             continue
+        if not entries:  # a server's without clients, for now: a key without a value would be refused
+            made.add(f"{key}: []{comment()}", "the list")
+            continue
         indent = draw(st.sampled_from([0, 2, 4]))
         style = draw(st.sampled_from(["flow", "block", "lines", "mixed", "brackets"]))
         if style == "brackets":

@@ -125,14 +125,29 @@ async def test_the_marks_are_there_in_ascii(app: ConsoleApp, pilot: Pilot[None])
 
 @on_main()
 async def test_keys_keep_it_armed(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, DISARMED)
+    await shown(pilot, "A arm")
+    await pilot.press("A")
+    await shown(pilot, "Arm /cmd_vel of robot1?")
+    await pilot.press("y")
+    await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
     put(app, ARMED)
+    app.pull()  # forgets the keys that armed it
     kept = engine_of(app).kept
+    kept.clear()
     await until(pilot, lambda: len(kept) > 2, "signs of life")
     assert not any(kept)
     await pilot.press("j")
     await until(pilot, lambda: any(kept), "a key")
     app.pull()  # the app sees a key more than once, and a refresh may have come between
     kept.clear()
+    await until(pilot, lambda: len(kept) > 2, "signs of life")
+    assert not any(kept)
+    await pilot.press("question_mark")
+    await shown(pilot, "Next line")
+    app.pull()
+    kept.clear()
+    await pilot.press("j")  # who reads the help does not watch the robot
     await until(pilot, lambda: len(kept) > 2, "signs of life")
     assert not any(kept)
 

@@ -25,6 +25,8 @@ from rsb_console.terminal.driver import KeyParser
 from rsb_console.widgets.form_inputs import FieldInput
 
 SENTENCE = "the quick brown fox jumps over y n q/the lazy dog 0123456789"
+F8 = "\x1b[19~"
+"""It unfolds a form, and goes to the first field that appears."""
 MOST = 3
 """Fields of a form: the way from one to the next is the same for all."""
 CONTROL = {"\t": "tab", "\r": "enter", "\x1b": "escape", "\x7f": "backspace"}
@@ -239,7 +241,7 @@ def test_in_tmux_whole_sentences_with_the_key_that_opens_the_form(tmp_path: Path
     path = os.pathsep.join(p for p in sys.path if p)
     with Tmux(tmp_path, "env", f"PYTHONPATH={path}", "sh", "-c", f"exec {command}") as tmux:
         tmux.wait_for("/robot2/scan")
-        tmux("send-keys", "-l", f"a{SENTENCE}\t\t\tlaser scan of \t20 \t/there it is")
+        tmux("send-keys", "-l", f"a{SENTENCE}\t\t\tlaser scan of \t20 {F8}/there it is")
         picture = tmux.wait_for("/there it is")
         for words in (SENTENCE, "laser scan of", "20", "/there it is"):
             assert words in picture

@@ -28,7 +28,7 @@ LABELS = {
     "New session": ["Bluetooth…", "Create", "Cancel"],
     "Import": ["Import", "Cancel"],
     "Save as": ["Save", "Cancel"],
-    "Add a topic": ["Add", "Cancel"],
+    "Add a topic": ["More (F8)", "Add", "Cancel"],
     "Edit": ["Change", "Cancel"],
     "Remove": ["Remove", "No"],
     "Restart?": ["Restart", "No"],
@@ -62,7 +62,9 @@ async def press(app: ConsoleApp, pilot: Pilot[None], dialog: str, label: str) ->
     screen = app.screen
     buttons(app)[label].focus()
     await pilot.press("enter")
-    if label == "Import":  # nothing is filled in
+    if label == "More (F8)":
+        await shown(pilot, "Stale after")
+    elif label == "Import":  # nothing is filled in
         await shown(pilot, FileText.MISSING)
     else:
         await until(pilot, lambda: app.screen is not screen or ended(app), f"{label} to do something")

@@ -383,7 +383,8 @@ def test_the_key_stands_in_the_footer_only_where_there_is_something_to_call() ->
         await shown(pilot, "C call")
         assert BY_ID["call"].changes
         await pilot.press("question_mark")
-        await pilot.press("G")
+        await shown(pilot, BY_ID["move_down"].help)
+        await pilot.press("pagedown")
         await shown(pilot, BY_ID["call"].help)
 
     drive(app, steps)

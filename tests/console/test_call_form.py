@@ -105,6 +105,7 @@ def test_it_is_found_by_a_few_letters_and_comes_with_kind_provider_and_type(
 async def test_a_kind_that_is_chosen_narrows_the_list_and_changes_the_fields(
     app: ConsoleApp, pilot: Pilot[None]
 ) -> None:
+    await pilot.press("f8")  # all fields
     await shown(pilot, "Stale after")
     await choose(pilot, "kind", "service")
     await gone(pilot, "/camera/depth")

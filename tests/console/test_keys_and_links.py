@@ -22,18 +22,18 @@ from rsb_console.session.saving import PathProblem
 # -- keys ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_key_is_shown_by_fingerprint_and_mode_never_itself(tmp_path: Path) -> None:
-    key = write_key(tmp_path / "r.key")
-    (tmp_path / "r.key").chmod(0o644)
-    app = scripted_app(path=tmp_path / "nav2.yaml")
+def test_a_key_is_shown_by_fingerprint_and_mode_never_itself(folder: Path) -> None:
+    key = write_key(folder / "r.key")
+    (folder / "r.key").chmod(0o644)
+    app = scripted_app()
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("K")
         await shown(pilot, fingerprint(key))
         await shown(pilot, "0644")
-        await shown(pilot, "others may read")  # the rest may be on the next line: the path is as long as it is
-        assert (tmp_path / "r.key").read_text().strip() not in text(app)
+        await shown(pilot, "others may read this key (mode 0644): run `chmod 600 r.key`")
+        assert (folder / "r.key").read_text().strip() not in text(app)
 
     drive(app, steps)
 
@@ -61,8 +61,8 @@ def test_a_key_is_replaced_only_with_a_yes(tmp_path: Path, size: tuple[int, int]
     drive(app, steps, size=size)
 
 
-def test_a_new_key_goes_where_it_is_wanted_and_a_bad_place_is_refused(tmp_path: Path) -> None:
-    app = scripted_app(path=tmp_path / "nav2.yaml")
+def test_a_new_key_goes_where_it_is_wanted_and_a_bad_place_is_refused(folder: Path) -> None:
+    app = scripted_app()
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
@@ -70,19 +70,20 @@ def test_a_new_key_goes_where_it_is_wanted_and_a_bad_place_is_refused(tmp_path: 
         await shown(pilot, "no such key file")
         await pilot.press("g")
         await shown(pilot, "Generate a key")
-        await fill(pilot, path=str(tmp_path / "nowhere" / "new.key"))
+        await fill(pilot, path="nowhere/new.key")
         await shown(pilot, PathProblem.NO_FOLDER)
-        await fill(pilot, path=str(tmp_path / "new.key"))
+        await fill(pilot, path="new.key")
         await pilot.press("enter")
         await shown(pilot, "new.key")
-        await until(pilot, (tmp_path / "new.key").exists, "the key")
-        await shown(pilot, fingerprint(read_key(tmp_path / "new.key")))
+        await until(pilot, (folder / "new.key").exists, "the key")
+        await shown(pilot, fingerprint(read_key(folder / "new.key")))
 
     drive(app, steps)
 
 
-def test_readonly_looks_at_keys_and_makes_none(tmp_path: Path) -> None:
-    app = scripted_app(path=tmp_path / "nav2.yaml", readonly=True)
+@pytest.mark.usefixtures("folder")
+def test_readonly_looks_at_keys_and_makes_none() -> None:
+    app = scripted_app(readonly=True)
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")

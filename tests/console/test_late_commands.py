@@ -28,7 +28,7 @@ class Slow:
         self._now, self._seconds = 100.0, seconds
         monkeypatch.setattr(Clock, "steady", staticmethod(lambda: self._now))
 
-    def publish(self, *_: object, ticket: int) -> Future[Published]:
+    def publish(self, *_: object, ticket: int, **_end: object) -> Future[Published]:
         self._now += 0.0 if ticket else self._seconds
         self.published += bool(ticket)
         done: Future[Published] = Future()

@@ -20,7 +20,7 @@ from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import ProtocolError, State, ToBridge, ToConsole
 from rsb_bridge.control.states import EncodedRoutes, Receiver, Sender
 from rsb_bridge.model.by_hand import LONGEST_REST
-from rsb_bridge.model.commands import Look, Publish
+from rsb_bridge.model.commands import EndLook, Look, Publish
 from rsb_bridge.model.pictures import Cells, Picture, Pixels, Viewed, Wish
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
@@ -43,9 +43,10 @@ VIEWED = st.builds(
 )
 
 
+VIEWERS = st.text(min_size=1, max_size=20)
 LOOKS = st.builds(
     Look,
-    viewer=st.text(min_size=1, max_size=20),
+    viewer=VIEWERS,
     topics=st.just(("/a", "/b")),
     wish=st.builds(Wish, width=st.integers(1, 400)),
 )
@@ -58,7 +59,12 @@ PUBLISHES = st.builds(
     rest=TEXTS,
     rest_after=st.floats(0, LONGEST_REST, exclude_min=True),
 )
-LIMITED: dict[Any, st.SearchStrategy[Any]] = {Viewed: VIEWED, Look: LOOKS, Publish: PUBLISHES}
+LIMITED: dict[Any, st.SearchStrategy[Any]] = {
+    Viewed: VIEWED,
+    Look: LOOKS,
+    EndLook: st.builds(EndLook, viewer=VIEWERS),
+    Publish: PUBLISHES,
+}
 """Types whose parts have limits."""
 
 

@@ -93,7 +93,7 @@ def test_nothing_old_comes_out_of_a_network_that_held_everything(
     out, heard = robot.publisher("/cmd"), pc.listener("/cmd")
     topic = Topic("/cmd", "transmit", protocol=protocol, max_age=MAX_AGE if side == "sender" else None)
     theirs = msgspec.structs.replace(topic, max_age=MAX_AGE)
-    clients = () if side == "sender" else (Client("robot1", topics=(theirs,)),)
+    clients = None if side == "sender" else (Client("robot1", topics=(theirs,)),)
     server = bridge.server(clients=clients)
     client = bridge.client(topic, server_ip="127.0.0.1", server_port=holding.port)
     eventually(lambda: linked(client) and linked(server) and clocks_known(client, server), what="linked")

@@ -38,9 +38,11 @@ class Told:
         self.program.chmod(0o755)
 
     def all(self) -> list[dict[str, Any]]:
+        """Return all changes: those of one command as it lists them."""
         if not self.file.exists():
             return []
-        return [json.loads(line) for line in self.file.read_text().splitlines(keepends=True) if line.endswith("\n")]
+        lines = [line for line in self.file.read_text().splitlines(keepends=True) if line.endswith("\n")]
+        return [change for report in map(json.loads, lines) for change in (report, *report["others"])]
 
     def about(self, name: str) -> list[tuple[str, str]]:
         """Return a link's or a topic's events and states."""

@@ -27,6 +27,7 @@ class Scan:
     local_topic = "/scan"
     spec = Topic("/scan", "transmit")
     paused = True
+    shown = True
 
 
 @pytest.fixture

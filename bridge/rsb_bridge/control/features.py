@@ -44,7 +44,9 @@ PUBLISH = "publish"
 """The commands `DraftMessage` and `Publish`."""
 TOTALS = "totals"
 """The field `messages_total` of routes."""
-FEATURES: Final = (ACKNOWLEDGE, ARMED, "check_messages", "late_after", LOOK, "max_age", "on_fault", PUBLISH, TOTALS)
+FEATURES: Final = (
+    ACKNOWLEDGE, ARMED, "check_messages", "late_after", LOOK, "max_age", "on_end", "on_fault", PUBLISH, TOTALS
+)  # fmt: skip
 """All features of this version. A feature with the name of a field of sessions or topics is that field."""
 
 COMMANDS: Final[dict[type, str]] = {

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.session import Session
 
-_BASE_TIMEOUTS = (sys.executable, "-m", "rsb_bridge.ros.base_timeouts")
+_BASE_TIMEOUTS = (sys.executable, "-P", "-m", "rsb_bridge.ros.base_timeouts")
 _ASKED_FOR = 30.0  # s
 
 

@@ -1,7 +1,8 @@
 """The message that a receiving half publishes by itself once an arming ends, so that the robot does not go on moving.
 
 It is agreed when the route opens, so nothing has to cross the link that may just have died. It goes through a publisher
-of its own: the publishers of the moving messages are closed first, so nothing they hold for slow subscribers follows it.
+of its own: the publishers of the moving messages are closed first, so nothing that they hold for slow subscribers
+follows it.
 """
 
 from __future__ import annotations
