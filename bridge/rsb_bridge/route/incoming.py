@@ -278,7 +278,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self._hint = type_hint(self.context.ros, self.remote_topic)
             return
         if self.accepted and self.channel is None:
-            # While it is paused, too: the other side may not know yet, and frames without a channel hold up their stream.
+            # While it is paused, too: the other side may not know yet, and frames without a channel hold up all others.
             self.peer.open_channel(self)
         before, self._subscribers = self._subscribers, self._outputs.subscriber_count
         now = self.context.now()
