@@ -39,7 +39,7 @@ _CPUCLOCK_SCHED = 2  # clock_getcpuclockid(3), as Linux makes the id of a proces
 _AFTER_GAP = 3.0
 _DRAINS = 5.0
 """s for what is on its way when the robot stops."""
-_MATCHES_WITHIN = 90.0
+_MATCHES_WITHIN = 30.0
 
 
 class Spoken(NamedTuple):
@@ -81,7 +81,7 @@ LINKS = {
             Spoken("/local_costmap", 2, 3_700),
             Spoken("/costmap", 1, 40_000),
             Spoken("/battery", 0.5, 200),
-            Spoken("/diagnostics", 1, 4_000),
+            Spoken("/health", 1, 4_000),
             Spoken("/camera", 30, 60_000, "low", "best_effort"),
             Spoken("/raw", 10, 6_220_800, "low", "best_effort"),
         ),
@@ -221,9 +221,9 @@ def _run(folder: Path, program: Path, link: Link, transport: str, priorities: st
         ears = [child(pc, "-m", "bench.robot_ends", "listen", str(FAR), *map(str, part)) for part in sizes]
         for ear in ears:
             ear.answer()
-        run = ("-m", "rsb_console", "run", "--no-ui", "--control", "none")
+        run = ("-m", "rsb_console", "run", "--no-ui", "--control")
         sides = [
-            child(host, *run, str(folder / f"{side}.yaml"), log=folder / f"{side}.log")
+            child(host, *run, str(folder / f"{side}.sock"), str(folder / f"{side}.yaml"), log=folder / f"{side}.log")
             for host, side in ((pc, "server"), (robot, "client"))
         ]
         mouths = [child(robot, "-m", "bench.robot_ends", "talk", str(NEAR), *map(str, part)) for part in sizes]
@@ -257,7 +257,7 @@ def _wait_until_matched(mouths: Sequence[_Child], folder: Path) -> None:
         if min(mouth.answer()["subscribers"] for mouth in mouths):
             return
         if time.monotonic() > deadline:
-            raise SystemExit((folder / "client.log").read_text()[-2000:])
+            raise SystemExit("\n".join((folder / f"{side}.log").read_text()[-2000:] for side in ("server", "client")))
         time.sleep(0.3)
 
 

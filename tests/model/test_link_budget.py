@@ -77,10 +77,10 @@ def test_all_of_one_priority() -> None:
 
 
 def test_a_lower_one_yields_itself() -> None:
-    now = snapshot(sent("/camera", "normal", 10.0, 60_000), carries=0.7e6)
+    now = snapshot(sent("/camera", "normal", 10.0, 60_000), carries=0.8e6)
     cost = cost_of(now, "robot1", Topic("/points", "transmit", priority="low"), rate=5.0, size=100_000.0)
     assert cost.sufferers == ()
-    assert cost.gets < 0.3 * cost.load.bytes_per_second
+    assert cost.gets < 0.5 * cost.load.bytes_per_second
 
 
 def test_the_other_direction_and_other_links_do_not_count() -> None:

@@ -52,10 +52,10 @@ def test_a_route_moves_to_another_stream(suite: Suite) -> None:
     first, moved, second = writer.write(b"1", 1), writer.write_moved(), writer.write(b"2", 2)
     read = [memoryview(frame)[LENGTH.size :] for frame in (first, moved, second)]
     assert reader.open_frames(read[:1]) == [(b"1", 1, 0)]
-    with pytest.raises(SealError):
-        StreamedReader(server_keys.stream_opener(3, "client"), 3).open_moved(read[1])
     reader.open_moved(read[1])
     assert reader.open_frames(read[2:]) == [(b"2", 2, 0)]
+    with pytest.raises(SealError):
+        reader.open_moved(read[1])
 
 
 def test_what_a_client_sends_after_its_data_preamble_is_left_over() -> None:
