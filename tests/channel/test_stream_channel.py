@@ -66,6 +66,20 @@ def test_a_message_asked_for_goes_ahead_of_a_large_one() -> None:
     play(scene)
 
 
+def test_a_route_that_asks_and_gives_nothing_gets_no_turns_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    idle, other = Route(1, outgoing=True), Route(2, outgoing=True)
+    monkeypatch.setattr(idle, "flush", lambda: idle.channel.ask())
+
+    async def scene() -> None:
+        async with connected(idle, other) as (near, far):
+            idle.channel.ask()
+            other.send(b"after")
+            await until(lambda: far.routes[2].arrived)
+            assert near.scheduler.busy(asyncio.get_running_loop().time()) == 0.0
+
+    play(scene)
+
+
 @STREAMS
 def test_a_closed_end_sends_no_more_of_what_waits(two: bool) -> None:
     route, other = Route(1, outgoing=True), Route(2, outgoing=True)

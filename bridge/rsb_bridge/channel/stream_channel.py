@@ -149,6 +149,7 @@ class StreamSender(_StreamEnd):
             finally:
                 self._in_turn = False
             if not self._messages:
+                self._asked = False  # a route that asks and gives nothing would get turns without end
                 return b""
         payload = self._messages[0][0]
         if not self._at and self._must_move(len(payload)):
