@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 
 _BANDWIDTH = 100_000.0
 """Bytes/s: the topics ask for three times as much."""
-_BEGIN, _SETTLED, _SECONDS = 20.0, 15.0, 60.0
-"""s until the link gets slow, until its division has settled, and for which it is then looked at."""
+_BEGIN, _SETTLED, _SECONDS = 20.0, 30.0, 60.0
+"""s until the link gets slow, until its window, which is that of a fast link, has settled, and for which it is then
+looked at."""
 _BACK_WITHIN, _COUNTED = 15.0, 10.0
 _FULL = {Cause.QUEUE_FULL, Cause.LATE}
 _BEST_EFFORT = Qos(reliability="best_effort")
