@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import select
 import socket
-import struct
 import threading
 import time
 from typing import TYPE_CHECKING, Self, TypeVar
@@ -138,16 +137,6 @@ class Rogue:
     def takes_little(self) -> None:
         """Have the kernel hold as little as it can of what the server says from now on."""
         self._control.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
-
-    def begin_frame(self, stream: socket.socket, size: int = MESSAGE_LIMIT) -> bool:
-        """Announce a message of `size` bytes, and send all of it but the last; whether the server took that."""
-        try:
-            stream.sendall(struct.pack(">I", size))
-            for _ in range((size - 1) >> 16):
-                stream.sendall(bytes(1 << 16))
-        except OSError:
-            return False
-        return not _closed(stream)
 
     def begin_chunks(self, stream: socket.socket, writer: DataWriter, size: int = MESSAGE_LIMIT) -> bool:
         """Send the first chunks of a message in whole frames, and return whether the connection still stands."""
