@@ -180,6 +180,8 @@ class Scheduler:
 
     def write(self, carrier: Carrier, data: bytes | memoryview) -> None:
         """Send bytes on a stream."""
+        if not self.sent:
+            self._window.expect(self._book.ping())  # known by now: when the connection began, it was not
         self._window.wrote(self.sent, self._now())
         self.sent += len(data)
         carrier.write(data)

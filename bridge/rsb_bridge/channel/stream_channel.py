@@ -111,8 +111,10 @@ class StreamSender(_StreamEnd):
     @property
     def pace(self) -> Pace:
         scheduler = self._scheduler
-        if not self.congested or (scheduler.grows and not self.via.congested):
+        if not self.congested:
             return Pace.FREE
+        if scheduler.grows:  # what waits in the kernel alone is no sign of an overload: the path may have stalled
+            return Pace.STOPPED if self.via.congested else Pace.FREE
         return Pace.SLOW if scheduler.moves else Pace.STOPPED
 
     @property

@@ -81,18 +81,22 @@ class Window:
             sent: bytes that it already carried.
             ping: s of the shortest ping of the connection, or 0 if it is unknown.
         """
-        ping = min(ping, _FARTHEST_PINGED)
-        self.size = int(FIRST * max(1.0, ping / _FIRST_LASTS))
-        self.limit = sent + self.size
         self.slow = False
         self.back = 0.0
         self._origin = self._acknowledged = sent
         self._marks: deque[tuple[int, float]] = deque()  # how many bytes were sent when (s)
         self._last_mark, self._last_mark_at = sent, float("-inf")
         self._receipts: deque[tuple[int, float]] = deque(maxlen=_MOST_RECEIPTS)
-        self._ping = ping
-        self._shortest = max(_FARTHEST, ping)  # s, the shortest round trip so far, less what receipts took to come back
+        self.expect(ping)
         self._before_shrinking: tuple[int, float] | None = None  # bytes sent until then, and s that data took
+
+    def expect(self, ping: float) -> None:
+        """Begin on a path with that shortest ping (s), or 0 if it is unknown. Call it before anything is written."""
+        self._ping = min(ping, _FARTHEST_PINGED)
+        # s, the shortest round trip so far, less what receipts took to come back
+        self._shortest = max(_FARTHEST, self._ping)
+        self.size = int(FIRST * max(1.0, self._ping / _FIRST_LASTS))
+        self.limit = self._origin + self.size
 
     def wrote(self, before: int, now: float) -> None:
         """Record that data is written at `now` (s), after `before` bytes."""
