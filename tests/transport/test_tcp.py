@@ -203,6 +203,7 @@ def test_a_slow_path_is_no_reason_to_send_again() -> None:
 
     async def main() -> None:
         async with _connected() as (near, _, _, _):
+            assert near._transport is not None
             sock = near._transport.get_extra_info("socket")
             waits: list[float] = []
             for round_trip in (0.03, 1.7, 90.0, 0.03):

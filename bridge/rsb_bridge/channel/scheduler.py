@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _UNIT = 16
 """Virtual bytes of one byte with a weight of 1, so that all weights divide it."""
-_LEAST_CHUNK, _MOST_CHUNK, _CHUNKS_PER_WINDOW = 1400, 128 * 1024, 32
+LEAST_CHUNK, _MOST_CHUNK, _CHUNKS_PER_WINDOW = 1400, 128 * 1024, 32
 """Bytes of a message in one turn: a part of the window, so that on a slow link another route's turn comes soon (2 kB/s:
 0.7 s for the least), and on a fast one sealing and headers cost little."""
 _LEAST_WRITE, _WRITES_PER_WINDOW = 16 * 1024, 16
@@ -106,7 +106,7 @@ class Scheduler:
 
     def __init__(self, book: ReceiptBook, window: Window) -> None:
         self.sent = 0
-        self.chunk = _LEAST_CHUNK
+        self.chunk = LEAST_CHUNK
         self.busy_since: float | None = None
         self._write = _LEAST_WRITE
         self._book = book
@@ -268,7 +268,7 @@ class Scheduler:
         window = self._window
         window.back = self._book.way_back()
         window.acknowledge(self._acknowledged, self.sent, now)
-        self.chunk = min(_MOST_CHUNK, max(_LEAST_CHUNK, window.size // _CHUNKS_PER_WINDOW))
+        self.chunk = min(_MOST_CHUNK, max(LEAST_CHUNK, window.size // _CHUNKS_PER_WINDOW))
         self._write = max(_LEAST_WRITE, window.size // _WRITES_PER_WINDOW)
         self.run()
         return window.every
