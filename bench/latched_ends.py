@@ -97,6 +97,7 @@ def listen(topic: str, depth: int) -> None:
     if topic != _ROSOUT:
         idle.create_publisher(String, topic, _latched(depth))
     heard = _Heard(far, topic, _latched(_DEPTH))
+    without = _Heard(_node("without", NEAR), topic, _latched(_DEPTH))
     late_nodes = [_node("late", domain) for domain in (NEAR, FAR)]
     _say(ready=True)
     for line in sys.stdin:
@@ -120,6 +121,7 @@ def listen(topic: str, depth: int) -> None:
             heard=len(messages),
             disorder=disorder,
             first=messages[0][3] if messages else 0,
+            first_near=without.messages[0][3] if without.messages else 0,
             p50=delays[len(delays) // 2],
             max=delays[-1],
             near=len(near),

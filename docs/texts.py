@@ -1,12 +1,12 @@
-"""Writes every text that operators may read into one file, so that a change of words is one diff (`make texts`)."""
+"""Writes every text that operators may read to ``build/texts.txt``, to be read at once (`make texts`)."""
 
 from __future__ import annotations
 
 import ast
 import re
+import sys
 from pathlib import Path
 
-TEXTS = Path(__file__).parent / "texts.txt"
 _ROOT = Path(__file__).parent.parent
 _PROGRAM = ("bridge", "console")
 _SEVERAL_WORDS = re.compile(r"[A-Za-z]{2,}\S* .*[A-Za-z]{2,}")
@@ -54,4 +54,7 @@ def page() -> str:
 
 
 if __name__ == "__main__":
-    TEXTS.write_text(page(), encoding="utf-8")
+    written = _ROOT / "build" / "texts.txt"
+    written.parent.mkdir(exist_ok=True)
+    written.write_text(page(), encoding="utf-8")
+    sys.stdout.write(f"{written}\n")

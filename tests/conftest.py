@@ -49,11 +49,10 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
 
         config = parent.config
         random = config.getoption("random")
-        more = random or config.getoption("cov_source", None)  # the wire's coverage is complete with 100
         settings.register_profile(
             "patient",
             deadline=None,
-            max_examples=100 if more else 30,
+            max_examples=100 if random else 30,
             derandomize=not random,
             suppress_health_check=[HealthCheck.too_slow],
         )

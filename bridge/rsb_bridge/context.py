@@ -17,6 +17,7 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.announcements import Announcements
 from rsb_bridge.ros.parameter_events import ParameterEvents
 from rsb_bridge.ros.ros_graph import NameSuggester, SimilarTopics
+from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.type_descriptions import TypeCheckers, TypeDescriptions
 from rsb_bridge.telemetry.event_log import RateLimitedEventLog
 from rsb_bridge.transport.registry import Transports, default_transports
@@ -136,6 +137,18 @@ class Context:
         """Do something on the I/O thread, from another; nothing happens once the engine has stopped."""
         with contextlib.suppress(RuntimeError):
             self.loop.call_soon_threadsafe(work)
+
+    def load_type(self, type_name: str) -> asyncio.Future[None]:
+        """Import a message type on another thread, if it is installed here.
+
+        The first import of a package takes up to a second on a busy machine. In the loop, that would end the lease of
+        everything that is armed.
+        """
+        return self.loop.run_in_executor(None, self._load_type, type_name)
+
+    def _load_type(self, type_name: str) -> None:
+        with contextlib.suppress(RosError):  # its user reports that
+            self.ros.installed_hash(type_name)
 
     def wall(self) -> float:
         """Return the seconds since the epoch on the wall clock, which may be set at any time."""

@@ -292,7 +292,7 @@ class ConsoleApp(TerminalApp[None]):
         if events:
             self._last_event = events[-1].number
         snapshot = self.snapshot()
-        self.needs_young_keys = any(route.arming is not None for route in snapshot.routes)
+        self.needs_young_keys = any(route.arming is not None or route.spec.paused for route in snapshot.routes)
         self.deadman.keep(self.engine, snapshot)
         self.fault_bell.look(self.engine, snapshot)
         if any(isinstance(screen, FullScreen) for screen in self.screen_stack):

@@ -25,6 +25,17 @@ def parsed(*words: str) -> dict[str, Any]:
         ("add pc --service /dock --provider client", {"bridge": "pc", "topic": "/dock", "kind": "service"}),
         ("edit pc /scan max_rate=5", {"bridge": "pc", "topic": "/scan", "keys": ["max_rate=5"]}),
         ("ack pc /scan", {"bridge": "pc", "topic": "/scan"}),
+        ("ack pc robot1", {"bridge": "pc", "topic": "robot1"}),
+        ("ack pc robot1 --undo", {"bridge": "pc", "topic": "robot1", "undo": True}),
+        ("ack --undo robot1", {"bridge": None, "topic": "robot1"}),
+        ("ack --fleet fleet.yaml robot1", {"bridge": None, "topic": "robot1"}),
+        ("pause pc scan --link robot1", {"bridge": "pc", "topic": "scan", "link": "robot1"}),
+        ("fleet pc", {"bridge": "pc"}),
+        ("fleet pc --json --seconds 1", {"bridge": "pc", "json": True}),
+        ("fleet --bridge pc", {"bridge": "pc"}),
+        ("fleet pc exec robot1 -- pause /scan", {"bridge": "pc", "names": ["robot1"]}),
+        ("fleet pc dismiss robot1", {"bridge": "pc", "names": ["robot1"]}),
+        ("fleet exec pc robot1 -- pause /scan", {"bridge": None, "names": ["pc", "robot1"]}),
         ("look pc /map /scan --once", {"bridge": "pc", "topics": ["/map", "/scan"]}),
         ("pub pc /goal {}", {"bridge": "pc", "topic": "/goal", "message": "{}"}),
         ("call pc /dock", {"bridge": "pc", "topic": "/dock", "request": ""}),
@@ -44,6 +55,12 @@ def parsed(*words: str) -> dict[str, Any]:
 )
 def test_the_name_is_found(words: str, found: dict[str, Any]) -> None:
     assert {name: value for name, value in parsed(*words.split()).items() if name in found} == found
+
+
+def test_a_mistyped_command_of_a_fleet_is_no_bridge(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        parsed("fleet", "exce", "robot1")
+    assert "exce" in capsys.readouterr().err
 
 
 def test_each_command_that_attaches_has_the_option() -> None:

@@ -24,6 +24,7 @@ from rsb_bridge.model.topic_keys import ForeignKey
 from rsb_console.command.call_command import CallProblem
 from rsb_console.command.remote import RemoteProblem
 from rsb_console.command.target import BridgeChoice, RouteChoice
+from rsb_console.session.landing import LandingText
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -221,9 +222,11 @@ def test_a_service_flows_once_it_can_be_called(
 def test_a_call_prints_the_response(ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch) -> None:
     answer(engine, "success: true\nmessage: 'docked'\n# the first 3 of 9 elements\n")
     assert ran("call", "/dock").out == "success: true\nmessage: 'docked'\n# the first 3 of 9 elements\n"
-    assert ran("call", "/dock", "{speed: 1}", "--json").json == {
-        "ok": True, "response": {"success": True, "message": "docked"}
-    }  # fmt: skip
+    printed = ran("call", "/dock", "{speed: 1}", "--json").json
+    (landed,) = printed.pop("landed")
+    assert printed == {"ok": True, "response": {"success": True, "message": "docked"}}
+    assert landed["ok"]
+    assert says(landed["report"], LandingText.ANSWERED, link=DOCK.link)
     monkeypatch.setattr("sys.stdin", io.StringIO("speed: 2\n"))
     assert ran("call", "/dock", "-").code == 0
     assert ran("call", "/navigate", "--lane", "cancel_goal").code == 0

@@ -21,9 +21,13 @@ from rsb_bridge.config.decoding import ValueMistake
 from rsb_bridge.config.keys import KeyFileProblem, fingerprint, read_key, write_key
 from rsb_bridge.config.session_file import SavingProblem, dump, load, parse, save
 from rsb_bridge.config.validation import SessionMistake
+from rsb_bridge.history.history_files import EventFile
+from rsb_bridge.history.state_folder import state_folder
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, May, Session, Topic
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_console.command.client_command import ClientCommandProblem, ClientEffect
+from rsb_console.command.formatting import clock
 from rsb_console.command.target import Asking
 from rsb_console.session.client_files import ClientFileProblem, RobotFileText
 
@@ -245,6 +249,31 @@ def test_a_finish_asks_if_the_client_may_not_have_the_new_key(
         assert says(ran.err, problem)
         assert ran.code == (2 if answer is None else 1)
         assert run("rekey", "robot1", str(path), "--finish", "--json").code == 2
+
+
+@pytest.mark.parametrize(("used", "code"), [(("old", "next"), 0), (("next", "old"), 2), (("next of robot2",), 2)])
+def test_a_finish_knows_from_the_servers_log_which_key_was_used_last(
+    path: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, used: tuple[str, ...], code: int
+) -> None:
+    run("rekey", "robot1", str(path), "--keep-old")
+    marks = {
+        name: fingerprint(read_key(path.with_name(f"robot1{end}.key")))
+        for name, end in (("old", ""), ("next", "-next"))
+    }
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    folder = state_folder({"XDG_STATE_HOME": str(tmp_path / "state")})
+    folder.mkdir(parents=True)
+    log = EventFile(folder / "pc.jsonl")
+    for number, key in enumerate(used):
+        which, _, of = key.partition(" of ")
+        event = Event(
+            number + 1, 1e9 + number, Level.INFO, EventCode.KEY_USED, "linked", of or "robot1", new=marks[which]
+        )
+        log.write([event])
+    log.close()
+    ran = run("rekey", "robot1", str(path), "--finish", "--json")
+    assert (ran.code, path.read_text() == TEXT) == (code, code == 0)
+    assert says(ran.err, ClientEffect.USED, name="robot1", when=clock(1e9 + 1)) is (code == 0)
 
 
 def test_a_finish_that_was_cut_off_is_done_again(path: Path, run: Run) -> None:

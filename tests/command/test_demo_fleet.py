@@ -17,6 +17,7 @@ from tests.console.terminal import COMMAND, Terminal
 from tests.console.tmux import Tmux
 from tests.support.commands import parser_and_commands
 from tests.support.locks import alone
+from tests.support.long import long_cases
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
@@ -135,7 +136,7 @@ def test_the_screen_opens_leads_to_a_robot_and_back_and_ends_all(tmp_path: Path,
     assert [*temporary.iterdir()] == []
 
 
-@pytest.mark.parametrize(("seen", "how"), [("starting", signal.SIGTERM), ("robot1", signal.SIGHUP)])
+@pytest.mark.parametrize(("seen", "how"), [*long_cases(("starting", signal.SIGTERM)), ("robot1", signal.SIGHUP)])
 def test_nothing_of_it_is_left_where_a_signal_ends_it(seen: str, how: signal.Signals, temporary: Path) -> None:
     with Terminal(str(COMMAND), "demo", "--fleet", "--robots", "1") as terminal:
         terminal.wait_for(seen, WITHIN)

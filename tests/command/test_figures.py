@@ -18,7 +18,6 @@ from tests.support.domain import text
 from tests.support.running import Running
 from tests.support.waiting import eventually
 
-from rsb_bridge.control import attached_console
 from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
@@ -134,22 +133,6 @@ def test_without_a_message_they_exit_with_1(ran: Any, engine: Running, name: str
     (found,) = objects(done)
     assert (found["state"], found["cause"], found["messages"]) == ("stopped", "publisher_silent", 0)
     assert ran(name, "/scan", "--count", "1").code == 1
-
-
-@pytest.mark.parametrize("name", ["hz", "bw"])
-def test_an_older_bridge_that_has_no_counts_gives_no_wrong_figures(
-    ran: Any, engine: Running, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    monkeypatch.setattr(attached_console, "FEATURES", ())
-    done = ran(name, "/scan", "--count", "1", "--json")
-    assert done.code == 1
-    (found,) = objects(done)
-    assert found["ok"] is False
-    assert "update" in found["error"]
-    assert ran("ack", "/scan").code == 1
-    (found,) = objects(ran("info", "/scan", "--json"))
-    assert found["messages_total"] is None
-    assert found["bytes_total"] is not None
 
 
 @pytest.mark.parametrize("name", ["hz", "bw", "info"])

@@ -78,6 +78,7 @@ def test_a_lock_has_all_that_its_packages_need(lock: str) -> None:
                 assert canonicalize_name(need.name) in locked, f"{name} needs {need.name}"
 
 
+@pytest.mark.long  # it leaves this machine, which `make test` does not
 def test_pip_takes_the_lock_of_a_robot() -> None:
     """With the hashes of pip's own index, where that can be reached."""
     pip = [sys.executable, "-m", "pip", "--retries", "0", "--timeout", "10", "--disable-pip-version-check", "install"]

@@ -313,7 +313,8 @@ def test_the_command_says_who_has_disarmed_it(robot: Robot) -> None:
     command = robot.command("arm", "--json", CHATTER)
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True) as arming:
         assert arming.stdout is not None
-        assert json.loads(arming.stdout.readline())["armed"] is True
+        first = json.loads(arming.stdout.readline())
+        assert first.get("armed") is True, first
         robot.ask("disarm", CHATTER)
         (ended,) = map(json.loads, arming.stdout)
         assert arming.wait(60) == 1

@@ -100,7 +100,7 @@ ROWS = (
         (Spec("planner", "/imu"),),
         State.UNHEARD,
         Cause.QOS_INCOMPATIBLE,
-        "server: /planner asks for reliable … with best_effort … the subscribers of /imu there receive nothing",
+        "server: /planner asks for reliable … with best_effort … reaches the subscribers of /imu there",
         "/planner asks for reliable … is published with best_effort",
     ),
     Row(
@@ -110,7 +110,7 @@ ROWS = (
         (Spec("odd", "/gps", type="Int32"),),
         State.UNHEARD,
         Cause.TYPE_CONFLICT,
-        "server: /odd has std_msgs/msg/Int32 … carries std_msgs … the subscribers of /gps there receive nothing",
+        "server: /odd has std_msgs/msg/Int32 … carries std_msgs … reaches the subscribers of /gps there",
         "/odd has std_msgs/msg/Int32, but /gps carries std_msgs/msg/String … the subscribers of /gps in domain",
     ),
     Row(

@@ -515,3 +515,15 @@ def test_a_topic_that_cannot_be_driven_is_named(changes: dict[str, Any], reason:
         assert app.screen is app.main
 
     drive(app, steps)
+
+
+@driven
+async def test_what_the_robot_has_in_hand_is_shown(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    assert ARMED.arming is not None
+    for given, motion in [
+        ((0.2, 0.0), DriveText.MOVING(forward=0.2, turning="")),
+        ((0.2, -0.5), DriveText.MOVING(forward=0.2, turning=DriveText.TURNING(turn=-0.5))),
+        ((0.0, 0.0), DriveText.RESTS()),
+    ]:
+        put(app, replace(ARMED, arming=replace(ARMED.arming, velocity=given)))
+        await shown(pilot, DriveText.IN_HAND(link=ARMED.link, motion=motion))

@@ -15,18 +15,22 @@ import pytest
 from tests.console.driving import NARROW, NOWHERE, WIDE, ended, notices, settled, shown, text, until
 from tests.console.scripted import NOW, SESSION, ScriptedEngine
 from tests.console.tmux import Tmux
+from tests.model.test_robot_summary import a, on_server
 from tests.support.fleet import ScriptedSource, ServerEngine, fleet_of, robot, topics
 from textual.pilot import Pilot
 from textual.widgets import Input
 
 from rsb_bridge.model.robot_summary import Battery, Loss, RobotState
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import Acknowledgement, State
+from rsb_bridge.model.verdict import Cause
 from rsb_console.actions import FLEET_ACTIONS, Group
 from rsb_console.fleet.rolling import Bridged
 from rsb_console.fleet.server_source import ServerFleet
 from rsb_console.fleet_app import FleetApp, RobotApp
 from rsb_console.screens.rollout import ChangeField, Phase, RolloutScreen, _key_line
 from rsb_console.screens.rollout import _now as present_values
+from rsb_console.widgets.bars import state_counts
 from rsb_console.widgets.fleet_table import FleetView
 
 if TYPE_CHECKING:
@@ -213,6 +217,29 @@ def test_of_a_group_that_is_well_it_is_said() -> None:
         await bed.shown("nothing is wrong")
 
     Bed(robot("robot1", group="hall"), robot("robot2", group="hall"), view=FleetView(grouped=True)).run(steps)
+
+
+def test_both_screens_count_topics_that_nobody_hears_alike() -> None:
+    """The console counts them by its routes, the fleet by its robots' summaries."""
+    unheard = [a(f"/t{number}", State.UNHEARD, cause=Cause.NO_SUBSCRIBER) for number in range(27)]
+    known = a("/known", State.UNHEARD, cause=Cause.NO_SUBSCRIBER, acknowledged=Acknowledgement("anna", NOW))
+    robots = {name: (*unheard[:count], known, a("/odom")) for name, count in (("robot1", 27), ("robot2", 5))}
+
+    async def steps(bed: Bed) -> None:
+        (first, *_) = text(bed.app).splitlines()
+        (on_consoles,) = state_counts(
+            [each for routes in robots.values() for each in routes], [State.UNHEARD], words=True
+        )
+        assert on_consoles[0].strip() == "◇ 32 unheard"
+        assert on_consoles[0].strip() in first
+        await bed.shown("nothing is wrong")
+        (of_group,) = [line for line in text(bed.app).splitlines() if "nothing is wrong" in line]
+        assert on_consoles[0].strip() in of_group
+
+    summaries = [
+        msgspec.structs.replace(on_server(*routes), name=name, group="hall") for name, routes in robots.items()
+    ]
+    Bed(*summaries, view=FleetView(grouped=True)).run(steps)
 
 
 def test_without_groups_there_are_no_headings() -> None:

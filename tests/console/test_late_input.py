@@ -7,9 +7,12 @@ import re
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.console.driving import drive, scripted_app, shown, until
+from tests.console.driving import drive, engine_of, on_main, put, scripted_app, shown, until
+from tests.console.scripted import route
 from textual import events
 
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
 from rsb_console.screens.dialog import GuardedConfirmScreen
 from rsb_console.screens.drive_screen import Steering
 from rsb_console.terminal.driver import KeyParser
@@ -19,6 +22,8 @@ from rsb_console.terminal.pulse import ANSWERS_WITHIN, ASKED_EVERY, FRESH_FOR, W
 if TYPE_CHECKING:
     from textual.message import Message
     from textual.pilot import Pilot
+
+    from rsb_console.app import ConsoleApp
 
 
 class Time:
@@ -307,3 +312,56 @@ def test_the_pictures_of_a_question_say_when_its_keys_count() -> None:
         await until(pilot, lambda: answers == [True], "the answer")
 
     drive(app, steps)
+
+
+# -- resuming
+
+
+def test_the_gate_knows_whether_the_newest_input_is_young() -> None:
+    clock = Time()
+    gate = gate_of(clock)
+    screen = GuardedScreen.__mro__[1]()
+    gate.refuses(key("p", clock.now - FRESH_FOR), screen)
+    assert not gate.is_young
+    gate.refuses(events.Key("p", None), screen)  # from no terminal: what sets it off is the input before it
+    assert not gate.is_young
+    gate.refuses(key("p", clock.now), screen)
+    assert gate.is_young
+    clock.now += ANSWERS_WITHIN + 0.1  # it gives no answers, which proves nothing
+    gate.refuses(key("p", float("inf")), screen)
+    assert not gate.is_young
+
+
+async def resume(app: ConsoleApp, pilot: Pilot[None], *, young: bool) -> None:
+    put(app, route("/cmd_vel", State.PAUSED, spec=Topic("/cmd_vel", "receive", paused=True)))
+    await shown(pilot, "PAUSED   /cmd_vel")
+    assert app.needs_young_keys
+    app.input_gate.pulse = Pulse({}, Time())
+    app.input_gate.is_young = young
+    await pilot.press("p")
+
+
+@on_main()
+async def test_a_young_key_resumes_at_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await resume(app, pilot, young=True)
+    await until(pilot, lambda: engine_of(app).commands == [("pause", "/cmd_vel", False)], "resumed")
+
+
+@on_main()
+async def test_a_late_key_resumes_nothing_without_a_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await resume(app, pilot, young=False)
+    await shown(pilot, "Resume /cmd_vel?")
+    assert engine_of(app).commands == []
+    app.input_gate.pulse = None
+    await pilot.press("y")
+    await until(pilot, lambda: engine_of(app).commands == [("pause", "/cmd_vel", False)], "resumed")
+
+
+@on_main()
+async def test_a_late_key_pauses_at_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, route("/cmd_vel"))
+    await shown(pilot, "/cmd_vel")
+    app.input_gate.pulse = Pulse({}, Time())
+    app.input_gate.is_young = False
+    await pilot.press("p")
+    await until(pilot, lambda: engine_of(app).commands == [("pause", "/cmd_vel", True)], "paused")

@@ -333,7 +333,9 @@ def test_an_engine_that_has_died_says_why_and_can_be_started_anew(temporary: boo
         dead = engine_as(app, Dying)
         dead.die()
         app.pull()
-        await shown(pilot, "✗ STOPPED: R starts it again, node broken")
+        await shown(pilot, "✗ STOPPED: R starts it again")
+        await shown(pilot, "✗ robot1: node broken")  # not an earlier error
+        assert text(app).count("node broken") == 2  # banner and log have the reason, status line and table the way on
         await pilot.press("R")
         await shown(pilot, "● LINKED")
         await shown(pilot, "/robot2/scan")

@@ -1,6 +1,7 @@
 """Publishing a message by hand in the console, on an engine that plays a script."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ from tests.console.driving import (
     form_of,
     gone,
     notified,
+    put,
     scripted_app,
     settled,
     shown,
@@ -33,6 +35,7 @@ from rsb_console.app import ConsoleApp
 from rsb_console.screens.main import MainText
 from rsb_console.screens.publish_screen import PublishScreen, PublishText
 from rsb_console.session.by_hand import ByHandText
+from rsb_console.session.landing import LandingText
 
 STRING = "std_msgs/msg/String"
 WORDS = route("/words", outgoing=True, spec=Topic("/words", "transmit"), type_name=STRING)
@@ -330,3 +333,14 @@ async def test_without_a_session_nothing_is_published(app: ConsoleApp, pilot: Pi
     await shown(pilot, ByHandText.NO_SESSION)
     app.engine = engine
     assert not sent(app)
+
+
+@on()
+async def test_the_form_shows_what_the_other_side_reports(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await until(pilot, lambda: message(app), "the message")
+    engine_of(app).published = [TAKEN]
+    await publish(app, pilot)
+    delivered = replace(WORDS.ledger, delivered=WORDS.ledger.delivered + 1)
+    put(app, replace(WORDS, ledger=delivered, subscribers=("motors",)))
+    await shown(pilot, LandingText.SUBSCRIBED, nodes="motors")
+    await shown(pilot, PublishText.PUBLISHED, sign="✓", topic="/words")

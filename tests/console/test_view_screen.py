@@ -147,7 +147,7 @@ async def test_a_picture_is_asked_for_and_shown(app: ConsoleApp, pilot: Pilot[No
     await shown(pilot, ViewText.WAITING)
     await comes(pilot, viewed())
     await shown(pilot, "the picture")
-    for part in (SCAN, "360 points", ViewText.SIDE(side="robot1"), ViewText.SIZE(size=formats.byte_count(1234))):
+    for part in (SCAN, "360 points", ViewText.SIDE(side="the server"), ViewText.SIZE(size=formats.byte_count(1234))):
         assert part in title(app)
 
 
@@ -339,6 +339,7 @@ def test_a_topic_that_is_not_bridged_can_be_chosen() -> None:
         await shown(pilot, SCAN)
         await pilot.press("V")
         await shown(pilot, SUGGESTION.topic)
+        await shown(pilot, "the server")  # a client's link has the client's own name
         await pilot.press("enter")
         await until(pilot, lambda: looks(engine_of(app)), "a question for a picture")
         ((topics, _, _), *_) = looks(engine_of(app))

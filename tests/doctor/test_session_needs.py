@@ -5,10 +5,11 @@ from __future__ import annotations
 import importlib.util
 import os
 import socket
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.console.scripted import ScriptedEngine
+from tests.console.scripted import LINK, ScriptedEngine
 from tests.support.ports import free_port
 from tests.support.wording import says
 
@@ -56,6 +57,17 @@ def test_a_port_that_this_sessions_own_bridge_has(tmp_path: Path, machine: Machi
         (of_another_file,) = found("ports", server, tmp_path / "another", machine.environ)
     assert (finding.grade, of_another_file.grade) == (Grade.OK, Grade.WARNING)
     assert says(finding.text, session_needs.NeedText.PORT_OWN, pid=os.getpid())
+
+
+@pytest.mark.parametrize(("offset", "grade"), [(-30.0, Grade.WARNING), (30.0, Grade.WARNING), (0.02, Grade.OK)])
+def test_the_clocks_of_a_running_bridges_peers(offset: float, grade: Grade, tmp_path: Path, machine: Machine) -> None:
+    engine = ScriptedEngine()
+    engine.now = replace(engine.now, links=(replace(LINK, clock_offset=offset, clock_uncertainty=0.004),))
+    machine.serve(engine, file=tmp_path / "session.yaml")
+    (finding,) = found("clock", session(), tmp_path, machine.environ)
+    assert (finding.grade, finding.facts["offset"]) == (grade, offset)
+    assert "the server" in finding.text  # a client's link has the client's own name
+    assert found("clock", session(), tmp_path / "of a bridge that does not run", machine.environ) == []
 
 
 def test_a_port_that_another_program_has_over_ipv4_only(tmp_path: Path) -> None:

@@ -164,4 +164,4 @@ def test_a_server_begins_without_clients_and_loses_its_last_one(bridge: Bridge, 
     server.remove_client("robot1").result(60)
     assert now(server).links == ()
     assert server.session.clients == ()
-    eventually(lambda: not linked(client), 30)
+    eventually(lambda: not linked(client))

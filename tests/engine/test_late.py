@@ -81,10 +81,10 @@ def test_messages_that_are_held_on_the_way_are_late_on_both_sides(
         both_say((client, server), "/scan", State.OK, Cause.NONE, 15)
         holding.delay = lambda: 3.0
         both_say((client, server), "/scan", State.LATE, Cause.LATE, 15)
-        eventually(lambda: all(event_of(each, EventCode.ROUTE_FAULT, Cause.LATE) for each in (client, server)), 15)
+        eventually(lambda: all(event_of(each, EventCode.ROUTE_FAULT, Cause.LATE) for each in (client, server)))
         holding.delay = lambda: 0.0
         both_say((client, server), "/scan", State.OK, Cause.NONE, 15)
-        eventually(lambda: all(event_of(each, EventCode.ROUTE_RECOVERED, Cause.LATE) for each in (client, server)), 15)
+        eventually(lambda: all(event_of(each, EventCode.ROUTE_RECOVERED, Cause.LATE) for each in (client, server)))
     assert not event_of(client, EventCode.LINK_FULL, LinkCause.FULL)
 
 
@@ -102,9 +102,9 @@ def test_a_tunnel_that_carries_too_little_is_full_on_both_sides(bridge: Bridge, 
         with Talking(out, 20, 700):
             both_say((client, server), "/camera", State.OK, Cause.NONE, 15)
             relay.rate = 5_000
-            eventually(lambda: all(link(each).cause == LinkCause.FULL for each in (client, server)), 12)
+            eventually(lambda: all(link(each).cause == LinkCause.FULL for each in (client, server)))
             wrong = {Cause.LATE, Cause.QUEUE_FULL}  # the second one where what waits too long is dropped
-            eventually(lambda: all(route(each, "/camera").cause in wrong for each in (client, server)), 12)
+            eventually(lambda: all(route(each, "/camera").cause in wrong for each in (client, server)))
             out_there, in_here = link(client).full_out, link(server).full_in
             assert out_there is not None
             assert in_here is not None
@@ -115,7 +115,7 @@ def test_a_tunnel_that_carries_too_little_is_full_on_both_sides(bridge: Bridge, 
             assert event_of(client, EventCode.LINK_FULL, LinkCause.FULL)
             assert event_of(server, EventCode.LINK_FULL, LinkCause.FULL)
             relay.rate = 1_000_000
-            eventually(lambda: all(not link(each).warning for each in (client, server)), 20)
+            eventually(lambda: all(not link(each).warning for each in (client, server)))
             both_say((client, server), "/camera", State.OK, Cause.NONE, 15)
         assert event_of(client, EventCode.LINK_ROOM)
         assert event_of(server, EventCode.LINK_ROOM)

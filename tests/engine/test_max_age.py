@@ -108,7 +108,7 @@ def test_nothing_old_comes_out_of_a_network_that_held_everything(
         before = len(heard.payloads)
         eventually(lambda: all(_shown(each, "/cmd") in EXPIRED for each in both), 15, what="late on both sides")
         eventually(lambda: len(heard.payloads) > before + 40, 20, what="fresh messages again")
-        eventually(lambda: all(_shown(each, "/cmd")[0] is State.OK for each in both), 30)
+        eventually(lambda: all(_shown(each, "/cmd")[0] is State.OK for each in both))
 
     def agreed() -> Ledger | None:
         """The ledger once both sides and the listener have counted the same."""
@@ -137,7 +137,7 @@ def test_without_max_age_old_messages_come_out(bridge: Bridge, holding: Relay, r
     with Stamping(out):
         eventually(lambda: len(heard.payloads) > 10, what="messages")
         holding.delay = lambda: HELD
-        eventually(lambda: max(ages(heard)) > 2.0, 15)
+        eventually(lambda: max(ages(heard)) > 2.0)
     assert route(client, "/cmd").ledger.expired == 0
 
 
@@ -145,14 +145,14 @@ def test_a_latched_message_is_too_old_for_whoever_joins_late(bridge: Bridge, rob
     out = robot.publisher("/mode", qos=latched(1))
     out.publish(text(str(time.time_ns())))
     began = time.monotonic()
-    eventually(lambda: time.monotonic() - began > 2 * MAX_AGE, 5)
+    eventually(lambda: time.monotonic() - began > 2 * MAX_AGE)
     server, client = bridge.both(Topic("/mode", "transmit", max_age=MAX_AGE))
     heard = pc.listener("/mode", qos=JOINS_LATE)
-    eventually(lambda: route(client, "/mode").ledger.expired == 1, 15)
-    eventually(lambda: clocks_known(client, server), 10)
+    eventually(lambda: route(client, "/mode").ledger.expired == 1)
+    eventually(lambda: clocks_known(client, server))
     holds(lambda: not heard.payloads, 1.0)
     out.publish(text(str(time.time_ns())))
-    eventually(lambda: len(heard.payloads) == 1, 10)
+    eventually(lambda: len(heard.payloads) == 1)
     assert max(ages(heard)) <= MAX_AGE + TOLERANCE
     assert route(server, "/mode").ledger.expired == 1
 
@@ -170,10 +170,10 @@ def test_a_lifespan_goes_on_on_the_way(bridge: Bridge, holding: Relay, robot: Do
     with Stamping(out):
         eventually(lambda: len(heard.payloads) > 10, what="messages")
         holding.delay = lambda: HELD
-        eventually(lambda: route(client, "/cmd").ledger.expired > 10, 20)
+        eventually(lambda: route(client, "/cmd").ledger.expired > 10)
         holding.delay = lambda: 0.0
         before = len(heard.payloads)
-        eventually(lambda: len(heard.payloads) > before + 20, 20)
+        eventually(lambda: len(heard.payloads) > before + 20)
     assert max(ages(heard)) <= 1.0 + TOLERANCE + 0.1  # half of the shortest round trip
 
 
@@ -197,7 +197,7 @@ def test_a_request_that_is_too_old_reaches_no_server(bridge: Bridge, holding: Re
         eventually(lambda: len(asked) == 1, 15, what="a request in time")
         holding.delay = lambda: 1.5
         caller.call_async(Trigger.Request())
-        eventually(lambda: _too_old(client, "/start") == 1, 15)
+        eventually(lambda: _too_old(client, "/start") == 1)
         assert len(asked) == 1
         assert _too_old(server, "/start") == 1
     finally:

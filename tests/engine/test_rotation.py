@@ -108,6 +108,7 @@ def test_a_key_is_replaced_while_the_link_stays(
     assert len(here.reload().changed) == 1
     eventually(lambda: linked(client) and shown(server) == (new, new))
     assert shown(client) == (new, "")
+    assert [event.new for event in server.events() if event.code == EventCode.KEY_USED] == [new]
     carries([out], server, ["/chat"])
     out.publish(text("with the new key"))
     heard(heard_there, 2)

@@ -170,7 +170,7 @@ def test_latched_topic_keeps_its_promise(bridge: Bridge, robot: Domain, pc: Doma
             sent = [text(stamped(number, 1000)) for number in range(20)]
             for each in sent:
                 latched.publish(each)
-            eventually(lambda: len(there.payloads) >= 20, 30.0)
+            eventually(lambda: len(there.payloads) >= 20)
         assert there.payloads == sent
         assert max(ages(beside, relay)) < 4.0
 

@@ -224,6 +224,9 @@ def test_a_subscriber_that_hears_nothing(
     words(there.reason, "/stock asks for reliable", "published with best_effort")
     words(here.reason, "server: ", "/stock asks for reliable")
     assert here.subscribers == there.subscribers == ("/stock",)
+    assert "only" not in there.reason
+    pc.publisher("/lidar")  # which it hears without the bridge
+    eventually(lambda: "only /stock is heard" in route(client, "/lidar").reason)
 
     hears = pc.listener("/lidar", qos=BEST_EFFORT)  # one that hears it does not hide the other
     eventually(lambda: hears.payloads)

@@ -162,7 +162,7 @@ def test_a_view_ends_with_its_viewer(bridge: Bridge, robot: Domain) -> None:
     server, client = bridge.both()
     looked_while(talker, server, "/pose")
     eventually(lambda: views(client))
-    eventually(lambda: not views(server) and not views(client), 30)
+    eventually(lambda: not views(server) and not views(client))
     eventually(lambda: any(event.code == EventCode.LINK_VIEW_ENDED for event in client.events()))
 
 
@@ -172,7 +172,7 @@ def test_who_may_not_look_gets_no_picture(bridge: Bridge, robot: Domain, deny: G
     server, client = bridge.server(), bridge.client(deny=(deny,))
     eventually(lambda: linked(client) and linked(server))
     with pytest.raises(EngineError, match=pattern(DeniedText.DENIED)):
-        eventually(lambda: server.look("me", ("/pose",), WISH, "robot1").result(30), 30)
+        eventually(lambda: server.look("me", ("/pose",), WISH, "robot1").result(30))
 
 
 def test_looking_is_less_than_reading(bridge: Bridge, robot: Domain) -> None:
@@ -181,7 +181,7 @@ def test_looking_is_less_than_reading(bridge: Bridge, robot: Domain) -> None:
     eventually(lambda: linked(client) and linked(server))
     looked_while(talker, server, "/pose", link="robot1")
     key = server.add_topic(Topic("/pose", "transmit"), "robot1").result(10)
-    refused = eventually(lambda: next((r.reason for r in now(server).routes if r.key == key and r.reason), None), 30)
+    refused = eventually(lambda: next((r.reason for r in now(server).routes if r.key == key and r.reason), None))
     assert has_text(refused, DeniedText.NOT_ALLOWED)
 
 
@@ -194,7 +194,7 @@ def test_a_right_that_is_taken_away_ends_the_view(bridge: Bridge, robot: Domain)
     assert drawing(link)
     denied = msgspec.structs.replace(context.session, deny=(Grant("/pose", may="look"),))
     context.call(lambda: setattr(context, "session", denied))
-    eventually(lambda: not drawing(link), 30)
+    eventually(lambda: not drawing(link))
 
     def refused() -> bool:
         try:
@@ -295,7 +295,7 @@ def test_a_view_that_is_ended_makes_room_for_the_next_one(bridge: Bridge, robot:
         looked_while(talker, server, "/pose", viewer=f"viewer{number}")
         server.end_look(f"viewer{number}").result(30)
         assert views(server) == []
-    eventually(lambda: not views(client), 30)
+    eventually(lambda: not views(client))
 
 
 def test_a_view_that_is_ended_while_it_opens_leaves_nothing(bridge: Bridge, robot: Domain) -> None:
@@ -303,8 +303,8 @@ def test_a_view_that_is_ended_while_it_opens_leaves_nothing(bridge: Bridge, robo
     server, client = bridge.both()
     asked = server.look("me", ("/pose",), WISH, "robot1")
     server.end_look("me").result(30)
-    eventually(lambda: asked.done() or publisher.publish(pose(1.0)), 30)
-    eventually(lambda: not views(server) and not views(client), 30)
+    eventually(lambda: asked.done() or publisher.publish(pose(1.0)))
+    eventually(lambda: not views(server) and not views(client))
 
 
 def test_the_log_names_the_topic_and_not_the_route_of_the_pictures(bridge: Bridge, robot: Domain) -> None:
@@ -312,7 +312,7 @@ def test_the_log_names_the_topic_and_not_the_route_of_the_pictures(bridge: Bridg
     server, client = bridge.both()
     looked_while(talker, server, "/pose")
     server.end_look("me").result(30)
-    eventually(lambda: any(event.code == EventCode.LINK_VIEW_ENDED for event in client.events()), 30)
+    eventually(lambda: any(event.code == EventCode.LINK_VIEW_ENDED for event in client.events()))
     said = [event for engine in (server, client) for event in engine.events()]
     assert not [event for event in said if "rsb_look" in f"{event.text} {event.topic}"]
 
@@ -328,7 +328,7 @@ def test_one_viewer_that_asks_for_two_topics_at_once_leaves_nothing(bridge: Brid
             talker()
         time.sleep(0.02)
     assert len(views(server)) == 1
-    eventually(lambda: not views(server) and not views(client), 30)
+    eventually(lambda: not views(server) and not views(client))
 
 
 def test_a_picture_is_of_the_topic_that_was_asked_for_last(bridge: Bridge, pc: Domain) -> None:
@@ -356,8 +356,8 @@ def test_a_view_goes_on_over_a_new_connection(bridge: Bridge, robot: Domain) -> 
     before = {view for view, _ in drawing(link).values()}
     assert before
     context.call(link.fail)
-    eventually(lambda: before.isdisjoint(view for view, _ in drawing(link).values()), 30)
-    eventually(lambda: linked(client) and linked(server), 30)
+    eventually(lambda: before.isdisjoint(view for view, _ in drawing(link).values()))
+    eventually(lambda: linked(client) and linked(server))
 
     def looked_again() -> bool:
         try:

@@ -10,7 +10,7 @@ import pytest
 from tests.link.test_arming import CONSOLE, arm, let_time_pass, propose, route
 from tests.link.test_route_table import Pair, Side, hear_all
 
-from rsb_bridge.cdr.resting import resting, stamped
+from rsb_bridge.cdr.resting import resting, stamped, velocity_of
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Armed, Topic
@@ -19,6 +19,7 @@ from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, Disarmed
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lease import LASTS
+from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.rest_message import EVERY, TIMES, RestMessage
 from rsb_bridge.route.source_publishers import SourcePublishers
 from rsb_bridge.wire.framing import LEASED
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Fields
+    from rsb_bridge.route.route import Route
 
 BEGIN = b"\0\1\0\0"
 TWIST = "geometry_msgs/msg/Twist"
@@ -390,6 +392,54 @@ def test_a_message_that_does_not_fit_is_refused_before_anything_moves(
 ) -> None:
     driven = Driven(loop, make_context, kind, on_end)
     assert "on_end" in driven.half.refusal
+
+
+def test_the_velocity_that_the_robot_has_is_reported(
+    driven: Driven, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the other side, and at once as far as it begins or ceases to move."""
+    there = route(driven.pair[1])
+
+    def shown() -> list[tuple[float, float] | None]:
+        report = driven.half.news()
+        if report is not None:
+            assert isinstance(there, OutgoingRoute)
+            there.reported(report)
+        found = [half.snapshot().arming for half in (driven.half, there)]
+        return [None if each is None else each.velocity for each in found]
+
+    assert shown() == [(0.2, 0.5)] * 2
+    soon: list[Route] = []
+    monkeypatch.setattr(driven.pair[0], "report_soon", soon.append)
+    driven.drive()
+    assert not soon
+    driven.drive(RESTS)
+    driven.drive()
+    assert len(soon) == 2
+    by_an_operator(driven, 0)
+    assert len(soon) == 3
+    assert driven.half.velocity == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("type_name", "message", "velocity"),
+    [
+        (TWIST, MOVES, (0.2, 0.5)),
+        (TWIST, b"\0\0\0\0" + struct.pack(">6d", 0.2, 0, 0, 0, 0, 0.5), (0.2, 0.5)),
+        (TWIST, MOVES[:-1], None),
+        (TWIST, b"", None),
+        (TWIST, BEGIN + struct.pack("<6d", float("nan"), 0, 0, 0, 0, 0), None),
+        ("std_msgs/msg/String", MOVES, None),
+    ],
+)
+def test_the_velocity_of_a_message(type_name: str, message: bytes, velocity: tuple[float, float] | None) -> None:
+    assert velocity_of(type_name, message) == velocity
+
+
+@pytest.mark.parametrize("frame", [b"", b"b", b"base", b"base_link"])
+def test_the_velocity_of_a_stamped_message(frame: bytes) -> None:
+    message = padded(header(frame), 8) + struct.pack("<6d", 0.2, 0, 0, 0, 0, 0.5)
+    assert velocity_of("geometry_msgs/msg/TwistStamped", message) == (0.2, 0.5)
 
 
 def header(frame: bytes, sec: int = 5) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -52,6 +53,9 @@ def test_every_third_packet_lost_is_one_cause_on_both_sides(bridge: Bridge, cabl
         for route in _routes(side, began):
             if route["state"] not in ("ok", "waiting"):
                 assert route["cause"] in (Cause.LOSSY, Cause.LINK_DOWN), route["reason"]
+        for topic in {route["topic"] for route in _routes(side, began)}:
+            states = [route["state"] for route in _routes(side, began) if route["topic"] == topic]
+            assert sum(one != other for one, other in pairwise(states)) <= 3, states  # it was about ten
 
 
 def test_a_cut_cable_is_the_links_fault(bridge: Bridge, cable: Cable) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support.long import long_cases
 from tests.support.resources import resources
 
 from rsb_bridge.ros.native.named_types import named_services
@@ -32,7 +33,10 @@ def mapped() -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("way", "kind"), [("raw", (SET, "")), ("raw", MADE_UP), ("typed", (SET, ""))], indirect=["way"], ids=str
+    ("way", "kind"),
+    [("raw", MADE_UP), *long_cases(("raw", (SET, "")), ("typed", (SET, "")))],
+    indirect=["way"],
+    ids=str,
 )
 @pytest.mark.usefixtures("way")
 def test_five_hundred_services_and_clients_leave_nothing(

@@ -18,7 +18,7 @@ from rsb_bridge.model.verdict import EXPIRES, FINE, Cause, LinkCause, Verdict, a
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.age import Expired, expired_verdict
 from rsb_bridge.route.arming import DISARM_TEXT, Disarmed
-from rsb_bridge.route.blocking_rules import ACCEPTED, RouteStatus
+from rsb_bridge.route.blocking_rules import ACCEPTED, LossyPath, RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_of
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill
@@ -309,6 +309,17 @@ def test_each_cause_is_named_in_words(
     assert [each for each in words if each not in verdict.said(NOW)] == []
 
 
+def test_a_new_publisher_has_not_stopped() -> None:
+    stopped = {"stopped_since": NOW - 3.0, "expected_rate": 10.0, "new": {b"/new"}}
+    for endpoints, who in (
+        ([endpoint("/new")], f"/new {PUBLISHED_NOTHING[0]}"),
+        ([TALKER, endpoint("/new")], f"/talker {STOPPED_PUBLISHING[0]}"),
+    ):
+        verdict = verdict_on(SENDER, endpoints=endpoints, **stopped)
+        assert (verdict.state, verdict.cause) == (State.STOPPED, Cause.PUBLISHER_SILENT)
+        assert verdict.text.endswith(who)
+
+
 def test_a_publisher_whose_messages_are_not_taken_is_not_called_silent() -> None:
     for changes, state in (
         ({"stale_since": NOW - 20.0}, State.STALE),
@@ -317,6 +328,47 @@ def test_a_publisher_whose_messages_are_not_taken_is_not_called_silent() -> None
         assert verdict_on(SENDER, **changes).cause is Cause.PUBLISHER_SILENT
         verdict = verdict_on(SENDER, left_out="/b is not bridged", **changes)
         assert (verdict.state, verdict.cause) == (state, Cause.TYPE_CONFLICT)
+
+
+def test_a_subscriber_that_hears_another_publisher_is_told_so() -> None:
+    asks = {"endpoints": [endpoint("/rviz"), endpoint("/ok", BEST_EFFORT)], "qos": BEST_EFFORT}
+    alone = verdict_on(RECEIVER, **asks)
+    beside = verdict_on(RECEIVER, **asks, others=[endpoint("/joystick"), endpoint("/lidar", BEST_EFFORT)])
+    assert (alone.state, alone.cause) == (beside.state, beside.cause) == (State.UNHEARD, Cause.QOS_INCOMPATIBLE)
+    assert "only" not in alone.text
+    assert "so that only /joystick is heard" in beside.text
+
+
+LOST_PACKETS = {
+    "late": Verdict(State.LATE, Cause.LOSSY, LOSSY.text),
+    "slow": Verdict(State.SLOW, Cause.LOSSY, LOSSY.text),
+    "stuck": Verdict(State.DOWN, Cause.LOSSY, LOSSY.text),
+    "fine": FINE,
+    "opens": Verdict(State.WAITING, Cause.NO_MESSAGE, "waiting: type known"),
+    "dead": Verdict(State.STOPPED, Cause.PUBLISHER_SILENT, "/talker has stopped"),
+}
+"""A half's verdicts on a path that loses packets."""
+
+
+def on_lossy_path(*seconds: str, path: PathFault | None = LOSSY, lossy: LossyPath | None = None) -> list[str]:
+    """Return the states that are shown for a verdict each second."""
+    lossy = lossy or LossyPath()
+    shown = [lossy.steady(LOST_PACKETS[each], path, NOW + number) for number, each in enumerate(seconds)]
+    return [f"{each.state} {each.cause}".strip() for each in shown]
+
+
+def test_a_lossy_path_is_one_state_whatever_it_does_to_the_messages() -> None:
+    shown = on_lossy_path("fine", *("late", "stuck", "slow", "opens", "fine", "fine", "stuck", "late") * 10)
+    assert shown == ["ok"] + ["slow lossy"] * 80
+
+
+def test_a_lossy_path_lets_a_route_recover_and_die() -> None:
+    assert on_lossy_path("late", *["fine"] * 20) == ["slow lossy"] * 20 + ["ok"]
+    assert on_lossy_path("late", "dead", "late")[1] == "stopped publisher_silent"
+    assert on_lossy_path(*["stuck"] * 21) == ["slow lossy"] * 20 + ["down lossy"]
+    lossy = LossyPath()
+    on_lossy_path("late", lossy=lossy)
+    assert on_lossy_path("fine", path=None, lossy=lossy) == on_lossy_path("fine", lossy=lossy) == ["ok"]
 
 
 nodes = st.sampled_from(["", "/a", "/b", "/c", "/d", "/a/very/long/name"])

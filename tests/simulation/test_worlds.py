@@ -25,9 +25,7 @@ DAYS = {
 happens every few seconds (8), and many robots on one server (58)."""
 
 BEGINNINGS = {
-    1: 0.02,
     3: 0.02,
-    6: 0.05,
     8: 0.01,
     58: 0.002,
 }

@@ -99,7 +99,7 @@ def of_link(server: Engine, name: str) -> list[Event]:
     ("flood", "codes"),
     [
         pytest.param(come_and_go, {EventCode.ROUTE_REMOVED}, marks=pytest.mark.long),
-        (are_refused, {EventCode.ROUTE_REFUSED}),
+        pytest.param(are_refused, {EventCode.ROUTE_REFUSED}, marks=pytest.mark.long),
         (pause_and_resume, {EventCode.ROUTE_PAUSED, EventCode.ROUTE_RESUMED}),
     ],
 )

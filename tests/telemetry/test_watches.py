@@ -113,31 +113,56 @@ def test_a_rate_about_the_threshold_does_not_flap() -> None:
     assert all(slow(watch, [13.0, 16.5] * 30))
 
 
+A, B = frozenset({b"a"}), frozenset({b"b"})
+"""Publishers of a topic."""
+
+
 def test_a_topic_has_stopped_after_five_of_its_periods() -> None:
     watch = StopWatch()
-    watch.tick(10.0, 1.0, 15.0, "a")
+    watch.tick(10.0, 1.0, 15.0, A)
     assert watch.since is None
-    watch.tick(10.0, 1.0, 15.1, "a")
+    watch.tick(10.0, 1.0, 15.1, A)
     assert watch.since == 10.0
     fast = StopWatch()
-    fast.tick(10.0, 100.0, 11.9, "a")
+    fast.tick(10.0, 100.0, 11.9, A)
     assert fast.since is None
-    fast.tick(10.0, 100.0, 12.1, "a")
+    fast.tick(10.0, 100.0, 12.1, A)
     assert fast.since == 10.0
 
 
 def test_after_a_pause_only_a_longer_one_counts_unless_another_publisher_paused() -> None:
     watch = StopWatch()
-    watch.tick(10.0, 20.0, 15.0, "a")
+    watch.tick(10.0, 20.0, 15.0, A)
     assert watch.since == 10.0
-    watch.tick(16.0, 20.0, 16.0, "a")
+    watch.tick(16.0, 20.0, 16.0, A)
     for now, stopped in ((19.0, False), (27.9, False), (28.1, True)):  # it has paused for 6 s
-        watch.tick(16.0, 20.0, now, "a")
+        watch.tick(16.0, 20.0, now, A)
         assert watch.quiet
         assert (watch.since is not None) is stopped
-    watch.tick(100.0, 20.0, 100.0, "b")
-    watch.tick(100.0, 20.0, 103.0, "b")
+    watch.tick(100.0, 20.0, 100.0, B)
+    watch.tick(100.0, 20.0, 103.0, B)
     assert watch.since == 100.0
+
+
+def test_a_new_publisher_has_time_for_its_first_message() -> None:
+    watch = StopWatch()
+    watch.tick(10.0, 20.0, 10.0, A)
+    watch.tick(10.0, 20.0, 11.5, A | B)  # DDS lists a dead publisher beside its successor
+    watch.tick(10.0, 20.0, 13.4, A | B)
+    assert (watch.since, watch.quiet, watch.new) == (None, False, B)
+    watch.tick(10.0, 20.0, 13.6, A | B)
+    assert (watch.since, watch.new) == (10.0, B)
+    watch.tick(14.0, 20.0, 14.0, A | B)
+    assert (watch.since, watch.new) == (None, frozenset())
+
+
+def test_a_topic_that_has_stopped_does_not_recover_by_a_publisher_that_is_silent_too() -> None:
+    watch = StopWatch()
+    watch.tick(10.0, 20.0, 10.0, A)
+    watch.tick(10.0, 20.0, 12.1, frozenset())
+    for now in (13.0, 14.0, 16.0):
+        watch.tick(10.0, 20.0, now, B)
+        assert (watch.since, watch.new) == (10.0, B)
 
 
 def lossy(watch: LossWatch, seconds: Iterable[tuple[int, int]], state: list[int]) -> None:

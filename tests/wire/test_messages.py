@@ -144,6 +144,7 @@ EXAMPLES = [
                 latency_p50=-0.001,
                 jitter=0.0,
                 verdict=VerdictRecord("newer than us"),
+                velocity=(0.2, -0.5),
             ),
         ),
         calls=(

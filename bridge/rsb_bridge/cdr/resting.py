@@ -7,10 +7,14 @@ expects, and has as many axes as the node that reads it.
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
+from math import isfinite
+from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+Velocity: TypeAlias = tuple[float, float]
+"""Forward in m/s, and turn in rad/s, counterclockwise."""
 
 _BEGIN = 4
 """Bytes before the first field: the encapsulation header. Fields are aligned from there."""
@@ -60,8 +64,8 @@ def _end_of_header(message: bytes) -> int:
     return end
 
 
-def _aligned(at: int) -> int:
-    return at + -(at - _BEGIN) % 4
+def _aligned(at: int, to: int = 4) -> int:
+    return at + -(at - _BEGIN) % to
 
 
 def _read(layout: struct.Struct, message: bytes, at: int) -> tuple[int, ...]:
@@ -71,9 +75,11 @@ def _read(layout: struct.Struct, message: bytes, at: int) -> tuple[int, ...]:
         raise _NoRestError from None
 
 
+_TWIST, _TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
+_VELOCITIES = struct.Struct(">6d"), struct.Struct("<6d")
 _RESTS: dict[str, tuple[Callable[[bytes], bytes], bool]] = {
-    "geometry_msgs/msg/Twist": (_of_numbers, False),
-    "geometry_msgs/msg/TwistStamped": (_of_stamped_numbers, True),
+    _TWIST: (_of_numbers, False),
+    _TWIST_STAMPED: (_of_stamped_numbers, True),
     "ackermann_msgs/msg/AckermannDrive": (_of_numbers, False),
     "ackermann_msgs/msg/AckermannDriveStamped": (_of_stamped_numbers, True),
     "sensor_msgs/msg/Joy": (_of_joy, True),
@@ -97,6 +103,19 @@ def resting(type_name: str, message: bytes) -> bytes | None:
         return make(message)
     except _NoRestError:
         return None
+
+
+def velocity_of(type_name: str, message: bytes) -> Velocity | None:
+    """Return the velocity that a message commands, or None if it has none, or another type than Twist(Stamped)."""
+    if type_name not in (_TWIST, _TWIST_STAMPED):
+        return None
+    try:
+        at = _BEGIN if type_name == _TWIST else _aligned(_end_of_header(message), 8)
+        numbers = _VELOCITIES[message[1] & 1].unpack_from(message, at)
+    except (_NoRestError, struct.error, IndexError):
+        return None
+    forward, *_, turn = numbers
+    return (forward, turn) if isfinite(forward) and isfinite(turn) else None
 
 
 def stamped(type_name: str, message: bytes, now: int) -> bytes:

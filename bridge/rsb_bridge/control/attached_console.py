@@ -10,7 +10,6 @@ import msgspec
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
-from rsb_bridge.control.features import FEATURES, known_features, knows_all, with_unknown_kept, without_unknown
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
 from rsb_bridge.control.tickets import TicketClock
@@ -125,7 +124,6 @@ class Console:
         self._connection = connection
         self._frames = protocol.frames_to_bridge()
         self._loop = asyncio.get_running_loop()
-        self._features: frozenset[str] = frozenset()
         self._sender = Sender()
         self._sending = asyncio.Lock()
         self._looking = False
@@ -224,17 +222,8 @@ class Console:
         read_only = self._connection.read_only_reason
         attached_read_only = RequestRefused.ATTACHED_READ_ONLY() if hello.read_only else ""
         self._denied = {Right.MEASURE: read_only, Right.CHANGE: read_only or attached_read_only}
-        self._features = known_features(hello.features)
-        self._sender = Sender(self._features)
-        if info.file is not None and self._hides_fields:
-            info = msgspec.structs.replace(info, file=None)  # the console would save it without the hidden fields
-        self.send(protocol.Welcome(info, bool(self._denied[Right.CHANGE]), FEATURES))
-
-    @property
-    def _hides_fields(self) -> bool:
-        """Whether the session has fields that the console, which is older, does not know."""
-        session = self._engine.session
-        return without_unknown(session, self._features) is not session
+        self._sender = Sender()
+        self.send(protocol.Welcome(info, bool(self._denied[Right.CHANGE])))
 
     def _request(self, request: protocol.Request) -> None:
         if reason := self._denied.get(request.command.right):
@@ -249,18 +238,15 @@ class Console:
             self._tasks.spawn(self._answer(request))
 
     async def _answer(self, request: protocol.Request) -> None:
-        engine, command = self._engine, request.command
-        if not knows_all(self._features):
-            command = with_unknown_kept(command, self._features, engine.snapshot(), engine.session)
         try:
             with acting(self._operator), undoing(request.undo), on_console(self):
-                result = await self._execute(request.id, command)
+                result = await self._execute(request.id, request.command)
             reply: protocol.Reply | protocol.Failed = protocol.reply(request.id, result)
         except EngineError as error:
             reply = protocol.Failed(request.id, str(error), isinstance(error, InvalidRequestError))
         finally:
             self._requests -= 1
-        if command.right is Right.CHANGE and self._sender.sent is not None and self._buffered == 0:
+        if request.command.right is Right.CHANGE and self._sender.sent is not None and self._buffered == 0:
             await self._send_state()  # before the reply: the operator wants to see the effect
         self.send(msgspec.structs.replace(reply, ticket=self._tickets.issue()))
 

@@ -15,7 +15,6 @@ from rsb_bridge import __version__
 from rsb_bridge.control import control_sockets, protocol
 from rsb_bridge.control.control_server import ControlServer
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError, Listener, NotServedError, TakenError
-from rsb_bridge.control.features import hello
 from rsb_bridge.control.protocol import BridgeInfo, ProtocolError, Refused, Welcome
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.text import encodable, one_line
@@ -95,7 +94,7 @@ def ask(path: Path) -> RunningBridge:
     with control_sockets.connect(path, _ASKED_FOR) as connection:
         pid, _, _ = control_sockets.peer_of(connection)
         try:
-            connection.sendall(protocol.encode(hello(read_only=True)))
+            connection.sendall(protocol.encode(protocol.hello(read_only=True)))
             frames = protocol.frames_to_console()
             while data := connection.recv(_READ_SIZE):
                 for message in frames.feed(data):

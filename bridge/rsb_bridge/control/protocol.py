@@ -3,10 +3,9 @@
 A frame is four bytes of length, big-endian, and a message in MessagePack. The types below and in the model are the
 definition: msgspec reads and writes them by their type hints.
 
-`Hello`, `Welcome` and `Refused` keep their fields in every version, so that two versions can tell each other apart. New
-fields of messages are optional, and an older side ignores them. But an older side ends the connection at an unknown
-message, an unknown command, or an unknown field of a session. So these are sent only if the receiver has named the
-feature (`rsb_bridge.control.features`).
+`Hello`, `Welcome` and `Refused` keep their fields in every version, so that two versions can tell each other apart. A
+release that adds or changes a message, a command or a field of a session raises `VERSION`, and a bridge refuses
+consoles of another one, with the words that tell which side to update.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Final, Generic, TypeAlias, TypeVar, cast, get_
 
 import msgspec
 
+from rsb_bridge import __version__
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.by_hand import Draft, Published
@@ -119,13 +119,16 @@ class Hello(_Message, frozen=True, tag="hello"):
         version: of this protocol.
         program: the version of rsb-console.
         read_only: whether the bridge is to refuse all changes.
-        features: of the console, as in `rsb_bridge.control.features`.
     """
 
     version: int
     program: str
     read_only: bool = False
-    features: tuple[str, ...] = ()
+
+
+def hello(*, read_only: bool) -> Hello:
+    """Return the first message of a console of this version; `read_only` asks the bridge to refuse changes."""
+    return Hello(VERSION, __version__, read_only)
 
 
 class BridgeInfo(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -162,12 +165,10 @@ class Welcome(_Message, frozen=True, tag="welcome"):
     Attributes:
         bridge: the one that answers.
         read_only: whether the bridge refuses this console all changes.
-        features: of the bridge, as in `rsb_bridge.control.features`.
     """
 
     bridge: BridgeInfo
     read_only: bool = False
-    features: tuple[str, ...] = ()
 
 
 class Refused(_Message, frozen=True, tag="refused"):

@@ -12,13 +12,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, cast
 
-from rsb_bridge import __version__
 from rsb_bridge.api import EngineApi, EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.cleaning import UntrustedMessages
 from rsb_bridge.control.connectors import UnixSocket
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError, NotServedError
-from rsb_bridge.control.features import hello, known_features, missing_feature, older_bridge_text
 from rsb_bridge.control.protocol import Failed, ProtocolError, Reply, Request, RequestProblem, Step, UnexpectedMessage
 from rsb_bridge.control.states import Receiver, out_of_reach
 from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
@@ -71,7 +69,6 @@ class RemoteEngine(EngineApi):
         bridge: the description of its bridge, from `start` on.
         read_only: whether the bridge refuses all changes, from `start` on.
         same_machine: whether the files that the bridge names are this machine's.
-        features: of the bridge, as in `rsb_bridge.control.features`, from `start` on.
     """
 
     def __init__(self, where: Path | Connector, *, read_only: bool = False, clock: Clock | None = None) -> None:
@@ -83,7 +80,6 @@ class RemoteEngine(EngineApi):
         self.given_at: float | None = None
         self._ticket = 0
         self.bridge: BridgeInfo
-        self.features: frozenset[str] = frozenset()
         self._log = EventLog(clock or Clock())
         self._clock = clock or Clock()
         self._shown: Snapshot
@@ -169,11 +165,6 @@ class RemoteEngine(EngineApi):
     def use_file(self, path: Path | None) -> None:
         return  # the bridge keeps to its own
 
-    def lacks(self, feature: str) -> EngineError:
-        """Return the error for a feature that the bridge lacks, with the remedy."""
-        program = self.bridge.program
-        return EngineError(older_bridge_text(self.bridge.name, feature, "" if program == __version__ else program))
-
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
         future: Future[R] = Future()
         given_at = Clock.steady() if self.given_at is None else self.given_at
@@ -229,7 +220,7 @@ class RemoteEngine(EngineApi):
         connection = await self._way.open(ANSWERS_WITHIN)
         try:
             self._connection = connection
-            self._send(hello(read_only=self._wants_read_only))
+            self._send(protocol.hello(read_only=self._wants_read_only))
             frames = protocol.frames_to_console()
             complete = False
             while True:
@@ -251,7 +242,6 @@ class RemoteEngine(EngineApi):
         match message:
             case protocol.Welcome():
                 self.read_only = message.read_only
-                self.features = known_features(message.features)
                 self._welcome(message.bridge)
             case protocol.State():
                 if self._receiver is None:
@@ -343,9 +333,6 @@ class RemoteEngine(EngineApi):
             return
         if self._connection is None:
             waiting.fail(EngineError(f"not attached: {self._lost}"))
-            return
-        if feature := missing_feature(waiting.command, self.features):  # the bridge would end the connection
-            waiting.fail(self.lacks(feature))
             return
         request = self._requests.new(waiting, self._ticket)
         try:

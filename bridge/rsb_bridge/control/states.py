@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rsb_bridge.control.cleaning import check_length, check_routes, clean
-from rsb_bridge.control.features import FEATURES, knows_all, without_unknown
 from rsb_bridge.control.protocol import (
     ROUTES_IN_STATE,
     ProtocolError,
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.control.protocol import BridgeInfo
     from rsb_bridge.model.session import Session
-    from rsb_bridge.model.snapshot import LinkSnapshot
 
 
 class EncodedRoutes:
@@ -53,16 +51,12 @@ class EncodedRoutes:
 class Sender:
     """The state that one console has received, and the differences from it.
 
-    Args:
-        features: of the console; fields of other features are left out.
-
     Attributes:
         sent: the newest snapshot that was sent, or None if none was.
     """
 
-    def __init__(self, features: frozenset[str] = frozenset(FEATURES)) -> None:
+    def __init__(self) -> None:
         self.sent: Snapshot | None = None
-        self._features = features
         self._routes: dict[str, RouteSnapshot] = {}
         self._keys: tuple[str, ...] | None = None
         self._session: Session | None = None
@@ -81,17 +75,17 @@ class Sender:
         # An object that is the same has not changed: snapshots are immutable.
         changed = [route for route in snapshot.routes if self._routes.get(route.key) is not route]
         while len(changed) > ROUTES_IN_STATE:
-            yield State(routes=self._encoded(changed[:ROUTES_IN_STATE], encoded), more=True)
+            yield State(routes=tuple(map(encoded.of, changed[:ROUTES_IN_STATE])), more=True)
             del changed[:ROUTES_IN_STATE]
-        keys, session = _keys(snapshot), without_unknown(session, self._features)
+        keys = _keys(snapshot)
         yield State(
-            routes=self._encoded(changed, encoded),
+            routes=tuple(map(encoded.of, changed)),
             keys=None if keys == self._keys else keys,
             time=snapshot.time,
             domain_id=snapshot.domain_id,
             address=snapshot.address,
             running=snapshot.running,
-            links=self._known_links(snapshot.links),
+            links=snapshot.links,
             last_event=snapshot.last_event,
             session=None if session == self._session else session,
             waits_for_operator=waits_for_operator,
@@ -99,20 +93,6 @@ class Sender:
         )
         self.sent, self._keys, self._session = snapshot, keys, session
         self._routes = {route.key: route for route in snapshot.routes}
-
-    def _encoded(self, routes: list[RouteSnapshot], encoded: EncodedRoutes) -> tuple[msgspec.Raw, ...]:
-        return tuple([self._encode(route, encoded) for route in routes])
-
-    def _encode(self, route: RouteSnapshot, encoded: EncodedRoutes) -> msgspec.Raw:
-        spec = without_unknown(route.spec, self._features)
-        return encoded.of(route) if spec is route.spec else encode_route(replace(route, spec=spec))
-
-    def _known_links(self, links: tuple[LinkSnapshot, ...]) -> tuple[LinkSnapshot, ...]:
-        return links if knows_all(self._features) else tuple(map(self._known_link, links))
-
-    def _known_link(self, link: LinkSnapshot) -> LinkSnapshot:
-        patterns = tuple(replace(each, spec=without_unknown(each.spec, self._features)) for each in link.patterns)
-        return link if patterns == link.patterns else replace(link, patterns=patterns)
 
 
 class Receiver:

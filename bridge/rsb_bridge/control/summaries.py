@@ -13,7 +13,6 @@ from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import DescriptionError, read_description
 from rsb_bridge.control import protocol
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError
-from rsb_bridge.control.features import hello
 from rsb_bridge.control.protocol import ProtocolError, UnexpectedMessage
 from rsb_bridge.model.robot_summary import SUMMARY_BYTES, Battery, LossWindow, encode, of_engine
 from rsb_bridge.ros.known_messages import BATTERY_STATE
@@ -162,7 +161,7 @@ async def watch(connector: Connector, may_open: asyncio.Semaphore | None = None)
         connection = await _open(connector, may_open)
         with contextlib.ExitStack() as leaving:
             leaving.callback(connection.abort)
-            connection.write(protocol.encode(hello(read_only=True)))
+            connection.write(protocol.encode(protocol.hello(read_only=True)))
             connection.write(protocol.encode(protocol.Watch()))
             frames = protocol.frames_to_console(protocol.TO_WATCHER_LIMIT)
             while True:

@@ -19,9 +19,11 @@ from rsb_bridge.config.advice import advise, guarded_here_alone, missing_transpo
 from rsb_bridge.config.keys import KeyFileError, key_warnings, session_keys
 from rsb_bridge.config.validation import domain_of
 from rsb_bridge.control.bridges import running_bridges
+from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.doctor.finding import Check, Finding, Grade
 from rsb_bridge.doctor.machine import MachineText, bluetooth_adapters
 from rsb_bridge.model import transports
+from rsb_bridge.model.verdict import clocks_differ
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -57,6 +59,7 @@ class NeedText(Wording):
     BASE_SILENT = "{node}, which {topic} drives, does not tell its parameters: try whether it stops by itself"
     BASE_ABSENT = "no node subscribes to {topic} in domain {domain}: start the base to learn whether it stops by itself"
     BASE_NOT_ASKED = "what {topics} drives could not be asked whether it stops by itself"
+    CLOCKS_AGREE = "the clock of {peer} differs from this machine's by {seconds:.3f} s"
     NO_ZENOH = "the session uses Zenoh, and the package eclipse-zenoh is not installed"
 
 
@@ -81,6 +84,7 @@ def checks(
         Check("keys", "keys", partial(_keys, session, path)),
         Check("session", "session", partial(_transports, session, root)),
         Check("session", "session", partial(_advice, session, environ)),
+        Check("clock", "clock", partial(_peers_clocks, path, environ)),
         Check("base", "base", partial(_base, session, environ, base_timeouts)),
     )
 
@@ -115,6 +119,29 @@ def _base(session: Session, environ: Mapping[str, str], command: Sequence[str]) 
             else:
                 text, remedy = NeedText.BASE_GOES_ON(topic=topic, node=node), NeedText.BASE_REMEDY()
                 yield finding(grade=Grade.WARNING, text=text, remedy=remedy, facts=facts)
+
+
+def _peers_clocks(path: Path, environ: Mapping[str, str]) -> Iterator[Finding]:
+    """Compare this machine's clock with those of the peers, which the session's bridge knows if it runs."""
+    bridge = _own_bridge(path, environ)
+    if bridge is None:
+        return
+    engine = RemoteEngine(bridge.path, read_only=True)
+    engine.start()
+    try:
+        links = engine.snapshot().links
+    finally:
+        engine.stop()
+    for link in links:
+        if link.clock_offset is None:
+            continue
+        peer = "the server" if bridge.info is not None and bridge.info.role == "client" else link.name
+        facts = {"link": link.name, "offset": link.clock_offset, "uncertainty": link.clock_uncertainty}
+        finding = partial(Finding, "clock", subject="clock", facts=facts)
+        if warning := clocks_differ(peer, link.clock_offset, link.clock_uncertainty):
+            yield finding(grade=Grade.WARNING, text=warning)
+        else:
+            yield finding(grade=Grade.OK, text=NeedText.CLOCKS_AGREE(peer=peer, seconds=link.clock_offset))
 
 
 def _ports(session: Session, path: Path, environ: Mapping[str, str]) -> Iterator[Finding]:

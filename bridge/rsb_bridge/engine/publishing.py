@@ -52,7 +52,7 @@ TOPICS = 32
 """Topics with publishers for messages by hand."""
 ENDS_AFTER = 10.0
 """s without a message after which a publisher is closed."""
-_MATCHED_WITHIN = 3.0
+MATCHED_WITHIN = 3.0
 """s in which subscriptions and routes have to find a new publisher."""
 _LOOK_EVERY = 0.02
 _RESOLVE_EVERY = 2.0
@@ -358,7 +358,8 @@ class Publishing:
             raise LinkError(PublishProblem.NO_TYPE(topic=topic))
         if known and name not in known:
             raise LinkError(PublishProblem.OTHER_TYPE(topic=topic, actual=", ".join(sorted(known)), wanted=name))
-        type_hash = ros.installed_hash(name) or ""
+        installed = await asyncio.to_thread(ros.installed_hash, name)
+        type_hash = installed or ""
         if type_hash and known.get(name, set()) - {"", type_hash}:
             raise LinkError(PublishProblem.OTHER_VERSION(type_name=name, topic=topic))
         return _Resolved(name, type_hash, self._qos(topic, name, publishers, subscriptions, routes))
@@ -453,7 +454,7 @@ class Publishing:
         """Wait until subscriptions and routes have found a publisher, or for some time."""
         began = self._context.now()
         expected = len(await asyncio.to_thread(self._context.ros.subscriptions, topic))
-        while self._context.now() - began < _MATCHED_WITHIN:
+        while self._context.now() - began < MATCHED_WITHIN:
             if publisher.subscriber_count >= expected and not self._awaited(topic, publisher.gid):
                 return
             await asyncio.sleep(_LOOK_EVERY)
@@ -465,7 +466,7 @@ class Publishing:
             route
             for route in _outgoing(self._routes(topic))
             if route.peer.linked
-            and route.accepted
+            and not route.refusal  # one whose proposal is not answered yet takes the first message, too
             and not route.paused
             and route.arming.stands(now)
             and not route.takes(gid)

@@ -248,6 +248,8 @@ class ArmingCommands:
 
     async def arm(self, command: ArmTopic) -> None:
         link, route = self._find(command.key)
+        await link.table.arming.load_type(route)
+        link, route = self._find(command.key)  # it may have been edited meanwhile
         await link.table.arming.arm(route, console(), shared=command.shared)
 
     async def disarm(self, command: DisarmTopic) -> None:

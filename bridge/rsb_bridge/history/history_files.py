@@ -22,7 +22,7 @@ from rsb_bridge.model.snapshot import Event, Level
 from rsb_bridge.model.text import sanitize_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from rsb_bridge.history.recorder import Recorder
@@ -145,6 +145,14 @@ def read_events(path: Path, since: float) -> Iterator[Event]:
                     event = msgspec.convert({**_line.decode(line), "number": 0}, Event)
                     if event.time >= since and _is_dated(event):
                         yield event
+
+
+def last_key(events: Iterable[Event], link: str, fingerprints: Collection[str]) -> Event | None:
+    """Return the newest event about the use of one of a client's keys, or None without one."""
+    used = (
+        each for each in events if (each.code, each.link) == (EventCode.KEY_USED, link) and each.new in fingerprints
+    )
+    return max(used, key=lambda each: each.time, default=None)
 
 
 def _is_dated(event: Event) -> bool:

@@ -111,6 +111,12 @@ def _take(lock: int, role: str) -> bool:
     return owner in ("", role)
 
 
+def files_of(name: str, environ: Mapping[str, str]) -> list[Files]:
+    """Return the places where bridges of a session's name have kept files that this user may read."""
+    stems = [file_stem(name, number) for number in range(1, _BRIDGES_OF_A_NAME + 1)]
+    return [Files(folder, stem) for folder in searched_folders(environ) for stem in stems]
+
+
 def kept_bridges(environ: Mapping[str, str]) -> list[Files]:
     """Return all bridges that have left files which this user may read."""
     found: list[Files] = []

@@ -18,7 +18,7 @@ from rsb_bridge.model import profiles
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import MAX_AGE_FEATURE
 from rsb_bridge.model.snapshot import Level, State
-from rsb_bridge.model.verdict import LinkCause, about
+from rsb_bridge.model.verdict import LinkCause, clocks_differ
 from rsb_bridge.route.lifecycle import Revisions
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks, in_slices
@@ -134,8 +134,6 @@ class RouteIds:
         return 0 < route_id <= newest and route_id not in self._by_id
 
 
-_CLOCKS_DIFFER = 5.0
-"""s. NTP leaves milliseconds, and transforms (tf) fail far below; a robot without NTP is off by more."""
 _NOT_YET = "not connected yet"
 _NO_GOODBYE = "the other side closed the connection without a goodbye: check whether its process or machine has died"
 _CAUSES = {EventCode.LINK_LOST: LinkCause.LOST, EventCode.LINK_SHUT_DOWN: LinkCause.SHUT_DOWN}
@@ -628,14 +626,7 @@ class BaseLink(ABC):
     @property
     def clocks_differ(self) -> str:
         """The warning that the clocks of the two sides differ, or an empty string."""
-        offset, uncertainty = self.clock.offset, self.clock.uncertainty
-        if offset is None or uncertainty is None or abs(offset) - uncertainty < _CLOCKS_DIFFER:
-            return ""
-        way = "ahead of" if offset > 0 else "behind"
-        return (
-            f"the clock of {self.peer_name} is {about(round(abs(offset)))} {way} this machine's: "
-            "set both by NTP (timedatectl set-ntp true)"
-        )
+        return clocks_differ(self.peer_name, self.clock.offset, self.clock.uncertainty)
 
     @property
     def full_out(self) -> Fullness | None:

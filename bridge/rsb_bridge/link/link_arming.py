@@ -10,7 +10,15 @@ from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.demands import NO_DEMAND, PEER_DEMANDS, Demands, Source, default_max_age, smallest_max_age
+from rsb_bridge.model.demands import (
+    NO_DEMAND,
+    PEER_DEMANDS,
+    Demands,
+    Source,
+    default_max_age,
+    full_type,
+    smallest_max_age,
+)
 from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.arming import DISARM_TEXT, Disarmed
@@ -188,6 +196,12 @@ class LinkArming:
         route.arming.peer_on_end = "" if route.proposed_here else proposal.on_end
         route.arming.demand(required=own.arm, deadman=own.deadman)
         self._say_who_demands(route)
+        if route.arming.required:
+            self._context.load_type(full_type(route.proposal.type))
+
+    async def load_type(self, route: Route) -> None:
+        """Load the type of a route's messages before it is armed: from then on the loop must not stand still."""
+        await self._context.load_type(route.type_name or full_type(route.proposal.type))
 
     def demanded(self, route: Route) -> dict[str, Any]:
         """Return this side's demand for the present opening, as fields of a proposal."""

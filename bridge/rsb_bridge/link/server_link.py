@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from rsb_bridge.config.keys import Key
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
+    from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.session import Client, Kind, Session, Topic
     from rsb_bridge.model.transports import TransportTraits
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.streams import Address, Stream
     from rsb_bridge.transport.transport import DatagramSocket, DatagramTransport
     from rsb_bridge.wire.events import Attach
+    from rsb_bridge.wire.messages import Welcome
+    from rsb_bridge.wire.sealing import SessionKeys
 
 _NAMED = 12
 _SILENT = 1.5
@@ -272,6 +275,14 @@ class ServerLink(Link):
         self._seen_at, self._seen_host = stream.peer, stream.host
         self._seen_key = format_fingerprint(fingerprint)
         self.duplicates, self._told = DuplicateClients(self.name), Duplicate()
+
+    def up(self, control: ControlChannel, peer: Hello | Welcome, keys: SessionKeys) -> None:
+        super().up(control, peer, keys)
+        _, following = self.fingerprints
+        if following:  # the log on disk has it when `client rekey --finish` looks for it
+            which = "next" if self._seen_key == following else "old"
+            text = f"linked with its {which} key, {self._seen_key}"
+            self.context.log(Level.INFO, EventCode.KEY_USED, text, link=self.name, new=self._seen_key)
 
     def refused(self, stream: Stream, cause: LinkCause, message: str) -> None:
         """Record the refusal of a client by this name, while the link is down."""

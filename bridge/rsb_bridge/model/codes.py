@@ -108,6 +108,8 @@ class EventCode(StrEnum):
 
     KEY_UNENCRYPTED = "key.unencrypted"
     KEY_WARNING = "key.warning"
+    KEY_USED = "key.used"
+    """While a client's key is replaced, the client has linked; `new` is the fingerprint of the key that it used."""
 
     LINK_CONNECTING = "link.connecting"
     LINK_UNREACHABLE = "link.unreachable"

@@ -185,6 +185,8 @@ class ArmingSnapshot:
         reason: the same in words, with the operator who disarmed it.
         on_end: what the robot gets when the arming ends: ``zero``, ``none``, or a message as JSON; of what is no topic,
             and while the type is unknown, empty.
+        velocity: that the robot's side has given the robot last: forward in m/s, and turn in rad/s; both are 0 after
+            the end of an arming. None if it is unknown, as of types that are not Twist or TwistStamped.
     """
 
     armed: bool
@@ -196,6 +198,7 @@ class ArmingSnapshot:
     why: str = ""
     reason: str = ""
     on_end: str = ""
+    velocity: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -131,6 +131,27 @@ def about(seconds: float) -> str:
     return f"{int(seconds / 60)} min" if seconds < 3600 else f"{int(seconds / 3600)} h"
 
 
+_CLOCKS_DIFFER = 5.0
+"""s. NTP leaves milliseconds, and transforms (tf) fail far below; a robot without NTP is off by more."""
+
+
+def clocks_differ(peer: str, offset: float | None, uncertainty: float | None) -> str:
+    """Return the warning that the clocks of two sides differ, or an empty string.
+
+    Args:
+        peer: the other side, for an operator.
+        offset: s, its clock minus this machine's, or None if it is unknown.
+        uncertainty: s, of the offset.
+    """
+    if offset is None or uncertainty is None or abs(offset) - uncertainty < _CLOCKS_DIFFER:
+        return ""
+    way = "ahead of" if offset > 0 else "behind"
+    return (
+        f"the clock of {peer} is {about(round(abs(offset)))} {way} this machine's: "
+        "set both by NTP (timedatectl set-ntp true)"
+    )
+
+
 _DETAILS_UNKNOWN = frozenset({Cause.SILENT, Cause.NO_MESSAGE, Cause.NO_CALL})
 """Causes that give way to what the other side knows."""
 

@@ -219,12 +219,15 @@ class Arming:
             number, payload = split_number(payload)
         return number, (payload, stamp, flags & ~LEASED)
 
-    def snapshot(self, now: float, on_end: str = "") -> ArmingSnapshot | None:
+    def snapshot(
+        self, now: float, on_end: str = "", velocity: tuple[float, float] | None = None
+    ) -> ArmingSnapshot | None:
         """Return the state for user interfaces at `now` (s), or None if arming is not required.
 
         Args:
             now: s.
             on_end: what follows on the receiving side, in words.
+            velocity: that the receiving side has published last, or None.
         """
         if not self.required:
             return None
@@ -233,10 +236,12 @@ class Arming:
         left = max(0.0, self._deadline - grace - now) if armed and self.deadman else None
         here = self.console is not None
         if armed:
-            return ArmingSnapshot(armed, self.by, here, left, self.deadman, self.demanded_by, on_end=on_end)
+            return ArmingSnapshot(
+                armed, self.by, here, left, self.deadman, self.demanded_by, on_end=on_end, velocity=velocity
+            )
         overdue = self.overdue(now)
         why, reason = (self.why, self.reason) if overdue is None else (overdue, DISARM_TEXT[overdue])
-        return ArmingSnapshot(armed, "", here, left, self.deadman, self.demanded_by, why, reason, on_end)
+        return ArmingSnapshot(armed, "", here, left, self.deadman, self.demanded_by, why, reason, on_end, velocity)
 
     # --- arming
 

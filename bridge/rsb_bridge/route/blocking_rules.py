@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.snapshot import Stage, State
-from rsb_bridge.model.verdict import FINE, Cause, Verdict
+from rsb_bridge.model.verdict import FINE, Cause, LinkCause, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -17,6 +17,20 @@ _LINK_STAGE, ACCEPTED = "link up", "peer accepted"
 """Names of stages."""
 DATA_CONNECTION = "data connection: "
 """How a reason begins where a route's own connection broke."""
+_SUFFERS_FOR = 20.0
+"""s for which a route counts as suffering from a lossy path after its last trouble: at 30 % loss, good times took up to
+15 s."""
+_STUCK_AFTER = 20.0
+"""s without a message after which a lossy path stops a route altogether, and is no longer what makes it slow."""
+_BETWEEN_LOSSES = frozenset(
+    {
+        (State.OK, Cause.NONE),
+        (State.OK, Cause.THROTTLED),
+        (State.WAITING, Cause.NO_MESSAGE),
+        (State.WAITING, Cause.PUBLISHER_SILENT),
+    }
+)
+"""Verdicts on a route that has recovered for a moment, or opens again."""
 
 
 class RouteStatus(NamedTuple):
@@ -94,6 +108,36 @@ def explained(status: RouteStatus, verdict: Verdict) -> Verdict:
     if status.path is None or cause is None:
         return verdict
     return replace(verdict, cause=cause, text=status.path.text)
+
+
+class LossyPath:
+    """Keeps a route's verdict steady while its link loses packets.
+
+    TCP repeats what is lost after ever longer pauses, and gives up at last. So a route's messages are late, lost,
+    stalled and on time by turns: at 30 % both ways, its state changed each few seconds. All of that is one state.
+    """
+
+    def __init__(self) -> None:
+        self._until = float("-inf")
+        self._stuck_since: float | None = None
+
+    def steady(self, verdict: Verdict, path: PathFault | None, now: float) -> Verdict:
+        """Return the verdict to show instead of `verdict` at `now` (s)."""
+        if path is None or path.cause is not LinkCause.LOSSY:
+            self._until, self._stuck_since = float("-inf"), None
+            return verdict
+        suffers = (verdict.cause, verdict.text) == (Cause.LOSSY, path.text)
+        if suffers:
+            self._until = now + _SUFFERS_FOR
+        elif now >= self._until or (verdict.state, verdict.cause) not in _BETWEEN_LOSSES:
+            return verdict
+        if not suffers or verdict.state.rank > State.STOPPED.rank:
+            self._stuck_since = None
+        elif self._stuck_since is None:
+            self._stuck_since = now
+        elif now - self._stuck_since >= _STUCK_AFTER:
+            return verdict
+        return Verdict(State.SLOW, Cause.LOSSY, path.text)
 
 
 def blocked(status: RouteStatus) -> Verdict | None:

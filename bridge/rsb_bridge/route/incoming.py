@@ -15,7 +15,7 @@ from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import PEER_DEMANDS, full_type
 from rsb_bridge.model.on_end import NONE
-from rsb_bridge.model.qos import incompatible, match_subscriptions
+from rsb_bridge.model.qos import clashes, incompatible, match_subscriptions
 from rsb_bridge.model.snapshot import Ledger, Level, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
@@ -36,7 +36,7 @@ from rsb_bridge.route.message_check import (
     malformed_text,
 )
 from rsb_bridge.route.peeking import peeked
-from rsb_bridge.route.rest_message import RestMessage
+from rsb_bridge.route.rest_message import RestMessage, velocity_on
 from rsb_bridge.route.source_publishers import (
     AUTO_DEPTH,
     PublicationSpec,
@@ -54,12 +54,14 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
+    from rsb_bridge.cdr.resting import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
+    from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
@@ -133,6 +135,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self._subscriber_qos: Qos | None = None
         self._clash = ""
         self._subscribers = 0
+        self._others: Collection[Endpoint] = ()  # publishers here, if a subscription does not match
         self._asked_at = float("-inf")
         self._received_before = 0
         self._expired_before = 0
@@ -239,6 +242,11 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         """Publish the rest, as nothing passes any more, at least for now."""
         if self._rest_message is not None:
             self._rest_message.begin()
+            self.peer.report_soon(self)
+
+    @property
+    def velocity(self) -> Velocity | None:
+        return velocity_on(self.context, self.remote_topic)
 
     def moved(self, spec: PublicationSpec, message: bytes) -> None:
         """Note a message that an operator of this side has published by this route's arming.
@@ -288,8 +296,12 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self.endpoints = self.context.ros.subscriptions(self.remote_topic)
         requested = [endpoint.qos for endpoint in self.endpoints]
         self._subscriber_qos = match_subscriptions(requested) if requested else None
-        self._clash = ""
-        if not self._subscribers and self.qos is not None:
+        self._clash, self._others = "", ()
+        if self.qos is None:
+            return
+        if any(clashes(self.qos, qos) for qos in requested):
+            self._others = tuple(self.context.ros.publishers(self.remote_topic))
+        if not self._subscribers:
             self._clash = next((clash for qos in requested if (clash := incompatible(self.qos, qos))), "")
 
     def destroy(self) -> None:
@@ -367,8 +379,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
                 size += len(payload)
                 published = content
         self._delivered += count
-        if required and count and self._rest_message is not None:
-            self._rest_message.moved(published)
+        if required and count and self._rest_message is not None and self._rest_message.moved(published):
+            self.peer.report_soon(self)
         if self._received >= self._report_at:
             self._report_at = self._received + _REPORTS_AFTER
             self.peer.report_soon(self)
@@ -483,7 +495,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self.lateness.tick(recent, uncertainty, self.late_after, now, recent, learns=self.learns)
 
     def _signs(self) -> Signs:
-        return *super()._signs(), self._report, self._subscribers, self._clash
+        return *super()._signs(), self._report, self._subscribers, self._clash, self._others
 
     def _changes_at(self, shown: Verdict, now: float) -> float:
         return now if self._sender_ledger.in_flight else super()._changes_at(shown, now)
@@ -563,6 +575,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             verdict=record_of(self.verdict()),
             nodes=node_names(self.endpoints),
             came_before=self.came_before,
+            velocity=self.velocity if self.arming.required else None,
         )
 
     def progress(self) -> TopicProgress:
@@ -584,6 +597,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             undelivered="" if self._received else self.notices.undelivered,
             subscribers=self._subscribers,
             deaf=self.endpoints,
+            others=self._others,
         )
 
     @property

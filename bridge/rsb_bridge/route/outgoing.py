@@ -40,6 +40,7 @@ from rsb_bridge.wire.records import ReceivedReport, SentReport
 if TYPE_CHECKING:
     from collections.abc import Collection
 
+    from rsb_bridge.cdr.resting import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
@@ -129,6 +130,7 @@ class Health:
         return facts._replace(
             expected_rate=self.expected_rate,
             stopped_since=self._stop.since,
+            new=self._stop.new,
             slow_since=self._slow.since,
             loss=self._loss.loss,
             lost_in_dds=max(0, lost[-1] - lost[0]) if lost else 0,
@@ -452,6 +454,10 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             # In a queue one message takes as long as the next; where they do not, the path is uneven, not full.
             self.longer = max(0.0, report.latency - self._shortest - _JITTERS * max(0.0, report.jitter or 0.0))
         self.latency.take_reported(report.latency_p50, report.latency_p99, report.jitter)
+
+    @property
+    def velocity(self) -> Velocity | None:
+        return self._report.velocity if self._report is not None else None
 
     def ledger(self) -> Ledger:
         """Return the ledger, by the peer's last report."""

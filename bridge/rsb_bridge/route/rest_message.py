@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.cdr.resting import DRIVING_TYPES, resting, stamped
+from rsb_bridge.cdr.resting import DRIVING_TYPES, resting, stamped, velocity_of
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.on_end import ZERO
@@ -22,6 +22,7 @@ from rsb_bridge.ros.ros_interface import Endpoint, RosError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rsb_bridge.cdr.resting import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.route.source_publishers import PublicationSpec
@@ -49,6 +50,7 @@ class RestMessage:
     Attributes:
         spec: of the topic.
         on_end: as above.
+        velocity: of the newest message of this route and its rest, or None if that is not known.
 
     Raises:
         RosError: there can be no publisher for it, or its type is not installed.
@@ -65,6 +67,7 @@ class RestMessage:
         if on_end != ZERO or spec.type_name not in DRIVING_TYPES:
             self._read_fields()
         self._failed = failed
+        self.velocity: Velocity | None = None
         self._last: bytes | None = None  # of the messages of the present arming
         self._under_way: asyncio.Task[None] | None = None
         self._is_wanted = True
@@ -78,11 +81,21 @@ class RestMessage:
             self._publisher.close()
             raise
 
-    def moved(self, message: bytes) -> None:
-        """Note the newest message that this route, or an operator of this side by its arming, has published."""
+    def moved(self, message: bytes) -> bool:
+        """Note the newest message that this route, or an operator of this side by its arming, has published.
+
+        Returns:
+            Whether the robot begins or ceases to move by it.
+        """
+        was_moving, self.velocity = self._is_moving, velocity_of(self.spec.type_name, message)
         self._last = message
         self._context.moved_by[self.spec.topic] = self
         self.stop()
+        return was_moving != self._is_moving
+
+    @property
+    def _is_moving(self) -> bool:
+        return self.velocity is not None and any(self.velocity)
 
     def stop(self) -> None:
         """Publish no more rests: the topic is armed again, or a message has passed."""
@@ -141,9 +154,11 @@ class RestMessage:
     def _publish(self, rest: bytes) -> bool:
         try:
             if self._fields is not None:
-                self._publisher.publish(self._message())
+                rest = self._message()
             else:
-                self._publisher.publish(stamped(self.spec.type_name, rest, self._context.wall_ns()))
+                rest = stamped(self.spec.type_name, rest, self._context.wall_ns())
+            self._publisher.publish(rest)
+            self.velocity = velocity_of(self.spec.type_name, rest)
         except (RosError, FieldError) as error:
             self._failed(f"the robot may still move: no rest is published: {error}")
             return False
@@ -161,3 +176,9 @@ class RestMessage:
             del self._context.moved_by[self.spec.topic]
         self._context.announcements.withdraw(self._publisher.gid)
         self._publisher.close()
+
+
+def velocity_on(context: Context, topic: str) -> Velocity | None:
+    """Return the velocity that this bridge has published last on a topic of its domain, or None if it is unknown."""
+    mover = context.moved_by.get(topic)
+    return mover.velocity if isinstance(mover, RestMessage) else None

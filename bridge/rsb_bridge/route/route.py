@@ -22,7 +22,7 @@ from rsb_bridge.model.snapshot import Level, RouteSnapshot
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import DISARM_TEXT, Arming, Disarmed, Settling
-from rsb_bridge.route.blocking_rules import DATA_CONNECTION, RouteStatus
+from rsb_bridge.route.blocking_rules import DATA_CONNECTION, LossyPath, RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict
 from rsb_bridge.route.lifecycle import Event, Lifecycle, PauseState
 from rsb_bridge.route.notices import ChannelLosses, Notices, timed_out
@@ -36,6 +36,7 @@ from rsb_bridge.wire.messages import Close, Propose
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from rsb_bridge.cdr.resting import Velocity
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.capacity import Fullness
@@ -136,6 +137,7 @@ class Route:
         self.losses = ChannelLosses()
         self.idle = False
         self._verdict: Verdict | None = None  # None: it has to be judged
+        self._lossy_path = LossyPath()
         self.judged = CombinedVerdict(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
         self.meter = RateMeter(context.now())
         self.release_port: Callable[[], None] | None = None
@@ -225,6 +227,11 @@ class Route:
     def on_end(self) -> str:
         """What the receiving side publishes once an arming ends, or an empty string where it is not known."""
         return ""
+
+    @property
+    def velocity(self) -> Velocity | None:
+        """The velocity that the receiving side has published last, or None if it is unknown."""
+        return None
 
     @property
     def local_topic(self) -> str:
@@ -526,7 +533,7 @@ class Route:
     def verdict(self) -> Verdict:
         """Return this side's verdict, made at the last tick or at a later change by an operator or the peer."""
         if self._verdict is None or self.arming.overdue(self.context.now()):
-            self._verdict = self._judge()
+            self._verdict = self._lossy_path.steady(self._judge(), self.peer.path_fault, self.context.now())
         return self._verdict
 
     def common_snapshot(self) -> partial[RouteSnapshot]:
@@ -560,7 +567,7 @@ class Route:
             cause=verdict.cause,
             from_peer=from_peer,
             since=self.context.wall() - (now - self.judged.since(verdict, now)),
-            arming=self.arming.snapshot(now, self.on_end),
+            arming=self.arming.snapshot(now, self.on_end, self.velocity),
             allowed_rate=self.limit.allowed or None,
             pattern=self.pattern,
             messages_total=self.meter.count,

@@ -90,6 +90,7 @@ class TopicProgress(NamedTuple):
         subscribers: subscriptions on the receiving side that DDS has matched, which may be known before their nodes
             are, or None if their number is unknown.
         deaf: the subscribers, if they do not match.
+        others: on the receiving side, other publishers of the topic, if a subscription does not match.
     """
 
     endpoints: Collection[Endpoint] = ()
@@ -111,6 +112,7 @@ class TopicProgress(NamedTuple):
     undelivered: str = ""
     subscribers: int | None = None
     deaf: Collection[object] = ()
+    others: Collection[Endpoint] = ()
 
 
 class Facts(NamedTuple):
@@ -122,6 +124,7 @@ class Facts(NamedTuple):
         left_out: the publishers with another type, which are not bridged, or empty.
         stale_since: s, of the last message if silence counts and has lasted `stale_after`, or None.
         stopped_since: s, of the last message if its publishers have stopped, or None.
+        new: ids of the publishers that have come since the last message.
         slow_since: s, when it became slow, or None.
         rate: Hz, of the messages that are sent.
         expected_rate: Hz, to judge the rate by, or None.
@@ -141,6 +144,7 @@ class Facts(NamedTuple):
     left_out: str = ""
     stale_since: float | None = None
     stopped_since: float | None = None
+    new: Collection[bytes] = ()
     slow_since: float | None = None
     rate: float = 0.0
     expected_rate: float | None = None
@@ -172,7 +176,11 @@ def no_publisher(topic: str, domain_id: int, similar: str = "", *, gone: bool = 
 
 def no_subscriber(topic: str, where: str, present: Collection[object] = ()) -> str:
     """Says that nobody hears a topic, whether somebody subscribes to it or not."""
-    return f"the subscribers of {topic} {where} receive nothing" if present else f"nobody subscribes to {topic} {where}"
+    return (
+        f"nothing from the bridge reaches the subscribers of {topic} {where}"
+        if present
+        else f"nobody subscribes to {topic} {where}"
+    )
 
 
 def topic_stages(status: RouteStatus, progress: TopicProgress) -> tuple[Stage, ...]:
@@ -268,10 +276,9 @@ def _why_silent(facts: Facts) -> tuple[Cause, str]:
     """Explain the silence. DDS lists a publisher for up to 40 s after its death, so it may not run any more."""
     ever = facts.status.came or facts.status.came_before
     if facts.progress.endpoints:
-        silent = STOPPED_PUBLISHING
-        if not ever:
-            silent = PUBLISHED_NOTHING
-        return Cause.PUBLISHER_SILENT, _plural(facts.progress.endpoints, *silent)
+        stopped = [each for each in facts.progress.endpoints if each.gid not in facts.new] if ever else []
+        who, silent = (stopped, STOPPED_PUBLISHING) if stopped else (facts.progress.endpoints, PUBLISHED_NOTHING)
+        return Cause.PUBLISHER_SILENT, _plural(who, *silent)
     if ever:
         return Cause.PUBLISHER_GONE, _publisher_gone(facts)
     return _nobody(facts), no_publisher(facts.status.topic, facts.status.domain_id, facts.progress.similar)
@@ -438,9 +445,11 @@ def _subscribers(facts: Facts) -> Verdict | None:
             alike = [other for other in progress.endpoints if clashes(qos, other.qos) == found]
             offer, asked = zip(*found, strict=True)
             who = _plural(alike, "asks", "ask", "subscriptions")
+            heard = {p.node for p in progress.others if any(not clashes(p.qos, other.qos) for other in alike)}
+            only = f", so that only {named(heard)} {'is' if len(heard) == 1 else 'are'} heard" if heard else ""
             text = (
                 f"{who} for {', '.join(asked)}, but {facts.status.topic} is published with "
-                f"{', '.join(offer)}: change the QoS of the subscription, or of the publishers and this topic"
+                f"{', '.join(offer)}{only}: change the QoS of the subscription, or of the publishers and this topic"
             )
             return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
     if not progress.endpoints and not progress.subscribers and facts.status.came:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Mapping
+    from collections.abc import Mapping
 
 _SLOW_BELOW, FAST_ABOVE = 0.7, 0.85
 """Shares of the expected rate: below the one a topic gets slow, above the other it no longer is."""
@@ -69,22 +69,28 @@ class SlowWatch:
 class StopWatch:
     """Watches whether a topic's publishers have stopped.
 
-    Publishers that have paused and resumed are expected to do so again, for up to twice as long.
+    Publishers that have paused and resumed are expected to do so again, for up to twice as long. A new one has as long
+    for its first message as the others have for their next.
 
     Attributes:
         since: s, when the last message came before they stopped, or None.
         quiet: whether the silence is longer than the rate explains, even if it is a usual pause.
+        new: the publishers that have come since the last message.
     """
 
-    __slots__ = ("_longest_pause", "_publishers", "quiet", "since")
+    __slots__ = ("_came_at", "_longest_pause", "_publishers", "new", "quiet", "since")
 
     def __init__(self) -> None:
         self.since: float | None = None
         self.quiet = False
-        self._publishers: Hashable = None
+        self.new: frozenset[bytes] = frozenset()
+        self._came_at = float("-inf")
+        self._publishers: frozenset[bytes] | None = None
         self._longest_pause = 0.0
 
-    def tick(self, last: float, expected: float, now: float, publishers: Hashable, *, promised: bool = False) -> None:
+    def tick(
+        self, last: float, expected: float, now: float, publishers: frozenset[bytes], *, promised: bool = False
+    ) -> None:
         """Look at the time.
 
         Args:
@@ -98,11 +104,21 @@ class StopWatch:
             if publishers == self._publishers:  # else the publisher died, and was started again
                 self._longest_pause = max(self._longest_pause, last - self.since)
             self.since = None
+        self._take_new(last, now, publishers)
         if self.since is None and publishers != self._publishers:
             self._publishers, self._longest_pause = publishers, 0.0
-        self.quiet = now - last > max(_STOPPED_AFTER, _STOPPED_PERIODS / expected)
-        if self.quiet and self.since is None and (promised or now - last > _PAUSES * self._longest_pause):
+        waited = now - max(last, self._came_at)
+        self.quiet = waited > max(_STOPPED_AFTER, _STOPPED_PERIODS / expected)
+        if self.quiet and self.since is None and (promised or waited > _PAUSES * self._longest_pause):
             self.since = last
+
+    def _take_new(self, last: float, now: float, publishers: frozenset[bytes]) -> None:
+        if last > self._came_at:
+            self.new = frozenset()
+        known = publishers if self._publishers is None else self._publishers | self.new
+        if publishers - known:
+            self.new |= publishers - known
+            self._came_at = now
 
     def reset(self) -> None:
         """Start over: messages cannot flow now."""

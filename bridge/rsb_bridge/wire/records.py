@@ -104,6 +104,8 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         verdict: of the receiving side, or None.
         nodes: some of the nodes that subscribe to the topic.
         came_before: whether messages came in an earlier incarnation, and none in this one.
+        velocity: that this side has published last on an armed topic: forward in m/s, and turn in rad/s; None if it is
+            unknown.
     """
 
     route: RouteId
@@ -124,6 +126,7 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     verdict: VerdictRecord | None = None
     nodes: NodeNames = ()
     came_before: bool = False
+    velocity: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         check_qos(self.subscriber_qos)

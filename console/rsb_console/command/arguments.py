@@ -205,9 +205,6 @@ def _import_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="replace an existing session file")
 
 
-_WITH_A_PATH = ("--control", "--fleet", "--output", "-o")
-
-
 class _CommandParser(argparse.ArgumentParser):
     """Takes options in any place, and shows its own usage when it refuses something."""
 
@@ -233,17 +230,26 @@ class _CommandParser(argparse.ArgumentParser):
         return found, []
 
     def _bridge_first(self, args: Sequence[str] | None) -> Sequence[str] | None:
-        """Return arguments with ``--bridge`` before a bridge's name that stands before a topic, as in ``status NAME``.
-
-        A topic begins with a slash, and a bridge's name does not.
-        """
-        names = {action.dest for action in self._actions if not action.option_strings}
-        if not args or "--bridge" not in self._option_string_actions or names.isdisjoint(("topic", "topics")):
+        """Return arguments with ``--bridge`` before a bridge's name that stands first, as in ``pause NAME TOPIC``."""
+        if not args or "--bridge" not in self._option_string_actions or args[0].startswith(("-", "/")):
             return args
-        first, *rest = args
-        plain = [word for before, word in itertools.pairwise(args) if before not in _WITH_A_PATH]
-        is_name = not first.startswith(("-", "/")) and any(word.startswith(("/", "*")) for word in plain)
-        return ["--bridge", first, *rest] if is_name else args
+        return ["--bridge", *args] if self._begins_with_a_bridge(args) else args
+
+    def _begins_with_a_bridge(self, args: Sequence[str]) -> bool:
+        """Whether the first word names a bridge: a topic begins with a slash, and a bridge's name does not."""
+        words = [word for before, word in itertools.pairwise(("", *args)) if self._is_positional(before, word)]
+        own = [action for action in self._actions if not action.option_strings]
+        if self._subparsers is not None:  # `fleet NAME`; a command that is mistyped has words of its own
+            known = {name for action in own for name in action.choices or ()}
+            return words[0] not in known and known.issuperset(words[1:2])
+        if {action.dest for action in own}.isdisjoint(("topic", "topics")):
+            return False
+        one_too_many = all(action.nargs is None for action in own) and len(words) == len(own) + 1
+        return one_too_many or any(word.startswith(("/", "*")) for word in words[1:])
+
+    def _is_positional(self, before: str, word: str) -> bool:
+        option = self._option_string_actions.get(before)
+        return not word.startswith("-") and (option is None or option.nargs == 0)
 
 
 class _Version(argparse.Action):

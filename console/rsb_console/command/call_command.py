@@ -10,6 +10,8 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import ITEMS, read_written
 from rsb_bridge.config.yaml_text import dump_yaml, inline
 from rsb_bridge.model.calls import LANES, FieldError
+from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line, json_value
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
@@ -24,6 +26,7 @@ from rsb_console.command.target import (
     reported,
 )
 from rsb_console.session.draft import suggestion
+from rsb_console.session.landing import answered
 from rsb_console.session.parameter_values import KIND_NAMES, KINDS, refusal, set_request, value_of
 
 if TYPE_CHECKING:
@@ -69,12 +72,16 @@ def _call(arguments: Namespace) -> int:
     request = fields_from(arguments, arguments.request)
     with attached(arguments, expires=True) as engine:
         route = chosen_route(engine, arguments)
-        text = response(engine, route, request, _lane(route, arguments.lane), arguments.timeout)
+        lane, began = _lane(route, arguments.lane), Clock.steady()
+        text = response(engine, route, request, lane, arguments.timeout)
+        report = answered(route, Clock.steady() - began)
     if arguments.json:
         goal = {"goal_id": text.splitlines()[0].removeprefix(_NEW_GOAL)} if text.startswith(_NEW_GOAL) else {}
-        print_line(json_line({"ok": True, **goal, "response": json_value(data_of(text))}))
+        landed = [{"ok": True, "report": report}]
+        print_line(json_line({"ok": True, **goal, "response": json_value(data_of(text)), "landed": landed}))
     else:
         print_lines(text.removesuffix("\n"))
+        print_error(escape_text(report))
     return OK
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,7 @@ from rsb_bridge.model.session import Client, Grant
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
-from rsb_console.command.formatting import json_line
+from rsb_console.command.formatting import clock, json_line
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line, print_lines
 from rsb_console.command.target import (
     ANSWERED_WITHIN,
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.control.bridges import RunningBridge
-    from rsb_bridge.model.snapshot import LinkSnapshot
+    from rsb_bridge.model.snapshot import Event, LinkSnapshot
     from rsb_console.session.client_files import Changed
 
 
@@ -55,7 +56,12 @@ class ClientCommandProblem(Wording):
         "run `rsb-console reload` there; or end its link now: `rsb-console client rekey {name}`"
     )
     NEW_KEY_UNUSED = (
-        "{name} is not linked, so it may never have used the new key. Without it, it cannot link any more. Finish?"
+        "{name} is not linked, and the server's log does not show that it has ever used the new key. Without it, it "
+        "cannot link any more. Finish?"
+    )
+    OLD_KEY_LAST = (
+        "{name} is not linked, and used its old key last, on {when}. Without the new one, it cannot link any more. "
+        "Finish?"
     )
     NOT_FINISHED = "not finished: both keys of {name} stay valid"
     SESSION_UNKNOWN = "{problem}: name the server's session file"
@@ -76,6 +82,7 @@ class ClientEffect(Wording):
     REKEYED_LINK_CLOSED = "only the new key counts now, and the link is closed"
     BOTH_KEYS = "both keys count from now on"
     BOTH_KEYS_LINK_STAYS = "both keys count from now on, and the link stays"
+    USED = "{name} is not linked; it used the new key last, on {when}"
     FINISHED = "only the new key counts now, and {name} needs it"
     FINISHED_LINK_STAYS = "only the new key counts now, and the link stays"
     REMOVED = "{name} is no longer accepted, and was not linked"
@@ -172,9 +179,9 @@ def _finish_rotation(arguments: Namespace, path: Path) -> int:
     link = _links(path, arguments.control).get(name)
     if link is not None and link.state is State.OK and link.fingerprint != link.next_fingerprint:
         raise EngineError(ClientCommandProblem.OLD_KEY_IN_USE(name=name, fingerprint=link.fingerprint))
-    has_next = client_named(client_files.open_server(path).session, name).next_key_file is not None
-    if has_next and (link is None or link.state is not State.OK) and not arguments.yes:
-        _ask_to_finish(arguments, name)
+    linked = link is not None and link.state is State.OK
+    if not linked and not arguments.yes:
+        _ask_to_finish(arguments, path, name)
     changed = finish_rotation(path, name)
     told = _tell(
         arguments,
@@ -185,17 +192,38 @@ def _finish_rotation(arguments: Namespace, path: Path) -> int:
     return _rotated(arguments, changed, told, "the key")
 
 
-def _ask_to_finish(arguments: Namespace, name: str) -> None:
-    """Ask whether to end a rotation though the client may not have the new key.
+def _ask_to_finish(arguments: Namespace, path: Path, name: str) -> None:
+    """Ask whether to end a rotation, unless the client used its new key when it was linked last.
 
     Raises:
         UsageError: nobody is there to ask.
         EngineError: the operator does not want it.
     """
+    file = client_files.open_server(path)
+    client = client_named(file.session, name)
+    if client.next_key_file is None:
+        return  # there is nothing to finish
+    keys = (client_files.fingerprint_or_problem(place)[0] for place in client_files.key_places(file, client))
+    old, new = ("" if key is None else fingerprint(key) for key in keys)
+    used = _last_key(file.session.name, name, {old, new})
+    when = "" if used is None else clock(used.time)
+    if used is not None and used.new == new:
+        print_error(ClientEffect.USED(name=name, when=when))
+        return
     if arguments.json:
         raise UsageError(Asking.NOBODY())
-    if not agreed(ClientCommandProblem.NEW_KEY_UNUSED(name=name)):
+    question = ClientCommandProblem.NEW_KEY_UNUSED if used is None else ClientCommandProblem.OLD_KEY_LAST
+    if not agreed(question(name=name, **({} if used is None else {"when": when}))):
         raise EngineError(ClientCommandProblem.NOT_FINISHED(name=name))
+
+
+def _last_key(server: str, name: str, fingerprints: set[str]) -> Event | None:
+    """Return the newest event that the server has kept on disk about the use of one of a client's keys, or None."""
+    from rsb_bridge.history.history_files import last_key, read_events  # noqa: PLC0415 (only here)
+    from rsb_bridge.history.state_folder import files_of  # noqa: PLC0415
+
+    kept = files_of(server, os.environ)
+    return last_key((event for files in kept for event in read_events(files.events, 0.0)), name, fingerprints)
 
 
 def _rotated(arguments: Namespace, changed: Changed, told: str, what: str, steps: Sequence[str] = ()) -> int:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control.features import TOTALS
 from rsb_bridge.model.snapshot import State
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_line, print_lines
@@ -148,11 +147,9 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
 
     Raises:
         UsageError: the arguments fit no topic, or several.
-        EngineError: the bridge has ended, no longer bridges the topic, or is older.
+        EngineError: the bridge has ended, or no longer bridges the topic.
     """
     with attached(arguments, read_only=True) as engine:
-        if TOTALS not in engine.features:
-            raise engine.lacks(TOTALS)
         route = chosen_route(engine, arguments)
         if not arguments.json:
             print_line(_where(route, other_side(engine, route.link)))

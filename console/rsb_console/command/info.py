@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.control.features import TOTALS
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_console.command.figures import measured
 from rsb_console.command.formatting import clock, json_line, link_word, links_of, route_of, without_peer
@@ -35,8 +34,6 @@ def print_info(arguments: Namespace) -> int:
         if arguments.json:
             of_links = links_of(now)
             values = _values(route)
-            if TOTALS not in engine.features:
-                values["messages_total"] = None
             print_line(json_line({"ok": True, **values, "link_status": of_links.get(route.link)}))
         else:
             figures = measured(engine, route, _MEASURED) if _loses(route) else None

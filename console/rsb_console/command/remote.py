@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import select
 import sys
 import time
 from dataclasses import asdict
@@ -53,6 +52,8 @@ from rsb_console.command.target import (
     result,
 )
 from rsb_console.session.draft import TypedError, suggestion, typed_topic, values_of
+from rsb_console.terminal.pulse import ASKED_EVERY
+from rsb_console.terminal.typed_keys import TypedKeys
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -65,8 +66,6 @@ if TYPE_CHECKING:
 
 _LOOK_EVERY = 0.1
 _EVENTS_WITHIN = 10.0
-_TOLD_EVERY = 0.5
-_READ_SIZE = 4096
 _DIRECTIONS = ("transmit", "receive")
 """As the client sees it."""
 
@@ -467,28 +466,22 @@ def _topic(values: dict[str, str], keys: list[str], engine: RemoteEngine, replac
 # --- arming
 
 
-class _Keys:
-    """Reads lines from standard input, until its end."""
-
-    def __init__(self) -> None:
-        self._ended = False
-
-    def wait(self, seconds: float) -> bool:
-        """Wait for a line, for at most some seconds; return whether a line came."""
-        ready, _, _ = select.select([] if self._ended else [sys.stdin.fileno()], [], [], seconds)
-        if not ready:
-            return False
-        self._ended = not os.read(sys.stdin.fileno(), _READ_SIZE)
-        return not self._ended
+def _standard_input() -> int:
+    """Return the descriptor of standard input, or one that is at its end where there is none."""
+    try:
+        return sys.stdin.fileno()
+    except (AttributeError, OSError):  # a closed one, as of some services
+        return os.open(os.devnull, os.O_RDONLY)
 
 
 def _arm(arguments: Namespace) -> int:
     """Arm a topic until this process ends in any way; then the bridge disarms it. Return the exit code."""
-    with attached(arguments, expires=True) as engine:
+    # The console detaches first, which disarms: the terminal's last answer may take its time.
+    with TypedKeys(_standard_input(), os.environ) as keys, attached(arguments, expires=True) as engine:
         route = chosen_route(engine, arguments)
         result(engine.arm(route.key, shared=True))  # for `rsb-console pub` in another shell
         _say_armed(arguments, route)
-        why, cause = _hold(engine, route.key)
+        why, cause = _hold(engine, route.key, keys)
     return failed(arguments, RemoteProblem.DISARMED(topic=route.topic, reason=why), FAILURE, cause=cause)
 
 
@@ -502,11 +495,10 @@ def _say_armed(arguments: Namespace, route: RouteSnapshot) -> None:
     sys.stdout.flush()
 
 
-def _hold(engine: RemoteEngine, key: str) -> tuple[str, str]:
+def _hold(engine: RemoteEngine, key: str, keys: TypedKeys) -> tuple[str, str]:
     """Keep a topic armed; once it is disarmed, return the reason in words and as a cause."""
-    keys = _Keys()
     while True:
-        result(engine.keep_armed(pressed=keys.wait(_TOLD_EVERY)))
+        result(engine.keep_armed(pressed=keys.wait(ASKED_EVERY)))
         if engine.unreachable:
             return engine.unreachable, ""
         route = next((each for each in engine.snapshot().routes if each.key == key), None)

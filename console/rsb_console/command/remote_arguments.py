@@ -539,7 +539,7 @@ def add_call_commands(command: AddCommand, complete: Complete) -> None:
 _NO_SERVER = """\
   2  wrong usage: bad arguments, no such robot or group
   3  no server runs here that you may attach to, or it or the fleet is not reached"""
-_WHICH_SERVER = "only the robots of this server, by the name that `status` prints"
+_WHICH_SERVER = "only the robots of this server, by the name that `status` prints. `fleet NAME` is short for it"
 _OVER_ZENOH = "a fleet file: all bridges of that fleet, over Zenoh, instead of the servers here"
 _FLEET = f"""\
 It shows the robots of all servers that run here; with --fleet, all bridges of a fleet

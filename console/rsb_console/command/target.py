@@ -31,6 +31,7 @@ from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, USAGE, print_error, print_line
+from rsb_console.look import formats
 from rsb_console.session.draft import suggestion
 
 if TYPE_CHECKING:
@@ -315,8 +316,8 @@ def _routes_meant(engine: RemoteEngine, arguments: Namespace) -> list[RouteSnaps
 
 
 def other_side(engine: RemoteEngine, link: str) -> str:
-    """Return the name of a link's other side: a client's link has the client's own name."""
-    return "the server" if engine.bridge.role == "client" else link
+    """Return the name of a link's other side."""
+    return formats.other_side(engine.bridge.role, link)
 
 
 def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | PatternSnapshot:

@@ -22,6 +22,7 @@ from rsb_console.session.changes import (
     named_by_client,
     patterns_of,
 )
+from rsb_console.terminal.input_gate import InputGate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -46,6 +47,9 @@ class OperationText(Wording):
     AS_IN_FILE = "the bridge already runs as in the session file"
     RELOAD = "Reload the session file?"
     ENDED_ELSEWHERE = "the bridge has ended in its own process: start it there"
+    RESUME = "Resume {topic}?"
+    RESUME_MEANS = "The key may have come late, so it is asked for. Messages cross again at once{arming}."
+    STILL_DISARMED = ", once it is armed"
     RESTART_MEANS = "All links are closed on both sides and opened again. Nothing crosses for a few seconds."
 
 
@@ -95,11 +99,13 @@ class BridgeOperations:
         self._undoing = False
 
     async def pause(self) -> None:
-        """Pause the topic under the cursor, or resume it."""
+        """Pause the topic under the cursor, or resume it, after a question if the key may have come late."""
         engine, route = self._console.engine, self._selected()
         if engine is None or route is None:
             return
         paused = route.state is not State.PAUSED
+        if not paused and not InputGate.of(self._screen().app).is_young and not await self._still_wants(route):
+            return
         mixed = isinstance(route, PatternRow) and any(
             each.spec.paused is paused
             for each in self._console.snapshot().routes
@@ -109,6 +115,15 @@ class BridgeOperations:
         change = Paused(route.link, route.topic, _last_event(engine), key=route.key, paused=paused, mixed=mixed)
         if await self._console.command(engine.pause(route.key, paused)) and route.spec.paused is not paused:
             self._console.changes.add(change)
+
+    async def _still_wants(self, route: RouteSnapshot) -> bool:
+        """Whether the operator resumes a topic, asked by a question that late keys do not answer."""
+        from rsb_console.screens.dialog import GuardedConfirmScreen  # noqa: PLC0415 -- keeps the start short
+
+        arming = "" if route.arming is None else OperationText.STILL_DISARMED()
+        means = OperationText.RESUME_MEANS(arming=arming)
+        question = GuardedConfirmScreen(OperationText.RESUME(topic=route.topic), means, "Resume")
+        return bool(await self._console.ask(question))
 
     async def acknowledge(self) -> None:
         """Acknowledge the fault of the topic under the cursor, or take that back."""

@@ -23,6 +23,7 @@ from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, UNDER_WAY
 from rsb_console.screens.dialog import GuardedConfirmScreen, beginning
 from rsb_console.screens.form_screen import FormScreen
+from rsb_console.session.landing import answered
 from rsb_console.session.parameter_values import refusal, set_request
 from rsb_console.terminal.driver import copy
 from rsb_console.terminal.input_queue import DIALOG
@@ -58,9 +59,9 @@ class CallText(Wording):
     VALUE_SENT = "Its new value is sent {where}:"
     REQUEST_SENT = "It is sent once, {where}:"
     ALL_DEFAULTS = "(the default of every field)"
-    ANSWERED = "{sign} answered after {took}"
-    VALUE_SET = "{sign} answered after {took}: the node has set it"
-    VALUE_REFUSED = "{sign} answered after {took}: the node refuses it: {why}"
+    ANSWERED = "{sign} {report}"
+    VALUE_SET = "{sign} {report}: it is set"
+    VALUE_REFUSED = "{sign} {report}: the node refuses it: {why}"
     STILL_CALLING = "the previous call is not answered yet"
     ROUTE_GONE = "{sign} it is no longer bridged"
 
@@ -244,14 +245,14 @@ class CallScreen(FormScreen[Request]):
         except EngineError as error:
             self._set_answer("", Verdict(f"{FAILED} {_clean(str(error))}", "down"))
         else:
-            took = formats.span(time.monotonic() - began)
+            report = answered(self._route, time.monotonic() - began)
             refused = refusal(answer) if request.sets else None
             if refused is not None:
-                refusal_text = CallText.VALUE_REFUSED(sign=FAILED, took=took, why=_clean(refused))
+                refusal_text = CallText.VALUE_REFUSED(sign=FAILED, report=report, why=_clean(refused))
                 self._set_answer(answer, Verdict(refusal_text, "down"))
             else:
                 done = CallText.VALUE_SET if request.sets else CallText.ANSWERED
-                self._set_answer(answer, Verdict(done(sign=DONE, took=took), "ok"))
+                self._set_answer(answer, Verdict(_clean(done(sign=DONE, report=report)), "ok"))
         finally:
             self._under_way_since = None
         self._draw()

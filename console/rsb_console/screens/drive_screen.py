@@ -90,6 +90,10 @@ class DriveText(Wording):
     NOT_WHILE_DISARMED = "keys do nothing while it is disarmed"
     MOVED = "moves {robots}{round_trip}"
     LANDED = "{moved}   {reports}"
+    IN_HAND = "{link} now: {motion}"
+    MOVING = "moving {forward:.2f} m/s{turning}"
+    TURNING = ", turning {turn:.2f} rad/s"
+    RESTS = "rest"
     ROUND_TRIP = ", round trip {milliseconds:.0f} ms"
     SEVERAL = "Drive {count} robots by {topic}?"
     SEVERAL_MEANS = "Its messages cross to {robots}: all of them move that are armed."
@@ -125,6 +129,20 @@ def moved_by(route: RouteSnapshot, snapshot: Snapshot) -> list[str]:
     if route.calls is not None or not route.outgoing:
         return [route.link]
     return sorted({each.link for each in snapshot.routes if each.outgoing and each.topic == route.topic} | {route.link})
+
+
+def in_hand(route: RouteSnapshot, snapshot: Snapshot) -> str:
+    """Return what robots on a route's topic were given last, as their sides report it, or an empty string."""
+    links = moved_by(route, snapshot)
+    routes = [each for each in snapshot.routes if each.topic == route.topic and each.outgoing == route.outgoing]
+    found = []
+    for each in routes:
+        if each.link in links and each.arming is not None and (velocity := each.arming.velocity) is not None:
+            forward, turn = velocity
+            turning = DriveText.TURNING(turn=turn) if turn else ""
+            motion = DriveText.MOVING(forward=forward, turning=turning) if any(velocity) else DriveText.RESTS()
+            found.append(DriveText.IN_HAND(link=each.link, motion=motion))
+    return join_first(found, _NAMED)
 
 
 async def drive(console: Console, route: RouteSnapshot) -> None:
@@ -366,9 +384,9 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
             moves = DriveText.MOVES(forward=forward, turn=turn) if forward or turn else DriveText.STANDS()
         speed = DriveText.SPEED(speed=self._steering.speed, turn=self._steering.turn)
         problem = DriveText.LATE() if self._steering.came_late(now) else self._problem
-        lines = (f"{moves}   ({speed})", self._moved(), problem)
-        first, moved, last = map(escape_text, lines)
-        self._pane.update(Content(f"{first}\n{self._state()}\n{moved}\n{last}"))
+        lines = (f"{moves}   ({speed})", self._moved(), in_hand(self._route, self.console.snapshot()), problem)
+        first, *others = map(escape_text, lines)
+        self._pane.update(Content("\n".join((first, self._state(), *others))))
 
     def _moved(self) -> str:
         snapshot = self.console.snapshot()

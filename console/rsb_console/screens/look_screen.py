@@ -15,6 +15,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.worker import VIEWS
+from rsb_console.look import formats
 from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.filter import Pattern
 from rsb_console.widgets.picker import Suggestion, SuggestionList
@@ -130,12 +131,13 @@ class LookScreen(ModalScreen[Subject]):
             for info in infos
             if info.kind == "topic" and info.publishers
         ]
+        role = self.console.snapshot().role
         for side, info in sorted(found, key=lambda each: (each[1].type_name not in VIEWS, each[1].topic, each[0])):
             key = f"{side}\n{info.topic}"
             layers = (each.topic for each in self._found[side] if is_layer(each.type_name) and each.publishers)
             others = tuple(topic for topic in layers if topic != info.topic)
             self._subjects[key] = Subject((info.topic,), side, info.type_name, others)
-            shown = escape_text(side or LookText.HERE())[: _SIDE - 1]
+            shown = escape_text(formats.other_side(role, side) if side else LookText.HERE())[: _SIDE - 1]
             line: Line = (
                 (f"{escape_text(info.topic):<{_TOPIC}} ", ""),
                 (f"{shown:<{_SIDE}}", "dim"),

@@ -46,6 +46,7 @@ class EmptyTable(Wording):
 
     NO_MATCH = "Nothing here matches. {back} shows all topics."
     NO_SESSION = "No session. {opens} opens one, {new} writes a new one, {welcome} shows all ways to begin."
+    NOT_RUNNING = "{restart} starts it again"
     NO_SESSION_READ_ONLY = "No session. Start the console with one: rsb-console --readonly SESSION"
 
 
@@ -120,6 +121,7 @@ class MainScreen(Screen[None]):
 
     def show(self, snapshot: Snapshot, new_events: Sequence[Event]) -> None:
         """Show the engine's state; while frozen, update only the lines at the top."""
+        self._held += new_events  # one of them may say why the engine has ended
         self.status.show(snapshot, self._view(snapshot))
         self._topic_counts = state_counts(snapshot.routes, FAULTS)
         self._link_counts = (*state_counts(snapshot.links, FAULTS), *warning_count(snapshot.links))
@@ -127,7 +129,6 @@ class MainScreen(Screen[None]):
         keys = MoreKeys(self._key("links"), f"{self._key('detail')} on one" if only else self._key("faults"))
         faults = [*self._engine_faults(snapshot), *faults_of(snapshot)]
         self.faults.show(faults, max(3, height // (2 if only else 4)), keys, snapshot.time)
-        self._held += new_events
         if self._frozen_since is None:
             self.log_pane.add(self._held)
             self._held = []
@@ -150,25 +151,27 @@ class MainScreen(Screen[None]):
     def _view(self, snapshot: Snapshot) -> View:
         session = "" if self.console.path is None else self.console.path.stem
         console, engine = self.console, self.console.engine
-        cause = "" if snapshot.running or engine is None else self._cause_of_death()
+        way_on = "" if snapshot.running or engine is None else self._way_on()
         lost = "" if engine is None or not engine.unreachable else f"✗ NOT ATTACHED: {engine.unreachable}"
         attached = bool(console.attached_to)
         note = console.note or lost
-        return View(session, console.refresh_rate, self._frozen_since, console.readonly, note, cause, attached=attached)
+        return View(
+            session, console.refresh_rate, self._frozen_since, console.readonly, note, way_on, attached=attached
+        )
 
     def _engine_faults(self, snapshot: Snapshot) -> list[Fault]:
         """Return the reason why the engine does not run, if it has logged one."""
-        cause = "" if snapshot.running or self.console.engine is None else self._last_error()
+        cause = "" if snapshot.running or self.console.engine is None else self._engine_error()
         return [Fault("✗", State.DOWN.value, "", snapshot.name, cause, of_link=True)] if cause else []
 
-    def _last_error(self) -> str:
-        events = [*self.log_pane.events, *self._held]
-        return next((event.text for event in reversed(events) if event.level is Level.ERROR), "")
+    def _engine_error(self) -> str:
+        errors = (event for event in reversed([*self.log_pane.events, *self._held]) if event.level is Level.ERROR)
+        return next((event.text for event in errors if event.code.startswith("engine.")), "")
 
-    def _cause_of_death(self) -> str:
-        cause = self._last_error()
-        way_on = "" if self.console.readonly or self.console.attached_to else f"{self._key('restart')} starts it again"
-        return ", ".join(part for part in (way_on, cause) if part)
+    def _way_on(self) -> str:
+        """Return the key that starts the engine again; the banner has the reason why it does not run."""
+        stays = self.console.readonly or self.console.attached_to
+        return "" if stays else EmptyTable.NOT_RUNNING(restart=self._key("restart"))
 
     def _key(self, action: str) -> str:
         return self.console.key_labels(BY_ID[action])[0]
@@ -183,7 +186,7 @@ class MainScreen(Screen[None]):
             opens, new, welcome = (self._key(action) for action in ("sessions", "new_session", "welcome"))
             return EmptyTable.NO_SESSION(opens=opens, new=new, welcome=welcome)
         if not snapshot.running:
-            return self._cause_of_death() if not self.console.note else ""
+            return self._way_on() if not self.console.note else ""
         if self.console.readonly:
             return "No topics yet."
         theirs = "They come with the clients; " if snapshot.role == "server" else ""

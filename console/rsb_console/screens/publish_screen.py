@@ -19,6 +19,7 @@ from rsb_console.look.glyphs import DONE, FAILED
 from rsb_console.screens.dialog import GuardedConfirmScreen, beginning
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.by_hand import publish
+from rsb_console.session.landing import REPORTED_WITHIN, Landing
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, Notice, Spec, TextField
 
@@ -34,6 +35,8 @@ _CHECKED = 4 << 10
 """Longest message (characters) to check while it is typed; a longer one takes too long."""
 _TYPED_FOR = 0.5
 """s without a key in the topic's name after which its fields are looked up."""
+_LANDING, _LOOK_EVERY = "landing", 0.1
+"""The group of the workers that wait for reports, and s between two looks for one."""
 _KEYS = "F9 publish   tab next   esc close"
 
 
@@ -183,25 +186,44 @@ class PublishScreen(FormScreen[Message]):
     @work(group="publish")
     async def _publish(self, message: Message) -> None:
         self._is_busy = True
+        self.workers.cancel_group(self, _LANDING)
         self._state.set_text("")
+        landing = Landing(message.topic, self.console.snapshot())
         try:
             published = await publish(self.console.engine, message.topic, message.fields, message.type_name)
         except EngineError as error:
             self._show(f"{FAILED} {error}", "down")
         else:
-            self._show_result(message.topic, published)
+            text = self._show_result(message.topic, published)
+            if published.links:
+                self._show_landing(landing, published.links, text)
         finally:
             self._is_busy = False
 
-    def _show_result(self, topic: str, published: Published) -> None:
+    @work(group=_LANDING)
+    async def _show_landing(self, landing: Landing, links: tuple[str, ...], text: str) -> None:
+        """Add what the other sides report of a message, which takes them up to a second."""
+        for _ in range(round(REPORTED_WITHIN / _LOOK_EVERY)):
+            if landing.is_known(self.console.snapshot(), links):
+                break
+            await asyncio.sleep(_LOOK_EVERY)
+        reports = landing.reports(self.console.snapshot(), links)
+        look = "ok" if all(ok for ok, _ in reports) else "down"
+        self._show("\n".join((text, *(report for _, report in reports))), look)
+
+    def _show_result(self, topic: str, published: Published) -> str:
+        """Show a message's way on this side; return it in words."""
         if published.nodes or published.links:
             subscriptions = f"{published.nodes} subscription{'' if published.nodes == 1 else 's'}"
             links = PublishText.OVER_LINKS(links=", ".join(published.links)) if published.links else ""
-            self._show(PublishText.PUBLISHED(sign=DONE, topic=topic, subscriptions=subscriptions, links=links), "ok")
-            return
+            text = PublishText.PUBLISHED(sign=DONE, topic=topic, subscriptions=subscriptions, links=links)
+            self._show(text, "ok")
+            return text
         routes = (each for each in self.console.snapshot().routes if each.outgoing and each.topic == topic)
         reasons = "".join(f"; {each.link}: {each.reason or each.state.value}" for each in routes)
-        self._show(PublishText.NOBODY(sign=FAILED, topic=topic, reasons=reasons), "down")
+        text = PublishText.NOBODY(sign=FAILED, topic=topic, reasons=reasons)
+        self._show(text, "down")
+        return text
 
     def _show(self, text: str, look: str) -> None:
         self._state.set_text(escape_text(text))

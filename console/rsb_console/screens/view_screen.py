@@ -343,13 +343,15 @@ class ViewScreen(FullScreen[bool]):
         if self._viewed is None:
             waited = time.monotonic() - self._came
             return escape_text(self._problem) or ViewText.WAITING(waited=formats.age(waited))
+        where = self._viewed.where
+        side = formats.other_side(self.console.snapshot().role, where) if where else ViewText.HERE()
         picture, parts = self._viewed.picture, [self._problem or self._viewed.picture.problem]
         if self._viewed.age is not None:
             age = self._viewed.age + time.monotonic() - self._came
             parts.append(ViewText.OLD(age=formats.age(age)))
         parts += [
             notes_line(picture),
-            ViewText.SIDE(side=self._viewed.where or ViewText.HERE()),
+            ViewText.SIDE(side=side),
             ViewText.SIZE(size=formats.byte_count(self._viewed.encoded)),
             ViewText.RATE(rate=self._wish.rate),
             picture.type_name,

@@ -1,4 +1,4 @@
-"""Where messages by hand have come to, as the other sides of their routes report it once a second."""
+"""What has happened to messages and calls by hand, as the other sides of their routes report it."""
 
 from __future__ import annotations
 
@@ -26,6 +26,9 @@ class LandingText(Wording):
     NOT_SUBSCRIBED = "no subscription there"
     DROPPED = "{link}: dropped: {cause}"
     UNREPORTED = "{link}: not reported within {seconds:g} s"
+    ANSWERED = "{link}: answered by {nodes} {where}, after {seconds:.3g} s"
+    A_NODE = "a node"
+    THERE, HERE = "there", "on this side"
 
 
 class Landing:
@@ -66,6 +69,18 @@ class Landing:
         nodes = join_first(route.subscribers, _NAMED)
         subscribers = LandingText.SUBSCRIBED(nodes=nodes) if nodes else LandingText.NOT_SUBSCRIBED()
         return True, LandingText.DELIVERED(link=route.link, age=age, subscribers=subscribers)
+
+
+def answered(route: RouteSnapshot, seconds: float) -> str:
+    """Return the report of a call that was answered.
+
+    Args:
+        route: that was called.
+        seconds: from the call to its answer.
+    """
+    nodes = join_first(route.subscribers, _NAMED) or LandingText.A_NODE()
+    where = LandingText.THERE() if route.outgoing else LandingText.HERE()
+    return LandingText.ANSWERED(link=route.link, nodes=nodes, where=where, seconds=seconds)
 
 
 def _dropped_since(before: Ledger | None, now: Ledger) -> str:

@@ -10,7 +10,7 @@ from textual import events
 from textual.screen import Screen
 
 from rsb_bridge.model.wording import Wording
-from rsb_console.terminal.pulse import FRESH_FOR, heard_before
+from rsb_console.terminal.pulse import FRESH_FOR, heard_before, is_from_terminal
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -56,10 +56,12 @@ class InputGate:
 
     Attributes:
         pulse: the terminal's, or None without a terminal: then no input is late.
+        is_young: whether the newest input, which the app handles now, is certainly young.
     """
 
     def __init__(self, app: App[Any], clock: Callable[[], float] = time.monotonic) -> None:
         self.pulse: Pulse | None = None
+        self.is_young = True
         self._app = app
         self._clock = clock
         self._told_at = float("-inf")
@@ -81,7 +83,11 @@ class InputGate:
 
     def refuses(self, event: Message, screen: Screen[Any]) -> bool:
         """Whether a screen must not get an event; the operator is told why not."""
-        if not self.is_on or not isinstance(screen, GuardedScreen) or not _is_pressed(event):
+        if self.pulse is None or not _is_pressed(event):
+            return False
+        if is_from_terminal(event):
+            self.is_young = not (self.pulse.relayed or self.is_late(event))
+        if not isinstance(screen, GuardedScreen):
             return False
         if isinstance(event, events.Key) and event.key in screen.SAFE_KEYS:
             return False

@@ -20,8 +20,6 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from textual.message import Message
-
 ASKED_EVERY = 0.25
 """s between two questions while something can be driven or armed."""
 FRESH_FOR = 1.0
@@ -121,12 +119,17 @@ class Pulse:
 
         return _POSITION.sub(take, pasted)
 
-    def stamp(self, event: Message) -> None:
+    def stamp(self, event: object) -> None:
         """Note how young an event from the terminal is, for `heard_before`."""
         vars(event)["heard"] = self.heard_now
 
 
-def heard_before(event: Message) -> float:
+def is_from_terminal(event: object) -> bool:
+    """Whether a terminal has sent an event, and not this program."""
+    return "heard" in vars(event)
+
+
+def heard_before(event: object) -> float:
     """Return when the last question was asked that was answered before an event.
 
     It is infinity for a terminal that gives no answers, and for events from no terminal.

@@ -35,7 +35,7 @@ class View:
         frozen_since: s since the epoch, or None while the view is live.
         readonly: whether actions that change something are disabled.
         note: text in place of the link's state while no engine runs, otherwise empty.
-        cause: reason why the engine ended by itself, or empty.
+        way_on: the step that starts an engine that does not run, or empty.
         attached: whether the engine runs in another process.
     """
 
@@ -44,7 +44,7 @@ class View:
     frozen_since: float | None = None
     readonly: bool = False
     note: str = ""
-    cause: str = ""
+    way_on: str = ""
     attached: bool = False
 
 
@@ -181,7 +181,7 @@ def _identity(snapshot: Snapshot, view: View) -> list[tuple[int, tuple[str, str]
     """Return the link's name and state in pieces; pieces with the highest number are left out first."""
     if not snapshot.name:
         return [(0, (" rsb-console", "strong")), (0, (f"  {view.note}", "dim"))]
-    state = [(f"   {view.note}", "alarm")] if view.note else link_state(snapshot, view.cause)
+    state = [(f"   {view.note}", "alarm")] if view.note else link_state(snapshot, view.way_on)
     return [
         (5, (" rsb-console", "strong")),
         (4, (f"  {snapshot.role}", "dim")),
@@ -193,10 +193,10 @@ def _identity(snapshot: Snapshot, view: View) -> list[tuple[int, tuple[str, str]
     ]
 
 
-def link_state(snapshot: Snapshot, cause: str) -> list[tuple[str, str]]:
+def link_state(snapshot: Snapshot, way_on: str) -> list[tuple[str, str]]:
     """Return the state of the link, or how many of a server's links are up, and whether they are encrypted."""
     if not snapshot.running:
-        return [(f"   ✗ STOPPED{f': {cause}' if cause else ''}", "down")]
+        return [(f"   ✗ STOPPED{f': {way_on}' if way_on else ''}", "down")]
     if not snapshot.links:
         return [("   ◌ no client yet", "waiting")]
     return [_links_state(snapshot.links, snapshot.time), ("  encrypted ✓", "dim")][: 1 if _warnings(snapshot) else 2]

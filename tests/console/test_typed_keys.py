@@ -1,0 +1,144 @@
+"""Lines that an operator types for `rsb-console arm`: only young ones count, and the terminal is given back."""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import termios
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.console.test_late_input import Time
+
+from rsb_console.terminal.pulse import ANSWERS_WITHIN, FRESH_FOR
+from rsb_console.terminal.typed_keys import TypedKeys
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_LOCAL_MODES = 3
+
+
+class Terminal:
+    """A terminal whose line may hang: the test decides when it answers.
+
+    Attributes:
+        here: the program's end.
+    """
+
+    def __init__(self) -> None:
+        self._there, self.here = os.openpty()
+
+    def questions(self) -> list[int]:
+        """Return the columns of the questions that have come."""
+        data = b""
+        while select.select([self._there], [], [], 0)[0]:
+            data += os.read(self._there, 4096)
+        return [int(each) for each in re.findall(rb"\x1b\[1;(\d+)H\x1b\[6n", data)]
+
+    def send(self, text: str) -> None:
+        os.write(self._there, text.encode())
+
+    def answer(self, *columns: int) -> None:
+        for column in columns:
+            self.send(f"\x1b[1;{column}R")
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it echoes, and passes on whole lines."""
+        wanted = termios.ICANON | termios.ECHO
+        return bool(termios.tcgetattr(self.here)[_LOCAL_MODES] & wanted == wanted)
+
+    def close(self) -> None:
+        os.close(self._there)
+        os.close(self.here)
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
+    made = Terminal()
+    monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp())  # it is not this process's terminal
+    yield made
+    made.close()
+
+
+def test_a_line_counts_while_the_terminal_answers(terminal: Terminal) -> None:
+    clock = Time()
+    with TypedKeys(terminal.here, {}, clock) as keys:
+        assert not keys.wait(0)
+        terminal.answer(*terminal.questions())
+        terminal.send("\n")
+        assert keys.wait(1)
+        terminal.answer(*terminal.questions())
+        terminal.send("x")
+        assert not keys.wait(1)
+    assert terminal.is_plain
+
+
+@pytest.mark.parametrize("typed", ["\n", "\n\n\n", "\r"])
+def test_lines_that_a_hung_line_delivers_late_do_not_count(typed: str, terminal: Terminal) -> None:
+    clock = Time()
+    with TypedKeys(terminal.here, {}, clock) as keys:
+        keys.wait(0)
+        terminal.answer(*terminal.questions())
+        keys.wait(1)
+        asked = terminal.questions()
+        clock.now += 8.0
+        terminal.answer(*asked)
+        terminal.send(typed)
+        assert not keys.wait(1)
+        terminal.answer(*terminal.questions())
+        terminal.send("\n")
+        assert keys.wait(1)
+
+
+def test_an_answer_may_come_in_two_parts(terminal: Terminal) -> None:
+    clock = Time()
+    with TypedKeys(terminal.here, {}, clock) as keys:
+        keys.wait(0)
+        (column,) = terminal.questions()
+        terminal.send("\x1b[1;")
+        assert not keys.wait(1)
+        terminal.send(f"{column}R\n")
+        assert keys.wait(1)
+
+
+def test_a_terminal_that_never_answers_is_believed(terminal: Terminal) -> None:
+    clock = Time()
+    with TypedKeys(terminal.here, {}, clock) as keys:
+        keys.wait(0)
+        terminal.send("\n")
+        assert not keys.wait(1)
+        clock.now += ANSWERS_WITHIN + FRESH_FOR
+        terminal.send("\n")
+        assert keys.wait(1)
+
+
+def test_in_the_background_the_terminal_is_left_alone(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp() + 1)
+    with TypedKeys(terminal.here, {}, Time()) as keys:
+        assert not keys.wait(0)
+        assert terminal.is_plain
+        assert not terminal.questions()
+
+
+def test_the_last_answer_is_not_left_to_the_shell(terminal: Terminal) -> None:
+    clock = Time()
+    with TypedKeys(terminal.here, {}, clock) as keys:
+        keys.wait(0)
+        terminal.answer(*terminal.questions())
+        keys.wait(1)
+        terminal.answer(*terminal.questions())
+    assert not select.select([terminal.here], [], [], 0)[0]
+
+
+def test_lines_of_a_pipe_count_until_its_end() -> None:
+    here, there = os.pipe()
+    with TypedKeys(here, {}, Time()) as keys:
+        os.write(there, b"\n")
+        assert keys.wait(1)
+        os.close(there)
+        assert not keys.wait(1)
+        assert not keys.wait(0)
+    os.close(here)

@@ -1,0 +1,94 @@
+"""Message types are imported on another thread, so that no import ends a lease."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
+
+import pytest
+from tests.link.test_arming import propose, route
+from tests.link.test_route_table import Side, hear_all
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.engine.publishing import Publishing
+from rsb_bridge.engine.topic_commands import ArmingCommands
+from rsb_bridge.link.errors import LinkError
+from rsb_bridge.model.commands import ArmTopic, DraftMessage
+from rsb_bridge.model.session import Topic
+from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.ros.stand_in import NoRos
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+
+TWIST = "geometry_msgs/msg/Twist"
+
+
+class Loads(NoRos):
+    """Notes which types are loaded, and where.
+
+    Attributes:
+        on_loop: whether the loop runs now, and no other thread.
+        loaded: types, each with whether the loop had to wait.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.on_loop = True
+        self.loaded: list[tuple[str, bool]] = []
+
+    def installed_hash(self, type_name: str) -> str | None:
+        self.loaded.append((type_name, self.on_loop))
+        return None
+
+
+@pytest.fixture
+def ros(loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch) -> Loads:
+    made, run = Loads(), loop.run_in_executor
+
+    def run_in_executor(executor: Any, work: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:
+        made.on_loop = False
+        try:
+            return run(executor, work, *args)
+        except RosError as error:
+            failed: asyncio.Future[Any] = loop.create_future()
+            failed.set_exception(error)
+            return failed
+        finally:
+            made.on_loop = True
+
+    monkeypatch.setattr(loop, "run_in_executor", run_in_executor)
+    return made
+
+
+def test_before_a_topic_is_armed(loop: VirtualLoop, ros: Loads, make_context: Callable[..., Context]) -> None:
+    robot, pc = Side(make_context(), is_client=True), Side(make_context(ros=ros, role="server"), is_client=False)
+    robot.other, pc.other = pc, robot
+    propose(robot, Topic("/cmd_vel", "receive", arm=True, type="Twist"))
+    hear_all((robot, pc))
+    assert (TWIST, False) in ros.loaded, "when the route opens, as the other side may arm it"
+    ros.loaded.clear()
+    link = cast("Any", SimpleNamespace(table=pc.table))
+
+    async def end_motions(_: set[str]) -> None: ...
+
+    arming = ArmingCommands(lambda: [link], lambda _: (link, route(pc)), end_motions)
+    armed = loop.create_task(arming.arm(ArmTopic("/cmd_vel")))
+    loop.run_until_complete(asyncio.sleep(0.01))
+    assert ros.loaded == [(TWIST, False)]
+    assert route(pc).arming.asked
+    armed.cancel()
+
+
+def test_for_a_message_by_hand(loop: VirtualLoop, ros: Loads, make_context: Callable[..., Context]) -> None:
+    unused = cast("Any", None)
+    publishing = Publishing(make_context(ros=ros), list, unused, unused)
+    with contextlib.suppress(EngineError, LinkError, RosError):
+        loop.run_until_complete(publishing.draft(DraftMessage("/cmd_vel", "Twist")))
+    assert ros.loaded == [(TWIST, False)]
