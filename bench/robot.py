@@ -1,8 +1,8 @@
 """Measures what a robot's topics have of a thin link: ``python -m bench.robot`` prints a table for each link.
 
-A robot like those of nav2 and an operator's PC stand in network namespaces of their own. Between them is a Wi-Fi of 20
+A robot with nav2 and an operator's PC stand in network namespaces of their own. Between them is a Wi-Fi of 20
 Mbit/s that delays by 20 ± 15 ms, loses 2 % of the packets and all for 3 s of every 30 s, or a tunnel of 5 kB/s that
-keeps 4.4 MB (`wifi.c`). Plain nodes publish on the robot and listen on the PC, and our bridge stands between. A cell
+keeps 4.4 MB (`wifi.c`). Plain nodes publish on the robot and listen on the PC, and our bridge is between them. A cell
 has the latencies' p50 and p99 in ms and the part of the messages that arrived. Messages of a gap, and of the 3 s after
 it, count as arrived or lost only.
 
@@ -38,7 +38,7 @@ _PORT = 49152
 _CPUCLOCK_SCHED = 2  # clock_getcpuclockid(3), as Linux makes the id of a process's clock
 _AFTER_GAP = 3.0
 _DRAINS = 5.0
-"""s for what is on its way when the robot stops."""
+"""s in which the last messages arrive after the robot has stopped."""
 _MATCHES_WITHIN = 30.0
 
 
@@ -61,7 +61,7 @@ class Spoken(NamedTuple):
 
 
 class Link(NamedTuple):
-    """A link and what crosses it; its figures are those of `wifi.c`."""
+    """A link, with the arguments of `wifi.c`, and the topics on it."""
 
     figures: str
     topics: tuple[Spoken, ...]

@@ -1,7 +1,7 @@
 """The data streams of a link: each pair of them carries the messages of all routes that name its port.
 
-One stream of a pair carries small messages, the other one those of routes with large messages. Two, because a packet
-that is lost holds up all that follows on its stream: with 2 % loss a small topic beside images took 69 ms on a common
+One stream of a pair carries small messages, the other one all messages of routes with large ones. Two, because a packet
+that is lost holds up all that follows on its stream: with 2 % loss a small topic next to images took 69 ms on a common
 stream, and 26 ms on its own. Not one for each route, because then no one could say which topic goes next.
 
 A transport whose streams are scarce (Bluetooth: one for each channel) has one stream for both, and on the link's own
@@ -35,7 +35,7 @@ class RouteEnd(Protocol):
     """This side's end of a route's channel, as far as its streams know it."""
 
     def received(self, stream: DataStream, kind: int, frames: Sequence[memoryview]) -> bool:
-        """Take frames of one kind; return False if those of another stream have to come first.
+        """Take frames of one kind; return False if frames of another stream have to come first.
 
         Raises:
             ProtocolError: they break the format.
@@ -65,7 +65,7 @@ class RouteNumbers(Protocol):
 
 
 class DataStream(StreamHandler):
-    """One stream, whose bytes in both directions are counted for the link's window.
+    """A stream, whose bytes in both directions are counted for the link's window.
 
     Args:
         stream: that the server has accepted.
@@ -75,7 +75,7 @@ class DataStream(StreamHandler):
     Attributes:
         queue: see `rsb_bridge.channel.scheduler.Carrier`, and so for `time` and `behind`.
         sent: bytes sent so far.
-        acknowledged: those that have arrived.
+        acknowledged: bytes that have arrived.
     """
 
     def __init__(self, stream: Stream, number: int, pair: StreamPair) -> None:
@@ -127,7 +127,7 @@ class DataStream(StreamHandler):
             self._pair.lost(self, str(error))
 
     def take(self, frames: Sequence[memoryview]) -> None:
-        """Hand frames to their routes; what has to wait for another stream, or for its route, is held.
+        """Hand frames to their routes, and hold frames that have to wait for another stream, or for their route.
 
         Raises:
             ProtocolError: they break the format.

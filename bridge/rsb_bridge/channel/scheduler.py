@@ -205,7 +205,7 @@ class Scheduler:
         self.run()
 
     def _next(self) -> Carrier | None:
-        """Return the stream with the earliest turn of those that take bytes, or None."""
+        """Return the stream with the earliest turn, or None if no stream with turns takes bytes."""
         if not self._waiting or self.sent >= self._window.limit:
             return None
         first: tuple[int, Carrier] | None = None
