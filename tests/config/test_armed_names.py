@@ -47,6 +47,7 @@ def test_the_lines_that_demand_are_found(tmp_path: Path) -> None:
         ("/cmd_vel",),
         ("/cmd_vel", "/arm/**", Armed("/stop", deadman=5.0)),
         ("/cmd_vel", Armed("/a*", "topic", "geometry_msgs/msg/Twist")),
+        (Armed("/dock", kind="action", on_end="cancel"), Armed("/any/**", on_end="cancel")),
         (Armed("/cmd_vel", on_end="none"), Armed("/helm", on_end={"linear": {"x": 0.1}})),
         (),
     ],
@@ -71,6 +72,10 @@ def test_what_is_saved_is_what_is_read(armed: tuple[str | Armed, ...], tmp_path:
         ("[{name: /a, kind: node}]", "armed[0].kind"),
         ("/cmd_vel", "armed"),
         ("[{name: /cmd_vel, on_end: stop}]", "armed[0].on_end"),
+        ("[{name: /cmd_vel, kind: topic, on_end: cancel}]", "armed[0].on_end"),
+        ("[{name: /dock, kind: action, on_end: zero}]", "armed[0].on_end"),
+        ("[{name: /dock, kind: action, on_end: {x: 1}}]", "armed[0].on_end"),
+        ("[{name: /dock, kind: service, on_end: cancel}]", "armed[0].on_end"),
         ('[{name: /cmd_vel, on_end: "{x: 1"}]', "armed[0].on_end"),
         ("[{name: /cmd_vel, on_end: {x: %s}}]" % ("1" * 200), "armed[0].on_end"),
     ],
@@ -102,6 +107,9 @@ def test_what_a_robot_gets_when_its_arming_ends_is_shown_with_the_line(tmp_path:
         "  - {topic: /cmd_vel, direction: receive, type: Twist, arm: true}\n"
         "  - {topic: /light, direction: receive, type: Bool, arm: true}\n"
         "  - {topic: /go, direction: receive, arm: true, on_end: none}\n"
+        "actions:\n"
+        "  - {action: /dock, provider: client, arm: true, on_end: cancel}\n"
+        "  - {action: /spin, provider: client, arm: true}\n"
     )
     session = load_file(path).session
     shown = {line.split()[1]: line for line in summary(session, demand_places(path)) if line.startswith("  receive")}
@@ -110,6 +118,9 @@ def test_what_a_robot_gets_when_its_arming_ends_is_shown_with_the_line(tmp_path:
     assert CheckText.ENDS_WITH_ZERO() in shown["/cmd_vel"]
     assert CheckText.ENDS_WITH_NOTHING() in shown["/light"]
     assert CheckText.ENDS_WITH(message="none", line="robot.yaml:11") in shown["/go"]
+    actions = [line for line in summary(session, demand_places(path)) if "/dock" in line or "/spin" in line]
+    assert any(CheckText.CANCELS(line="robot.yaml:13") in line for line in actions)
+    assert any(CheckText.GOALS_GO_ON() in line for line in actions)
     (alone,) = [line for line in hints(session) if "/cmd_vel" in line]
     assert alone == CheckText.NO_OTHER_GUARD(names="/cmd_vel")
 

@@ -335,6 +335,7 @@ def test_an_engine_that_has_died_says_why_and_can_be_started_anew(temporary: boo
         app.pull()
         await shown(pilot, "✗ STOPPED: R starts it again")
         await shown(pilot, "✗ robot1: node broken")  # not an earlier error
+        await shown(pilot, "The bridge does not run. R starts it again")
         assert text(app).count("node broken") == 2  # banner and log have the reason, status line and table the way on
         await pilot.press("R")
         await shown(pilot, "● LINKED")

@@ -18,9 +18,7 @@ if TYPE_CHECKING:
     from tests.system.torture.hands import Place
 
 
-# Marked as long, though it is short: on a busy machine its console was not drawn within 120 s in one of three runs, and
-# the cause is not found yet. The rules are in tests/console/test_late_input.py.
-@pytest.mark.parametrize("place", long("direct", "behind-tmux"))
+@pytest.mark.parametrize("place", ["direct", *long("behind-tmux")])
 def test_late_keys_do_nothing(place: Place, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if place == "behind-tmux" and shutil.which("tmux") is None:
         pytest.skip("needs tmux")

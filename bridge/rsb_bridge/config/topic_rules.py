@@ -15,7 +15,7 @@ from rsb_bridge.model import transports
 from rsb_bridge.model.calls import LANES, FieldError
 from rsb_bridge.model.limits import CHANNEL, NO_PORT, TEXT_LENGTH, TOPIC_LENGTH
 from rsb_bridge.model.names import expand_type_name, is_topic_name, server_topic, well_formed
-from rsb_bridge.model.on_end import LONGEST, NONE, ZERO, is_message, text_of
+from rsb_bridge.model.on_end import CANCEL, LONGEST, NONE, ZERO, is_message, text_of
 from rsb_bridge.model.patterns import (
     EXCEPTIONS_PER_PATTERN,
     PATTERNS_PER_LINK,
@@ -56,6 +56,8 @@ class TopicMistake(Wording):
     INVALID_PORT = "{port} is not a valid {kind}: {range}"
     DEADMAN_WITHOUT_ARM = "only {kind} with arm: true has a deadman: set arm: true, or leave it out"
     ON_END_WITHOUT_ARM = "only {kind} with arm: true has it: set arm: true, or leave it out"
+    ON_END_OF_ACTION = "{value} is neither cancel nor none"
+    ON_END_OF_CALLED = "only topics and actions have it: leave it out"
     ON_END = "{value} is neither zero, none nor a message: {{linear: {{x: 0.1}}}}"
     ON_END_TOO_LONG = "the message has {length} characters, and at most {limit} are allowed: leave out what is 0"
     OUT_OF_RANGE = "{value} is out of range: {range}"
@@ -176,12 +178,27 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
     if topic.on_end is not None and not topic.arm:
         yield Problem(join(location, "on_end"), TopicMistake.ON_END_WITHOUT_ARM(kind=A_KIND[topic.kind]))
     else:
-        yield from on_end_problems(text_of(topic.on_end), join(location, "on_end"))
+        yield from on_end_problems(text_of(topic.on_end), join(location, "on_end"), topic.kind)
 
 
-def on_end_problems(text: str, location: str) -> Iterator[Problem]:
-    """Yield the mistake in what a robot gets once an arming ends, as far as it shows without the type."""
-    if text in ("", ZERO, NONE):
+def on_end_problems(text: str, location: str, kind: Kind | None) -> Iterator[Problem]:
+    """Yield the mistake in what a robot gets once an arming ends, as far as it shows without the type.
+
+    Args:
+        text: of the line, or empty.
+        location: of it.
+        kind: of the line, or None for a line of every kind.
+    """
+    if text in ("", NONE) or (kind is None and text == CANCEL):
+        return
+    if kind == "action":
+        if text != CANCEL:
+            yield Problem(location, TopicMistake.ON_END_OF_ACTION(value=show(text)))
+        return
+    if kind not in (None, "topic"):
+        yield Problem(location, TopicMistake.ON_END_OF_CALLED())
+        return
+    if text == ZERO:
         return
     if len(text) > LONGEST:
         yield Problem(location, TopicMistake.ON_END_TOO_LONG(length=len(text), limit=LONGEST))

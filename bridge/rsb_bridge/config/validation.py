@@ -567,7 +567,7 @@ def armed_problems(armed: Sequence[str | Armed]) -> Iterator[Problem]:
         entry = Armed(each) if isinstance(each, str) else each
         yield from form_problems(entry.name, here if isinstance(each, str) else join(here, "name"), hidden=True)
         yield from range_problems(entry, here)
-        yield from on_end_problems(text_of(entry.on_end), join(here, "on_end"))
+        yield from on_end_problems(text_of(entry.on_end), join(here, "on_end"), entry.kind)
         if known.setdefault(entry, at) != at:
             yield Problem(here, SessionMistake.ARMED_TWICE(name=show(entry.name), number=known[entry] + 1))
 

@@ -122,7 +122,7 @@ def _base(session: Session, environ: Mapping[str, str], command: Sequence[str]) 
 
 
 def _peers_clocks(path: Path, environ: Mapping[str, str]) -> Iterator[Finding]:
-    """Compare this machine's clock with those of the peers, which the session's bridge knows if it runs."""
+    """Compare this machine's clock with the peers', as the session's bridge has measured them if it runs."""
     bridge = _own_bridge(path, environ)
     if bridge is None:
         return

@@ -148,7 +148,7 @@ def read_events(path: Path, since: float) -> Iterator[Event]:
 
 
 def last_key(events: Iterable[Event], link: str, fingerprints: Collection[str]) -> Event | None:
-    """Return the newest event about the use of one of a client's keys, or None without one."""
+    """Return the newest event about a client's use of a key with one of these fingerprints, or None."""
     used = (
         each for each in events if (each.code, each.link) == (EventCode.KEY_USED, link) and each.new in fingerprints
     )

@@ -19,6 +19,7 @@ from rsb_bridge.model.demands import (
     full_type,
     smallest_max_age,
 )
+from rsb_bridge.model.on_end import suits
 from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.arming import DISARM_TEXT, Disarmed
@@ -193,7 +194,7 @@ class LinkArming:
         route.arming.opened(required=proposal.arm, deadman=proposal.deadman)
         route.arming.lease = self.lease.state
         own = route.arming.own = self._own(route)
-        route.arming.peer_on_end = "" if route.proposed_here else proposal.on_end
+        route.arming.peer_on_end = "" if route.proposed_here else _suiting(route, proposal.on_end)
         route.arming.demand(required=own.arm, deadman=own.deadman)
         self._say_who_demands(route)
         if route.arming.required:
@@ -216,7 +217,7 @@ class LinkArming:
     def accepted(self, route: Route, message: Accept) -> None:
         """Note that the other side accepts an opening, and what it demands."""
         route.arming.demand(required=message.arm, deadman=message.deadman)
-        route.arming.peer_on_end = message.on_end
+        route.arming.peer_on_end = _suiting(route, message.on_end)
         self._say_who_demands(route)
 
     def renew_demand(self, route: Route) -> bool:
@@ -445,6 +446,11 @@ class LinkArming:
         """Record an operator's action. The budget of armings bounds these events."""
         text = f"{new}, {who}" if from_peer else f"{new} by {who or 'an operator'}"
         route.log(Level.WARNING, code, text, who=who, old=old, new=new, from_peer=from_peer)
+
+
+def _suiting(route: Route, on_end: str) -> str:
+    """Return how the peer wants an arming to end, or an empty string if that means nothing for the route."""
+    return on_end if suits(route.spec.kind, on_end) else ""
 
 
 def _reason(cause: str) -> Disarmed:

@@ -11,7 +11,7 @@ import msgspec
 
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.names import expand_type_name, server_topic
-from rsb_bridge.model.on_end import NONE, more_careful, text_of
+from rsb_bridge.model.on_end import NONE, more_careful, suits, text_of
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import DEADMAN, Armed, Client, Identity, Kind, Session, Topic
@@ -209,7 +209,7 @@ class Demands:
             min((each.deadman for each in found if each.deadman), default=0.0),
             smallest_max_age(each.max_age for each in found),
             tuple(each for each in found if each.arm),
-            more_careful(each.on_end for each in found),
+            more_careful(each.on_end for each in found if suits(kind, each.on_end)),
         )
 
     def _matching(self, kind: Kind | None, name: str) -> Iterator[Source]:

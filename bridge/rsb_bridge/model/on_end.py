@@ -1,4 +1,4 @@
-"""The message that a robot gets once the arming of its topic ends: `on_end` of a session."""
+"""The end of an arming, for the robot: a message on a topic, or the cancel of an action's goals (`on_end`)."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 ZERO: Final = "zero"
 NONE: Final = "none"
 """Nothing is published; the robot goes on as it was told last."""
+CANCEL: Final = "cancel"
+"""The goals of the link's callers are cancelled."""
 LONGEST: Final = 200
 """Characters of a message, written as JSON."""
 
@@ -23,6 +25,13 @@ def text_of(on_end: str | dict[str, Any] | None) -> str:
 def is_message(text: str) -> bool:
     """Whether it is a message, and not a word."""
     return text.startswith("{")
+
+
+def suits(kind: str, text: str) -> bool:
+    """Whether something of a kind can end so. The fields of a message are not looked at."""
+    if kind == "action":
+        return text in (CANCEL, NONE)
+    return kind == "topic" and (text in (ZERO, NONE) or is_message(text))
 
 
 def more_careful(texts: Iterable[str]) -> str:

@@ -33,7 +33,6 @@ class ForeignKey(Wording):
         "calls do not become stale: leave it out; timeout limits how long a call waits for its answer"
     )
     LATE_AFTER_OF_CALLED = "only topics have it: leave it out; timeout limits how long a call waits for its answer"
-    ON_END_OF_CALLED = "only topics have it: leave it out"
     DIRECTION_OF_CALLED = "write provider: client or provider: server, the side whose node answers"
     LIST_UNDER = "list this entry under {list}, or write {key}: /..."
     OTHER_REMOTE = "write {key}"
@@ -159,9 +158,10 @@ TOPIC_KEYS: Final = {key.name: key for key in (
     TopicKey("deadman", "number", limits=DEADMAN_TIME, range_text=RangeText.DEADMAN, zero=True, unit="s",
              label="Deadman", help="Disarms after these seconds without a key on the console that armed it; 0: never.",
              blank=f"{DEADMAN:g} s, if it has to be armed"),
-    TopicKey("on_end", kinds="topics", wrong_kind=ForeignKey.ON_END_OF_CALLED, sentence="ends with {value}",
+    TopicKey("on_end", sentence="ends with {value}",
              label="On end", help="What the robot gets once disarmed: zero, none, or a message: {linear: {x: 0}}.",
-             blank="zero, if the type drives robots"),
+             help_of_calls="cancel: once disarmed, an action's goals of the callers over the link are cancelled.",
+             blank="zero, if the type drives robots; of an action none"),
     TopicKey("excepts", "list", label="Except", blank="nothing",
              help="For a pattern (/camera/**): names and patterns on the client that it leaves out, "
                   "separated by blanks."),

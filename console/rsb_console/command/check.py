@@ -30,6 +30,7 @@ from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import command_words, domain_of, fault_command_warnings
 from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.model.demands import Demands, demand_on_entry, describe, full_type, sources_of
+from rsb_bridge.model.on_end import CANCEL
 from rsb_bridge.model.profiles import PROFILES, compression_of, described, profile_of
 from rsb_bridge.model.session import Grant
 from rsb_bridge.model.text import join_first
@@ -64,6 +65,8 @@ class CheckText(Wording):
     ENDS_WITH = "; when that ends, the robot gets {message} ({line})"
     ENDS_BY_TYPE = "; when that ends, the robot gets zero if the type drives robots"
     ENDS_WITH_ZERO = "; when that ends, the robot gets zero"
+    CANCELS = "; when that ends, its goals are cancelled ({line})"
+    GOALS_GO_ON = "; when that ends, its goals go on, unless on_end is cancel"
     ENDS_WITH_NOTHING = "; when that ends, the robot gets nothing"
     MAY_MEASURE = (
         "{peer} may measure the link (rsb-console bench): {seconds:g} s, {rate:g} messages/s, {megabytes:g} MB in an "
@@ -128,12 +131,17 @@ def _demands_on(
 
 
 def _end_of(demand: Demand, topic: Topic, places: Mapping[SourceKey, str]) -> str:
-    """Return what the robot gets once the arming ends, with the line that wants it, or an empty string."""
-    if topic.kind != "topic":
+    """Return what follows once the arming ends, with the line that wants it, or an empty string."""
+    if topic.kind not in ("topic", "action"):
         return ""
     line = next((each for each in demand.sources if demand.on_end and each.on_end == demand.on_end), None)
     if line is not None:
-        return CheckText.ENDS_WITH(message=demand.on_end, line=describe(line, places))
+        place = describe(line, places)
+        if demand.on_end == CANCEL:
+            return CheckText.CANCELS(line=place)
+        return CheckText.ENDS_WITH(message=demand.on_end, line=place) if topic.kind == "topic" else ""
+    if topic.kind == "action":
+        return CheckText.GOALS_GO_ON()
     type_name = full_type(topic.type)
     if not type_name:
         return CheckText.ENDS_BY_TYPE()

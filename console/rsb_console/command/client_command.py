@@ -202,7 +202,7 @@ def _ask_to_finish(arguments: Namespace, path: Path, name: str) -> None:
     file = client_files.open_server(path)
     client = client_named(file.session, name)
     if client.next_key_file is None:
-        return  # there is nothing to finish
+        return  # `finish_rotation` refuses that
     keys = (client_files.fingerprint_or_problem(place)[0] for place in client_files.key_places(file, client))
     old, new = ("" if key is None else fingerprint(key) for key in keys)
     used = _last_key(file.session.name, name, {old, new})
@@ -218,7 +218,7 @@ def _ask_to_finish(arguments: Namespace, path: Path, name: str) -> None:
 
 
 def _last_key(server: str, name: str, fingerprints: set[str]) -> Event | None:
-    """Return the newest event that the server has kept on disk about the use of one of a client's keys, or None."""
+    """Return the newest event on the server's disk about the use of these keys by a client, or None."""
     from rsb_bridge.history.history_files import last_key, read_events  # noqa: PLC0415 (only here)
     from rsb_bridge.history.state_folder import files_of  # noqa: PLC0415
 

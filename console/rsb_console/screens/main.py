@@ -46,7 +46,7 @@ class EmptyTable(Wording):
 
     NO_MATCH = "Nothing here matches. {back} shows all topics."
     NO_SESSION = "No session. {opens} opens one, {new} writes a new one, {welcome} shows all ways to begin."
-    NOT_RUNNING = "{restart} starts it again"
+    NOT_RUNNING = "The bridge does not run. {way_on}"
     NO_SESSION_READ_ONLY = "No session. Start the console with one: rsb-console --readonly SESSION"
 
 
@@ -54,6 +54,7 @@ class MainText(Wording):
     """Notes of the main screen."""
 
     READ_ONLY = "read-only: nothing can be changed here"
+    STARTS_AGAIN = "{restart} starts it again"
     NO_MESSAGES = "{topic} has calls, no messages"
     NO_MESSAGES_BUT_CALLS = "{topic} has calls, no messages: {key} calls it by hand"
 
@@ -171,7 +172,7 @@ class MainScreen(Screen[None]):
     def _way_on(self) -> str:
         """Return the key that starts the engine again; the banner has the reason why it does not run."""
         stays = self.console.readonly or self.console.attached_to
-        return "" if stays else EmptyTable.NOT_RUNNING(restart=self._key("restart"))
+        return "" if stays else MainText.STARTS_AGAIN(restart=self._key("restart"))
 
     def _key(self, action: str) -> str:
         return self.console.key_labels(BY_ID[action])[0]
@@ -186,7 +187,7 @@ class MainScreen(Screen[None]):
             opens, new, welcome = (self._key(action) for action in ("sessions", "new_session", "welcome"))
             return EmptyTable.NO_SESSION(opens=opens, new=new, welcome=welcome)
         if not snapshot.running:
-            return self._way_on() if not self.console.note else ""
+            return "" if self.console.note else EmptyTable.NOT_RUNNING(way_on=self._way_on()).rstrip()
         if self.console.readonly:
             return "No topics yet."
         theirs = "They come with the clients; " if snapshot.role == "server" else ""

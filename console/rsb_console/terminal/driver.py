@@ -20,6 +20,7 @@ from textual._parser import ParseTimeout
 from textual._xterm_parser import XTermParser
 from textual.drivers import linux_driver
 from textual.drivers.linux_driver import LinuxDriver
+from textual.screen import Screen
 
 from rsb_console.terminal.pulse import KIND, WHO_ARE_YOU, Pulse
 
@@ -66,6 +67,22 @@ class KeyParser(XTermParser):
 
 
 vars(linux_driver)["XTermParser"] = KeyParser
+
+_textual_on_resize = Screen._on_resize
+
+
+async def _on_resize(screen: Screen[Any], event: events.Resize) -> None:
+    """Take a size (Textual's), unless the terminal has another one by now.
+
+    Each size that a screen takes comes back to it as one more event once it is laid out. With two sizes in flight, as
+    when a terminal is resized while the app starts, or with COLUMNS and LINES of another size, they alternate for ever,
+    at 100 % CPU, and the app does not go on.
+    """
+    if event.size == screen.app.size:
+        await _textual_on_resize(screen, event)
+
+
+Screen._on_resize = _on_resize  # type: ignore[method-assign, assignment]
 
 _LOOK_EVERY_MS = 500
 _LAST_ANSWER_WITHIN, _LOOK_EVERY = 0.3, 0.01

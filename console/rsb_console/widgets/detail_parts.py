@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.on_end import NONE
+from rsb_bridge.model.on_end import CANCEL, NONE
 from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import (
@@ -63,13 +63,18 @@ def heading(route: RouteSnapshot, last: str, width: int) -> Iterator[Line]:
     if arming is not None and arming.demanded_by:
         yield from wrapped(f"has to be armed: {', '.join(arming.demanded_by)}", width, "dim")
     if arming is not None and arming.on_end:
-        on_end = "nothing" if arming.on_end == NONE else arming.on_end
-        yield from wrapped(f"when that ends, the robot gets {on_end}", width, "dim")
+        yield from wrapped(f"when that ends, {_ends(arming.on_end, route)}", width, "dim")
     if route.acknowledged is not None:
         yield from wrapped(acknowledged_by(route.acknowledged), width, "dim")
     failed = next((stage.detail for stage in route.stages if not stage.done), "")
     if route.reason and route.reason != failed:
         yield from wrapped(route.reason, width, look)
+
+
+def _ends(on_end: str, route: RouteSnapshot) -> str:
+    if route.calls is not None:
+        return "its goals are cancelled" if on_end == CANCEL else "its goals go on"
+    return f"the robot gets {'nothing' if on_end == NONE else on_end}"
 
 
 def acknowledged_by(record: Acknowledgement) -> str:

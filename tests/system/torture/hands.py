@@ -12,20 +12,11 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import fcntl
 import os
-import pty
-import re
-import select
-import signal
-import struct
 import subprocess
 import sys
 import tempfile
-import termios
-import threading
 import time
-import tty
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -33,6 +24,7 @@ import yaml
 from tests.support.locks import two_domains
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
+from tests.system.torture.terminal import Terminal
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import write_key
@@ -48,9 +40,6 @@ TOPIC = "/cmd_vel"
 UP = "\x1b[A"
 _ROOT = Path(__file__).parents[3]
 PROGRAM = Path(sys.executable).with_name("rsb-console")
-_TAIL = 200_000
-_QUESTION = re.compile(rb"\x1b\[(\d+);(\d+)H\x1b\[6n")
-_KIND = re.compile(rb"\x1b\[>0?c")
 _RESTS = 2.0
 """s without a message after which the robot counts as at rest."""
 _CLICKS = "".join(f"\x1b[<0;{x};{y}M\x1b[<0;{x};{y}m" for y in range(10, 30) for x in range(40, 60, 4))
@@ -105,93 +94,6 @@ class Result(NamedTuple):
     @property
     def is_harmless(self) -> bool:
         return not (self.moving or self.messages or self.armed or self.removed or self.problem)
-
-
-class Terminal:
-    """An operator's terminal, which answers questions, at the end of a line that may hang.
-
-    Attributes:
-        output: the newest bytes that came.
-    """
-
-    def __init__(self, *command: str) -> None:
-        line = (sys.executable, "-m", "tests.system.torture.hands", "--line", *command)
-        self._pid, self._fd = pty.fork()
-        if not self._pid:
-            environ = {name: text for name, text in os.environ.items() if name not in ("TMUX", "STY", "ZELLIJ")}
-            os.chdir(_ROOT)
-            os.execve(line[0], line, environ | {"TERM": "xterm-256color"})
-        self.output = b""
-        self._unanswered = b""
-        self._ended = threading.Event()
-        self._reading = threading.Thread(target=self._read, name="terminal", daemon=True)
-        self._reading.start()
-
-    def type(self, keys: str) -> None:
-        data = keys.encode()
-        while data:
-            data = data[os.write(self._fd, data[:256]) :]
-
-    def shows(self, words: str, after: int = 0) -> bool:
-        return words.encode() in self.output[after:]
-
-    @contextlib.contextmanager
-    def hung(self) -> Iterator[None]:
-        """Stop the process that passes the bytes on, for the length of the block."""
-        os.kill(self._pid, signal.SIGSTOP)
-        try:
-            yield
-        finally:
-            os.kill(self._pid, signal.SIGCONT)
-
-    def close(self) -> None:
-        self._ended.set()
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(self._pid, signal.SIGHUP)
-            os.kill(self._pid, signal.SIGCONT)
-        os.close(self._fd)
-        with contextlib.suppress(ChildProcessError):
-            os.waitpid(self._pid, 0)
-
-    def _read(self) -> None:
-        while not self._ended.is_set():
-            try:
-                if not select.select([self._fd], [], [], 0.1)[0]:
-                    continue
-                data = os.read(self._fd, 65_536)
-            except (OSError, ValueError):
-                return
-            self.output = (self.output + data)[-_TAIL:]
-            self._answer(data)
-
-    def _answer(self, data: bytes) -> None:
-        """Answer DSR and DA2, as xterm does."""
-        data, self._unanswered = self._unanswered + data, b""
-        found = [(each.end(), b"\x1b[%s;%sR" % each.groups()) for each in _QUESTION.finditer(data)]
-        found += [(each.end(), b"\x1b[>41;390;0c") for each in _KIND.finditer(data)]
-        for _, answer in sorted(found):
-            os.write(self._fd, answer)
-        rest = data[max((end for end, _ in found), default=0) :]
-        self._unanswered = rest[-24:]
-
-
-def pass_on(command: list[str]) -> int:
-    """Run a command in a pseudo-terminal, and pass bytes on in both directions, as sshd does."""
-    pid, fd = pty.fork()
-    if not pid:
-        os.execvp(command[0], command)
-    fcntl.ioctl(fd, termios.TIOCSWINSZ, struct.pack("HHHH", 36, 120, 0, 0))
-    tty.setraw(0)
-    while True:
-        for source in select.select([0, fd], [], [])[0]:
-            try:
-                data = os.read(source, 65_536)
-            except OSError:
-                data = b""
-            if not data:
-                os.kill(pid, signal.SIGHUP)
-                return 0
-            os.write(1 if source == fd else fd, data)
 
 
 def listen(domain: int, file: str) -> int:
@@ -273,7 +175,11 @@ class Bed:
             command = [*tmux, "attach"]
         self.terminal = Terminal(*command)
         self._resources.callback(self.terminal.close)
-        eventually(lambda: self.terminal.shows(TOPIC), 120, "the console")
+        try:
+            eventually(lambda: self.terminal.shows(TOPIC), 120, "the console")
+        except AssertionError:
+            log = (self._folder / "log").read_text(errors="replace")[-2000:]
+            raise AssertionError(f"the console is not drawn: {self.terminal.state()}\n{log}") from None
         time.sleep(3)  # a terminal's kind, and its first answers
 
     def _spawn(self, *command: str) -> None:
@@ -283,7 +189,8 @@ class Bed:
         self._resources.callback(process.terminate)
 
     def _environ(self) -> dict[str, str]:
-        return os.environ | {"PYTHONPATH": str(_ROOT)}
+        path = [str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+        return os.environ | {"PYTHONPATH": os.pathsep.join(path)}
 
     def _attached(self) -> RemoteEngine | None:
         engine = RemoteEngine(self._folder / "pc.sock")
@@ -395,8 +302,6 @@ def run(names: list[str], places: list[Place], hang: float, program: Path) -> It
 
 def main() -> int:
     """Run the command; the exit code is 1 if a late key did something."""
-    if sys.argv[1:2] == ["--line"]:
-        return pass_on(sys.argv[2:])
     if sys.argv[1:2] == ["--listen"]:
         return listen(int(sys.argv[2]), sys.argv[3])
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

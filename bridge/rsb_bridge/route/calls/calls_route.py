@@ -17,6 +17,7 @@ from rsb_bridge.cdr.checker import MalformedError, TooComplexError
 from rsb_bridge.model.calls import LANES, Refused
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.on_end import NONE, more_careful
 from rsb_bridge.model.session import CALL_TIMEOUT
 from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.ros.ros_interface import RosError
@@ -263,6 +264,13 @@ class CallsRoute(Route):
         self._unavailable = self._warning = None
         self._retry.clear()
         super().close(reason)
+
+    @property
+    def on_end(self) -> str:
+        """``cancel`` or ``none`` of an action; of what else can be called, an empty string."""
+        if self.spec.kind != "action":
+            return ""
+        return more_careful((self.arming.own.on_end, self.arming.peer_on_end, NONE))
 
     def disarm(self, why: Disarmed, reason: str = "") -> None:
         """Let nothing more cross in this opening, not even the answers to pending calls."""

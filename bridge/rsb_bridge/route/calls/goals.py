@@ -74,6 +74,11 @@ def cancel_of(payload: bytes) -> Cancel | None:
     return Cancel(goal if alone else None, request)
 
 
+def cancel_request(goal: bytes) -> bytes:
+    """Return a cancel_goal request for one goal."""
+    return b"\x00\x01\x00\x00" + goal + bytes(8)
+
+
 def accepted_by(payload: bytes) -> bool | None:
     """Return whether a send_goal response accepts the goal."""
     if payload[:2] not in _ORDERS or len(payload) <= HEADER_LENGTH:

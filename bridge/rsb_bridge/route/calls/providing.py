@@ -17,6 +17,7 @@ import msgspec
 
 from rsb_bridge.model.calls import GET_RESULT, SEND_GOAL, STATUS, Refused
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.on_end import CANCEL
 from rsb_bridge.model.sources import MOST_HOPS
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.parameter_events import ParameterEventError
@@ -26,6 +27,7 @@ from rsb_bridge.route.calls.call_servers import CallLoopGuard, Provision, provis
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble
+from rsb_bridge.route.calls.goal_cancels import GoalCancels
 from rsb_bridge.route.calls.goals import Goals, accepted_by
 from rsb_bridge.route.calls.kept_calls import (
     INTERRUPTION,
@@ -51,6 +53,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, Response
+    from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry
@@ -129,6 +132,7 @@ class ProvidingRoute(CallsRoute):
         self._served_in = 0  # the last connection in which a server was there, or 0
         self._clients = Clients(context, peer, self.members, self._responded, self._published, self._client_failed)
         self._pending = PendingCalls[PeersCall](context.loop, peer.budget.provided, self._expired, self._ended)
+        self._cancels = GoalCancels(lambda: self._clients.clients, self._failed)
         self._by_number: dict[tuple[int, int], int] = {}  # the peer's call, by lane and the client's number
         self._highest = 0
         self._again: asyncio.TimerHandle | None = None
@@ -305,6 +309,12 @@ class ProvidingRoute(CallsRoute):
     def caller_nodes(self) -> tuple[str, ...]:
         return self._report.nodes if self._report is not None else ()
 
+    def disarm(self, why: Disarmed, reason: str = "") -> None:
+        """Cancel the callers' goals, if a session wants that, and let nothing more cross."""
+        if self.action is not None and self.on_end == CANCEL:
+            self._cancels.cancel(self.action.goals.running())
+        super().disarm(why, reason)
+
     # --- calls, from the channel to ROS
 
     def _take(self, frame: CallFrame, *, readable: bool = True) -> None:
@@ -399,6 +409,8 @@ class ProvidingRoute(CallsRoute):
     def _responded(self, lane: int, responses: Sequence[Response]) -> None:
         """Take responses of servers here, the oldest first."""
         for response in responses:
+            if self._cancels.takes(lane, response.number):
+                continue
             if self.action is None or not self._keep_answer(self.action, lane, response):
                 self._take_response(lane, response)
         self.flush()
@@ -562,6 +574,8 @@ class ProvidingRoute(CallsRoute):
             self._answer(call, payload)
         action.goals.response(lane, question.about, payload)
         if lane == SEND_GOAL and accepted_by(payload):
+            if self.arming.required and not self.arming.armed and self.on_end == CANCEL:  # it was sent while armed
+                self._cancels.cancel((question.about,))
             # The result is asked for at once, because the link may be lost at any time.
             result = Question(GET_RESULT, question.about)
             if result not in action.answers and GET_RESULT in self._clients.clients:

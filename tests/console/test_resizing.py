@@ -1,0 +1,41 @@
+"""A terminal that changes its size while the console starts: the console goes on, at the size that the terminal has."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from tests.console.driving import on_main, until
+from textual.events import Resize
+from textual.geometry import Size
+
+from rsb_console.terminal import driver
+from rsb_console.terminal.input_queue import _is_idle
+
+if TYPE_CHECKING:
+    import pytest
+    from textual.pilot import Pilot
+
+    from rsb_console.app import ConsoleApp
+
+OLD, NOW = Size(80, 24), Size(120, 36)
+
+
+def test_sizes_in_flight_do_not_alternate_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    taken: list[Size] = []
+    take = driver._textual_on_resize
+
+    async def counted(screen: Any, event: Resize) -> None:
+        taken.append(event.size)
+        await take(screen, event)
+
+    @on_main(size=(NOW.width, NOW.height))
+    async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        monkeypatch.setattr(driver, "_textual_on_resize", counted)
+        for size in (OLD, NOW):
+            app.screen.post_message(Resize(size, size))
+            app.screen.call_later(lambda: None)  # else the second one replaces the first
+        await until(pilot, lambda: len(taken) > 9 or (NOW in taken and _is_idle(app.screen)), "the size")
+        assert set(taken) == {NOW}
+        assert app.screen.size == NOW
+
+    test()

@@ -1,0 +1,135 @@
+"""The goals of a link's callers are cancelled once their arming ends, if a session wants that."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.route.calls.test_held import providing
+from tests.support.goals import cancel_request, cancel_response, goal, goal_response, statuses
+
+from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, STATUS
+from rsb_bridge.model.demands import Demands, sources_of_names
+from rsb_bridge.model.session import Armed
+from rsb_bridge.ros.ros_interface import RawMessage, Response, RosError
+from rsb_bridge.route.arming import Disarmed
+from rsb_bridge.route.calls.goal_cancels import GoalCancels
+from rsb_bridge.route.calls.kept_calls import Question
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.route.calls.providing import ProvidingRoute
+
+
+class Client:
+    """A client of a service of the action.
+
+    Attributes:
+        calls: what it was asked.
+        ready: whether a call reaches the server.
+    """
+
+    def __init__(self) -> None:
+        self.calls: list[bytes] = []
+        self.ready = True
+
+    def call(self, request: bytes) -> int:
+        if not self.ready:
+            raise RosError("no server")
+        self.calls.append(request)
+        return len(self.calls)
+
+    def close(self) -> None: ...
+
+
+@pytest.fixture
+def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingRoute]:
+    """Makes an armed action, whose server has goals 1 and 3 of this link, of which 3 is not answered, and another 2."""
+
+    def make(on_end: str | None = "cancel", there: str = "") -> ProvidingRoute:
+        context = make_context(armed=(Armed("/dock", on_end=on_end),))
+        route = providing(context, arm=True)
+        route.arming.own = context.demands.of("action", "/dock") or route.arming.own
+        route.arming.peer_on_end = there
+        route._clients.clients = {lane: Client() for lane in (SEND_GOAL, CANCEL_GOAL, GET_RESULT)}
+        action: Any = route.action
+        for number in (1, 3):
+            action.goals.asked(goal(number))
+            action.answers.asked(Question(SEND_GOAL, goal(number)), number, frozenset())
+        route.arming.take("anna", context.now())
+        route._keep_answer(action, SEND_GOAL, Response(goal_response(True), 1, 0))
+        action.published(STATUS, [RawMessage(statuses((goal(1), "executing"), (goal(2), "executing")), 0)])
+        return route
+
+    return make
+
+
+def cancels(route: ProvidingRoute) -> list[bytes]:
+    client: Any = route._clients.clients[CANCEL_GOAL]
+    return list(client.calls)
+
+
+def test_an_end_of_the_arming_cancels_this_links_goals(make_route: Callable[..., ProvidingRoute]) -> None:
+    route = make_route()
+    assert not cancels(route)
+    route.disarm(Disarmed.DEADMAN)
+    assert cancels(route) == [cancel_request(goal(1))]
+    late = route.calls.late
+    route._responded(CANCEL_GOAL, [Response(cancel_response(goal(1)), 1, 0)])
+    assert route.calls.late == late, "it is no answer to a call of the other side's"
+
+
+def test_a_goal_that_is_accepted_later_is_cancelled_then(make_route: Callable[..., ProvidingRoute]) -> None:
+    route = make_route()
+    route.disarm(Disarmed.OPERATOR)
+    action: Any = route.action
+    route._keep_answer(action, SEND_GOAL, Response(goal_response(True), 3, 0))
+    assert cancels(route) == [cancel_request(goal(1)), cancel_request(goal(3))]
+
+
+@pytest.mark.parametrize(
+    ("on_end", "there", "cancelled"),
+    [
+        (None, "", 0),
+        ("none", "", 0),
+        ("none", "cancel", 1),
+        (None, "cancel", 1),
+        ("cancel", "none", 1),
+        ("zero", "", 0),
+    ],
+)
+def test_the_more_careful_session_counts(
+    on_end: str | None, there: str, cancelled: int, make_route: Callable[..., ProvidingRoute]
+) -> None:
+    route = make_route(on_end, there)
+    assert route.on_end == ("cancel" if cancelled else "none")
+    route.disarm(Disarmed.LINK_LOST)
+    assert len(cancels(route)) == cancelled
+
+
+def test_a_line_of_every_kind_is_for_those_that_it_suits() -> None:
+    demands = Demands(sources_of_names((Armed("/**", on_end="cancel"), Armed("/**", on_end="zero"))))
+    found = {kind: demands.of(kind, "/dock") for kind in ("topic", "action", "service", "parameters")}
+    assert {kind: each and each.on_end for kind, each in found.items()} == {
+        "topic": "zero", "action": "cancel", "service": "", "parameters": ""
+    }  # fmt: skip
+
+
+def test_a_goal_that_cannot_be_cancelled_is_reported() -> None:
+    client = Client()
+    problems: list[str] = []
+    clients: dict[int, Any] = {}
+    made = GoalCancels(lambda: clients, problems.append)
+    made.cancel([goal(1)])
+    clients[CANCEL_GOAL], client.ready = client, False
+    made.cancel([goal(2)])
+    assert len(problems) == 2
+    client.ready = True
+    made.cancel([goal(3)])
+    assert made.takes(CANCEL_GOAL, 1)
+    assert not made.takes(CANCEL_GOAL, 1)
+    made.cancel([goal(3)])
+    clients[CANCEL_GOAL] = Client()
+    assert not made.takes(CANCEL_GOAL, 2), "another client's call"
