@@ -175,7 +175,7 @@ def routes(target: Target, tally: Tally) -> None:
     with _rogue(target) as rogue:
         try:
             for number in range(5000):
-                rogue.stream(rogue.route(f"/route{number}", "tcp", Qos()))
+                rogue.route(f"/route{number}", "tcp", Qos())
                 rogue.say(Ping(number, 0))
                 tally["streams"] += 1
         except (OSError, AssertionError):

@@ -29,7 +29,6 @@ from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.udp import Udp
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, pack_frame
-from rsb_bridge.wire.preamble import Kind, data_header, preamble_frame
 from rsb_bridge.wire.protocol_error import Broken
 from rsb_bridge.wire.sealing import InvalidSeal
 
@@ -150,7 +149,7 @@ class Pair(NamedTuple):
         """The client's topics that wait for the connection."""
         (link,) = inside(self.client).links()
         assert isinstance(link, ClientLink)
-        return link._waiting.get(_CHANNEL, {})
+        return link._awaiting.get(("bluetooth", _CHANNEL), {})
 
     def remove(self, topic: str) -> None:
         self.client.remove_topic(self.route(topic).key).result(60)
@@ -254,8 +253,7 @@ def test_a_topic_closed_amid_its_messages_does_not_disturb_the_others(tmp_path: 
         for _ in range(10):
             pair.here.publish("/map", bytes(1_000_000))
         pair.server.remove_topic("robot1 → /map").result(60)  # its frames are still in flight
-        for late in (_data_frame(1), pack_frame(data_header(bytes(8), 1), bytes(16))):
-            pair.radio.called[0].say(late)
+        pair.radio.called[0].say(_data_frame(1))
         pair.carries("/joy", "/cmd")
         assert len(pair.radio.called) == 1
         assert not pair.faults()
@@ -321,11 +319,6 @@ def test_all_that_wait_hear_why_there_is_no_connection(tmp_path: Path) -> None:
             LENGTH.pack(CONTROL_LIMIT + 1),
             Broken.FRAME_TOO_LONG(length=CONTROL_LIMIT + 1, limit=CONTROL_LIMIT),
         ),
-        ("called", pack_frame(data_header(bytes(8), 9), bytes(16)), "unknown route"),
-        ("called", pack_frame(data_header(bytes(8), 1), bytes(16)), "unknown route"),
-        ("called", pack_frame(data_header(bytes(8), 7), bytes(16)), InvalidSeal.FORGED(sequence=0)),
-        ("called", pack_frame(preamble_frame(Kind.ACCEPT)), Broken.UNEXPECTED_AFTER_PREAMBLE(kind="ACCEPT")),
-        ("accepted", pack_frame(data_header(bytes(8), 7), bytes(16)), Broken.PREAMBLE_ON_OPEN_STREAM()),
     ],
 )
 def test_what_has_no_place_on_it_ends_it_in_words(side: str, data: bytes, words: str, tmp_path: Path) -> None:

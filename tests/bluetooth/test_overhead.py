@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 import zstandard
 from cryptography.fernet import Fernet
+from tests.support.frames import write_chunks
 
-from rsb_bridge.channel.multiplexer import CHUNK
 from rsb_bridge.wire.framing import ZSTD, DataWriter
 from rsb_bridge.wire.sealing import Sealer, Suite
 
@@ -24,6 +24,8 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import LaserScan
 
 _SEPARATOR = b"_split_"
+_CHUNK = 1400
+"""Bytes of a message in one turn on a slow link."""
 _MAP_SIDE = 384
 
 
@@ -74,4 +76,4 @@ def test_fewer_bytes_than_fernet_and_pickle(make: Any) -> None:
 
 
 def _on_the_wire(content: bytes, flags: int) -> int:
-    return sum(map(len, DataWriter(Sealer(Suite.AESGCM, bytes(32)), 1).write_chunks(content, 0, flags, CHUNK)))
+    return sum(map(len, write_chunks(DataWriter(Sealer(Suite.AESGCM, bytes(32)), 1), content, 0, flags, _CHUNK)))

@@ -1,4 +1,4 @@
-"""Hundreds of topics on one link: their streams are let in at once, and nothing else waits for them meanwhile."""
+"""Hundreds of topics on one link: they share two streams, and nothing else waits for them while they open."""
 
 from __future__ import annotations
 
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessage
 
 TOPICS = 200
+STREAMS = 2
+"""Of a link, beside its control connection."""
 
 
 @pytest.fixture
@@ -57,15 +59,14 @@ def opened(engine: Engine) -> int:
 
 
 @pytest.mark.usefixtures("patience")
-def test_all_streams_are_let_in(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
-    """More than a host may have unauthenticated connections, even if the client opens them all at once."""
-    monkeypatch.setattr(link_client, "_STREAMS_AT_ONCE", TOPICS)
+def test_all_topics_open_on_two_streams(bridge: Bridge) -> None:
     names = [f"/topic{number}" for number in range(TOPICS)]
     server = bridge.server()
     client = bridge.client(*(Topic(name, "transmit", type="std_msgs/msg/String", qos=1) for name in names))
     eventually(lambda: opened(client) == TOPICS, what="all topics open")
     assert troubles(server) == troubles(client) == []
     assert [route.key for route in link_of(client).routes.values() if not route.connected] == []
+    assert len(link_of(client).carriers()) == 1 + STREAMS
 
 
 def test_streams_go_where_the_control_connection_went(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,7 +83,7 @@ def test_streams_go_where_the_control_connection_went(bridge: Bridge, monkeypatc
     topics = (Topic(f"/topic{number}", "transmit", type="std_msgs/msg/String", qos=1) for number in range(3))
     client = bridge.client(*topics, server_ip="localhost")
     eventually(lambda: opened(client) == 3, what="all topics open")
-    assert asked == ["localhost", *["127.0.0.1"] * 3]
+    assert asked == ["localhost", *["127.0.0.1"] * STREAMS]
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1", "fe80::1%1"])
@@ -94,7 +95,7 @@ def test_what_is_an_address_already_needs_no_thread(address: str, monkeypatch: p
 
 @pytest.mark.usefixtures("patience")
 def test_a_stranger_has_no_more_connections_because_of_a_client(bridge: Bridge) -> None:
-    """As many as the client's routes wait for may come from its address, and no more than ever from another."""
+    """As many as its routes wait for may come from its address, however many routes, and no more from another."""
     server = bridge.server()
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue, contextlib.ExitStack() as crowd:
         rogue.say(*(propose(2 * number + 1, f"/topic{number}") for number in range(TOPICS)))
@@ -107,10 +108,10 @@ def test_a_stranger_has_no_more_connections_because_of_a_client(bridge: Bridge) 
                     socket.create_connection(("127.0.0.1", bridge.port), timeout=60, source_address=(host, 0))
                 )
 
-        come(TOPICS + 60, "127.0.0.1")
+        come(STREAMS + 60, "127.0.0.1")
         come(60, "127.0.0.2")
         come(10, "127.0.0.3")
-        eventually(lambda: pending(server) == TOPICS + 130)
+        eventually(lambda: pending(server) == STREAMS + 130)
         assert not happened(server, EventCode.LINK_REJECTED, Rejected.TOO_MANY)
         come(5, "127.0.0.2")
         crowded = eventually(lambda: happened(server, EventCode.LINK_REJECTED, Rejected.TOO_MANY))

@@ -79,17 +79,16 @@ def received(server: Engine, topic: str) -> int:
     return sum(each._received for each in routes if isinstance(each, IncomingRoute) and each.topic == topic)
 
 
-@pytest.mark.parametrize("how", ["frames", "chunks"])
-def test_on_streams(how: str, bridge: Bridge, server: Engine, rogue: Rogue, robot: Domain, pc: Domain) -> None:
-    """Eight times the longest message, all but its end: half of that is kept; then a robot is served as ever."""
+def test_on_streams(bridge: Bridge, server: Engine, rogue: Rogue, robot: Domain, pc: Domain) -> None:
+    """Eight times the longest message, all but its end: half of that is kept; then a robot is served as ever.
+
+    They come in chunks: a stream takes no frame that is as long.
+    """
     assert ROUTES * MESSAGE_LIMIT >= 2 * UNFINISHED_LIMIT
     link = link_of(server)
     for number in range(ROUTES):
         stream, writer = rogue.stream(rogue.route(f"/begun{number}", "tcp", Qos()))
-        if how == "frames":
-            rogue.begin_frame(stream)
-        else:
-            rogue.begin_chunks(stream, writer)
+        rogue.begin_chunks(stream, writer)
         assert link.budget.unfinished.held <= UNFINISHED_LIMIT
     eventually(lambda: happened(server, EventCode.ROUTE_CHANNEL_LOST, WORDS))
     assert linked(server)

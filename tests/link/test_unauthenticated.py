@@ -324,7 +324,8 @@ def test_an_authenticated_peer_that_breaks_the_format(bridge: Bridge, relay: Rel
     there, out = pc.listener("/beat"), robot.publisher("/beat")
     server, client = bridge.both(Topic("/beat", "transmit"))
     carries([out], server, ["/beat"])
-    for connection, code in ((0, EventCode.LINK_LOST), (-1, EventCode.ROUTE_CHANNEL_LOST)):
+    # Streams follow their control connection: that of small messages, then that of large ones.
+    for connection, code in ((0, EventCode.LINK_LOST), (-2, EventCode.ROUTE_CHANNEL_LOST)):
         relay.connections[connection].damage()
         out.publish(text("hurt"))
         eventually(

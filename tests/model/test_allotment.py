@@ -1,4 +1,4 @@
-"""Division of a link: the highest priority first, and everybody gets something."""
+"""Division of a link by the weights of priorities, as its scheduler does."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from random import Random
 
 import pytest
 
-from rsb_bridge.model.link_budget import FLOOR, Wish, allot, fair_shares
+from rsb_bridge.model.link_budget import Wish, allot
+from rsb_bridge.model.session import weight_of
 
 
 def test_there_is_enough_for_all() -> None:
@@ -14,30 +15,25 @@ def test_there_is_enough_for_all() -> None:
     assert allot(600.0, wishes) == {"a": 100.0, "b": 200.0, "c": 300.0}
 
 
-def test_the_lowest_yields_first() -> None:
-    wishes = {"scan": Wish(1, 100.0), "map": Wish(0, 200.0), "camera": Wish(-1, 3000.0)}
-    assert allot(1000.0, wishes) == {"scan": 100.0, "map": 200.0, "camera": 700.0}
-
-
-def test_each_lower_priority_keeps_a_twentieth() -> None:
-    wishes = {"scan": Wish(1, 5000.0), "map": Wish(0, 200.0), "camera": Wish(-1, 3000.0)}
-    assert allot(1000.0, wishes) == {"scan": 900.0, "map": 50.0, "camera": 50.0}
-
-
-def test_equals_share_equally_after_those_who_want_less() -> None:
-    assert fair_shares(90.0, {"a": 100.0, "b": 10.0, "c": 50.0}) == {"b": 10.0, "c": 40.0, "a": 40.0}
+def test_those_that_want_more_share_by_weight() -> None:
+    wishes = {"scan": Wish(1, 100.0), "map": Wish(0, 9000.0), "camera": Wish(-1, 9000.0), "points": Wish(-1, 9000.0)}
+    weights = weight_of(0) + 2 * weight_of(-1)
+    shares = allot(1000.0, wishes)
+    assert shares["scan"] == 100.0
+    assert shares["map"] == pytest.approx(900.0 * weight_of(0) / weights)
+    assert shares["camera"] == shares["points"] == pytest.approx(900.0 * weight_of(-1) / weights)
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_whatever_is_wanted(seed: int) -> None:
-    """No more than the link carries, nobody more than wanted, and each priority its floor."""
+    """No topic gets more than it wants, and one that gets less has at least its part of the link."""
     random = Random(seed)
     wishes = {number: Wish(random.randint(-1, 1), random.uniform(0.0, 1e6)) for number in range(random.randint(1, 9))}
     capacity = random.uniform(1.0, 3e6)
     shares = allot(capacity, wishes)
-    assert sum(shares.values()) <= capacity * 1.000001
-    assert all(0.0 <= shares[key] <= wish.bytes_per_second for key, wish in wishes.items())
-    for rank in {wish.rank for wish in wishes.values()}:
-        wanted = sum(wish.bytes_per_second for wish in wishes.values() if wish.rank == rank)
-        had = sum(shares[key] for key, wish in wishes.items() if wish.rank == rank)
-        assert had >= min(wanted, FLOOR * capacity) * 0.999999
+    wanted = sum(wish.bytes_per_second for wish in wishes.values())
+    assert sum(shares.values()) == pytest.approx(min(capacity, wanted))
+    weights = sum(weight_of(wish.rank) for wish in wishes.values())
+    for key, wish in wishes.items():
+        part = capacity * weight_of(wish.rank) / weights
+        assert min(wish.bytes_per_second, part) * 0.999999 <= shares[key] <= wish.bytes_per_second

@@ -24,7 +24,6 @@ from rsb_bridge.model.link_budget import (
 )
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, State
-from rsb_bridge.model.verdict import Cause
 from rsb_bridge.telemetry.meters import Throughput
 
 _SCAN = "sensor_msgs/msg/LaserScan"
@@ -61,7 +60,7 @@ def test_who_suffers() -> None:
         carries=1e6,
     )  # fmt: skip
     cost = cost_of(now, "robot1", Topic("/points", "transmit"), rate=5.0, size=100_000.0)
-    assert [(each.topic, each.thinned) for each in cost.sufferers] == [("/camera", True)]
+    assert [each.topic for each in cost.sufferers] == ["/camera"]
     assert cost.gets == pytest.approx(cost.load.bytes_per_second)
     assert cost.over > 300_000
     first, second = describe_cost(cost, NOW)
@@ -72,16 +71,16 @@ def test_who_suffers() -> None:
 def test_all_of_one_priority() -> None:
     now = snapshot(sent("/camera", "normal", 10.0, 60_000), carries=0.7e6)
     cost = cost_of(now, "robot1", Topic("/points", "transmit"), rate=5.0, size=100_000.0)
-    assert [(each.topic, each.thinned) for each in cost.sufferers] == [("/camera", False)]
+    assert [each.topic for each in cost.sufferers] == ["/camera"]
     assert cost.gets < cost.load.bytes_per_second
     assert len(describe_cost(cost, NOW)) == 2
 
 
 def test_a_lower_one_yields_itself() -> None:
-    now = snapshot(sent("/camera", "normal", 10.0, 60_000), carries=0.7e6)
+    now = snapshot(sent("/camera", "normal", 10.0, 60_000), carries=0.8e6)
     cost = cost_of(now, "robot1", Topic("/points", "transmit", priority="low"), rate=5.0, size=100_000.0)
     assert cost.sufferers == ()
-    assert cost.gets < 0.3 * cost.load.bytes_per_second
+    assert cost.gets < 0.5 * cost.load.bytes_per_second
 
 
 def test_the_other_direction_and_other_links_do_not_count() -> None:
@@ -171,13 +170,6 @@ def test_what_crosses_now_has_been_seen_and_more_may_be_carried() -> None:
     _, second = describe_cost(cost, NOW)
     assert says(second, CostText.PERHAPS_TOO_MUCH, amount=amount(cost.over))
     assert "/camera" in second
-
-
-def test_a_topic_that_is_thinned_brings_more_than_crosses() -> None:
-    now = snapshot(sent("/camera", "low", 2.0, 60_000, cause=Cause.THINNED), carries=1e6)
-    thinned, given = (cost_of(now, "robot1", Topic("/camera", "transmit"), rate=rate) for rate in (None, 30.0))
-    assert says(describe_cost(thinned, NOW)[0], CostText.THINNED_NOW)
-    assert not says(describe_cost(given, NOW)[0], CostText.THINNED_NOW)
 
 
 @pytest.mark.parametrize("state", [State.DISARMED, State.PAUSED, State.WAITING])

@@ -242,7 +242,7 @@ def test_loss_counts_what_nobody_wants_only() -> None:
     window = LossWindow()
     window.take(ledgers(NOW, (0, {}), (0, {})))
     took = window.take(
-        ledgers(NOW + 1, (50, {"thinned": 30, "paused": 9}), (30, {"lost on the way": 20, "disarmed": 1}))
+        ledgers(NOW + 1, (50, {"would loop": 30, "paused": 9}), (30, {"lost on the way": 20, "disarmed": 1}))
     )
     assert took == {"robot1": Loss(0.2, 1.0)}
 

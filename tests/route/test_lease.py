@@ -71,6 +71,20 @@ def test_it_is_alive_once_a_number_is_answered() -> None:
     assert [pair.here.alive, pair.there.alive] == [True, True]
 
 
+def test_a_late_number_of_the_lease_before_begins_none(pair: Pair) -> None:
+    """This side sends goals once it has begun; the other one must take them by then."""
+    late = pair.there.beat()
+    pair.here.end()
+    pair.there.end()
+    pair.here.hear(*late)
+    pair.here.begin()
+    pair.there.hear(*pair.here.beat())  # it knows by an operator's message, which comes next, that it is to begin
+    pair.there.begin()
+    while not pair.here.begun:
+        pair.exchange(0.1)
+    assert pair.there.alive
+
+
 def test_nothing_passes_a_second_after_the_last_number_that_was_answered(pair: Pair) -> None:
     number = pair.there.newest_before(pair.clock.now)
     pair.clock.now += LASTS - EPSILON

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pytest
 from tests.support.offline import FakePeer
 
+from rsb_bridge.channel.channel import Pace
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
@@ -90,6 +91,13 @@ class Channel:
 
     def send(self, batch: Sequence[Message]) -> None:
         self.sent += [(payload, flags) for payload, _, flags in batch]
+
+    @property
+    def pace(self) -> Pace:
+        return Pace.STOPPED if self.congested else Pace.FREE
+
+    def ask(self) -> None:
+        pass
 
     def close(self, reason: str) -> None:
         pass

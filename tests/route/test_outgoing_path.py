@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import pytest
 import zstandard
 from tests.route.test_loop_filter import FIRST, World, world
@@ -11,11 +9,7 @@ from tests.route.test_loop_filter import FIRST, World, world
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.route.lease import Lease
-from rsb_bridge.route.thinning import Share
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 __all__ = ["world"]
 BEST_EFFORT = Qos(reliability="best_effort")
@@ -38,45 +32,20 @@ def unlimited(world: World) -> None:
     world.route.limit.set_max_rate(0.0)
 
 
-def thinned(world: World) -> None:
-    world.route.thinning.look(1.0)
-    world.route.thinning.take_share(Share(1_000.0, 1e4, 1e5, "/first"), low=False, qos=BEST_EFFORT, now=0.0)
-
-
-def not_thinned(world: World) -> None:
-    world.route.thinning.take_share(None, low=False, qos=BEST_EFFORT, now=0.0)
-
-
-@pytest.mark.parametrize(
-    ("on", "off", "figure"), [(limited, unlimited, "throttled"), (thinned, not_thinned, "thinned")]
-)
-def test_a_step_is_on_the_path_while_it_is_on(
-    on: Callable[[World], None], off: Callable[[World], None], figure: str, world: World
-) -> None:
+def test_a_step_is_on_the_path_while_it_is_on(world: World) -> None:
     path, ledger = world.path, world.ledger
     assert path._steps == ()
     publish(world, 10)
-    on(world)
+    limited(world)
     assert len(path._steps) == 1
     sent = publish(world, 50)
     assert 0 < sent < 10
-    left_out = ledger.throttled if figure == "throttled" else ledger.dropped[figure]
-    assert left_out == 50 - sent
-    off(world)
+    assert ledger.throttled == 50 - sent
+    assert world.route.traffic.offered == 10 + sent  # a topic asks the link for no more than its own limit
+    unlimited(world)
     assert path._steps == ()
     assert publish(world, 10) == 10
-    assert ledger.offered == 70 == ledger.sent_now + left_out
-
-
-def test_both_steps_count_what_each_leaves_out(world: World) -> None:
-    publish(world, 10)
-    limited(world)
-    thinned(world)
-    sent = publish(world, 100)
-    ledger = world.ledger
-    assert ledger.throttled == 90
-    assert ledger.dropped["thinned"] == 10 - sent
-    assert world.route.thinning.offered == 10  # a topic asks the link for no more than its own limit
+    assert ledger.offered == 70 == ledger.sent_now + ledger.throttled
 
 
 def test_a_demand_to_arm_holds_from_the_next_message_on(world: World) -> None:
@@ -123,9 +92,9 @@ def test_messages_that_the_transport_does_not_carry_ask_nothing_of_the_link(worl
     path._outbox.largest = 50
     path.offer([RawMessage(bytes(size), 1, FIRST) for size in (10, 60, 20, 70)])
     assert world.sent == [bytes(10), bytes(20)]
-    assert (ledger.offered, ledger.dropped["too large"], world.route.thinning.offered) == (4, 2, 2)
+    assert (ledger.offered, ledger.dropped["too large"], world.route.traffic.offered) == (4, 2, 2)
     path.offer([RawMessage(bytes(60), 1, FIRST)])
-    assert (ledger.offered, ledger.dropped["too large"], world.route.thinning.offered) == (5, 3, 2)
+    assert (ledger.offered, ledger.dropped["too large"], world.route.traffic.offered) == (5, 3, 2)
 
 
 def test_a_message_is_not_too_large_for_the_receiver_alone(world: World) -> None:

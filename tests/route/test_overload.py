@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge.channel.receipts import Pace
+from rsb_bridge.channel.channel import Pace
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.sending import Outbox, Overload

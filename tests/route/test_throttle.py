@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from rsb_bridge.route.thinning import Throttle
+from rsb_bridge.route.throttle import Throttle
 
 S = 1_000_000_000
 

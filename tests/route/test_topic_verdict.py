@@ -22,7 +22,6 @@ from rsb_bridge.route.blocking_rules import ACCEPTED, LossyPath, RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict, lasting, record_of
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, late_verdict
 from rsb_bridge.route.lease import Standstill
-from rsb_bridge.route.thinning import Share, ThinningShare, why
 from rsb_bridge.route.topic_verdict import (
     PUBLISHED_NOTHING,
     STOPPED_PUBLISHING,
@@ -102,16 +101,6 @@ def test_a_route_that_flows_is_fine() -> None:
         (SENDER, {"path": LARGE, "loss": LOST}, State.SLOW, Cause.NO_PATH, ["MTU"]),
         (SENDER, {"path": LARGE, "late": LATE}, State.LATE, Cause.LATE, []),
         (SENDER, {"path": SILENT, "no_path": "stuck"}, State.DOWN, Cause.NO_PATH, [SILENT.text]),
-        (
-            SENDER,
-            {
-                "breaking": "Connection timed out",
-                "crowded_out": why(ThinningShare(Share(1e4, 4e5, 3.5e6, "/scan"), 0.1, 30.0, thins=True, since=NOW)),
-            },
-            State.DOWN,
-            Cause.NO_PATH,
-            ["(Connection timed out)", "0.4 of 3.5 MB/s", "/scan"],
-        ),
         (SENDER, {"loop": "round"}, State.DOWN, Cause.LOOP, ["round"]),
         (SENDER, {"paused": True, "stale_since": NOW - 20.0}, State.PAUSED, Cause.PAUSED, ["operator"]),
         (RECEIVER, {"no_path": "no answer"}, State.DOWN, Cause.NO_PATH, ["no answer"]),

@@ -22,8 +22,7 @@ from tests.simulation.episodes import (
     type_differs_for,
 )
 
-from rsb_bridge.channel.receipts import WindowedSender
-from rsb_bridge.channel.stream import StreamReceiver, StreamSender
+from rsb_bridge.channel.data_stream import DataStream
 from rsb_bridge.channel.udp_channel import UdpChannel
 from rsb_bridge.channel.window import Window
 from rsb_bridge.link.base_link import RouteIds
@@ -172,6 +171,9 @@ _took = Window.acknowledge
 _propose = RouteTable._propose
 
 
+_no_limit = property(lambda _: 1 << 60, lambda *_: None)
+
+
 def _nothing(*_: object, **__: object) -> None:
     """Do nothing, in place of the work that a mutation leaves out."""
 
@@ -248,8 +250,8 @@ MUTATIONS = (
         "_tasks", STILL, 1, 3.0, _differs,
     ),
     Mutation(
-        "a stream is not closed with its channel",
-        ((StreamSender, "close", _nothing), (StreamReceiver, "close", _nothing)),
+        "a stream is not closed with its link",
+        ((DataStream, "end", _nothing),),
         "left open", STORM, 2, 2.0,
     ),
     Mutation(
@@ -278,8 +280,8 @@ MUTATIONS = (
         "do not agree on", _SILENT, 1, 0.5,
     ),
     Mutation(
-        "a stream takes as much as its buffers hold",
-        ((WindowedSender, "begin_window", _nothing),),
+        "a link takes as much as its buffers hold",
+        ((Window, "limit", _no_limit),),
         "s after it was published", STILL, 1, 0.05, _tunnel,
     ),
     Mutation(

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeVarTuple
 
 from tests.simulation.machine import os_error
 
+from rsb_bridge.transport.streams import TCP_RTO_MAX_MS
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -23,7 +25,6 @@ Ts = TypeVarTuple("Ts")
 _SHORTEST_RETRANSMISSION = 0.2
 _USER_TIMEOUT_MS = 924_600
 """How long what is not acknowledged is sent again, where the program does not say (tcp(7), tcp_retries2)."""
-_TCP_RTO_MAX_MS = 44
 _PIECES = 0.02
 """Part of what arrives that arrives in two pieces."""
 _RESET = 0.3
@@ -180,7 +181,8 @@ class StreamTransport(asyncio.Transport):
         size = len(data)
         self._unacknowledged += size
         last = self._on_its_way[-1] if self._on_its_way else None
-        if last is not None and last.sent == now and last.pieces is not None:
+        # On a narrow path each write takes its time, also several of one moment.
+        if last is not None and last.sent == now and last.pieces is not None and self._path.bandwidth is None:
             last.pieces.append(data)
             last.size += size
         else:
@@ -219,7 +221,7 @@ class StreamTransport(asyncio.Transport):
         """The path takes packets again: the next retransmission gets through."""
         if self._stuck and self._on_its_way:
             waited = max(_SHORTEST_RETRANSMISSION, self._loop.time() - self._on_its_way[0].sent)
-            longest = self._sock.options.get((socket.IPPROTO_TCP, _TCP_RTO_MAX_MS), 120_000) / 1000
+            longest = self._sock.options.get((socket.IPPROTO_TCP, TCP_RTO_MAX_MS), 120_000) / 1000
             self._loop.call_later(self._random.uniform(0.0, min(waited, longest)), self._retransmit, context=_OF_NOBODY)
 
     def _retransmit(self) -> None:

@@ -13,7 +13,7 @@ from tests.simulation.mutations import Mutation
 from tests.simulation.world import Violation, World
 from tests.support.long import long
 
-from rsb_bridge.channel.stream import StreamSender
+from rsb_bridge.channel.stream_channel import StreamSender
 from rsb_bridge.link import roles
 from rsb_bridge.model.clock import StampClock
 from rsb_bridge.model.limits import MAX_AGE_FEATURE

@@ -21,14 +21,16 @@ if TYPE_CHECKING:
 
     from tests.simulation.conftest import Play
 
-    from rsb_bridge.model.session import Priority, Protocol
+    from rsb_bridge.model.session import Priority
     from rsb_bridge.model.snapshot import RouteSnapshot
 
 _BANDWIDTH = 100_000.0
 """Bytes/s: the topics ask for three times as much."""
-_BEGIN, _SETTLED, _SECONDS = 20.0, 15.0, 60.0
-"""s until the link gets slow, until its division has settled, and for which it is then looked at."""
+_BEGIN, _SETTLED, _SECONDS = 20.0, 30.0, 60.0
+"""s until the link gets slow, until its window, which is that of a fast link, has settled, and for which it is then
+looked at."""
 _BACK_WITHIN, _COUNTED = 15.0, 10.0
+_FULL = {Cause.QUEUE_FULL, Cause.LATE}
 _BEST_EFFORT = Qos(reliability="best_effort")
 
 
@@ -51,13 +53,13 @@ class Slow:
         shown: each topic's route on the sending side at the end.
     """
 
-    def __init__(self, seed: int, topics: Sequence[Asked], protocol: Protocol = "tcp") -> None:
+    def __init__(self, seed: int, topics: Sequence[Asked]) -> None:
         self.world = World(seed, replace(STILL, patience=4.0))
         (self.robot,) = self.world.robots
         self.robot.topic_flows.clear()
         self.world.topic_flows.clear()
         entries = [
-            Topic(topic=f"/topic{number}", direction="transmit", protocol=protocol, priority=asked.priority)
+            Topic(topic=f"/topic{number}", direction="transmit", priority=asked.priority)
             for number, asked in enumerate(topics)
         ]
         self.robot.host.session = msgspec.structs.replace(self.robot.host.session, topics=tuple(entries))
@@ -116,11 +118,9 @@ def check_balance(shown: RouteSnapshot) -> None:
     assert (ledger.offered, ledger.in_flight >= 0) == (parts, True), ledger
 
 
-@pytest.mark.parametrize("protocol", ["tcp", "udp"])
-@pytest.mark.parametrize("seed", [1])
-def test_the_lowest_yields_first(seed: int, protocol: Protocol, play: Play) -> None:
-    """The high one keeps its rate and its latency, the low ones are thinned, and none of them starves."""
-    slow = Slow(seed, [Asked("high", 20.0, 1_000), Asked("normal", 10.0, 4_000), Asked("low", 30.0, 8_000)], protocol)
+def test_the_higher_one_gets_more(play: Play) -> None:
+    """The high one keeps its rate and its latency, the low one gets the rest, and none of them starves."""
+    slow = Slow(1, [Asked("high", 20.0, 1_000), Asked("normal", 10.0, 4_000), Asked("low", 30.0, 8_000)])
     play(slow.world, 120.0, slow.live())
     high, _, low = slow.shown
     assert slow.rates[0] > 0.95 * 20.0
@@ -129,48 +129,42 @@ def test_the_lowest_yields_first(seed: int, protocol: Protocol, play: Play) -> N
     assert high.latency_p99 is not None
     assert high.latency_p99 < 1.0
     assert slow.lost[0] <= 0  # what had seemed lost may have come
-    assert low.ledger.dropped["thinned"] > 20.0 * _SECONDS
-    assert low.cause == Cause.THINNED
-    assert "/topic0 goes first" in low.reason
+    assert low.ledger.dropped["queue full"] > 20.0 * _SECONDS
+    assert low.cause in _FULL
     for shown in slow.shown:
         check_balance(shown)
 
 
 def test_a_high_one_that_wants_it_all(play: Play) -> None:
-    """The others keep a twentieth of the link each."""
+    """The others keep a quarter and a sixteenth of its share, which is more than one of them asks for."""
     slow = Slow(1, [Asked("high", 40.0, 8_000), Asked("normal", 10.0, 1_000), Asked("low", 10.0, 1_000)])
     play(slow.world, 120.0, slow.live())
-    assert slow.rates[0] > 9.0
-    assert min(slow.rates[1:]) > 2.0
-    assert "thinned" not in slow.shown[0].ledger.dropped
+    assert slow.rates[0] > 7.0
+    assert slow.rates[1] > 9.0
+    assert slow.rates[2] > 2.0
 
 
-def test_a_reliable_one_is_held_back(play: Play) -> None:
-    """Nothing of it is left out silently: it waits in its queue, which drops what it does not hold."""
+def test_a_reliable_one_waits_in_its_queue(play: Play) -> None:
     slow = Slow(1, [Asked("high", 20.0, 2_000), Asked("normal", 30.0, 8_000, Qos())])
     play(slow.world, 120.0, slow.live())
     _, reliable = slow.shown
     assert slow.rates[0] > 0.95 * 20.0
-    assert "thinned" not in reliable.ledger.dropped
-    assert reliable.cause == Cause.THINNED
+    assert reliable.cause in _FULL
     assert 3.0 < slow.rates[1] < 15.0
     check_balance(reliable)
 
 
-def test_a_reliable_one_that_is_to_go_first_is_thinned(play: Play) -> None:
-    slow = Slow(1, [Asked("normal", 20.0, 2_000), Asked("low", 30.0, 8_000, Qos())])
-    play(slow.world, 120.0, slow.live())
-    assert slow.shown[1].ledger.dropped["thinned"] > 0
-    assert slow.rates[0] > 0.95 * 20.0
-
-
-def test_equals_are_left_to_their_queues(play: Play) -> None:
+def test_equals_share_equally(play: Play) -> None:
+    """A topic that asks for less than its share gets all of it, as fresh as on a fast link."""
     slow = Slow(1, [Asked("normal", 30.0, 8_000), Asked("normal", 20.0, 1_000)])
     play(slow.world, 120.0, slow.live())
-    assert all("thinned" not in shown.ledger.dropped for shown in slow.shown)
+    assert slow.rates[1] > 0.95 * 20.0
+    assert slow.shown[1].latency_p99 is not None
+    assert slow.shown[1].latency_p99 < 1.0
+    assert 6.0 < slow.rates[0] < 11.0
 
 
-def test_once_the_link_is_fast_again_nobody_yields(play: Play) -> None:
+def test_once_the_link_is_fast_again_all_crosses(play: Play) -> None:
     slow = Slow(1, [Asked("high", 20.0, 1_000), Asked("low", 30.0, 8_000)])
     later: list[RouteSnapshot] = []
 
@@ -179,8 +173,8 @@ def test_once_the_link_is_fast_again_nobody_yields(play: Play) -> None:
         later.extend(slow.snapshots())
 
     play(slow.world, 240.0, live())
-    assert slow.shown[1].cause == Cause.THINNED
-    assert later[1].cause != Cause.THINNED
+    assert slow.shown[1].cause in _FULL
+    assert later[1].cause not in _FULL
     assert later[1].rate > 25.0
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import select
 import socket
-import struct
 import threading
 import time
 from typing import TYPE_CHECKING, Self, TypeVar
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Self, TypeVar
 from rsb_bridge.model.calls import FEATURE
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.datagram import DatagramWriter, Probe
-from rsb_bridge.wire.events import Accepted, Established, Received
+from rsb_bridge.wire.events import Accepted, Established, Received, StreamName
 from rsb_bridge.wire.framing import CONTROL_LIMIT, MESSAGE_LIMIT, MORE, DataWriter
 from rsb_bridge.wire.messages import Accept, Describe, Hello, Propose, Ready, Refuse
 from rsb_bridge.wire.records import Source
@@ -119,31 +118,25 @@ class Rogue:
                 pass
 
     def stream(self, route: int) -> tuple[socket.socket, DataWriter]:
-        """A route's stream, let in, and what writes its frames."""
-        assert self.has_stream(route)
-        return self.streams[-1], DataWriter(self.keys.route_sealer(route, "client"), route)
+        """Return the stream of small messages, and a writer of a route's frames."""
+        assert self.has_streams()
+        return self.streams[0], DataWriter(self.keys.route_sealer(route, "client"), route)
 
-    def has_stream(self, route: int) -> bool:
-        """Whether the server lets a route's stream in, which stays open."""
-        stream = socket.create_connection(self._address, timeout=self._timeout)
+    def has_streams(self) -> bool:
+        """Whether the server lets both data streams in; they are opened once."""
+        return len(self.streams) == 2 or all(self.open_stream(large=large) for large in (False, True))
+
+    def open_stream(self, *, large: bool, port: int = 0) -> bool:
+        """Open a further data stream, and return whether the server lets it in."""
+        stream = socket.create_connection((self._address[0], port or self._address[1]), timeout=self._timeout)
         self.streams.append(stream)
-        data = DataConnection(self.keys, route)
+        data = DataConnection(self.keys, StreamName(len(self.streams), port, large))
         stream.sendall(data.start())
         return data.receive_data(stream.recv(4096)) == [Accepted()]
 
     def takes_little(self) -> None:
         """Have the kernel hold as little as it can of what the server says from now on."""
         self._control.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
-
-    def begin_frame(self, stream: socket.socket, size: int = MESSAGE_LIMIT) -> bool:
-        """Announce a message of `size` bytes, and send all of it but the last; whether the server took that."""
-        try:
-            stream.sendall(struct.pack(">I", size))
-            for _ in range((size - 1) >> 16):
-                stream.sendall(bytes(1 << 16))
-        except OSError:
-            return False
-        return not _closed(stream)
 
     def begin_chunks(self, stream: socket.socket, writer: DataWriter, size: int = MESSAGE_LIMIT) -> bool:
         """Send the first chunks of a message in whole frames, and return whether the connection still stands."""

@@ -198,6 +198,27 @@ async def _connected() -> AsyncIterator[tuple[Stream, Kept, Stream, Kept]]:
         await asyncio.sleep(0)
 
 
+def test_a_slow_path_is_no_reason_to_send_again() -> None:
+    """The kernel's longest wait for an acknowledgement is above the round trip, and short where that is short."""
+
+    async def main() -> None:
+        async with _connected() as (near, _, _, _):
+            assert near._transport is not None
+            sock = near._transport.get_extra_info("socket")
+            waits: list[float] = []
+            for round_trip in (0.03, 1.7, 90.0, 0.03):
+                near.round_trip_is(round_trip)
+                try:
+                    waits.append(sock.getsockopt(socket.IPPROTO_TCP, streams.TCP_RTO_MAX_MS) / 1000)
+                except OSError:
+                    pytest.skip("Linux has this option since 6.15")
+            assert waits[1] > 3 * 1.7
+            assert waits[2] < 10.0
+            assert waits[3] == streams.RETRIED_AFTER
+
+    asyncio.run(main())
+
+
 @pytest.mark.parametrize("size", [4, 10_000_000], ids=["sent", "waiting"])
 def test_last_words_arrive_though_the_peer_was_sending(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each side had not read what the other had sent. A reset would have made the peer's next write fail."""

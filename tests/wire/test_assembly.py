@@ -5,8 +5,9 @@ import itertools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.frames import StreamedReader, write_chunks
 
-from rsb_bridge.wire.framing import HEADER, MORE, ZSTD, Assembly, Budget, DataReader, DataWriter, Message
+from rsb_bridge.wire.framing import HEADER, MORE, ZSTD, Assembly, Budget, DataWriter, Message
 from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
 
@@ -15,9 +16,9 @@ ROUTE = 7
 SUITES = pytest.mark.parametrize("suite", list(Suite))
 
 
-def ends(suite: Suite, limit: int = 1 << 20, budget: Budget | None = None) -> tuple[DataWriter, DataReader]:
+def ends(suite: Suite, limit: int = 1 << 20, budget: Budget | None = None) -> tuple[DataWriter, StreamedReader]:
     key = None if suite is Suite.PLAIN else KEY
-    return DataWriter(Sealer(suite, key), ROUTE), DataReader(StreamOpener(suite, key), ROUTE, limit, budget)
+    return DataWriter(Sealer(suite, key), ROUTE), StreamedReader(StreamOpener(suite, key), ROUTE, limit, budget)
 
 
 def written(writer: DataWriter, message: Message, chunk: int, chunks: int) -> list[bytes]:
@@ -49,7 +50,7 @@ def test_pieces_are_the_chunks_of_their_message(
     writer, reader = ends(suite)
     other, _ = ends(suite)
     stream = b"".join(itertools.chain.from_iterable(written(writer, message, chunk, chunks) for message in sent))
-    assert stream == b"".join(frame for message in sent for frame in other.write_chunks(*message, chunk))
+    assert stream == b"".join(frame for message in sent for frame in write_chunks(other, *message, chunk))
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=10)))
     pieces = [stream[a:b] for a, b in itertools.pairwise([0, *cuts, len(stream)])]
     assert [message for piece in pieces for message in reader.receive_data(piece)] == sent
@@ -64,7 +65,7 @@ def test_large_messages_are_exact(suite: Suite, size: int) -> None:
         payload = (fill * (length // len(fill) + 1))[:length]
         stream = b"".join(written(writer, (payload, 5, 0), 1 << 16, 2))
         assert reader.receive_data(stream) == [(payload, 5, 0)]
-    assert reader._budget.held == 0
+    assert reader.budget.held == 0
 
 
 @SUITES
@@ -85,24 +86,24 @@ def test_garbage_does_not_open_into_its_place(suite: Suite, garbage: bytes) -> N
     with pytest.raises(SealError):
         reader.open_frames((header + garbage,))
     reader.close()
-    assert reader._budget.held == 0
+    assert reader.budget.held == 0
 
 
 def test_memory_is_for_a_message_like_the_last_one_as_far_as_the_budget_goes() -> None:
     budget = Budget(1000)
     writer, reader = ends(Suite.AESGCM, budget=budget)
-    first = writer.write_chunks(bytes(600), 0, 0, 100)
+    first = write_chunks(writer, bytes(600), 0, 0, 100)
     for frame, held in zip(first, (100, 200, 400, 400, 800), strict=False):
         reader.receive_data(frame)
         assert budget.held == held
     assert reader.receive_data(first[-1]) == [(bytes(600), 0, 0)]
-    second = writer.write_chunks(bytes(600), 0, 0, 100)
+    second = write_chunks(writer, bytes(600), 0, 0, 100)
     reader.receive_data(second[0])
     assert budget.held == 600
     reader.close()
     budget.take(880)  # others' messages leave room for this one only
     writer, reader = ends(Suite.AESGCM, budget=budget)
-    frames = writer.write_chunks(bytes(110), 0, 0, 50)
+    frames = write_chunks(writer, bytes(110), 0, 0, 50)
     for frame, held in zip(frames, (930, 980), strict=False):
         reader.receive_data(frame)
         assert budget.held == held

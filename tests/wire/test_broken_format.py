@@ -23,7 +23,7 @@ from tests.wire.links import (
 from rsb_bridge.model.fingerprints import fingerprint_of
 from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.connection import ClientConnection, DataConnection, ServerConnection
-from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, RefusalCode, Refused
+from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, RefusalCode, Refused, StreamName
 from rsb_bridge.wire.framing import CONTROL_LIMIT, pack_frame
 from rsb_bridge.wire.messages import Ping
 from rsb_bridge.wire.preamble import Kind, control_header, preamble_frame, refuse_frame
@@ -148,7 +148,7 @@ def any_end(draw: st.DrawFn) -> End:
     """Either end of any stream, in any state it may be met in."""
     suite = draw(st.sampled_from(Suite))
     client, server = ready_to_accept(suite)
-    data = DataConnection(session_keys(suite, key_for(suite)), 1)
+    data = DataConnection(session_keys(suite, key_for(suite)), StreamName(1))
     live_client, live_server, _, _ = established(suite, multiplexed=draw(st.booleans()))
     ends: list[End] = [make_server(suite), client, server, data, live_client, live_server]
     return draw(st.sampled_from(ends))

@@ -1,69 +1,67 @@
-"""Streams of a route's own, and data frames that share the control stream."""
+"""Data streams, and data frames that share the control stream."""
 
 import pytest
+from tests.support.frames import StreamedReader, write_chunks
 from tests.support.session_keys import session_keys
-from tests.support.wording import pattern, says
+from tests.support.wording import says
 from tests.wire.links import OTHER_KEY, SUITES, WELCOME, established, make_server, the
 
-from rsb_bridge.model.wording import Wording
 from rsb_bridge.wire.connection import DataConnection
-from rsb_bridge.wire.events import Accepted, Attach, DataFrame, Failed, Received, RefusalCode, Refused
+from rsb_bridge.wire.events import Accepted, Attach, DataFrame, Failed, Received, RefusalCode, Refused, StreamName
 from rsb_bridge.wire.framing import LENGTH, DataReader, DataWriter, pack_frame
 from rsb_bridge.wire.messages import Ping
-from rsb_bridge.wire.preamble import Kind, Refusal, RefusalText, parse_further, preamble_frame
-from rsb_bridge.wire.protocol_error import Broken, ProtocolError
+from rsb_bridge.wire.preamble import Kind, preamble_frame
+from rsb_bridge.wire.protocol_error import Broken
 from rsb_bridge.wire.sealing import SealError, Suite
+
+_NAME = StreamName(5, 4001, large=True)
 
 
 @SUITES
 def test_a_data_stream_is_attached(suite: Suite) -> None:
     _, _, client_keys, server_keys = established(suite)
-    data, server = DataConnection(client_keys, 5), make_server(suite)
+    data, server = DataConnection(client_keys, _NAME), make_server(suite)
     start = data.start()
     attach = the(Attach, server.receive_data(start))
     assert isinstance(attach, Attach)
-    assert (attach.link_id, attach.route) == (WELCOME.link_id, 5)
-    server_keys.check_attach_proof(attach.header, attach.route, attach.proof)
+    assert (attach.link_id, attach.name) == (WELCOME.link_id, _NAME)
+    server_keys.check_attach_proof(attach.header, attach.name.number, attach.proof)
 
-    # The server may send at once: bytes behind the ACCEPT are the route's.
+    # The server may send at once: what comes with the ACCEPT is for the link's routes.
     first = DataWriter(server_keys.route_sealer(5, "server"), 5).write(b"x" * 10_000, 7)
     stream = server.accept_attach() + first
     assert data.receive_data(stream[:20]) == [Accepted()]
     assert data.receive_data(stream[20:30]) == []
-    reader = DataReader(client_keys.stream_opener(5, "server"), 5)
+    reader = StreamedReader(client_keys.stream_opener(5, "server"), 5)
     assert reader.receive_data(data.leftover()) == []
     assert reader.receive_data(stream[30:]) == [(b"x" * 10_000, 7, 0)]
     assert data.leftover() == b""
 
 
+def test_a_data_frame_that_ends_before_its_name_does() -> None:
+    event = the(Failed, make_server().receive_data(pack_frame(preamble_frame(Kind.DATA, bytes(14)))))
+    assert event.reason == Broken.DATA_TOO_SHORT()
+
+
 @SUITES
-def test_a_further_route_is_attached_by_the_same_frame(suite: Suite) -> None:
+def test_a_route_moves_to_another_stream(suite: Suite) -> None:
+    """The frame that says so is sealed in order with the route's messages."""
     _, _, client_keys, server_keys = established(suite)
-    further = parse_further(DataConnection(client_keys, 7).start()[LENGTH.size :])
-    assert (further.link_id, further.route) == (WELCOME.link_id, 7)
-    server_keys.check_attach_proof(further.header, further.route, further.proof)
-
-
-@pytest.mark.parametrize(
-    ("frame", "error", "wording", "parameters"),
-    [
-        (preamble_frame(Kind.RETRY), ProtocolError, Broken.UNEXPECTED_AFTER_PREAMBLE, {"kind": "RETRY"}),
-        (preamble_frame(Kind.DATA), ProtocolError, Broken.DATA_TOO_SHORT, {}),
-        (b"rsb\x02\x63", ProtocolError, Broken.UNKNOWN_PREAMBLE, {"kind": 99}),
-        (b"rsb\x09\x02", Refusal, RefusalText.THIS_SIDE_OLDER, {"ours": 2, "theirs": 9}),
-    ],
-)
-def test_what_is_no_further_data_frame(
-    frame: bytes, error: type[Exception], wording: Wording, parameters: dict[str, object]
-) -> None:
-    with pytest.raises(error, match=pattern(wording, **parameters)):
-        parse_further(frame)
+    writer = DataWriter(client_keys.route_sealer(3, "client"), 3)
+    reader = DataReader(server_keys.stream_opener(3, "client"), 3)
+    first, moved, second = writer.write(b"1", 1), writer.write_moved(), writer.write(b"2", 2)
+    read = [memoryview(frame)[LENGTH.size :] for frame in (first, moved, second)]
+    assert reader.open_frames(read[:1]) == [(b"1", 1, 0)]
+    reader.open_moved(read[1])
+    assert reader.open_frames(read[2:]) == [(b"2", 2, 0)]
+    with pytest.raises(SealError):
+        reader.open_moved(read[1])
 
 
 def test_what_a_client_sends_after_its_data_preamble_is_left_over() -> None:
     _, _, keys, _ = established()
     server = make_server()
-    (attach,) = server.receive_data(DataConnection(keys, 5).start() + b"beyond")
+    (attach,) = server.receive_data(DataConnection(keys, _NAME).start() + b"beyond")
     assert isinstance(attach, Attach)
     assert server.leftover() == b"beyond"
 
@@ -73,14 +71,14 @@ def test_a_data_stream_of_another_link_has_no_proof(suite: Suite) -> None:
     _, _, _, server_keys = established(suite)
     stranger = session_keys(suite, OTHER_KEY, server_keys.link_id)
     server = make_server(suite)
-    attach = the(Attach, server.receive_data(DataConnection(stranger, 5).start()))
+    attach = the(Attach, server.receive_data(DataConnection(stranger, _NAME).start()))
     with pytest.raises(SealError):
-        server_keys.check_attach_proof(attach.header, attach.route, attach.proof)
+        server_keys.check_attach_proof(attach.header, attach.name.number, attach.proof)
 
 
 def test_a_data_stream_is_turned_away() -> None:
     _, _, keys, _ = established()
-    data, server = DataConnection(keys, 5), make_server()
+    data, server = DataConnection(keys, _NAME), make_server()
     server.receive_data(data.start())
     answer = server.refuse(RefusalCode.NO_SUCH_ROUTE, "route 5 is not open")
     refusal = Refused(RefusalCode.NO_SUCH_ROUTE, "route 5 is not open")
@@ -92,7 +90,7 @@ def test_a_data_stream_is_turned_away() -> None:
 
 def test_a_data_stream_is_offered_a_retry() -> None:
     _, _, keys, _ = established()
-    data = DataConnection(keys, 5)
+    data = DataConnection(keys, _NAME)
     data.start()
     assert data.receive_data(pack_frame(preamble_frame(Kind.RETRY, b"\x02"))) == [
         Failed(Broken.UNEXPECTED_IN_PREAMBLE(kind="RETRY"))
@@ -106,8 +104,8 @@ def test_a_data_stream_is_offered_a_retry() -> None:
 def test_a_multiplexed_stream_carries_control_and_data(suite: Suite) -> None:
     client, server, client_keys, server_keys = established(suite, multiplexed=True)
     writer = DataWriter(client_keys.route_sealer(3, "client"), 3)
-    reader = DataReader(server_keys.stream_opener(3, "client"), 3)
-    first, second = writer.write_chunks(b"payload", 9, 0, 4)
+    reader = StreamedReader(server_keys.stream_opener(3, "client"), 3)
+    first, second = write_chunks(writer, b"payload", 9, 0, 4)
     events = server.receive_data(first + client.send(Ping(1, 1)) + second)
     assert [type(event) for event in events] == [DataFrame, Received, DataFrame]
     frames = [event for event in events if isinstance(event, DataFrame)]

@@ -6,6 +6,7 @@ import zlib
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.frames import StreamedReader, write_chunks
 from tests.support.wording import pattern, says
 
 from rsb_bridge.wire.framing import (
@@ -15,7 +16,6 @@ from rsb_bridge.wire.framing import (
     SOURCE_SHIFT,
     ZSTD,
     Budget,
-    DataReader,
     DataWriter,
     FrameReader,
     Message,
@@ -42,16 +42,17 @@ messages = st.lists(
 @st.composite
 def pieces(draw: st.DrawFn, stream: bytes) -> list[bytes]:
     """The stream, cut anywhere."""
+
     cuts = sorted(draw(st.lists(st.integers(0, len(stream)), max_size=10)))
     return [stream[a:b] for a, b in itertools.pairwise([0, *cuts, len(stream)])]
 
 
 def data_ends(
     suite: Suite, route: int = ROUTE, limit: int = 1 << 20, key: bytes = KEY, budget: Budget | None = None
-) -> tuple[DataWriter, DataReader]:
+) -> tuple[DataWriter, StreamedReader]:
     return (
         DataWriter(Sealer(suite, None if suite is Suite.PLAIN else KEY), route),
-        DataReader(StreamOpener(suite, None if suite is Suite.PLAIN else key), route, limit, budget),
+        StreamedReader(StreamOpener(suite, None if suite is Suite.PLAIN else key), route, limit, budget),
     )
 
 
@@ -132,7 +133,7 @@ def test_messages_come_out_as_they_went_in_however_the_stream_is_cut(
 @given(data=st.data(), sent=messages, chunk_size=st.integers(1, 100))
 def test_chunks_are_put_together_again(suite: Suite, data: st.DataObject, sent: list[Message], chunk_size: int) -> None:
     writer, reader = data_ends(suite)
-    chunked = [writer.write_chunks(*message, chunk_size) for message in sent]
+    chunked = [write_chunks(writer, *message, chunk_size) for message in sent]
     for (payload, _, _), chunks in zip(sent, chunked, strict=True):
         assert len(chunks) == max(1, -(-len(payload) // chunk_size))
         assert all(len(chunk) <= 4 + 14 + chunk_size + suite.tag_length for chunk in chunks)
@@ -142,7 +143,7 @@ def test_chunks_are_put_together_again(suite: Suite, data: st.DataObject, sent: 
 
 def test_chunks_of_two_routes_may_alternate() -> None:
     ends = [data_ends(Suite.AESGCM, route) for route in (1, 3)]
-    chunks = [writer.write_chunks(bytes((n,)) * 100, n, 0, 30) for n, (writer, _) in enumerate(ends)]
+    chunks = [write_chunks(writer, bytes((n,)) * 100, n, 0, 30) for n, (writer, _) in enumerate(ends)]
     out = []
     for pair in zip(*chunks, strict=True):
         for chunk, (_, reader) in zip(pair, ends, strict=True):
@@ -157,9 +158,9 @@ def test_a_message_may_have_the_limit_and_no_byte_more(suite: Suite) -> None:
     with pytest.raises(ProtocolError, match=pattern(Broken.FRAME_TOO_LONG)):
         reader.receive_data(writer.write(bytes(101), 0))
     writer, reader = data_ends(suite, limit=100)
-    assert reader.receive_data(b"".join(writer.write_chunks(bytes(100), 0, 0, 30))) == [(bytes(100), 0, 0)]
+    assert reader.receive_data(b"".join(write_chunks(writer, bytes(100), 0, 0, 30))) == [(bytes(100), 0, 0)]
     with pytest.raises(ProtocolError, match=pattern(Broken.TOO_LONG_IN_CHUNKS, limit=100)):
-        reader.receive_data(b"".join(writer.write_chunks(bytes(101), 0, 0, 30)))
+        reader.receive_data(b"".join(write_chunks(writer, bytes(101), 0, 0, 30)))
 
 
 @SUITES
@@ -170,10 +171,10 @@ def test_what_is_held_is_what_has_come_of_the_unfinished(
     """Chunks and a frame that is cut; after any input, nothing is held once the reader is closed."""
     budget = Budget(1 << 20)
     writer, reader = data_ends(suite, budget=budget)
-    stream = b"".join(frame for message in sent for frame in writer.write_chunks(*message, chunk_size))
+    stream = b"".join(frame for message in sent for frame in write_chunks(writer, *message, chunk_size))
     for piece in data.draw(pieces(stream))[: data.draw(st.integers(0, 10))]:
         reader.receive_data(piece)
-        assert budget.held == len(reader._frames._tail) + reader._chunks.held
+        assert budget.held == len(reader.frames._tail) + reader._chunks.held
     reader.close()
     assert budget.held == 0
 

@@ -228,7 +228,7 @@ def test_data_keys_are_those_of_the_document(
 @ENCRYPTED
 def test_attach_proof_is_that_of_the_document(suite: Suite) -> None:
     proof = session_keys(suite).attach_proof(b"header", 5)
-    key = expand(chain(0, 2), b"rsb attach", struct.pack(">IB", 5, 0))
+    key = expand(expand(KEY, b"rsb attach"), b"rsb stream", struct.pack(">I", 5))
     assert proof == by_the_book(suite, key, 0, b"", b"header")
 
 

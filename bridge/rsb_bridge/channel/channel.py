@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ class RouteSink(Protocol):
 
     @property
     def rank(self) -> int:
-        """The rank of its priority among routes of the same stream."""
+        """The rank of its priority among routes of the same link."""
         ...
 
     def deliver(self, messages: Iterable[Message]) -> None:
@@ -38,12 +39,26 @@ class RouteSink(Protocol):
         ...
 
     def flush(self) -> None:
-        """Send from the queue: the channel was congested and takes more again."""
+        """Send from the queue: the channel takes messages again."""
         ...
 
     def channel_lost(self, reason: str) -> None:
         """Handle the failure of the channel, which is closed already."""
         ...
+
+
+class Pace(Enum):
+    """State of a sending channel, as its route's queue needs it.
+
+    Attributes:
+        FREE: it accepts messages now or in a round trip or two.
+        SLOW: it delivers messages more slowly than they are published.
+        STOPPED: it delivers none.
+    """
+
+    FREE = "free"
+    SLOW = "slow"
+    STOPPED = "stopped"
 
 
 class Counts(NamedTuple):
@@ -106,7 +121,16 @@ class SendingChannel(DataChannel, Protocol):
 
     @property
     def congested(self) -> bool:
-        """Whether it is better not to send now; `RouteSink.flush` is called when that is over."""
+        """Whether messages have to wait now: then `ask`."""
+        ...
+
+    @property
+    def pace(self) -> Pace:
+        """State of the channel now."""
+        ...
+
+    def ask(self) -> None:
+        """Have `RouteSink.flush` called once messages may be sent. Calling it again while they wait changes nothing."""
         ...
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
-from rsb_bridge.channel.large_messages import Scratch
+from rsb_bridge.channel.scratch import Scratch
 from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter
 from rsb_bridge.wire.framing import DataReader, DataWriter
 
@@ -26,9 +26,6 @@ class MeteredDataReader(DataReader):
         super().__init__(opener, route, budget=budget)
         self._meter = meter
         self._ended = False
-
-    def receive_data(self, data: Buffer) -> list[Message]:
-        return super().open_frames(self._frames.feed(data)) if self._takes(len(data)) else []
 
     def open_frames(self, frames: Iterable[Buffer]) -> list[Message]:
         return super().open_frames(frame for frame in frames if self._takes(len(frame)))

@@ -6,7 +6,7 @@ import asyncio
 from collections import deque
 from typing import TYPE_CHECKING
 
-from rsb_bridge.channel.channel import Counts
+from rsb_bridge.channel.channel import Counts, Pace
 from rsb_bridge.channel.udp_channel import BufferShortage
 from rsb_bridge.transport.streams import BATCH_BYTES, PacketCounts
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
@@ -197,6 +197,13 @@ class DatagramSender(_DatagramChannel):
     @property
     def congested(self) -> bool:
         return bool(self._waiting) or self.carrier.socket.congested
+
+    @property
+    def pace(self) -> Pace:
+        return Pace.STOPPED if self.congested else Pace.FREE
+
+    def ask(self) -> None:
+        """Do nothing: the timer of what the pace holds up, or the socket, has the route's queue flushed."""
 
     def datagrams(self, size: int) -> int:
         """Return how many datagrams a message of `size` bytes takes now; only once it is ready."""

@@ -1,25 +1,22 @@
-"""Limits the data in transit on a stream channel, so that messages wait on the way for a second at most.
+"""Limits the data in transit on a link's data streams, so that messages wait on the way for a second at most.
 
 A stream accepts as much as the buffers of the kernel and of a tunnel behind it hold. On a link of 5 kB/s that
 is data for several minutes. So the receiver acknowledges bytes by receipts, and the sender keeps no more than a window
-of them in transit. The rest waits in the route's queue, which drops the oldest messages first.
+of them in transit. The rest waits in the routes' queues, which drop the oldest messages first.
 
 The window follows the age of the oldest unacknowledged byte. While the age is low, the window grows by the bytes that
 are acknowledged, so it doubles in a round trip, as TCP's does in slow start. Once the age exceeds `_LATE`, the window
 shrinks to the bytes that cross in `_AIM`. So the sender needs no initial rate, and a fast link never fills the window.
 
-This module uses neither sockets nor clocks. It counts bytes from the beginning of the stream.
+This module uses neither sockets nor clocks. It counts the bytes of all streams together.
 """
 
 from __future__ import annotations
 
 from collections import deque
 
-FEATURE = "receipts"
-"""The feature by which a side offers receipts (PROTOCOL.md, 1.6)."""
-
 FIRST = 4 * 1024
-"""Bytes in transit at the beginning, plus one message: 0.8 s of 5 kB/s for each topic."""
+"""Bytes in transit at the beginning, plus one turn: 0.8 s of 5 kB/s."""
 LEAST = 2 * 1024
 """Bytes of the smallest window."""
 _PARTS = 4
@@ -52,13 +49,12 @@ _MOST_MARKS, _MOST_RECEIPTS = 1024, 64
 
 
 class Window:
-    """The limit of a sending channel.
+    """The limit of one direction of a link.
 
     Attributes:
-        limit: count of sent bytes at which the channel is congested.
+        limit: count of sent bytes at which the link is congested.
         size: bytes that may be in transit.
         slow: whether messages wait on the path.
-        patience: how many times longer than usual messages may wait on the path before the window shrinks.
         back: s that a receipt takes to come back now; what waits in the other direction is not held against this one.
     """
 
@@ -74,7 +70,6 @@ class Window:
         "_shortest",
         "back",
         "limit",
-        "patience",
         "size",
         "slow",
     )
@@ -86,19 +81,22 @@ class Window:
             sent: bytes that it already carried.
             ping: s of the shortest ping of the connection, or 0 if it is unknown.
         """
-        ping = min(ping, _FARTHEST_PINGED)
-        self.size = int(FIRST * max(1.0, ping / _FIRST_LASTS))
-        self.limit = sent + self.size
         self.slow = False
-        self.patience = 1.0
         self.back = 0.0
         self._origin = self._acknowledged = sent
         self._marks: deque[tuple[int, float]] = deque()  # how many bytes were sent when (s)
         self._last_mark, self._last_mark_at = sent, float("-inf")
         self._receipts: deque[tuple[int, float]] = deque(maxlen=_MOST_RECEIPTS)
-        self._ping = ping
-        self._shortest = max(_FARTHEST, ping)  # s, the shortest round trip so far, less what receipts took to come back
+        self.expect(ping)
         self._before_shrinking: tuple[int, float] | None = None  # bytes sent until then, and s that data took
+
+    def expect(self, ping: float) -> None:
+        """Begin on a path with that shortest ping (s), or 0 if it is unknown. Call it before anything is written."""
+        self._ping = min(ping, _FARTHEST_PINGED)
+        # s, the shortest round trip so far, less what receipts took to come back
+        self._shortest = max(_FARTHEST, self._ping)
+        self.size = int(FIRST * max(1.0, self._ping / _FIRST_LASTS))
+        self.limit = self._origin + self.size
 
     def wrote(self, before: int, now: float) -> None:
         """Record that data is written at `now` (s), after `before` bytes."""
@@ -139,11 +137,11 @@ class Window:
         self._acknowledged = acknowledged
         rate = self._rate(acknowledged, now)
         waits = self._waits(now)
-        if waits > _LATE * self.patience:
+        if waits > _LATE:
             self.slow = True
             if self._before_shrinking is None:
                 self._before_shrinking = sent, self._age(now) - self._credit
-            crosses = _AIM * self.patience + min(self._ping, self._shortest + self._credit)
+            crosses = _AIM + min(self._ping, self._shortest + self._credit)
             self.size = max(LEAST, int(rate * crosses), min(self.size, (sent - acknowledged) // 2))
         elif waits < _FRESH:
             self.slow = self.slow and limited
@@ -152,6 +150,17 @@ class Window:
         elif limited:
             self.slow = True
         self.limit = acknowledged + self.size
+
+    def write_off(self, acknowledged: int, sent: int) -> None:
+        """Count bytes as acknowledged that no receipt will count, since their stream is lost; they tell nothing."""
+        marks = self._marks
+        written_at = None
+        while marks and marks[0][0] < acknowledged:
+            written_at = marks.popleft()[1]
+        if written_at is not None and acknowledged < sent and (not marks or marks[0][0] > acknowledged):
+            marks.appendleft((acknowledged, written_at))
+        self._acknowledged = self._origin + acknowledged
+        self.limit = self._acknowledged + self.size
 
     def _accept_delay(self, took: float, acknowledged: int) -> None:
         """Accept a delay as that of the path if it stays although less is in transit."""

@@ -110,7 +110,7 @@ class MachineText(Wording):
     FIREWALL_UNREADABLE = "only root may read the rules"
     NO_NFT = "the program nft is not installed, so the rules cannot be read"
     DESCRIPTORS = "{limit:,} open files at most"
-    DESCRIPTORS_FEW = "only {limit:,} open files at most: each TCP topic takes one on either side"
+    DESCRIPTORS_FEW = "only {limit:,} open files at most: each TCP link takes three on either side"
     DESCRIPTORS_REMEDY = "raise the hard limit: LimitNOFILE=65536 under systemd, ulimit -Hn in a shell"
     DISK = "{free:,} MB are free for the history and events in {folder}"
     DISK_LITTLE = "only {free:,} MB are free for the history and events in {folder}"

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from rsb_bridge.channel import window
 from rsb_bridge.channel.datagram_channel import DatagramSender, datagram_channel
 from rsb_bridge.link.contention import Contention, LinkFullness
 from rsb_bridge.link.data_channels import DataChannels
@@ -27,7 +26,6 @@ from rsb_bridge.transport.streams import CLOSED_BY_PEER, Stream
 from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.wire import sealing
 from rsb_bridge.wire.messages import Ping, Pong, Receipts
-from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 
 if TYPE_CHECKING:
     import asyncio
@@ -35,7 +33,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import Carrier
     from rsb_bridge.channel.data_keys import Meter
-    from rsb_bridge.channel.multiplexer import SharedStream
     from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
@@ -125,7 +122,12 @@ class RouteIds:
         """Return the id of a route's last opening on this connection, or 0 without one."""
         return route.id or next(reversed(route.closed_ids), 0)
 
-    def is_closed(self, route_id: int) -> bool:
+    def awaits_channel(self, route_id: int) -> bool:
+        """Whether a route is open under an id, and has no channel yet."""
+        route = self._by_id.get(route_id)
+        return route is not None and route.channel is None
+
+    def is_closed_id(self, route_id: int) -> bool:
         """Whether a route was open under an id and is closed: what still arrives for it is late, not wrong."""
         ours = route_id % 2 == self._is_client
         newest = self._next - 2 if ours else self._newest_of_peer
@@ -249,14 +251,16 @@ class BaseLink(ABC):
             lambda: max(0.0, self.report_delay - (self.clock.uncertainty or 0.0)),
             lambda: 2 * (self.clock.uncertainty or 0.0),
             self._meter_of,
+            self.ids,
         )
+        self._awaiting: dict[tuple[str, int], dict[int, Route]] = {}  # routes without streams, by transport and port
         self.fullness = LinkFullness(partial(self.log, link_status=True))
         self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers, self.fullness)
         self.path = PathWatch(self._log_path)
         self.handlers: dict[type, Callable[[Any], Slices | None]] = {
             Ping: self._on_ping,
             Pong: self._on_pong,
-            Receipts: lambda receipts: self.channels.handle_receipts(receipts, self.ids.open_route),
+            Receipts: self.channels.handle_receipts,
         }
         self._extensions: list[Extension] = []
 
@@ -324,8 +328,8 @@ class BaseLink(ABC):
         """
 
     @abstractmethod
-    def open_stream(self, route: Route, transport: StreamTransport) -> None:
-        """Open the route's stream, or join a shared one; a server waits for the client's."""
+    def open_streams(self, transport: StreamTransport, port: int) -> None:
+        """Open the streams for routes with that port; a server waits for the client's."""
 
     @abstractmethod
     def open_udp_channel(self, transport: DatagramTransport, port: int) -> UdpChannel | None:
@@ -356,7 +360,7 @@ class BaseLink(ABC):
 
     @property
     def sample_secret(self) -> bytes | None:
-        """The secret of the sample tags of routes' streams, or None if the peer sends none."""
+        """The secret of the sample tags of data streams, or None if the peer sends none."""
         if self.keys is None or sealing.FEATURE not in self.features:
             return None
         return self.keys.sample_secret
@@ -375,7 +379,9 @@ class BaseLink(ABC):
         """Begin a connection: the peer is authenticated."""
         self.control, self.peer, self.keys = control, peer, keys
         self.instance, self.features = peer.instance, peer.features
-        self.channels.connected(keys, self.role, receipts=window.FEATURE in peer.features)
+        self.channels.connected(keys, self.role)
+        if self.transport.multiplexed:
+            control.data = self.channels.use_control(control.stream, self.transport.name, self.shared_port())
         self._is_silent = False
         self._shifts_stamps = MAX_AGE_FEATURE in peer.features
         self.connections += 1
@@ -420,6 +426,7 @@ class BaseLink(ABC):
         self.status.since = self.context.wall()
         for each in reversed(self._extensions):
             each.disconnected()
+        self._awaiting.clear()
         self.channels.disconnected()
         self.contention.disconnected()
         self.path.disconnected()
@@ -482,12 +489,34 @@ class BaseLink(ABC):
         assert self.control is not None
         assert self.channels.keys is not None
         port, transport = route.proposal.port or self.shared_port(), route.transport
-        if self.transport.multiplexed and port == self.shared_port():
-            route.channel = self.control.multiplexer.carry(route, self.channels.keys, self.channels.book)
-        elif isinstance(transport, StreamTransport):
-            self.open_stream(route, transport)
+        if isinstance(transport, StreamTransport):
+            self._use_streams(route, transport, port)
         elif (udp_channel := self.channels.udp.get(port) or self._new_udp_channel(transport, port)) is not None:
             route.channel = datagram_channel(udp_channel, route, self.channels.keys)
+
+    def _use_streams(self, route: Route, transport: StreamTransport, port: int) -> None:
+        pair = self.channels.pair_of(transport.name, port)
+        if pair is not None:
+            self.channels.carry(route, pair)
+            return
+        self._awaiting.setdefault((transport.name, port), {})[route.id] = route
+        self.open_streams(transport, port)
+
+    def streams_opened(self, transport: str, port: int) -> None:
+        """Open the channels of the routes that wait for streams, if these are complete."""
+        pair = self.channels.pair_of(transport, port)
+        if pair is None:
+            return
+        for route_id, route in self._awaiting.pop((transport, port), {}).items():
+            if route.id == route_id and route.channel is None:  # else it was closed meanwhile
+                self.channels.carry(route, pair)
+                route.advance()
+
+    def streams_failed(self, transport: str, port: int, reason: str) -> None:
+        """Report to the routes that wait for streams that these cannot be opened."""
+        for route_id, route in self._awaiting.pop((transport, port), {}).items():
+            if route.id == route_id and route.channel is None:
+                route.channel_lost(reason)
 
     def _new_udp_channel(self, transport: DatagramTransport, port: int) -> UdpChannel | None:
         udp_channel = self.open_udp_channel(transport, port)
@@ -506,26 +535,16 @@ class BaseLink(ABC):
 
         await in_slices(self.ids.open_routes(), advance)
 
-    def join_stream(self, shared: SharedStream, frame: bytes) -> None:
-        """Put a further route on a stream, as the peer asks; raise ProtocolError or Refusal if the peer may not ask."""
-        raise ProtocolError(Broken.PREAMBLE_ON_OPEN_STREAM())
-
-    def is_closed_id(self, route_id: int) -> bool:
-        """Whether a route was open under an id, and is closed."""
-        return self.ids.is_closed(route_id)
-
     # --- time and figures
 
     def tick(self) -> None:
         """Do the regular work once a second, after the routes' own tick."""
         if self.control is not None:
             self._tick_path(self.control)
-            self.contention.tick(
-                self.keepalive, self.features, self.connections, self.peer_name, lossy=self.path.lossy_out
-            )
+            self.contention.tick(self.keepalive, self.peer_name, lossy=self.path.lossy_out)
             self.warning_since()  # a warning begins now, even if no console asks for a snapshot
             self.send(self.keepalive.tick())
-            self.channels.tick(self.routes.values())
+            self.channels.tick()
         for each in self._extensions:
             each.tick()
 
@@ -564,7 +583,7 @@ class BaseLink(ABC):
 
     def carriers(self) -> set[Carrier]:
         """Return all carriers of the present connection's bytes."""
-        return self.channels.carriers(self.routes.values(), self.control)
+        return self.channels.carriers(self.control)
 
     @property
     def warning(self) -> str:

@@ -20,7 +20,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
-from rsb_bridge.transport.streams import Stream, os_error_message
+from rsb_bridge.transport.streams import Stream, StreamProblem, os_error_message
 from rsb_bridge.wire import sealing
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.events import Accepted, Established, Event, RefusalCode
@@ -57,9 +57,6 @@ _DUPLICATES_LOGGED_EVERY = 60.0
 _UDP_RETRIED_AFTER = 1.0
 _LONGEST_RETRY_AFTER = 60.0
 """s that a server may have this side wait; a wrong figure must not keep it away."""
-_STREAMS_AT_ONCE = 128
-"""Routes' streams being opened at a time: few enough for any listen backlog, enough for 500 in 1 s at 100 ms a round
-trip."""
 
 
 class ClientLink(Link):
@@ -84,10 +81,8 @@ class ClientLink(Link):
         self._asking = Backoff(ASKED_EVERY, ASKED_EVERY, context.random)
         self._search = ServerSearch(self.transport, context.now)
         self._unproven = 0  # servers that were announced when the link was made, and did not prove the key
-        self._streams_opening: dict[int, asyncio.Task[None]] = {}
-        self._may_open = asyncio.Semaphore(_STREAMS_AT_ONCE)
+        self._streams_opening: dict[tuple[str, int], asyncio.Task[None]] = {}
         self.handlers |= {Duplicate: self.on_duplicate, Shutdown: self.on_shutdown}
-        self._waiting: dict[int, dict[int, Route]] = {}  # by channel and id: for the stream that is being opened
 
     @property
     def address(self) -> str:
@@ -282,7 +277,6 @@ class ClientLink(Link):
         for opening in self._streams_opening.values():
             opening.cancel()
         self._streams_opening.clear()
-        self._waiting.clear()
         self._ended.set()
 
     def on_shutdown(self, message: Shutdown) -> None:
@@ -351,65 +345,43 @@ class ClientLink(Link):
     async def prepare_port(self, route: Route) -> None:
         return
 
-    def open_stream(self, route: Route, transport: StreamTransport) -> None:
-        if transport.multiplexed:
-            self._share_stream(route, transport)
-        elif route.id not in self._streams_opening:
-            self._streams_opening[route.id] = self.spawn(self._open_stream(route, route.id, transport))
+    def open_streams(self, transport: StreamTransport, port: int) -> None:
+        if (transport.name, port) not in self._streams_opening:
+            opening = self.spawn(self._open_streams(transport, port))
+            self._streams_opening[transport.name, port] = opening
 
-    async def _open_stream(self, route: Route, route_id: int, transport: StreamTransport) -> None:
+    async def _open_streams(self, transport: StreamTransport, port: int) -> None:
+        """Open the stream of small messages, then that of large ones, and let the waiting routes use them."""
+        failure: Failure | None = None
         try:
-            async with self._may_open:
-                failure = await self._attach(route, route_id, transport) if route.id == route_id else None
-            if failure is not None and route.id == route_id:
-                route.channel_lost(failure.reason)
+            for large in (True,) if transport.multiplexed else (False, True):
+                if failure is None and self.channels.lacks(transport.name, port)[large]:
+                    failure = await self._open_data_stream(transport, port, large=large)
         finally:
-            self._streams_opening.pop(route_id, None)
+            self._streams_opening.pop((transport.name, port), None)
+        if failure is None and self.channels.pair_of(transport.name, port) is None:
+            failure = Failure(StreamProblem.CLOSED_HERE())  # the first one was lost before the second one came
+        if failure is None:
+            self.streams_opened(transport.name, port)
+        else:
+            self.streams_failed(transport.name, port, failure.reason)
 
-    async def _attach(self, route: Route, route_id: int, transport: StreamTransport) -> Failure | None:
+    async def _open_data_stream(self, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
         assert self.keys is not None
         assert self.control is not None
         if descriptors.scarce():
             return Failure(descriptors.scarcity_message("client"))
-        connection = DataConnection(self.keys, route_id)
+        own = 0 if port == self.shared_port() else port
+        name = self.channels.next_name(own, large=large)
+        connection = DataConnection(self.keys, name)
 
         def let_in(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
-            if route.id == route_id:  # else it was closed meanwhile
-                self.channels.attach(route, stream, connection.leftover(), self)
+            self.channels.attach(stream, name, transport, port, connection.leftover())
 
         # The address that the control connection reached: the server's name may resolve to another by now.
         host = self.control.stream.host if transport is self.transport else transport.host(self.context.session)
-        port = route.proposal.port or self.port
-        return await self._open(transport, host, port, connection, let_in, route.rank, self.sample_secret)
-
-    def _share_stream(self, route: Route, transport: StreamTransport) -> None:
-        """Join the stream of the route's channel, or open it if nobody has begun to."""
-        assert self.keys is not None
-        assert self.channels.keys is not None
-        channel = route.proposal.port
-        shared = self.channels.shared_streams.get((transport.name, channel))
-        if shared is not None and not shared.stream.over:
-            shared.stream.write(DataConnection(self.keys, route.id).start())
-            route.channel = shared.carry(route, self.channels.keys, self.channels.book)
-        elif channel in self._waiting:
-            self._waiting[channel][route.id] = route
-        else:
-            self._waiting[channel] = {route.id: route}
-            self._streams_opening[route.id] = self.spawn(self._open_shared(route, route.id, transport))
-
-    async def _open_shared(self, first: Route, first_id: int, transport: StreamTransport) -> None:
-        try:
-            failure = await self._attach(first, first_id, transport)
-        finally:
-            self._streams_opening.pop(first_id, None)
-        waiting = self._waiting.pop(first.proposal.port, {})
-        if first.id != first_id:  # it was closed meanwhile, and the others ask again
-            return
-        for route_id, route in waiting.items():
-            if route.id == route_id and failure is not None:
-                route.channel_lost(failure.reason)
-            elif route.id == route_id:
-                route.advance()
+        rank = -1 if large and not transport.multiplexed else 0
+        return await self._open(transport, host, port, connection, let_in, rank, self.sample_secret)
 
     def open_udp_channel(self, transport: DatagramTransport, port: int) -> ClientUdpChannel | None:
         assert self.control is not None

@@ -1,10 +1,7 @@
-"""Decides whether a link is full, and divides a full link among this side's topics by priority.
+"""Decides whether a link is full. `rsb_bridge.channel.scheduler` shares it.
 
-Once a second it checks for overload: a channel without idle time for half a second, messages dropped from a full queue,
-or pings delayed by a queue on the path. Then it divides the arriving rate less a tenth
-(`rsb_bridge.model.link_budget`). While that suffices, the divided rate grows until no topic is thinned. A link that
-carried everything before may have stalled: it soon gets its full rate back, once. If all topics have the same priority,
-nothing is divided: each has its own queue.
+Once a second it checks for overload: messages that waited for half a second, messages dropped from a full queue, or
+pings delayed by a queue on the path.
 """
 
 from __future__ import annotations
@@ -17,12 +14,9 @@ from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import TEXT_LENGTH
-from rsb_bridge.model.link_budget import Wish, allot, highest
-from rsb_bridge.model.session import PRIORITY_FEATURE
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.thinning import Share
 from rsb_bridge.telemetry.meters import Throughput
 from rsb_bridge.wire.records import FullRecord
 
@@ -33,7 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.keepalive import Keepalive
     from rsb_bridge.route.route import Route
-    from rsb_bridge.route.thinning import Traffic
+    from rsb_bridge.route.traffic import Traffic
 
 _BEGINS, _ENDS = 4, 4
 """Ticks that have to agree before a link counts as full, or as no longer full."""
@@ -64,14 +58,6 @@ _DELAYED = 1.0
 """s of delay from which messages wait on the way."""
 _MORE = 1.1
 """Times what arrives."""
-_MARGIN, _DRAINS = 0.9, 0.6
-"""Parts of what crosses that are divided; the second one while a queue on the way drains."""
-_PROBES_AFTER, _GROWS = 15, 1.05
-"""What is divided grows after so many seconds in which it was enough, each second to so many times as much."""
-_STALLED = 3
-"""Looks without a sign after which all is given again that was divided for the first time."""
-_ENOUGH = 1.1
-"""Times what is asked for."""
 _SHORTEST_PINGS = 60
 
 
@@ -237,7 +223,7 @@ class _Counts(NamedTuple):
 
 
 class Contention:
-    """Decides for one link whether it is full, and divides it.
+    """Decides for one link whether it is full.
 
     Attributes:
         sending: throughput of the link from here.
@@ -256,47 +242,32 @@ class Contention:
         self._routes = routes
         self._carriers = carriers
         self._fullness = fullness
-        self._divided: float | None = None
-        self._enough_for = _PROBES_AFTER
-        self._may_be_stall = False
-        self._carried = self._crossed = 0.0
+        self._crossed = 0.0
         self._held = False
         self._received = 0
         self._counts: dict[OutgoingRoute, _Counts] = {}
         self._pings: deque[float] = deque(maxlen=_SHORTEST_PINGS)
-        self._told = -1
 
-    def tick(
-        self,
-        keepalive: Keepalive,
-        features: Collection[str],
-        connection: int,
-        peer: str = "",
-        *,
-        lossy: bool = False,
-    ) -> None:
-        """Look once a second, while linked.
+    def tick(self, keepalive: Keepalive, peer: str = "", *, lossy: bool = False) -> None:
+        """Judge once a second, while linked.
 
         Args:
             keepalive: of the link.
-            features: of the other side.
-            connection: its number.
             peer: the other side's name.
             lossy: the path loses packets, which explains why less arrives than is asked for.
         """
-        self._warn(features, connection)
         now, at = self._context.now(), self._context.wall()
         asking = [
-            _Asking(route, route.thinning.look(now))
+            _Asking(route, route.traffic.look(now))
             for route in self._routes()
             if isinstance(route, OutgoingRoute) and route.connected
         ]
         arrived, parts, full = self._looked(asking)
         asked = sum(each.traffic.bytes_per_second for each in asking)
         # Where all that is asked for arrives, pings are held up by somebody else's traffic.
-        held_up = self._held_up(keepalive) and (self._divided is not None or asked > _MORE * self._crossed)
+        held_up = self._held_up(keepalive) and asked > _MORE * self._crossed
         full = full or held_up or self._delayed(asking, asked) or any(map(_overflows, asking))
-        crossed = self._crossed = self.sending.look(arrived, now, at, full=full)
+        self._crossed = self.sending.look(arrived, now, at, full=full)
         busy = [(route, traffic.bytes_per_second) for route, traffic in asking if traffic.bytes_per_second > 0.0]
         wanted = [Asked(route.topic, route.remote_topic, rate) for route, rate in busy]
         overloaded = full and not lossy and not all(route.starts for route, _ in busy) and not self._is_measured()
@@ -305,7 +276,6 @@ class Contention:
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.look(received - self._received, now, at, full=False)
         self._received = received
-        self._divide(asking, crossed, now, full=full, held_up=held_up)
         if self._fullness.out != before:
             self._judge_again(outgoing=True)
 
@@ -322,19 +292,14 @@ class Contention:
 
     def disconnected(self) -> None:
         """Forget the connection: the next one may go another way."""
-        self._divided = None
-        self._enough_for, self._may_be_stall = _PROBES_AFTER, False
         self._received = 0
-        self._carried = self._crossed = 0.0
+        self._crossed = 0.0
         self._held = False
         self._counts.clear()
         self._pings.clear()
         self._fullness.disconnected()
         self.sending.disconnected()
         self.receiving.disconnected()
-        for route in self._routes():
-            if isinstance(route, OutgoingRoute):
-                route.thinning.take_share(None, low=False, qos=route.qos, now=self._context.now())
 
     def _looked(self, asking: Collection[_Asking]) -> tuple[float, float, bool]:
         """Count what has arrived since the last check.
@@ -349,13 +314,12 @@ class Contention:
             if not traffic.bytes_per_second:
                 continue
             ledger = route.ledger()
-            held = route.thinning.holds
             counts = self._counts[route] = _Counts(ledger.delivered, ledger.dropped.get("queue full", 0))
             last = before.get(route, counts)
             whole = max(0, counts.delivered - last.delivered)
             arrived += whole * traffic.size
             parts += max(0.0, route.messages_by_datagrams - whole) * traffic.size
-            full = full or (not held and (traffic.busy >= _BUSY or counts.queue_full > last.queue_full))
+            full = full or traffic.busy >= _BUSY or counts.queue_full > last.queue_full
         return arrived + self._calls(), parts, full
 
     def _delayed(self, asking: Collection[_Asking], asked: float) -> bool:
@@ -378,60 +342,3 @@ class Contention:
         self._pings.append(rtt)
         before, self._held = self._held, rtt - min(self._pings) > _HELD_UP
         return before and self._held
-
-    def _divide(self, asking: list[_Asking], crossed: float, now: float, *, full: bool, held_up: bool) -> None:
-        wishes = {
-            each.route: Wish(each.route.rank, each.traffic.bytes_per_second)
-            for each in asking
-            if each.traffic.bytes_per_second > 0.0
-        }
-        asked = sum(wish.bytes_per_second for wish in wishes.values())
-        if len({wish.rank for wish in wishes.values()}) < 2:
-            self._divided = None
-        elif full:
-            self._may_be_stall = self._may_be_stall or (self._divided is None and self._enough_for >= _PROBES_AFTER)
-            self._enough_for = 0
-            if crossed:  # nothing at all says that the link stalls, not what it carries
-                self._carried = crossed
-                self._divided = crossed * (_DRAINS if held_up else _MARGIN)
-        else:
-            self._enough_for += 1
-            if self._may_be_stall and self._enough_for >= _STALLED:
-                self._may_be_stall, self._divided = False, None
-        if self._divided is not None and not full:
-            self._carried = max(self._carried, crossed)
-            self._divided = max(self._divided, self._carried * _MARGIN)
-            if self._enough_for >= _PROBES_AFTER:
-                self._divided *= _GROWS
-            self._carried = max(self._carried, self._divided)
-            if self._divided >= _ENOUGH * asked:
-                self._divided = None
-        self._tell(wishes, asked, [each.route for each in asking], now)
-
-    def _tell(self, wishes: dict[OutgoingRoute, Wish], asked: float, routes: list[OutgoingRoute], now: float) -> None:
-        """Tell each topic its share."""
-        shares: dict[OutgoingRoute, float] = {}
-        top = highest([wish.rank for wish in wishes.values()])
-        if self._divided is not None:
-            shares = allot(max(0.0, self._divided - self._calls()), wishes)
-        first = max(
-            (route for route, wish in wishes.items() if wish.rank == top),
-            key=lambda route: wishes[route].bytes_per_second,
-            default=None,
-        )
-        for route in routes:
-            share = None
-            if first is not None and route in shares and wishes[route].rank < top:
-                share = Share(shares[route], min(self._carried, asked), asked, first.topic)
-            if share is not None or route.thinning.share is not None:
-                route.thinning.take_share(share, low=route.rank < 0, qos=route.qos, now=now)
-
-    def _warn(self, features: Collection[str], connection: int) -> None:
-        """Warn once a connection if the other side is too old for priorities of its topics."""
-        if PRIORITY_FEATURE in features or self._told == connection:
-            return
-        asked = [route for route in self._routes() if not route.outgoing and route.proposal.priority and route.accepted]
-        if asked:
-            self._told = connection
-            text = "the other side's rsb-console is too old to apply priorities to what it sends: update it"
-            asked[0].log(Level.WARNING, EventCode.ROUTE_AMENDED, text)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import msgspec
 
-from rsb_bridge.channel.multiplexer import Multiplexer
+from rsb_bridge.channel.data_stream import frame_size
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.text import sanitize_text
@@ -23,6 +23,7 @@ from rsb_bridge.wire.sealing import SealError
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Mapping
 
+    from rsb_bridge.channel.data_stream import DataStream
     from rsb_bridge.wire.codec import ReportParts, TopicListParts
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
     from rsb_bridge.wire.messages import ControlMessage
@@ -93,7 +94,7 @@ class ControlChannel(StreamHandler):
 
     Attributes:
         stream: the stream.
-        multiplexer: shares the stream among routes, if the transport is a multiplexed one.
+        data: the same stream as a data stream, or None if data has streams of its own.
         over: whether the connection has ended.
     """
 
@@ -105,7 +106,7 @@ class ControlChannel(StreamHandler):
         lost: Callable[[str, EventCode], None],
     ) -> None:
         self.stream = stream
-        self.multiplexer = Multiplexer(stream)
+        self.data: DataStream | None = None
         self.over = False
         self._handlers = handlers
         self._lost = lost
@@ -154,7 +155,7 @@ class ControlChannel(StreamHandler):
 
     def received(self, data: bytes) -> None:
         self.take(self._connection.receive_data(data))
-        if not self.multiplexer.channels:  # else most of them may be messages, which a radio keeps slow enough
+        if self.data is None:  # else most of them may be messages, which a radio keeps slow enough
             self._charge(len(data))
 
     def _charge(self, size: int) -> None:
@@ -241,8 +242,8 @@ class ControlChannel(StreamHandler):
                 return self._take_message(message) + len(content) // _BYTES_A_UNIT
             case Received(message):
                 return self._take_message(message)
-            case DataFrame(route_id, frame):
-                self._take_data(route_id, frame)
+            case DataFrame(_, frame):
+                self._take_data(frame)
             case Failed(reason):
                 self.abort(f"the peer broke the format: {reason}")
             case Refused(_, reason):
@@ -256,18 +257,19 @@ class ControlChannel(StreamHandler):
     def _broken(self, error: ProtocolError | SealError) -> None:
         self.abort(f"the peer broke the format: {error}")
 
-    def _take_data(self, route_id: int, frame: memoryview) -> None:
-        channel = self.multiplexer.channels.get(route_id)
-        if channel is None:
-            return  # it was closed here before the frame arrived
+    def _take_data(self, frame: memoryview) -> None:
+        if self.data is None:
+            return
         try:
-            channel.received(frame)
+            self.data.count(frame_size(frame))
+            self.data.take((frame,))
         except (ProtocolError, SealError) as error:
             self._broken(error)
 
     def writable(self) -> None:
         self._flush()
-        self.multiplexer.pump()
+        if self.data is not None:
+            self.data.writable()
 
     def closed(self, reason: str) -> None:
         self._end(self._goodbye or reason)

@@ -5,30 +5,36 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.data_keys import DataKeys
-from rsb_bridge.channel.multiplexer import SharedStream
-from rsb_bridge.channel.receipts import ReceiptBook, ReceiptSender, WindowedSender
-from rsb_bridge.channel.stream import stream_channel
+from rsb_bridge.channel.data_stream import StreamPair
+from rsb_bridge.channel.receipts import ReceiptBook
+from rsb_bridge.channel.scheduler import Scheduler
+from rsb_bridge.channel.stream_channel import stream_channel
 from rsb_bridge.channel.udp_channel import PathProbe
+from rsb_bridge.channel.window import Window
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
+from rsb_bridge.wire.events import StreamName
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from rsb_bridge.channel.channel import Carrier
     from rsb_bridge.channel.data_keys import Meter
-    from rsb_bridge.channel.multiplexer import SharedStreamOwner
+    from rsb_bridge.channel.data_stream import DataStream, RouteNumbers
     from rsb_bridge.channel.udp_channel import BufferShortage, UdpChannel
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.route.route import Route
-    from rsb_bridge.transport.streams import Stream, StreamHandler
+    from rsb_bridge.transport.streams import Stream
+    from rsb_bridge.transport.transport import StreamTransport
     from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.messages import Receipts
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
 _PROBE_EVERY, _QUICK_PROBES = 0.25, 8
+CONTROL_NUMBER = 0
+"""The number of the control connection where it is a data stream, too."""
 
 
 class UdpChannels:
@@ -101,7 +107,7 @@ def _shortage_message(shortage: BufferShortage) -> str:
 
 
 class DataChannels:
-    """The streams and UDP channels of one link besides its control connection.
+    """The streams and UDP channels that carry the messages of one link's routes.
 
     Args:
         loop: sets the timers.
@@ -111,12 +117,12 @@ class DataChannels:
         way_back: gives the s that a message of the peer takes to get here.
         ping: gives the s of the connection's shortest ping, or 0 if it is unknown.
         meter_of: gives the meter of a route by its id, or None for a route that has none.
+        routes: ids of the link's routes.
 
     Attributes:
-        book: for receipts of streams, or None without a link or if the peer does not support them.
         keys: to seal and open routes' messages, or None without a link.
+        scheduler: shares the link's streams among its routes, or None without a link.
         probe: the datagram that finds a UDP path, or None without a link.
-        shared_streams: multiplexed streams, by transport and channel.
         udp: the UDP channels.
     """
 
@@ -129,80 +135,132 @@ class DataChannels:
         way_back: Callable[[], float],
         ping: Callable[[], float],
         meter_of: Callable[[int], Meter | None],
+        routes: RouteNumbers,
     ) -> None:
-        self.book: ReceiptBook | None = None
         self.keys: DataKeys | None = None
+        self.scheduler: Scheduler | None = None
         self.probe: PathProbe | None = None
-        self.shared_streams: dict[tuple[str, int], SharedStream] = {}
         self.udp = UdpChannels(loop, log)
+        self._book: ReceiptBook | None = None
+        self._pairs: dict[tuple[str, int], StreamPair] = {}
+        self._newest = 0
         self._unfinished = unfinished
         self._loop = loop
         self._send_receipts = send_receipts
         self._way_back, self._ping = way_back, ping
         self._meter_of = meter_of
+        self._routes = routes
 
-    def connected(self, keys: SessionKeys, role: Role, *, receipts: bool) -> None:
-        """Begin a connection with its keys; `receipts` says whether both sides support them."""
-        self.book = ReceiptBook(self._loop, self._send_receipts, self._way_back, self._ping) if receipts else None
+    def connected(self, keys: SessionKeys, role: Role) -> None:
+        """Begin a connection with its keys."""
+        self._book = ReceiptBook(self._loop, self._send_receipts, self._way_back, self._ping)
+        self.scheduler = Scheduler(self._book, Window(0, self._ping()))
         self.keys = DataKeys(keys, role, self._unfinished, meter_of=self._meter_of)
         self.probe = PathProbe(self.keys)
+        self._newest = 0
 
     def disconnected(self) -> None:
         """Forget the connection, which is over. Call it when no route uses a channel any more."""
-        self.keys = self.probe = None
-        if self.book is not None:
-            self.book.close()
-            self.book = None
+        for pair in self._pairs.values():
+            if not pair.over:
+                pair.end("the link is over")
+        self._pairs.clear()
+        if self._book is not None and self.scheduler is not None:
+            self._book.close()
+            self.scheduler.close()
+        self.keys = self.scheduler = self.probe = self._book = None
         self.udp.close()
-        self.shared_streams.clear()
 
-    def attach(self, route: Route, stream: Stream, beginning: bytes, owner: SharedStreamOwner) -> None:
-        """Use an accepted stream for a route.
+    # --- streams
+
+    def use_control(self, stream: Stream, transport: str, port: int) -> DataStream:
+        """Have the control connection's stream carry the routes of its own port, as streams are scarce."""
+        pair = self._pair(transport, port)
+        return pair.add(stream, CONTROL_NUMBER, large=True, small=True)
+
+    def next_name(self, port: int, *, large: bool) -> StreamName:
+        """Return the name of a stream that this client opens next."""
+        self._newest += 1
+        return StreamName(self._newest, port, large)
+
+    def is_new(self, name: StreamName) -> bool:
+        """Whether a client may open a stream of that name now: it is newer than all before."""
+        return name.number > self._newest
+
+    def pair_of(self, transport: str, port: int) -> StreamPair | None:
+        """Return the streams for routes with that port, or None if they are not both open."""
+        pair = self._pairs.get((transport, port))
+        return pair if pair is not None and pair.ready and not pair.over else None
+
+    def carry(self, route: Route, pair: StreamPair) -> None:
+        """Open the channel of a route on a pair of streams."""
+        assert self.keys is not None
+        route.channel = stream_channel(pair, route, self.keys)
+        pair.resume()
+
+    def attach(self, stream: Stream, name: StreamName, transport: StreamTransport, port: int, beginning: bytes) -> None:
+        """Use an accepted stream.
 
         Args:
-            route: to be carried.
-            stream: opened for the route.
+            stream: to be used.
+            name: its place.
+            transport: that it belongs to.
+            port: that it was opened to.
             beginning: bytes that arrived after the stream's preamble.
-            owner: gets the preambles of further routes if the transport is multiplexed.
         """
-        assert self.keys is not None
-        handler: StreamHandler
-        if route.transport.multiplexed:
-            handler = shared = SharedStream(stream, owner, route.proposal.port, self._unfinished)
-            self.shared_streams[route.transport.name, route.proposal.port] = shared
-            route.channel = shared.carry(route, self.keys, self.book)
-        else:
-            handler = route.channel = stream_channel(stream, route, self.keys, self.book)
+        self._newest = max(self._newest, name.number)
+        pair = self._pair(transport.name, port)
+        if (old := pair.large if name.large else pair.small) is not None:
+            pair.lost(old, "replaced by a newer data connection")
+            pair = self._pair(transport.name, port)
+        pair.kept = not name.port
+        both = transport.multiplexed
+        added = pair.add(stream, name.number, large=name.large or both, small=both or not name.large)
+        stream.handler = added
         if beginning:
-            handler.received(beginning)
-        route.advance()
+            added.received(beginning)
 
-    def handle_receipts(self, receipts: Receipts, open_route: Callable[[int], Route | None]) -> None:
-        """Hand the peer's receipts and intervals to the channels."""
-        for route_id, every in receipts.every:
-            route = open_route(route_id)
-            if route is not None and isinstance(route.channel, ReceiptSender):
-                route.channel.set_interval(every)
-        for route_id, received in receipts.received:
-            route = open_route(route_id)
-            if route is not None and isinstance(route.channel, WindowedSender):
-                route.channel.acknowledge(received)
+    def lacks(self, transport: str, port: int) -> tuple[bool, bool]:
+        """Return whether the streams of small and of large messages for that port are not open."""
+        pair = self._pairs.get((transport, port))
+        return (True, True) if pair is None or pair.over else (pair.small is None, pair.large is None)
 
-    def tick(self, routes: Iterable[Route]) -> None:
-        """Send pending receipts, and close the windows of stalled channels. Called once a second."""
+    def _pair(self, transport: str, port: int) -> StreamPair:
+        assert self.scheduler is not None
+        assert self._book is not None
+        assert self.keys is not None
+        pair = self._pairs.get((transport, port))
+        if pair is None or pair.over:
+            pair = StreamPair(self._routes, self.scheduler, self._book, self._unfinished, self.keys.scratch)
+            self._pairs[transport, port] = pair
+        return pair
+
+    def handle_receipts(self, receipts: Receipts) -> None:
+        """Hand the peer's receipts and intervals to the streams."""
+        streams = {each.number: each for pair in self._pairs.values() if not pair.over for each in pair.streams()}
+        for number, every in receipts.every:
+            if number in streams:
+                streams[number].set_interval(every)
+        for number, received in receipts.received:
+            if number in streams:
+                streams[number].receipt(received)
+
+    def tick(self) -> None:
+        """Send pending receipts, and close the window of a stalled link. Called once a second."""
         self.udp.tick()
-        if self.book is None:
-            return
-        for route in routes:
-            channel = route.channel
-            if isinstance(channel, ReceiptSender):
-                channel.send_receipt()
-            if isinstance(channel, WindowedSender):
-                channel.check_window()
+        if self.scheduler is not None:
+            self.scheduler.tick()
+        for key, pair in tuple(self._pairs.items()):
+            if pair.over:
+                del self._pairs[key]
+            else:
+                pair.tick()
 
-    def carriers(self, routes: Iterable[Route], control: ControlChannel | None) -> set[Carrier]:
+    def carriers(self, control: ControlChannel | None) -> set[Carrier]:
         """Return all streams and UDP channels, including the control connection's."""
-        carriers: set[Carrier] = {route.channel.carrier for route in routes if route.channel is not None}
+        carriers: set[Carrier] = {
+            each.stream for pair in self._pairs.values() if not pair.over for each in pair.streams()
+        }
         if control is not None:
             carriers.add(control.stream)
         return carriers.union(self.udp.all())

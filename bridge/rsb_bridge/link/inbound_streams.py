@@ -1,4 +1,4 @@
-"""Streams that come to a server, until each is a link's control connection, a route's stream, or refused."""
+"""Streams that come to a server, until each is a link's control connection, a data stream, or refused."""
 
 from __future__ import annotations
 

@@ -152,10 +152,12 @@ class Keepalive:
         self.rx_bytes += more_received
         self.tx_bytes += more_sent
         self._received, self._sent = received, sent
-        if self._patience is not None:
-            for each in carriers:
-                if isinstance(each, Stream):
+        for each in carriers:
+            if isinstance(each, Stream):
+                if self._patience is not None:
                     each.give_up_after(self._patience + _KERNELS)
+                if self.clock.rtt is not None:  # of an answered ping: not of one that waits for the network
+                    each.round_trip_is(self.clock.rtt)
         return self.ping()
 
     def ping(self) -> Ping:

@@ -219,17 +219,18 @@ class Server:
         return control
 
     def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
-        """Attach a stream that was opened for a route; raise Refusal if it may not be."""
+        """Attach a stream that was opened for routes' data; raise Refusal if none awaits it."""
         link = self._link_of(event.link_id)
         if link is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)
         stream.authenticate(link.sample_secret, opener=False)
-        route, _ = link.waiting_route(event)
+        transport, port = link.take_stream(event)
         if refusal := link.descriptors.refusal:
             raise Refusal(RefusalCode.BUSY, refusal)
         stream.when_gone(link.descriptors.take())
         stream.write(connection.accept_attach())
-        link.channels.attach(route, stream, connection.leftover(), link)
+        link.channels.attach(stream, event.name, transport, port, connection.leftover())
+        link.streams_opened(transport.name, port)
 
     def refused(self, name: str, stream: Stream, code: RefusalCode, message: str) -> str:
         """Show on the link of that name that a client was refused; one of another version says no name."""

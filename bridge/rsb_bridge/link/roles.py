@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Protocol
 import msgspec
 
 from rsb_bridge import __version__
-from rsb_bridge.channel import window
 from rsb_bridge.config.keys import Key
 from rsb_bridge.config.rights import rights_of_client
 from rsb_bridge.link.client_link import ClientLink
@@ -51,7 +50,7 @@ _BOUND_AFTER, _LONGEST_BIND_PAUSE = 0.5, 5.0
 Keys = Mapping[str, tuple[Key, ...]]
 """Valid keys by the client's name, the next one last; an empty tuple means no encryption."""
 FEATURES = (
-    calls.FEATURE, PRIORITY_FEATURE, benchmark.FEATURE, patterns.FEATURE, window.FEATURE, LATE_AFTER_FEATURE,
+    calls.FEATURE, PRIORITY_FEATURE, benchmark.FEATURE, patterns.FEATURE, LATE_AFTER_FEATURE,
     LEASE_FEATURE,
     MAX_AGE_FEATURE,
     sealing.FEATURE,

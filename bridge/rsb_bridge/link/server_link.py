@@ -27,13 +27,12 @@ from rsb_bridge.transport.transport import ListenError, StreamTransport
 from rsb_bridge.wire.events import RefusalCode
 from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.messages import Duplicate, Hello, Propose, Shutdown
-from rsb_bridge.wire.preamble import DataPreamble, Refusal, parse_further
+from rsb_bridge.wire.preamble import Refusal
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.channel.multiplexer import SharedStream
     from rsb_bridge.config.keys import Key
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
@@ -80,7 +79,7 @@ class PortDenied(Wording):
     )
     TOO_MANY_DESCRIPTORS = (
         "{client}'s topics have used up their share of the server's {limit:,} file descriptors: {remedy} there, "
-        "or use protocol: udp, whose topics share one"
+        "or leave out ports of topics"
     )
 
 
@@ -419,37 +418,39 @@ class ServerLink(Link):
             if not topic.is_pattern:
                 self.proposed.add(topic)
 
-    def open_stream(self, route: Route, transport: StreamTransport) -> None:
-        """Do nothing: the client opens it."""
+    def open_streams(self, transport: StreamTransport, port: int) -> None:
+        """Do nothing: the client opens them."""
 
     @property
     def streams_awaited(self) -> int:
         """Number of permitted streams that the client has yet to open."""
-        awaited = sum(1 for route in self.routes.values() if _stream_awaited(route))
+        awaited = sum(1 if transport.multiplexed else 2 for transport, _ in self._awaited())
         return min(awaited, max(0, self.descriptors.room)) if awaited else 0
 
-    def waiting_route(self, preamble: Attach | DataPreamble) -> tuple[Route, StreamTransport]:
-        """Return the route that a data preamble names, and its transport; raise Refusal if it awaits no stream."""
-        route = self.ids.open_route(preamble.route)
-        transport = _stream_awaited(route) if route is not None else None
-        if self.keys is None or route is None or transport is None:
+    def _awaited(self) -> set[tuple[StreamTransport, int]]:
+        """Return the transports and ports of routes that wait for streams."""
+        return {
+            (route.transport, route.proposal.port or self.shared_port())
+            for route in self.ids.open_routes()
+            if route.channel is None and isinstance(route.transport, StreamTransport)
+        }
+
+    def take_stream(self, event: Attach) -> tuple[StreamTransport, int]:
+        """Return the transport and the port of a stream that the client opens; raise Refusal if no route awaits it."""
+        if self.keys is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)
         try:
-            self.keys.check_attach_proof(preamble.header, preamble.route, preamble.proof)
+            self.keys.check_attach_proof(event.header, event.name.number, event.proof)
         except SealError as error:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, str(error)) from None
-        return route, transport
-
-    def join_stream(self, shared: SharedStream, frame: bytes) -> None:
-        preamble = parse_further(frame)
-        if self.is_closed_id(preamble.route):
-            return  # it was closed here before the frame arrived
-        route, transport = self.waiting_route(preamble)
-        if not transport.multiplexed or route.proposal.port != shared.channel:
-            raise Refusal(RefusalCode.NO_SUCH_ROUTE, f"route {route.id} does not belong on channel {shared.channel}")
-        assert self.channels.keys is not None
-        route.channel = shared.carry(route, self.channels.keys, self.channels.book)
-        route.advance()
+        port = event.name.port or self.shared_port()
+        found = sorted(
+            (transport is not self.transport, transport.name) for transport, at in self._awaited() if at == port
+        )
+        if not found or not self.channels.is_new(event.name):
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)
+        name = found[0][1]
+        return next(each for each, _ in self._awaited() if each.name == name), port
 
     def open_udp_channel(self, transport: DatagramTransport, port: int) -> None:
         """Do nothing: the client's first probe opens them."""
@@ -485,10 +486,3 @@ class ServerLink(Link):
         )
         self.channels.udp.add(socket.port, udp_channel)
         return udp_channel
-
-
-def _stream_awaited(route: Route) -> StreamTransport | None:
-    """Return the transport of the stream that a route waits for, or None."""
-    if not route.id or route.channel is not None or not isinstance(route.transport, StreamTransport):
-        return None
-    return route.transport

@@ -86,8 +86,8 @@ CALL_TIME = Range(0.1, 86_400)
 ROUTES_PER_LINK = 1000
 """Routes that one peer may make the other side keep."""
 ROUTES_PROPOSED_BY_SERVER = 256
-"""Routes of them that a server may have a client keep beyond the client's own: each costs a descriptor and endpoints in
-DDS, and the client's own file may list more."""
+"""Routes of them that a server may have a client keep beyond the client's own: each costs endpoints in DDS, and the
+client's own file may list more."""
 OPERATORS = 32
 """Operators of one session."""
 PORTS_PER_CLIENT = 16

@@ -13,19 +13,16 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 import msgspec
 
 from rsb_bridge.model.capacity import Capacity, CapacitySource
-from rsb_bridge.model.session import RANKS
+from rsb_bridge.model.session import RANKS, weight_of
 from rsb_bridge.model.text import join_first
-from rsb_bridge.model.verdict import Cause, about
+from rsb_bridge.model.verdict import about
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable, Mapping, Sequence
+    from collections.abc import Hashable, Iterable, Mapping
 
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
-
-FLOOR = 0.05
-"""Share of the link that the topics of each lower priority keep together, however much the higher ones want."""
 
 K = TypeVar("K", bound="Hashable")
 
@@ -43,10 +40,9 @@ class Wish(NamedTuple):
 
 
 def allot(capacity: float, wishes: Mapping[K, Wish]) -> dict[K, float]:
-    """Divide a link by priority, highest first; each lower priority keeps at least `FLOOR`.
+    """Divide a link by the weights of priorities, as its scheduler does (weighted max-min fairness).
 
-    Topics of one priority share equally (max-min fairness): a topic that wants less than an equal share gets all it
-    wants.
+    A topic that wants less than its share gets all it wants, and the others share the rest.
 
     Args:
         capacity: bytes/s.
@@ -55,40 +51,17 @@ def allot(capacity: float, wishes: Mapping[K, Wish]) -> dict[K, float]:
     Returns:
         Bytes/s by topic, at most its demand.
     """
-    ranks = sorted({wish.rank for wish in wishes.values()}, reverse=True)
-    floors = {rank: min(_sum(wishes, rank), FLOOR * capacity) for rank in ranks}
-    left = max(0.0, capacity)
     shares: dict[K, float] = {}
-    for at, rank in enumerate(ranks):
-        kept = sum(floors[lower] for lower in ranks[at + 1 :])
-        its = {key: wish.bytes_per_second for key, wish in wishes.items() if wish.rank == rank}
-        given = fair_shares(max(0.0, left - kept), its)
-        shares |= given
-        left -= sum(given.values())
-    return shares
-
-
-def fair_shares(capacity: float, wanted: Mapping[K, float]) -> dict[K, float]:
-    """Divide bytes/s: small demands are met in full, and the larger ones share the rest equally."""
-    shares: dict[K, float] = {}
-    left = capacity
-    for count, (key, each) in enumerate(sorted(wanted.items(), key=_amount)):
-        shares[key] = min(each, left / (len(wanted) - count))
+    left, weights = max(0.0, capacity), sum(weight_of(wish.rank) for wish in wishes.values())
+    for key, wish in sorted(wishes.items(), key=_per_weight):
+        shares[key] = min(wish.bytes_per_second, left * weight_of(wish.rank) / weights)
         left -= shares[key]
+        weights -= weight_of(wish.rank)
     return shares
 
 
-def _amount(item: tuple[object, float]) -> float:
-    return item[1]
-
-
-def _sum(wishes: Mapping[K, Wish], rank: int) -> float:
-    return sum(wish.bytes_per_second for wish in wishes.values() if wish.rank == rank)
-
-
-def highest(ranks: Sequence[int]) -> int:
-    """Return the highest rank, or 0 if there are no ranks."""
-    return max(ranks, default=0)
+def _per_weight(item: tuple[object, Wish]) -> float:
+    return item[1].bytes_per_second / weight_of(item[1].rank)
 
 
 PER_MESSAGE = 60
@@ -143,14 +116,12 @@ class Load(NamedTuple):
         size: bytes of a message.
         source: source of these figures.
         like: the topic it was measured on, or an empty string if it was not measured.
-        thinned: that topic is thinned now, so its full load is higher than measured.
     """
 
     rate: float
     size: float
     source: LoadSource
     like: str = ""
-    thinned: bool = False
 
     @property
     def bytes_per_second(self) -> float:
@@ -165,13 +136,11 @@ class Sufferer(NamedTuple):
         topic: its name on this side.
         before: bytes/s that it gets now.
         after: bytes/s that it would get.
-        thinned: whether it would be thinned for a higher priority; otherwise its queue overflows.
     """
 
     topic: str
     before: float
     after: float
-    thinned: bool
 
 
 class Cost(NamedTuple):
@@ -240,10 +209,8 @@ def cost_of(
     ):
         return Cost(load, used, None, own.bytes_per_second)
     shares = allot(capacity.bytes_per_second, wishes | {"": own})
-    yields = len({wish.rank for wish in wishes.values()} | {own.rank}) > 1
     sufferers = tuple(
-        Sufferer(route.topic, wish.bytes_per_second, shares[route.key], yields and wish.rank < highest)
-        for highest in [max([own.rank, *(wish.rank for wish in wishes.values())])]
+        Sufferer(route.topic, wish.bytes_per_second, shares[route.key])
         for route in routes
         if shares[route.key] < _SUFFERS * (wish := wishes[route.key]).bytes_per_second
     )
@@ -263,7 +230,7 @@ def load_of(
         found = Load(rate, size, LoadSource.GIVEN)
     elif found is None:
         return Load(rate or 0.0, size or 0.0, LoadSource.UNKNOWN)
-    found = found._replace(rate=rate or found.rate, size=size or found.size, thinned=found.thinned and rate is None)
+    found = found._replace(rate=rate or found.rate, size=size or found.size)
     return found if topic.max_rate is None else found._replace(rate=min(found.rate, topic.max_rate))
 
 
@@ -278,14 +245,13 @@ def _measured(routes: Iterable[RouteSnapshot], topic: Topic, type_name: str) -> 
     for route in routes:
         if route.calls is not None:
             continue
-        thinned = route.cause == Cause.THINNED
         if route.rate > 0.0 and route.state.flows:
             rate, size = route.rate, route.bytes_per_second / route.rate
         elif route.expected_rate and route.messages_total:  # its present rates fade while it is paused, for instance
             rate, size = route.expected_rate, route.bytes_total / route.messages_total
         else:
             continue
-        load = Load(rate, size, LoadSource.HERE, route.topic, thinned)
+        load = Load(rate, size, LoadSource.HERE, route.topic)
         if (route.spec.topic, route.spec.direction) == (topic.topic, topic.direction):
             return load
         if type_name and route.type_name == type_name and alike is None:
@@ -328,11 +294,9 @@ class CostText(Wording):
     HERE = "measured on {topic}"
     ALIKE = "as {topic} of the same type"
     TYPICAL = "usual for its type, not measured"
-    THINNED_NOW = "{source}, which is thinned now; its full load is higher"
     CARRIED = "has carried {rate} at most"
     CARRIES = "carries {rate} (measured {age} ago)"
     CARRIES_BY_BENCH = "carries {rate} (measured by a bench {age} ago)"
-    THINS = "thins {topics}"
     CROWDS = "slows {topics}: set priority: high where it matters"
     CROSSES = "{share:.0%} of its own messages would cross"
     TOO_MUCH = "{amount} too much: {effects}"
@@ -356,8 +320,7 @@ def describe_cost(cost: Cost, now: float) -> tuple[str, ...]:
     names = join_first([f"{each.topic} to {each.after / each.before:.0%}" for each in cost.sufferers], _NAMED)
     parts = []
     if cost.sufferers:
-        thinned = all(each.thinned for each in cost.sufferers)
-        parts.append((CostText.THINS if thinned else CostText.CROWDS)(topics=names))
+        parts.append(CostText.CROWDS(topics=names))
     if cost.gets < _SUFFERS * load.bytes_per_second:
         parts.append(CostText.CROSSES(share=cost.gets / load.bytes_per_second))
     effects, over = "; ".join(parts), amount(cost.over)
@@ -367,8 +330,7 @@ def describe_cost(cost: Cost, now: float) -> tuple[str, ...]:
 
 
 def _source(load: Load) -> str:
-    text = CostText[load.source.name](topic=load.like)
-    return CostText.THINNED_NOW(source=text) if load.thinned else text
+    return CostText[load.source.name](topic=load.like)
 
 
 def _carries(capacity: Capacity, now: float) -> str:

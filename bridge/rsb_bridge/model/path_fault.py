@@ -25,7 +25,7 @@ class PathFaultText(Wording):
 
 _LOST = frozenset(
     {
-        Cause.NO_PATH, Cause.LOSSY, Cause.LATE, Cause.LINK_SLOW, Cause.CLOCK_UNKNOWN, Cause.QUEUE_FULL, Cause.THINNED,
+        Cause.NO_PATH, Cause.LOSSY, Cause.LATE, Cause.LINK_SLOW, Cause.CLOCK_UNKNOWN, Cause.QUEUE_FULL,
         Cause.SILENT, Cause.UNANSWERED,
     }
 )  # fmt: skip

@@ -40,7 +40,7 @@ SUMMARY_BYTES = 4096
 LOSS_SPAN = 60.0
 """The most s that a loss is computed over."""
 
-_MEANT = frozenset({"already published", "would loop", "thinned", "paused", "disarmed"})
+_MEANT = frozenset({"already published", "would loop", "paused", "disarmed"})
 """Causes of drops that an operator or the bridge wants: no loss."""
 _CLIENT_NAMES = 1500
 """Characters for all names in `wrong_clients`, so that a summary stays within `SUMMARY_BYTES`."""

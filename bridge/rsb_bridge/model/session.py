@@ -36,7 +36,7 @@ def priority_of(rank: int) -> Priority:
 
 
 def weight_of(rank: int) -> int:
-    """Return the weight of a route's share of a full stream, relative to the weights of the others."""
+    """Return the weight of a route's share of a full link, relative to the weights of the others."""
     return _WEIGHTS[priority_of(rank)]
 
 
@@ -124,7 +124,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
             of types that drive robots, and nothing of others.
         kind: topic, service, action or parameters.
         timeout: s that a call waits for its answer, or None for `CALL_TIMEOUT`; not for topics.
-        priority: on a full link, topics of a lower priority are thinned first; only for topics.
+        priority: on a full link, topics of a higher priority get a larger share; only for topics.
         excepts: names on the client that a pattern leaves out, patterns or not; ``except`` in a file.
     """
 

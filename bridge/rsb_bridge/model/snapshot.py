@@ -139,7 +139,7 @@ class Ledger:
 
     All are message counts since the route was made. `dropped` says each cause: ``queue full``, ``link lost``,
     ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``slow subscriber``, ``expands too much``,
-    ``malformed``, ``too complex``, ``would loop``, ``paused``, ``disarmed``, ``thinned``, ``incomplete``.
+    ``malformed``, ``too complex``, ``would loop``, ``paused``, ``disarmed``, ``incomplete``.
 
     Attributes:
         offered: taken from ROS on the sending side.

@@ -131,7 +131,7 @@ TOPIC_KEYS: Final = {key.name: key for key in (
              help_of_calls="Calls a second; those beyond it are refused. Empty: no limit."),
     TopicKey("priority", kinds="topics", wrong_kind=ForeignKey.PRIORITY_OF_CALLED, live=True, negotiated=True,
              sentence="{value} priority",
-             label="Priority", help="While the link is full, topics of lower priority are thinned first.",
+             label="Priority", help="While the link is full, topics of higher priority get a larger share of it.",
              options=_PRIORITIES),
     TopicKey("expected_rate", "number", kinds="topics", wrong_kind=ForeignKey.EXPECTED_RATE_OF_CALLED,
              limits=RATE, range_text=RangeText.RATE, unit="Hz", live=True, sentence="expected {value:g} {unit}",

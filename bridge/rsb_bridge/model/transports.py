@@ -26,8 +26,8 @@ class TransportTraits:
         ip_ports: whether the numbers are the machine's TCP or UDP ports, which other programs use, too.
         slow: whether it carries only some 50 kB/s, so that best-effort messages should not queue for seconds.
         compression: compression of topics that choose none.
-        multiplexed: whether the routes of a link share one stream per number, including the link's own stream.
-            Otherwise each route has its own stream.
+        multiplexed: whether the routes of a link share one stream per number, including the control connection's.
+            Otherwise they share two per number, for small and for large messages.
         companions: names of the transports that a server of such links binds to the same number for their routes.
         reliable: whether every sent message arrives unless the carrier breaks and reports it.
         best_effort: name of the companion for topics with best-effort QoS that choose no transport, or an empty string

@@ -62,8 +62,6 @@ class Cause(StrEnum):
     """As `SILENT`, while no message is due."""
     THROTTLED = "throttled"
     """As many messages cross as an operator allows."""
-    THINNED = "thinned"
-    """The link carries less than is asked for, and topics with a higher priority go first."""
     OFFER_FAILED = "offer_failed"
     """ROS refuses its server on the callers' side, or its client on the providing one."""
     NO_SERVER = "no_server"

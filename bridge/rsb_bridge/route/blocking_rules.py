@@ -53,7 +53,6 @@ class RouteStatus(NamedTuple):
         no_path: the reason why its transport does not get through, or empty.
         awaits_full_link: whether its stream only waits for a full link, so that `no_path` is no fault.
         breaking: the reason why its channel breaks before anything arrives, or empty.
-        crowded_out: the reason why it yields to other routes of its link, or empty.
         flowing: whether messages or calls could cross now.
         came: whether messages or calls have crossed since it was opened, or the receiving side keeps some of a latched
             topic.
@@ -79,7 +78,6 @@ class RouteStatus(NamedTuple):
     no_path: str = ""
     awaits_full_link: bool = False
     breaking: str = ""
-    crowded_out: str = ""
     flowing: bool = False
     came: bool = False
     came_before: bool = False
@@ -199,11 +197,10 @@ def _link(status: RouteStatus) -> Verdict | None:
 def _breaking(status: RouteStatus) -> Verdict | None:
     if not status.breaking:
         return None
-    text = f"its data connection ends before a message arrives ({status.breaking}), though the link is up: "
-    if status.crowded_out:
-        text += f"{status.crowded_out}; make its messages smaller, or set compression: zstd or a higher priority"
-    else:
-        text += "check firewalls and NAT between the two sides"
+    text = (
+        f"its data connection ends before a message arrives ({status.breaking}), though the link is up: check "
+        "firewalls and NAT between the two sides"
+    )
     return Verdict(State.DOWN, Cause.NO_PATH, text)
 
 

@@ -285,7 +285,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if not self._outputs:
             self._hint = type_hint(self.context.ros, self.remote_topic)
             return
-        if self.accepted and not self.paused and self.channel is None:
+        if self.accepted and self.channel is None:
+            # While it is paused, too: the other side may not know yet, and frames without a channel hold up all others.
             self.peer.open_channel(self)
         before, self._subscribers = self._subscribers, self._outputs.subscriber_count
         now = self.context.now()
@@ -487,18 +488,11 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def _tick_lateness(self, now: float) -> None:
         uncertainty = self.peer.stamps.uncertainty
-        if not self.flowing or uncertainty is None or self._held_back:
+        if not self.flowing or uncertainty is None:
             self.lateness.reset()
         else:
             recent = self.latency.recent
             self.lateness.tick(recent, uncertainty, self.late_after, now, recent, learns=self.learns)
-
-    @property
-    def _held_back(self) -> bool:
-        """Whether the sender holds messages back for topics of a higher priority."""
-        if self.judged.peer.cause != Cause.THINNED or self.qos is None:
-            return False
-        return self.qos.latched or (self.qos.reliability == "reliable" and self.rank >= 0)
 
     def _signs(self) -> Signs:
         return *super()._signs(), self._report, self._subscribers, self._clash, self._others

@@ -119,7 +119,9 @@ class Lease:
         """Take a number of the other side, and the number of this side that it has heard."""
         self._look()
         now = self._steady()
-        if not self._heard or number > self._heard[-1][0]:
+        # While it is off, a number that answers one of this side belongs to a lease that is over, and came late. If it
+        # counted, the next lease could count as begun before the other side had begun it, and a goal would be refused.
+        if (self._on or not echo) and (not self._heard or number > self._heard[-1][0]):
             self._heard = (*self._heard[1 - _KEPT :], (number, now))
         sent = self._sent.get(echo)
         if sent is not None and echo > self._acknowledged:

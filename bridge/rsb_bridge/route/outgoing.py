@@ -13,7 +13,7 @@ import msgspec
 
 from rsb_bridge.channel.channel import SendingChannel
 from rsb_bridge.channel.datagram_channel import DatagramSender
-from rsb_bridge.channel.receipts import WindowedSender
+from rsb_bridge.channel.stream_channel import StreamSender
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.ros.ros_interface import RosError
@@ -372,7 +372,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
                 self.meter.rate,
                 self.spec.expected_rate or 0.0,
                 None if latched else self.meter.usual_rate,
-                self.thinning.limit(self.limit.rate),
+                self.limit.rate,
                 frozenset([each.gid for each in self.endpoints]),
                 self.ledger(),
             ),
@@ -408,11 +408,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self.lateness.reset()
             return
         measured = None
-        if (
-            self._reported_delay is not None
-            and now - self._reported_delay[1] <= _REPORTED_LATELY
-            and not self.thinning.holds
-        ):
+        if self._reported_delay is not None and now - self._reported_delay[1] <= _REPORTED_LATELY:
             measured = self._reported_delay[0]
         else:
             self.longer = 0.0
@@ -591,7 +587,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     @property
     def starts(self) -> bool:
         """Whether its channel does not yet send as fast as it can, so that messages wait though the link has room."""
-        return isinstance(self.channel, WindowedSender) and self.channel.grows
+        return isinstance(self.channel, StreamSender) and self.channel.grows
 
     @property
     def messages_by_datagrams(self) -> float:

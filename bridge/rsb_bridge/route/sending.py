@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import zstandard
 
-from rsb_bridge.channel.receipts import Pace, pace_of
+from rsb_bridge.channel.channel import Pace
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.qos import AUTO_SECONDS
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.peeking import peeked
-from rsb_bridge.route.thinning import THINNED, LatestLater, Throttle
+from rsb_bridge.route.throttle import LatestLater, Throttle
 from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD, Message
 
 if TYPE_CHECKING:
-    import asyncio
     from collections.abc import Callable, Sequence
 
     from rsb_bridge.channel.channel import SendingChannel
@@ -250,7 +249,9 @@ class Outbox:
             if batch:
                 self._ledger.sent(len(batch))
                 channel.send(batch)
-        if not queue:
+        if queue.waiting:
+            channel.ask()
+        else:
             self._overload.over()
 
     def _young(self, messages: Sequence[Message], age: MessageAge) -> Sequence[Message]:
@@ -307,8 +308,6 @@ class Outbox:
         return False
 
 
-_SHARED_AGAIN = 1.0
-"""s after which the link's shares may have changed, and with them how long a message is held back."""
 Step: TypeAlias = "Callable[[Sequence[RawMessage]], Sequence[RawMessage]]"
 """Returns the messages that go on, and counts the others in the ledger."""
 
@@ -316,9 +315,9 @@ Step: TypeAlias = "Callable[[Sequence[RawMessage]], Sequence[RawMessage]]"
 class OutgoingPath:
     """The path of one route's messages from ROS to its channel, in the order of its methods.
 
-    The rate limit and thinning are steps that are on the path only while they are on: see `compose`. Arming and age are
-    checked for each batch instead, so that no missed change can leave them out; age a second time right before the
-    channel gets the messages.
+    The rate limit is a step that is on the path only while it is on: see `compose`. Arming and age are checked for each
+    batch instead, so that no missed change can leave them out; age a second time right before the channel gets the
+    messages.
 
     Args:
         context: shared by all parts of the engine.
@@ -341,11 +340,9 @@ class OutgoingPath:
         self._max_rate = route.proposal.max_rate
         self._throttle = Throttle(self._max_rate)
         self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, lambda: route.paused)
-        self._later: asyncio.TimerHandle | None = None
         self._outbox = Outbox(route.transport, route.proposal, ledger, route.notices.message_error, route.age)
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if route.proposal.compression == "zstd" else None
         self._steps: tuple[Step, ...] = ()
-        route.thinning.changed = self.compose
         self.compose()
 
     def compose(self) -> None:
@@ -353,8 +350,6 @@ class OutgoingPath:
         steps: list[Step] = []
         if self._throttle.is_on:
             steps.append(self._limit)
-        if self._route.thinning.thins:
-            steps.append(self._thin)
         self._steps = tuple(steps)
 
     # --- from ROS
@@ -420,7 +415,7 @@ class OutgoingPath:
         self._ledger.offered += len(batch)
         for step in self._steps:
             batch = step(batch)
-        route.thinning.offered += len(batch)
+        route.traffic.offered += len(batch)
         sources, arming = self._loop_filter.table.flags, route.arming
         plain = self._compressor is None and not arming.required
         messages: list[Message] = []
@@ -442,11 +437,6 @@ class OutgoingPath:
         passed = [message for message in batch if self._throttle.passes(message.stamp)]
         self._ledger.throttled += len(batch) - len(passed)
         return passed
-
-    def _thin(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        kept = self._route.thinning.keep(batch, self._context.now())
-        self._ledger.drop(THINNED, len(batch) - len(kept))
-        return kept
 
     def _compressed(self, message: Message) -> Message:
         """Return a message as it is sent: compressed if both sides agreed on that and it gets smaller.
@@ -473,7 +463,7 @@ class OutgoingPath:
         self._ledger.offered += new
         admitted, left_out = self._latest_later.admit(samples)
         self._ledger.throttled += left_out
-        self._route.thinning.offered += len(admitted)
+        self._route.traffic.offered += len(admitted)
         self._send_latched(admitted)
 
     def _send_latched(self, samples: Sequence[Sample]) -> None:
@@ -506,7 +496,7 @@ class OutgoingPath:
             publisher: of messages of a latched topic.
             depth: messages that this publisher keeps.
         """
-        route, thinning, outbox = self._route, self._route.thinning, self._outbox
+        route, traffic, outbox = self._route, self._route.traffic, self._outbox
         channel = route.channel
         if channel is None or not channel.ready or not route.life.accepted:
             self._ledger.drop("link lost", len(messages))
@@ -516,36 +506,27 @@ class OutgoingPath:
         route.count(len(messages), size)
         if size > outbox.largest:
             fitting = outbox.fitting(messages)
-            thinning.offered -= len(messages) - len(fitting)
+            traffic.offered -= len(messages) - len(fitting)
             messages, size = fitting, sum([len(message[0]) for message in fitting])
             if not messages:
                 return
-        thinning.packed(len(messages), size)
+        traffic.packed(len(messages), size)
         now = self._context.now()
-        if not thinning.holds and outbox.pass_on(messages, size, channel):
-            if channel.congested or thinning.busy_since is not None:
-                thinning.busy(channel.congested, now)
+        if outbox.pass_on(messages, size, channel):
+            if channel.congested or traffic.busy_since is not None:
+                traffic.busy(channel.congested, now)
             return
-        pace = Pace.STOPPED if thinning.holds else pace_of(channel)
-        limits = outbox.limits(route.qos, depth, pace, now, route.peer.profile)
+        limits = outbox.limits(route.qos, depth, channel.pace, now, route.peer.profile)
         outbox.add(messages, now, publisher, limits)
         self.flush()
 
     def flush(self) -> None:
         """Send the waiting messages while the channel takes them."""
-        channel, thinning = self._route.channel, self._route.thinning
+        channel = self._route.channel
         if channel is None:
             return
-        now = self._context.now()
-        self._outbox.flush(thinning.over(channel, now))
-        held = thinning.wait(now)
-        thinning.busy(channel.congested or (not held and bool(self._outbox)), now)
-        if held and self._outbox and self._later is None:
-            self._later = self._context.loop.call_later(min(held, _SHARED_AGAIN), self._flush_later)
-
-    def _flush_later(self) -> None:
-        self._later = None
-        self.flush()
+        self._outbox.flush(channel)
+        self._route.traffic.busy(channel.congested or bool(self._outbox), self._context.now())
 
     # --- switches
 
@@ -566,12 +547,9 @@ class OutgoingPath:
 
     def clear(self) -> int:
         """Drop the queued messages, and return their number."""
-        if self._later is not None:
-            self._later.cancel()
-            self._later = None
-        self._route.thinning.busy(False, self._context.now())
+        self._route.traffic.busy(False, self._context.now())
         return self._outbox.clear()
 
     def waits(self, now: float) -> float:
-        """Return how long (s) messages have waited for the channel at `now` (s); messages held back do not count."""
-        return 0.0 if self._route.thinning.holds else self._outbox.waits(now)
+        """Return how long (s) messages have waited for the channel at `now` (s)."""
+        return self._outbox.waits(now)

@@ -14,8 +14,8 @@ from rsb_bridge.route.idling import Idling
 from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
-from rsb_bridge.route.thinning import Thinning, why
 from rsb_bridge.route.topic_verdict import LOSS_CAUSES, Facts, judge, topic_stages
+from rsb_bridge.route.traffic import TrafficMeter
 from rsb_bridge.route.type_versions import MessageType
 from rsb_bridge.telemetry.meters import LatencyMeter, StaleWatch
 
@@ -59,7 +59,7 @@ _DRAINS_FOR = 60.0
 """s for which messages may be late or lost because their link was full."""
 _CALM = frozenset({State.OK, State.WAITING, State.UNHEARD, State.PAUSED})
 """States that last until something happens, or until silence has lasted too long."""
-_UNUSUAL = frozenset({Cause.LATE, Cause.THINNED, *LOSS_CAUSES, *EXPIRES})
+_UNUSUAL = frozenset({Cause.LATE, *LOSS_CAUSES, *EXPIRES})
 
 
 class Silence:
@@ -139,7 +139,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         silence: warns of a silent topic.
         peek_slot: takes the next message for operators who look at the topic.
         lateness: watches for messages that take too long.
-        thinning: its sending half's share of the link.
+        traffic: what its sending half wants to send.
     """
 
     channel: ChannelT | None
@@ -154,7 +154,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         self._full_at: float | None = None  # s, when the link was last full in this direction
         self.set_stale_after()
         self.peek_slot = PeekSlot()
-        self.thinning = Thinning(context.now())
+        self.traffic = TrafficMeter(context.now())
         self._last_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
         self._idling = Idling(context)
 
@@ -240,7 +240,7 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     @property
     def learns(self) -> bool:
-        """Whether neither the link is full in this direction nor messages are late, lost or thinned.
+        """Whether neither the link is full in this direction nor messages are late or lost.
 
         A slow publisher is no obstacle: a lower rate becomes the usual one after some time.
         """
@@ -338,14 +338,10 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     def facts(self) -> Facts:
         """Return the facts that both halves know; each half adds its own."""
-        status, thinned = self.status(), self.thinning.shown()
-        if thinned is not None:
-            status = status._replace(crowded_out=why(thinned))
         return Facts(
-            status,
+            self.status(),
             self.progress(),
             stale_since=self._stale_since(),
-            thinned=thinned,
             late=self.late(),
             expired=self.age.late() if self.flowing else None,
             full=self.link_full,

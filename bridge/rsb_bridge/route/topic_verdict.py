@@ -12,7 +12,6 @@ from rsb_bridge.model.verdict import LASTING, Cause, Verdict
 from rsb_bridge.route.age import expired_verdict
 from rsb_bridge.route.blocking_rules import ACCEPTED, as_known, first_missing, link_and_acceptance, stage, worst
 from rsb_bridge.route.lateness import late_verdict
-from rsb_bridge.route.thinning import verdict_of
 from rsb_bridge.telemetry.watches import FAST_ABOVE
 
 if TYPE_CHECKING:
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.age import Expired
     from rsb_bridge.route.blocking_rules import RouteStatus
     from rsb_bridge.route.lateness import Late
-    from rsb_bridge.route.thinning import ThinningShare
     from rsb_bridge.telemetry.watches import Loss
 
 LATELY = 10
@@ -133,7 +131,6 @@ class Facts(NamedTuple):
         lost_in_dds: messages that DDS lost in the last `LATELY` s before they could be taken.
         loss: between the two sides, or None if it is negligible.
         datagrams: about how many a message takes, or 0 if its transport has none.
-        thinned: the share that it leaves to topics with a higher priority, or None.
         late: the lateness of its messages, or None if they are on time.
         expired: the messages that were dropped lately because they were too old, or None if they are few.
         full: the rates of the link if it is full, or None.
@@ -154,7 +151,6 @@ class Facts(NamedTuple):
     lost_in_dds: int = 0
     loss: Loss | None = None
     datagrams: int = 0
-    thinned: ThinningShare | None = None
     late: Late | None = None
     expired: Expired | None = None
     full: Fullness | None = None
@@ -403,10 +399,6 @@ def _slow(facts: Facts) -> Verdict | None:
     return Verdict(State.SLOW, Cause.SLOW, f"{text}: {reason}", facts.slow_since)
 
 
-def _thinned(facts: Facts) -> Verdict | None:
-    return verdict_of(facts.thinned) if facts.thinned is not None else None
-
-
 def _remedy_for_loss(facts: Facts) -> str:
     """Return what to do about lost datagrams, or nothing while the link may be full: then both remedies do harm."""
     if facts.loss_unexplained:
@@ -486,7 +478,6 @@ _RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
     _publishers_qos,
     _publishers_types,
     _unresolved,
-    _thinned,
     _lossy,
     _stale,
     _stopped,

@@ -39,7 +39,7 @@ OTHER = "other"
 DROPPED = frozenset(
     {
         "already published", "disarmed", "expands too much", "incomplete", "latched full", "link lost",
-        "lost on the way", "malformed", "paused", "publish failed", "queue full", "slow subscriber", "thinned",
+        "lost on the way", "malformed", "paused", "publish failed", "queue full", "slow subscriber",
         "too complex", "too large", "unknown source", "would loop",
     }
 )  # fmt: skip

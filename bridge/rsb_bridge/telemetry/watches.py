@@ -31,7 +31,7 @@ _LOSSLESS_TICKS, _RECOVERED_TICKS = 2, 4
 """Ticks in which messages arrive and none is lost, after which a topic recovers, and after which it has recovered."""
 _EXPECTED_LOSSES = 3.0
 """Losses that the arrived messages would have had at the share before, so that their absence is not chance."""
-_NO_LOSS = frozenset({"already published", "link lost", "would loop", "thinned", "expired", "disarmed"})
+_NO_LOSS = frozenset({"already published", "link lost", "would loop", "expired", "disarmed"})
 """Causes of drops that are meant, or that the link's own state explains."""
 
 

@@ -1,4 +1,4 @@
-"""File descriptors: each TCP topic takes one on either side, and a process may have only so many."""
+"""File descriptors: each link and each port of a topic takes some, and a process may have only so many."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import sys
 from rsb_bridge.model.wording import Wording
 
 RESERVE = 64
-"""Descriptors that routes' streams leave to control connections, DDS, key files and other uses that must not fail."""
+"""Descriptors that data streams leave to control connections, DDS, key files and other uses that must not fail."""
 
 SHORTAGES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 """Errors of a call that would succeed if the process or the system had more to give."""
@@ -25,10 +25,7 @@ MORE_DESCRIPTORS = "raise the limit (ulimit -n, or LimitNOFILE in a systemd unit
 class Scarcity(Wording):
     """Shortages of file descriptors."""
 
-    ROUTE_WITHOUT_STREAM = (
-        "the {side} may have {limit:,} file descriptors and needs more: {remedy} there, "
-        "or use protocol: udp, whose topics share one"
-    )
+    ROUTE_WITHOUT_STREAM = "the {side} may have {limit:,} file descriptors and needs more: {remedy} there"
 
 
 def scarce() -> bool:

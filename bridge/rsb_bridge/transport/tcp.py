@@ -16,7 +16,15 @@ from aiohappyeyeballs import start_connection
 from rsb_bridge.model.transports import TcpTraits
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.listening import StreamListener, bind
-from rsb_bridge.transport.streams import Address, Stream, StreamHandler, StreamProblem, os_error_message
+from rsb_bridge.transport.streams import (
+    RETRIED_AFTER,
+    TCP_RTO_MAX_MS,
+    Address,
+    Stream,
+    StreamHandler,
+    StreamProblem,
+    os_error_message,
+)
 from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.transport import Acceptor, Listener, StreamTransport
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
@@ -63,9 +71,6 @@ _TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
 _IDLE, _KEEPALIVE_EVERY = 20, 5
 """s; the stingiest NATs forget an idle connection within a minute."""
 _GIVEN_UP_AFTER_MS = 6_000
-_TCP_RTO_MAX_MS = 44
-_RETRIED_EVERY_MS = 1000
-"""The kernel alone would wait ever longer between retransmissions, and so long after the network is back."""
 
 
 class TcpStream(Stream):
@@ -181,5 +186,5 @@ def _set_options(sock: socket.socket) -> None:
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _IDLE)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _KEEPALIVE_EVERY)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _GIVEN_UP_AFTER_MS)
-    with contextlib.suppress(OSError):  # Linux 6.15
-        sock.setsockopt(socket.IPPROTO_TCP, _TCP_RTO_MAX_MS, _RETRIED_EVERY_MS)
+    with contextlib.suppress(OSError):
+        sock.setsockopt(socket.IPPROTO_TCP, TCP_RTO_MAX_MS, RETRIED_AFTER * 1000)

@@ -47,6 +47,7 @@ from rsb_bridge.wire.sealing import SessionKeys, Suite
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rsb_bridge.wire.events import StreamName
     from rsb_bridge.wire.handshake import ReplayCache
     from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome
 
@@ -209,9 +210,9 @@ class ServerConnection(AcceptingStream, _Control):
             case Kind.CONTROL:
                 self._on_offer(parse_control(frame))
             case Kind.DATA:
-                link_id, route, header, proof = parse_data(frame)
+                link_id, name, header, proof = parse_data(frame)
                 self._phase = Phase.HANDED_OVER
-                self._events.append(Attach(link_id, route, proof, header))
+                self._events.append(Attach(link_id, name, proof, header))
             case _:
                 raise ProtocolError(Broken.UNEXPECTED_IN_PREAMBLE(kind=kind.name))
 
@@ -261,12 +262,12 @@ class ServerConnection(AcceptingStream, _Control):
 
 
 class DataConnection(PreambleStream):
-    """The client's end of a data stream, until the server accepts it and a route's channel takes over."""
+    """The client's end of a data stream, until the server accepts it and the link's routes take over."""
 
-    def __init__(self, keys: SessionKeys, route: int) -> None:
+    def __init__(self, keys: SessionKeys, name: StreamName) -> None:
         super().__init__()
-        header = data_header(keys.link_id, route)
-        self._beginning = pack_frame(header, keys.attach_proof(header, route))
+        header = data_header(keys.link_id, name)
+        self._beginning = pack_frame(header, keys.attach_proof(header, name.number))
 
     def start(self) -> bytes:
         """Return the bytes to write first."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome
@@ -70,19 +70,33 @@ class DataFrame:
     frame: memoryview
 
 
+class StreamName(NamedTuple):
+    """The place of a data stream in its link.
+
+    Attributes:
+        number: counts the data streams of the link's life, from 1; a later stream of one place replaces an earlier one.
+        port: that its routes name, or 0 for the link's own.
+        large: whether it carries large messages.
+    """
+
+    number: int
+    port: int = 0
+    large: bool = False
+
+
 @dataclass(frozen=True, slots=True)
 class Attach:
-    """Server: the client asks to use the stream for a route. Answer with `ServerConnection.accept_attach` or `refuse`.
+    """Server: the client asks to use the stream for data. Answer with `ServerConnection.accept_attach` or `refuse`.
 
     Attributes:
         link_id: 8 bytes.
-        route: route id.
+        name: the stream's place in the link.
         proof: for `rsb_bridge.wire.sealing.SessionKeys.check_attach_proof`.
         header: what the proof authenticates.
     """
 
     link_id: bytes
-    route: int
+    name: StreamName
     proof: bytes
     header: bytes
 

@@ -129,6 +129,8 @@ UNFINISHED_LIMIT = 4 * MESSAGE_LIMIT
 
 CONTROL = 0
 DATA = 1
+MOVED = 2
+"""The last frame of a route on the stream of small messages: its next one is on that of large messages."""
 ZSTD = 1
 MORE = 2
 HISTORY = 4
@@ -308,14 +310,10 @@ class DataWriter:
         frames = max(1, -(-size // chunk_size))
         return size + frames * (_LENGTH_SIZE + _HEADER_SIZE + self._sealer.suite.tag_length)
 
-    def write_chunks(self, payload: Buffer, stamp: int, flags: int, chunk_size: int) -> list[bytes]:
-        """Return one message as frames of at most `chunk_size` bytes each, so that other frames can go between."""
-        view = memoryview(payload)
-        last = max(len(view) - 1, 0) // chunk_size * chunk_size
-        return [
-            self.write(view[at : at + chunk_size], stamp, flags | MORE if at < last else flags)
-            for at in range(0, last + 1, chunk_size)
-        ]
+    def write_moved(self) -> bytes:
+        """Return the frame after which the route goes on on another stream."""
+        header = HEADER.pack(MOVED, 0, self._route, 0)
+        return pack_frame(header, self._sealer.seal(b"", header))
 
 
 class DataReader:
@@ -332,23 +330,9 @@ class DataReader:
             limit: bytes of the longest message.
             budget: for incomplete messages, or None for a budget of its own.
         """
-        self._budget = budget or Budget(UNFINISHED_LIMIT)
         self._open = opener.open
         self._route = route
-        self._frames = FrameReader(_HEADER_SIZE + limit + opener.suite.tag_length, self._budget)
-        self._chunks = Assembly(opener, limit, self._budget)
-
-    def receive_data(self, data: Buffer) -> list[Message]:
-        """Take the next bytes of the route's own stream.
-
-        Returns:
-            Every message that is whole now.
-
-        Raises:
-            ProtocolError: the format is broken, or the budget is spent.
-            SealError: a seal is invalid.
-        """
-        return self.open_frames(self._frames.feed(data))
+        self._chunks = Assembly(opener, limit, budget or Budget(UNFINISHED_LIMIT))
 
     def open_frames(self, frames: Iterable[Buffer]) -> list[Message]:
         """Open whole data frames.
@@ -377,7 +361,14 @@ class DataReader:
                 messages.append((chunks.take(), stamp, flags))
         return messages
 
+    def open_moved(self, frame: Buffer) -> None:
+        """Open the frame after which the route goes on on another stream.
+
+        Raises:
+            SealError: its seal is invalid.
+        """
+        self._open(frame[_HEADER_SIZE:], frame[:_HEADER_SIZE])
+
     def close(self) -> None:
         """Discard incomplete messages."""
-        self._frames.close()
         self._chunks.close()

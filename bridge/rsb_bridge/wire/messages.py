@@ -593,15 +593,15 @@ class ByHand(ControlMessageBase, frozen=True):
 
 MOST_RECEIPTS = 500
 """Entries of each list in one message."""
-_Counts: TypeAlias = Annotated[tuple[tuple[RouteId, Count], ...], Meta(max_length=MOST_RECEIPTS)]
+_Counts: TypeAlias = Annotated[tuple[tuple[Count, Count], ...], Meta(max_length=MOST_RECEIPTS)]
 
 
 class Receipts(ControlMessageBase, frozen=True, omit_defaults=True):
-    """Receipts for streams, from either side. An entry for a route that is not open is ignored.
+    """Receipts for data streams, from either side. An entry for a stream that is over is ignored.
 
     Attributes:
-        received: route ids with the bytes of their channels that the sender of the message has received.
-        every: route ids with the bytes after which the sender of the route wants a receipt.
+        received: numbers of streams with the bytes that the sender of the message has received on them.
+        every: numbers of streams with the bytes after which the sender of the message wants a receipt.
     """
 
     received: _Counts = ()

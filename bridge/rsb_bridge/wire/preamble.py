@@ -12,7 +12,7 @@ from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, fo
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.text import is_clean, sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.wire.events import Event, Failed, RefusalCode, Refused
+from rsb_bridge.wire.events import Event, Failed, RefusalCode, Refused, StreamName
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
 from rsb_bridge.wire.protocol_error import Broken, ForeignProtocolError, Misuse, ProtocolError
 from rsb_bridge.wire.sealing import SealError, Suite
@@ -64,7 +64,7 @@ LINK_ID_LENGTH = 8
 MAGIC = b"rsb"
 PREFIX_LENGTH = 5
 """Bytes of a preamble frame before its body."""
-_DATA = struct.Struct(f">{LINK_ID_LENGTH}sI")
+_DATA = struct.Struct(f">{LINK_ID_LENGTH}sIH?")
 
 
 class Kind(IntEnum):
@@ -167,13 +167,13 @@ class DataPreamble(NamedTuple):
 
     Attributes:
         link_id: 8 bytes.
-        route: route id.
+        name: the stream's place.
         header: the frame up to the proof, which authenticates it.
         proof: `rsb_bridge.wire.sealing.SessionKeys.attach_proof`.
     """
 
     link_id: bytes
-    route: int
+    name: StreamName
     header: bytes
     proof: bytes
 
@@ -216,9 +216,9 @@ def control_header(suite: Suite, name: str, fingerprint: bytes = bytes(FINGERPRI
     return preamble_frame(Kind.CONTROL, bytes((suite, len(encoded))) + encoded + fingerprint)
 
 
-def data_header(link_id: bytes, route: int) -> bytes:
+def data_header(link_id: bytes, name: StreamName) -> bytes:
     """Return the part of a DATA frame before its proof."""
-    return preamble_frame(Kind.DATA, _DATA.pack(link_id, route))
+    return preamble_frame(Kind.DATA, _DATA.pack(link_id, *name))
 
 
 def refuse_frame(code: RefusalCode, message: str) -> bytes:
@@ -278,21 +278,8 @@ def parse_data(frame: bytes) -> DataPreamble:
     end = PREFIX_LENGTH + _DATA.size
     if len(frame) < end:
         raise ProtocolError(Broken.DATA_TOO_SHORT())
-    link_id, route = _DATA.unpack_from(frame, PREFIX_LENGTH)
-    return DataPreamble(link_id, route, frame[:end], frame[end:])
-
-
-def parse_further(frame: bytes) -> DataPreamble:
-    """Read a DATA frame that came after a stream's preamble.
-
-    Raises:
-        ProtocolError: the frame is invalid.
-        Refusal: the peer speaks another version.
-    """
-    kind, _ = parse_preamble(frame)
-    if kind is not Kind.DATA:
-        raise ProtocolError(Broken.UNEXPECTED_AFTER_PREAMBLE(kind=kind.name))
-    return parse_data(frame)
+    link_id, *name = _DATA.unpack_from(frame, PREFIX_LENGTH)
+    return DataPreamble(link_id, StreamName(*name), frame[:end], frame[end:])
 
 
 def parse_suite(body: bytes) -> Suite:

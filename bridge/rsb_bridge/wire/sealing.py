@@ -305,7 +305,7 @@ class SessionKeys:
             role: _expand(export, b"rsb chain", bytes((direction,))) for role, direction in _DIRECTIONS.items()
         }
         self._data: dict[tuple[int, Role], bytes | None] = {}
-        self._attach: dict[int, bytes | None] = {}
+        self._attach = _expand(export, b"rsb attach")
         self._derive(PROBE_ROUTE, export)
 
     def proposed(self, route: int, proposer: Role) -> None:
@@ -316,7 +316,6 @@ class SessionKeys:
 
     def closed(self, route: int) -> None:
         """Forget the keys of a route that nobody has taken."""
-        self._attach.pop(route, None)
         for role in _DIRECTIONS:
             self._data.pop((route, role), None)
 
@@ -336,24 +335,24 @@ class SessionKeys:
         """Opens a route's datagrams; `sending_role` is the peer's. Raises as `route_sealer`."""
         return DatagramOpener(self.suite, self._take(route, sending_role))
 
-    def attach_proof(self, header: bytes, route: int) -> bytes:
+    def attach_proof(self, header: bytes, stream: int) -> bytes:
         """Return a client's proof that a data stream is its own, over the preamble frame up to the proof."""
-        return Sealer(self.suite, self._attach[route]).seal(b"", header)
+        return Sealer(self.suite, self._attach_key(stream)).seal(b"", header)
 
-    def check_attach_proof(self, header: bytes, route: int, proof: bytes) -> None:
+    def check_attach_proof(self, header: bytes, stream: int, proof: bytes) -> None:
         """Check a client's `attach_proof`.
 
         Raises:
             SealError: the proof is not this client's.
         """
-        if route not in self._attach:  # its proposal is still to be sent: a port is being bound
-            raise SealError(InvalidSeal.FORGED(sequence=0))
-        StreamOpener(self.suite, self._attach[route]).open(proof, header)
+        StreamOpener(self.suite, self._attach_key(stream)).open(proof, header)
 
     def _derive(self, route: int, secret: bytes | None) -> None:
         for role, direction in _DIRECTIONS.items():
             self._data[route, role] = _expand(secret, b"rsb data", struct.pack(">IB", route, direction))
-        self._attach[route] = _expand(secret, b"rsb attach", struct.pack(">IB", route, 0))
+
+    def _attach_key(self, stream: int) -> bytes | None:
+        return _expand(self._attach, b"rsb stream", struct.pack(">I", stream))
 
     def _take(self, route: int, sending_role: Role) -> bytes | None:
         try:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 from tests.fuzz.editing import behind, edit_bytes, split_frames
 from tests.fuzz.parser import Parser, check_text
+from tests.support.frames import StreamedReader, write_chunks
 
-from rsb_bridge.wire.framing import DATA, HEADER, HISTORY, MORE, Budget, DataReader, DataWriter, FrameReader, pack_frame
+from rsb_bridge.wire.framing import DATA, HEADER, HISTORY, MORE, Budget, DataWriter, FrameReader, pack_frame
 from rsb_bridge.wire.headers import CallFrame, HistoryHeader, What, split_history, unpack_call
 from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
@@ -26,7 +27,7 @@ def _read_stream(data: bytes) -> None:
     """Bytes as they come, in pieces as the first one says: a peer that seals as it should, or anything at all."""
     choice = data[0] if data else 0
     budget = Budget(_BUDGET)
-    reader = DataReader(StreamOpener(Suite.PLAIN, None), _ROUTE, _LONGEST, budget)
+    reader = StreamedReader(StreamOpener(Suite.PLAIN, None), _ROUTE, _LONGEST, budget)
     sealer = Sealer(Suite.PLAIN, None)
     stream = data[1:]
     if choice & 1:
@@ -97,9 +98,9 @@ def _round_trip(suite: Suite, data: bytes) -> None:
     choice = data[0] if data else 0
     payload = data[1:]
     writer = DataWriter(Sealer(suite, _KEY), _ROUTE)
-    reader = DataReader(StreamOpener(suite, _KEY), _ROUTE, max(len(payload), 1))
+    reader = StreamedReader(StreamOpener(suite, _KEY), _ROUTE, max(len(payload), 1))
     chunk = choice + 1
-    stream = writer.write(payload, 5, choice & 1) + b"".join(writer.write_chunks(payload, 2**64 - 1, 0, chunk))
+    stream = writer.write(payload, 5, choice & 1) + b"".join(write_chunks(writer, payload, 2**64 - 1, 0, chunk))
     assert reader.receive_data(stream) == [(payload, 5, choice & 1), (payload, 2**64 - 1, 0)]
 
 

@@ -13,7 +13,17 @@ from tests.wire.links import WELCOME, key_for, make_client, make_server
 from rsb_bridge.model.text import is_clean
 from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.connection import ClientConnection, DataConnection, ServerConnection
-from rsb_bridge.wire.events import Accepted, Attach, DataFrame, Established, Failed, Received, RefusalCode, Refused
+from rsb_bridge.wire.events import (
+    Accepted,
+    Attach,
+    DataFrame,
+    Established,
+    Failed,
+    Received,
+    RefusalCode,
+    Refused,
+    StreamName,
+)
 from rsb_bridge.wire.framing import PREAMBLE_LIMIT, pack_frame
 from rsb_bridge.wire.preamble import MESSAGE_LIMIT, Kind, data_header, preamble_frame, refuse_frame
 from rsb_bridge.wire.sealing import Suite
@@ -77,7 +87,7 @@ def _client(suite: Suite, multiplexed: bool) -> End:
 
 
 def _data_client(suite: Suite, _: bool) -> End:
-    connection = DataConnection(session_keys(suite, key_for(suite)), 1)
+    connection = DataConnection(session_keys(suite, key_for(suite)), StreamName(1))
     connection.start()
     return connection
 
@@ -108,7 +118,7 @@ def _answered() -> bytes:
 
 
 _REFUSED = refuse_frame(RefusalCode.WRONG_KEY, "the keys of 'robot1' differ")
-_ATTACH = data_header(b"linklink", 1) + bytes(16)
+_ATTACH = data_header(b"linklink", StreamName(1)) + bytes(16)
 
 PARSERS = (
     Parser(

@@ -29,6 +29,7 @@ class FakeChannel:
     def __init__(self, takes: int = 1000) -> None:
         self.takes = takes
         self.sent: list[Message] = []
+        self.asked = False
 
     @property
     def congested(self) -> bool:
@@ -36,6 +37,9 @@ class FakeChannel:
 
     def send(self, batch: Sequence[Message]) -> None:
         self.sent.extend(batch)
+
+    def ask(self) -> None:
+        self.asked = True
 
     def frames(self) -> list[CallFrame]:
         return [unpack_call(payload) for payload, _, _ in self.sent]

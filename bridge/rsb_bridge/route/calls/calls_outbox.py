@@ -111,6 +111,8 @@ class CallsOutbox:
                 size += len(batch[-1][0])
             if batch:
                 channel.send(batch)
+        if frames:
+            channel.ask()
 
     def clear(self) -> None:
         """Remove all frames."""

@@ -158,7 +158,7 @@ class Zenoh(ZenohTraits, StreamTransport):
         endpoint = await self._links.endpoint(CLIENT, (SERVER,))
         peer = self._server(endpoint) if host == "zenoh" else host
         stream = ZenohStream(handler)
-        # On a route's stream the server's data may follow its answer at once.
+        # On a data stream the server's data may follow its answer at once.
         Pipe(endpoint, peer, os.urandom(8).hex(), _priority(rank), stream, stranger=rank is None)
         return stream
 

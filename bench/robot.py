@@ -1,0 +1,301 @@
+"""Measures what a robot's topics have of a thin link: ``python -m bench.robot`` prints a table for each link.
+
+A robot with nav2 and an operator's PC stand in network namespaces of their own. Between them is a Wi-Fi of 20
+Mbit/s that delays by 20 ± 15 ms, loses 2 % of the packets and all for 3 s of every 30 s, or a tunnel of 5 kB/s that
+keeps 4.4 MB (`wifi.c`). Plain nodes publish on the robot and listen on the PC, and our bridge is between them. A cell
+has the latencies' p50 and p99 in ms and the part of the messages that arrived. Messages of a gap, and of the 3 s after
+it, count as arrived or lost only.
+
+It needs root, /dev/net/tun, a C compiler and iproute2, and takes the seconds of a run and some 15 s for each column.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import json
+import os
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from bench.bed import FAR, NEAR, ROOT
+from tests.network.hosts import Host, NoHostError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_ROBOT, _PC = "10.98.0.1", "10.98.0.2"
+_PORT = 49152
+_CPUCLOCK_SCHED = 2  # clock_getcpuclockid(3), as Linux makes the id of a process's clock
+_AFTER_GAP = 3.0
+_DRAINS = 5.0
+"""s in which the last messages arrive after the robot has stopped."""
+_MATCHES_WITHIN = 30.0
+
+
+class Spoken(NamedTuple):
+    """A topic of the robot."""
+
+    name: str
+    rate: float
+    size: int
+    priority: str = "normal"
+    reliability: str = "reliable"
+
+    @property
+    def is_large(self) -> bool:
+        """Whether it has a process of its own, since publishing it takes milliseconds."""
+        return self.size > 50_000
+
+    def __str__(self) -> str:
+        return f"{self.name}:{self.rate}:{self.size}:{self.reliability}"
+
+
+class Link(NamedTuple):
+    """A link, with the arguments of `wifi.c`, and the topics on it."""
+
+    figures: str
+    topics: tuple[Spoken, ...]
+
+
+LINKS = {
+    "wifi": Link(
+        "20 15 2 20000000 400000 30 3",
+        (
+            Spoken("/odom", 50, 730, "high"),
+            Spoken("/tf", 50, 400, "high"),
+            Spoken("/joint_states", 100, 470),
+            Spoken("/imu", 100, 330, reliability="best_effort"),
+            Spoken("/scan", 10, 4000, reliability="best_effort"),
+            Spoken("/pose", 5, 360),
+            Spoken("/path", 1, 20_000),
+            Spoken("/local_costmap", 2, 3_700),
+            Spoken("/costmap", 1, 40_000),
+            Spoken("/battery", 0.5, 200),
+            Spoken("/health", 1, 4_000),
+            Spoken("/camera", 30, 60_000, "low", "best_effort"),
+            Spoken("/raw", 10, 6_220_800, "low", "best_effort"),
+        ),
+    ),
+    "tunnel": Link(
+        "5 0 0 40000 4400000 0 0",
+        (
+            Spoken("/high", 10, 100, "high"),
+            Spoken("/normal", 10, 500),
+            Spoken("/low", 10, 500, "low", "best_effort"),
+        ),
+    ),
+}
+
+
+@dataclass
+class Run:
+    """The messages of one run.
+
+    Attributes:
+        made: when (ns) each message was published, by topic.
+        heard: when (ns) each that arrived was made and heard.
+        gaps: when (s) gaps began and ended.
+        bytes: that crossed to the PC.
+        cpu: s of both sides' processors.
+    """
+
+    made: dict[str, list[int]]
+    heard: dict[str, list[list[int]]]
+    gaps: list[tuple[float, float]]
+    bytes: int
+    cpu: float
+
+    def cell(self, topic: str) -> tuple[float, float, float]:
+        """Return p50 and p99 (ms) and the part that arrived."""
+        delays = sorted(
+            (heard - made) / 1e6
+            for made, heard in self.heard[topic]
+            if not any(begins - 0.5 < made / 1e9 < ends + _AFTER_GAP for begins, ends in self.gaps)
+        ) or [float("nan")]
+        part = len({made for made, _ in self.heard[topic]}) / max(1, len(self.made[topic]))
+        return delays[len(delays) // 2], delays[len(delays) * 99 // 100], part
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--links", default=",".join(LINKS))
+    parser.add_argument("--transports", default="tcp,udp,zenoh")
+    parser.add_argument("--priorities", default="with,without")
+    parser.add_argument("--seconds", type=float, default=68.0)
+    parser.add_argument("--rounds", type=int, default=1)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="rsb-robot-") as name:
+        folder = Path(name)
+        program = _built(folder)
+        for link in options.links.split(","):
+            columns = [
+                (transport, priorities)
+                for transport in options.transports.split(",")
+                for priorities in options.priorities.split(",")
+            ]
+            runs: dict[tuple[str, str], list[Run]] = {column: [] for column in columns}
+            for _ in range(options.rounds):
+                for column in columns:
+                    try:
+                        run = _run(folder, program, LINKS[link], *column, options.seconds)
+                    except NoHostError as error:
+                        raise SystemExit(f"no namespaces: {error}; run this as root") from None
+                    runs[column].append(run)
+            _print(link, LINKS[link].topics, runs, options.seconds)
+
+
+def _built(folder: Path) -> Path:
+    if os.geteuid() or not Path("/dev/net/tun").exists():
+        raise SystemExit("bench.robot needs root and /dev/net/tun: it puts a link between two network namespaces")
+    if (compiler := shutil.which("cc")) is None:
+        raise SystemExit("bench.robot builds a program in C: install a compiler (apt install gcc)")
+    program = folder / "wifi"
+    subprocess.run((compiler, "-O2", "-o", program, ROOT / "bench" / "wifi.c"), check=True)
+    return program
+
+
+class _Child:
+    """A Python program on a host, which answers lines with lines of JSON."""
+
+    def __init__(self, host: Host, *command: str, log: Path | None = None) -> None:
+        output = log.open("w") if log else subprocess.PIPE
+        self.process = host.start(sys.executable, *command, stdin=subprocess.PIPE, stdout=output, stderr=output)
+
+    def tell(self, line: str) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+
+    def answer(self) -> dict[str, list[int]]:
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        if not line:
+            assert self.process.stderr is not None
+            raise SystemExit(self.process.stderr.read())
+        answer: dict[str, list[int]] = json.loads(line)
+        return answer
+
+    def cpu(self) -> float:
+        return time.clock_gettime((~self.process.pid << 3) | _CPUCLOCK_SCHED)
+
+    def stop(self) -> None:
+        self.process.send_signal(signal.SIGTERM)
+        try:
+            self.process.wait(20)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+
+
+def _run(folder: Path, program: Path, link: Link, transport: str, priorities: str, seconds: float) -> Run:
+    with ExitStack() as stack:
+        robot, pc = Host("robot"), Host("pc")
+        stack.callback(pc.close)
+        stack.callback(robot.close)
+        wire = subprocess.Popen(
+            (program, str(robot.pid), _ROBOT, str(pc.pid), _PC, *link.figures.split()),
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        stack.callback(wire.kill)
+        assert wire.stdout is not None
+        if wire.stdout.readline() != "up\n":
+            raise SystemExit("the link does not come up")
+        _write_sessions(folder, link.topics, transport, with_priorities=priorities == "with")
+
+        def child(host: Host, *command: str, log: Path | None = None) -> _Child:
+            started = _Child(host, *command, log=log)
+            stack.callback(started.stop)
+            return started
+
+        sizes = [part for large in (False, True) if (part := [each for each in link.topics if each.is_large == large])]
+        ears = [child(pc, "-m", "bench.robot_ends", "listen", str(FAR), *map(str, part)) for part in sizes]
+        for ear in ears:
+            ear.answer()
+        run = ("-m", "rsb_console", "run", "--no-ui", "--control")
+        sides = [
+            child(host, *run, str(folder / f"{side}.sock"), str(folder / f"{side}.yaml"), log=folder / f"{side}.log")
+            for host, side in ((pc, "server"), (robot, "client"))
+        ]
+        mouths = [child(robot, "-m", "bench.robot_ends", "talk", str(NEAR), *map(str, part)) for part in sizes]
+        _wait_until_matched(mouths, folder)
+        time.sleep(3)
+        wire.send_signal(signal.SIGUSR1)
+        cpu = sum(side.cpu() for side in sides)
+        for mouth in mouths:
+            mouth.tell(f"go {seconds}")
+        made = {topic: times for mouth in mouths for topic, times in mouth.answer().items()}
+        wire.send_signal(signal.SIGUSR1)
+        cpu = sum(side.cpu() for side in sides) - cpu
+        time.sleep(_DRAINS)
+        heard: dict[str, list[list[int]]] = {}
+        for ear in ears:
+            ear.tell("report")
+            heard |= ear.answer()  # type: ignore[arg-type]
+        wire.terminate()
+        said = [line.split() for line in wire.stdout.read().splitlines()]
+        crossed = [int(words[1]) for words in said if words[0] == "bytes"]
+        turns = [float(words[2]) for words in said if words[0] == "gap"]
+        gaps = list(zip(turns[::2], [*turns[1::2], float("inf")], strict=False))
+        return Run(made, heard, gaps, crossed[1] - crossed[0], cpu)
+
+
+def _wait_until_matched(mouths: Sequence[_Child], folder: Path) -> None:
+    deadline = time.monotonic() + _MATCHES_WITHIN
+    while True:
+        for mouth in mouths:
+            mouth.tell("match")
+        if min(mouth.answer()["subscribers"] for mouth in mouths):
+            return
+        if time.monotonic() > deadline:
+            raise SystemExit("\n".join((folder / f"{side}.log").read_text()[-2000:] for side in ("server", "client")))
+        time.sleep(0.3)
+
+
+def _write_sessions(folder: Path, topics: Sequence[Spoken], transport: str, *, with_priorities: bool) -> None:
+    key = folder / "bench.key"
+    key.write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
+    key.chmod(0o600)
+    common = "name: robot\nkey_file: bench.key\n"
+    listens = connects = f"server_ip: {_PC}\nserver_port: {_PORT}\n"
+    if transport == "zenoh":
+        connects = f"server_ip: zenoh\nzenoh: {{connect: [tcp/{_PC}:{_PORT}]}}\n"
+        listens = connects.replace("connect:", "listen:")
+    entries = [
+        f"  - {{topic: {each.name}, direction: transmit{', protocol: udp' if transport == 'udp' else ''}"
+        f"{f', priority: {each.priority}' if with_priorities else ''}}}"
+        for each in topics
+    ]
+    (folder / "server.yaml").write_text(f"role: server\ndomain_id: {FAR}\n{common}{listens}")
+    (folder / "client.yaml").write_text(
+        "\n".join([f"role: client\ndomain_id: {NEAR}\n{common}{connects}topics:", *entries]) + "\n"
+    )
+
+
+def _print(link: str, topics: Sequence[Spoken], runs: dict[tuple[str, str], list[Run]], seconds: float) -> None:
+    print(f"\n{link}: {LINKS[link].figures}, {seconds:g} s, medians of {len(next(iter(runs.values())))}")
+    print(" | ".join(["topic", *(f"{transport}, {priorities} priorities" for transport, priorities in runs)]))
+    for topic in topics:
+        cells = []
+        for column in runs.values():
+            p50, p99, part = (
+                statistics.median(each) for each in zip(*(run.cell(topic.name) for run in column), strict=True)
+            )
+            cells.append(f"{p50:,.0f}/{p99:,.0f} {part:.0%}")
+        print(" | ".join([f"{topic.name} {topic.rate:g} Hz × {topic.size:,}", *cells]))
+    print(" | ".join(["MB", *(f"{statistics.median(run.bytes for run in each) / 1e6:.1f}" for each in runs.values())]))
+    print(" | ".join(["CPU, s", *(f"{statistics.median(run.cpu for run in each):.1f}" for each in runs.values())]))
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

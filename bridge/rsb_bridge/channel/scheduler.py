@@ -1,0 +1,301 @@
+"""Shares a link among the routes that have something to send: one queue, one window.
+
+The turns are start-time fair queueing (Goyal, Vin, Cheng 1996): each turn has the virtual time at which it would begin
+if every route had an equal share, and the earliest goes first. So a route that uses less than its share, like a
+joystick, goes ahead of a map at once; busier routes share equally; nothing starves. A route's share is weighted by its
+topic's priority; calls have the highest. Control messages do not pass here: they have a connection of their own, or go
+ahead of all turns.
+
+A route is asked for its messages when its turn comes, and not before. What waits, waits in the routes' queues, where
+depth and age count, and newer messages replace older ones.
+
+The window (`rsb_bridge.channel.window`) bounds what is in transit on all streams of the link together. With a window
+for each stream or route, the one with the most data would have the most in transit, whatever its priority.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import heapq
+from typing import TYPE_CHECKING, Protocol
+
+from rsb_bridge.model.session import weight_of
+
+if TYPE_CHECKING:
+    from rsb_bridge.channel.receipts import ReceiptBook
+    from rsb_bridge.channel.window import Window
+
+_UNIT = 16
+"""Virtual bytes of one byte with a weight of 1, so that all weights divide it."""
+LEAST_CHUNK, _MOST_CHUNK, _CHUNKS_PER_WINDOW = 1400, 128 * 1024, 32
+"""Bytes of a message in one turn: a part of the window, so that on a slow link another route's turn comes soon (2 kB/s:
+0.7 s for the least), and on a fast one sealing and headers cost little."""
+_LEAST_WRITE, _WRITES_PER_WINDOW = 16 * 1024, 16
+"""Bytes that are written together: small frames of many routes in one call."""
+_A_PASS = 1024 * 1024
+"""Bytes that are sealed in one pass of the I/O loop, about 0.4 ms, before other links have their turn."""
+_STALLED = 1.5
+"""Seconds without a receipt after which the link delivers nothing: receivers acknowledge the last bytes within 1 s."""
+
+
+class Turns(Protocol):
+    """The sending end of a route, as far as the scheduler knows it.
+
+    Attributes:
+        start: virtual time at which its next turn begins.
+        queued: whether it waits for a turn.
+    """
+
+    start: int
+    queued: bool
+
+    @property
+    def via(self) -> Carrier:
+        """The stream that it sends on."""
+        ...
+
+    @property
+    def rank(self) -> int:
+        """The rank of its priority."""
+        ...
+
+    @property
+    def waits(self) -> bool:
+        """Whether it has more to send after a turn."""
+        ...
+
+    def take_turn(self, limit: int) -> bytes | memoryview:
+        """Return at most about `limit` bytes to send now, or nothing."""
+        ...
+
+
+class Carrier(Protocol):
+    """A stream that takes the bytes of turns.
+
+    Attributes:
+        queue: its routes that wait for a turn: when it begins, in which order they came, and the route's end.
+        time: virtual time of its last turn.
+        behind: what its virtual time is behind the link's, because it was congested while other streams sent.
+    """
+
+    queue: list[tuple[int, int, Turns]]
+    time: int
+    behind: int
+
+    @property
+    def congested(self) -> bool:
+        """Whether it takes nothing now."""
+        ...
+
+    def write(self, data: bytes | memoryview) -> None:
+        """Send."""
+        ...
+
+
+class Scheduler:
+    """The queue and the window of one link's direction.
+
+    Args:
+        book: for receipts.
+
+    Attributes:
+        sent: bytes sent so far, on all streams.
+        chunk: bytes of a message in one turn.
+        busy_since: time (s) since when something waits, or None.
+    """
+
+    def __init__(self, book: ReceiptBook, window: Window) -> None:
+        self.sent = 0
+        self.chunk = LEAST_CHUNK
+        self.busy_since: float | None = None
+        self._write = _LEAST_WRITE
+        self._book = book
+        self._now = book.now
+        self._window = window
+        self._acknowledged = 0
+        self._acknowledged_at = float("-inf")
+        self._carriers: list[Carrier] = []
+        self._waiting = 0
+        self._order = 0
+        self._time = 0  # virtual: bytes
+        self._passing = False
+        self._next_pass: asyncio.Handle | None = None
+
+    # --- streams
+
+    def add(self, carrier: Carrier) -> None:
+        """Use a further stream."""
+        self._carriers.append(carrier)
+
+    def remove(self, carrier: Carrier, unacknowledged: int) -> None:
+        """Forget a stream that is lost, and its `unacknowledged` bytes, which no receipt will ever count."""
+        self._carriers.remove(carrier)
+        for _, _, end in carrier.queue:
+            if end.queued:
+                self.leave(end)
+        carrier.queue.clear()
+        self._acknowledged += unacknowledged
+        self._window.write_off(self._acknowledged, self.sent)
+        self.run()
+
+    def close(self) -> None:
+        """End with the connection."""
+        self._carriers.clear()
+        if self._next_pass is not None:
+            self._next_pass.cancel()
+            self._next_pass = None
+
+    # --- turns
+
+    def is_free(self, carrier: Carrier) -> bool:
+        """Whether a message may be sent at once: nothing waits, and both stream and window take it."""
+        return not self._waiting and not self._passing and self.sent < self._window.limit and not carrier.congested
+
+    def join(self, end: Turns) -> None:
+        """Queue a route's end for a turn; one that had nothing to send does not make up for that."""
+        if end.queued:
+            return
+        end.start = max(end.start, end.via.time)
+        self._push(end)
+
+    def _push(self, end: Turns) -> None:
+        end.queued = True
+        if not self._waiting:
+            self.busy_since = self._now()
+        self._waiting += 1
+        self._order += 1
+        heapq.heappush(end.via.queue, (end.start, self._order, end))
+
+    def leave(self, end: Turns) -> None:
+        """Remove a route's end from the queue."""
+        if end.queued:
+            end.queued = False
+            self._waiting -= 1
+            if not self._waiting:
+                self.busy_since = None
+
+    def charge(self, end: Turns, size: int) -> None:
+        """Move the start of a route's next turn by `size` bytes that it has sent."""
+        end.start = max(end.start, end.via.time) + size * _UNIT // weight_of(end.rank)
+
+    def write(self, carrier: Carrier, data: bytes | memoryview) -> None:
+        """Send bytes on a stream."""
+        if not self.sent:
+            self._window.expect(self._book.ping())  # known by now: when the connection began, it was not
+        self._window.wrote(self.sent, self._now())
+        self.sent += len(data)
+        carrier.write(data)
+
+    def run(self) -> None:
+        """Give turns while streams and window take bytes."""
+        if self._passing or self._next_pass is not None or not self._waiting:
+            return
+        self._passing = True
+        left = _A_PASS
+        try:
+            while left > 0 and (carrier := self._next()) is not None:
+                left -= self._give_turns(carrier)
+        finally:
+            self._passing = False
+        if left <= 0 and self._waiting:
+            self._next_pass = asyncio.get_running_loop().call_soon(self._continue)
+
+    def _continue(self) -> None:
+        self._next_pass = None
+        self.run()
+
+    def _next(self) -> Carrier | None:
+        """Return the stream with the earliest turn, or None if no stream with turns takes bytes."""
+        if not self._waiting or self.sent >= self._window.limit:
+            return None
+        first: tuple[int, Carrier] | None = None
+        for carrier in self._carriers:
+            queue = carrier.queue
+            while queue and not queue[0][2].queued:
+                heapq.heappop(queue)  # it has left
+            if queue and not carrier.congested:
+                start = queue[0][0] + carrier.behind
+                if start < self._time:  # it was congested, and does not make up for that
+                    carrier.behind += self._time - start
+                    start = self._time
+                if first is None or start < first[0]:
+                    first = start, carrier
+        if first is None:
+            return None
+        self._time = first[0]
+        return first[1]
+
+    def _give_turns(self, carrier: Carrier) -> int:
+        """Give turns on one stream until they are worth a write; return the bytes, at least 1."""
+        queue = carrier.queue
+        most = min(self._write, self._window.limit - self.sent)
+        parts: list[bytes] = []
+        size = 0
+        while queue and size < most:
+            start, _, end = heapq.heappop(queue)
+            if not end.queued:
+                continue
+            carrier.time = start
+            self.leave(end)
+            data = end.take_turn(self.chunk)
+            size += len(data)
+            self.charge(end, len(data))
+            if end.waits and end.via is carrier:
+                self._push(end)
+            elif end.waits:
+                end.start = 0  # another stream's time
+                self.join(end)
+            if isinstance(data, bytes):
+                parts.append(data)
+            else:  # memory that the next piece uses again
+                if parts:
+                    self.write(carrier, b"".join(parts))
+                    parts.clear()
+                self.write(carrier, data)
+                break
+        if parts:
+            self.write(carrier, parts[0] if len(parts) == 1 else b"".join(parts))
+        return max(1, size)
+
+    # --- receipts
+
+    def acknowledge(self, gained: int) -> int:
+        """Adapt to a receipt of `gained` further bytes; return the bytes after which the next one is wanted."""
+        now = self._now()
+        self._acknowledged += gained
+        if gained:
+            self._acknowledged_at = now
+        window = self._window
+        window.back = self._book.way_back()
+        window.acknowledge(self._acknowledged, self.sent, now)
+        self.chunk = min(_MOST_CHUNK, max(LEAST_CHUNK, window.size // _CHUNKS_PER_WINDOW))
+        self._write = max(_LEAST_WRITE, window.size // _WRITES_PER_WINDOW)
+        self.run()
+        return window.every
+
+    def tick(self) -> None:
+        """Close the window while the path is stalled. Called once a second."""
+        if self._window.awaits_receipts:
+            self._window.back = self._book.way_back()
+            self._window.check(self.sent, self._now())
+
+    # --- figures
+
+    @property
+    def acknowledged(self) -> int:
+        """Bytes that have arrived, or were written off."""
+        return self._acknowledged
+
+    @property
+    def moves(self) -> bool:
+        """Whether the link delivers."""
+        return self._now() - self._acknowledged_at < _STALLED
+
+    @property
+    def grows(self) -> bool:
+        """Whether the window still grows: what waits is no sign that the link carries no more."""
+        return not self._window.slow
+
+    def busy(self, now: float) -> float:
+        """Return for how long (s) something has waited at `now` (s)."""
+        return 0.0 if self.busy_since is None else now - self.busy_since

@@ -1,0 +1,147 @@
+"""Routes that share a link: who sends next, how much is in transit, and how late messages are."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from tests.channel.sides import Radio, Route, connected, pass_seconds, simulate
+
+_PACE = 50_000
+"""Bytes/s of the radio."""
+
+
+def now() -> float:
+    return asyncio.get_running_loop().time()
+
+
+@pytest.mark.parametrize("two", [False, True])
+def test_a_joystick_goes_before_maps(two: bool) -> None:
+    joystick, maps = Route(1, outgoing=True), [Route(each, always=100_000, outgoing=True) for each in (2, 3)]
+
+    async def scene() -> None:
+        async with connected(joystick, *maps, two=two, open_streams=Radio(_PACE).open) as (near, far):
+            for each in maps:
+                each.flush()
+            await pass_seconds(10, near, far)
+            late: list[float] = []
+            for _ in range(50):
+                sent = now()
+                joystick.send(bytes(80))
+                await asyncio.sleep(0.3)
+                late += [when - sent for _, when in far.routes[1].arrived]
+                far.routes[1].arrived.clear()
+            assert len(late) == 50  # one map alone takes 2 s
+            assert max(late) < 0.3
+
+    simulate(scene)
+
+
+@pytest.mark.parametrize(("two", "tunnel"), [(False, 0), (True, 200_000)])
+def test_routes_that_want_more_than_their_share_get_equal_ones(two: bool, tunnel: int) -> None:
+    """With two streams on a path that takes more than it carries; elsewhere the kernel shares between them."""
+    routes = [
+        Route(1, always=100_000, outgoing=True),
+        Route(2, always=5_000, outgoing=True),
+        Route(3, always=1_000, outgoing=True),
+    ]
+
+    async def scene() -> None:
+        async with connected(*routes, two=two, open_streams=Radio(_PACE, tunnel=tunnel).open) as (near, far):
+            for each in routes:
+                each.flush()
+            await pass_seconds(60, near, far)
+            shares = [each.bytes_since(0) for each in far.routes.values()]
+            assert min(shares) > 0.85 * max(shares), shares
+            assert sum(shares) > 0.9 * 60 * _PACE
+
+    simulate(scene)
+
+
+def test_a_late_comer_does_not_make_up_for_its_silence() -> None:
+    early, late = Route(1, always=5_000, outgoing=True), Route(2, outgoing=True)
+
+    async def scene() -> None:
+        async with connected(early, late, open_streams=Radio(_PACE).open) as (near, far):
+            early.flush()
+            await pass_seconds(60, near, far)
+            joined = now()
+            late.always = 5_000
+            late.flush()
+            await pass_seconds(10, near, far)
+            assert far.routes[1].bytes_since(joined) > 0.8 * far.routes[2].bytes_since(joined) > 0
+
+    simulate(scene)
+
+
+@pytest.mark.parametrize("tunnel", [0, 200_000])
+def test_shares_follow_priorities_and_nobody_starves(tunnel: int) -> None:
+    """Through a tunnel, too, that takes more than it carries."""
+    routes = [Route(1, 1, 5_000, outgoing=True), Route(2, 0, 5_000, outgoing=True), Route(3, -1, 5_000, outgoing=True)]
+
+    async def scene() -> None:
+        async with connected(*routes, open_streams=Radio(_PACE, tunnel=tunnel).open) as (near, far):
+            for each in routes:
+                each.flush()
+            await pass_seconds(120, near, far)
+            high, normal, low = (each.bytes_since(30) for each in far.routes.values())
+            assert 3.0 < high / normal < 5.0
+            assert 3.0 < normal / low < 5.0
+
+    simulate(scene)
+
+
+@pytest.mark.parametrize("rate", [5_000, 50_000, 2_500_000])
+def test_what_fits_is_fresh_beside_what_does_not(rate: int) -> None:
+    """Through a tunnel that holds bytes for many seconds, with images that would take several times the link."""
+    small, images = Route(1, outgoing=True), Route(2, always=40_000, outgoing=True)
+
+    async def scene() -> None:
+        radio = Radio(rate, tunnel=4_000_000, delay=0.02)
+        async with connected(small, images, open_streams=radio.open) as (near, far):
+            images.flush()
+            await pass_seconds(20, near, far)
+            sent: list[float] = []
+            for step in range(300):
+                sent.append(now())
+                small.send(bytes(100))
+                await asyncio.sleep(0.1)
+                if step % 10 == 9:
+                    near.tick()
+                    far.tick()
+            await pass_seconds(2, near, far)
+            late = sorted(when - at for (_, when), at in zip(far.routes[1].arrived, sent, strict=True))
+            assert late[len(late) // 2] < 1.0  # half of the window times of 0.2 to 0.8 s, and one chunk
+            assert late[-1] < 2.0
+
+    simulate(scene)
+
+
+def test_without_receipts_little_is_in_transit() -> None:
+    route = Route(1, always=1_000, outgoing=True)
+
+    async def scene() -> None:
+        async with connected(route, open_streams=Radio(1e6).open) as (near, far):
+            near.deaf = True
+            route.flush()
+            await pass_seconds(10, near, far)
+            assert 0 < near.in_transit() <= 8 * 1024
+            assert near.scheduler.busy(now()) > 5.0
+            assert not near.scheduler.moves
+
+    simulate(scene)
+
+
+def test_a_link_with_room_is_never_busy() -> None:
+    route = Route(1, outgoing=True)
+
+    async def scene() -> None:
+        async with connected(route, open_streams=Radio(1e6).open) as (near, far):
+            for _ in range(100):
+                route.send(bytes(1_000))
+                await asyncio.sleep(0.01)
+                assert near.scheduler.busy(now()) < 0.05
+            await pass_seconds(2, near, far)
+            assert near.in_transit() == 0
+
+    simulate(scene)

@@ -1,0 +1,40 @@
+"""Data frames of one route on a stream of its own."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.wire.framing import HEADER, MESSAGE_LIMIT, UNFINISHED_LIMIT, Budget, DataReader, FrameReader
+
+if TYPE_CHECKING:
+    from rsb_bridge.wire.framing import DataWriter, Message
+    from rsb_bridge.wire.sealing import Buffer, StreamOpener
+
+
+class StreamedReader(DataReader):
+    """A reader of data frames behind a reader of frames, with one budget for both."""
+
+    def __init__(
+        self, opener: StreamOpener, route: int, limit: int = MESSAGE_LIMIT, budget: Budget | None = None
+    ) -> None:
+        self.budget = budget or Budget(UNFINISHED_LIMIT)
+        super().__init__(opener, route, limit, self.budget)
+        self.frames = FrameReader(HEADER.size + limit + opener.suite.tag_length, self.budget)
+
+    def receive_data(self, data: Buffer) -> list[Message]:
+        return self.open_frames(self.frames.feed(data))
+
+    def close(self) -> None:
+        self.frames.close()
+        super().close()
+
+
+def write_chunks(writer: DataWriter, payload: bytes, stamp: int, flags: int, chunk_size: int) -> list[bytes]:
+    """Return one message as frames of at most `chunk_size` bytes each."""
+    piece = bytearray(writer.piece_size(chunk_size, chunk_size))
+    frames: list[bytes] = []
+    at = 0
+    while not frames or at < len(payload):
+        used, at = writer.write_piece(memoryview(payload), at, stamp, flags, chunk_size, piece)
+        frames.append(bytes(piece[:used]))
+    return frames
