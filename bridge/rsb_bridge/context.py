@@ -41,8 +41,6 @@ class Context:
     Attributes:
         session: for its defaults; the engine looks after its topics and clients.
         domain_id: the ROS domain joined.
-        ros: the ROS side.
-        events: the event log.
         ros_queue: from the ROS thread to the I/O loop.
         loop: the I/O loop; all engine state belongs to its thread.
         clock: the wall clock.

@@ -29,7 +29,6 @@ class Tasks:
     """The tasks of one owner. An exception that ends one goes to the loop's exception handler, which logs it.
 
     Args:
-        loop: runs them.
         on_failure: called after a task has ended with an exception.
     """
 
@@ -46,12 +45,7 @@ class Tasks:
         return task
 
     def keep(self, make: Callable[[], Coroutine[None, None, None]], backoff: Backoff) -> None:
-        """Run a coroutine that should never end; start it again, after a delay, whenever it does end.
-
-        Args:
-            make: makes the coroutine.
-            backoff: gives the delay.
-        """
+        """Run a coroutine that should never end; start it again, after a delay, whenever it does end."""
         if not self._cancelled:
             self._add(make()).add_done_callback(partial(self._ended_early, make, backoff))
 

@@ -35,7 +35,6 @@ class Action:
         keys: Textual key names, comma-separated; the first is the one that is shown.
         label: shown in the footer after the key.
         help: its description in the help and the palette.
-        group: its chapter.
         changes: whether it changes the bridge or a file, so that ``--readonly`` disables it.
         needs_topic: whether it acts on the topic under the cursor.
         in_footer: whether the footer shows it.

@@ -59,8 +59,6 @@ class ConsoleApp(TerminalApp[None]):
     Args:
         session: session to run, or None.
         path: the session's file, or None without a file.
-        readonly: forbid all changes.
-        ascii_only: draw only ASCII.
         theme: name of the theme, or None for one that suits the terminal.
         config: the user's configuration folder, or None for the platform's.
         make_engine: makes an engine from a session and the folder of its key files.
@@ -333,7 +331,6 @@ class Bell:
     """Rings when a fault of the shown engine begins. Earlier faults do not ring.
 
     Args:
-        ring: rings once.
         is_on: whether it rings at first.
         clock: gives s on a clock that nobody sets.
 

@@ -26,7 +26,6 @@ class ChildProcess(subprocess.Popen[str]):
     """Runs a module as ``python -P -m`` does: modules in the working folder are not found.
 
     Args:
-        module: its name.
         arguments: arguments of the module.
         options: for `subprocess.Popen`.
     """

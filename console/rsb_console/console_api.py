@@ -103,7 +103,6 @@ class Console(ConsoleShell, Protocol):
         """Stop the engine, and start one for another session.
 
         Args:
-            session: session to run.
             path: its file, or None without a file.
             resources: closed when the session ends.
             temporary: whether the file is one of those resources, so that saving to it keeps nothing.

@@ -92,7 +92,6 @@ class Preferences:
         theme: the name of a theme, or None for one that suits the terminal.
 
     Attributes:
-        themes: themes by name.
         theme: the name of the one to begin with.
         keymap: action ids to the user's keys.
         bell: whether the terminal's bell for new faults is on at the start.

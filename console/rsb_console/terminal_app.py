@@ -34,8 +34,6 @@ class TerminalApp(App[ReturnType]):
     """Fulfils `rsb_console.console_api.ConsoleShell`.
 
     Args:
-        readonly: forbid all changes.
-        ascii_only: draw only ASCII.
         theme: name of the theme, or None for one that suits the terminal.
         config: the user's configuration folder, or None for the platform's.
         dialogs: groups of the workers that may open a dialog.

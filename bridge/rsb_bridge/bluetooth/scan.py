@@ -64,7 +64,6 @@ class Device:
     """Another machine that BlueZ knows.
 
     Attributes:
-        address: its MAC.
         name: its own name, or its MAC.
         adapter: name of the adapter that knows it.
         paired: whether the two machines have exchanged keys.

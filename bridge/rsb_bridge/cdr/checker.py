@@ -106,13 +106,11 @@ class _Step(NamedTuple):
     """A length and the elements that it counts.
 
     Attributes:
-        kind: of the content.
         sizes: bytes from the end of the previous content to the end of the length, or to the array.
         bound: the largest number of elements, or an array's number.
         unit: bytes of one unit.
         repeated: elements of fixed size.
         body: the body of elements of varying size.
-        name: of the field.
     """
 
     kind: _Kind
@@ -129,7 +127,6 @@ class _Body:
     """A message type, or an element.
 
     Attributes:
-        steps: its lengths.
         tail: bytes behind the content of the last one.
         least: bytes that it has at least.
         last: name of its last field.

@@ -52,7 +52,6 @@ class Items:
     Attributes:
         element: the name of its elements' type.
         total: how many elements there are.
-        shown: the first ones.
         raw: the bytes of all elements, if they are primitive and were asked for raw.
         code: code of `struct` for one element of `raw`, with the byte order.
     """
@@ -109,7 +108,6 @@ def decode(
     """Read a message.
 
     Args:
-        description: of its type.
         payload: the message with its encapsulation header, or the beginning of it.
         items: elements of an array that are kept.
         steps: values that are read at most.

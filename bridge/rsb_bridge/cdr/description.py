@@ -68,12 +68,7 @@ class MessageType(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TypeDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A message type, and all that it refers to.
-
-    Attributes:
-        type_description: the type.
-        referenced_type_descriptions: the others.
-    """
+    """A message type, and all that it refers to."""
 
     type_description: MessageType
     referenced_type_descriptions: tuple[MessageType, ...]

@@ -207,8 +207,6 @@ class StreamPair:
 
     Args:
         routes: ids of the link's routes.
-        scheduler: of the link.
-        book: for receipts.
         budget: for the link's incomplete messages.
         scratch: what large messages are sealed in.
 

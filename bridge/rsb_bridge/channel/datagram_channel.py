@@ -153,11 +153,7 @@ _RECEIPTS_PER_BUFFER = 4 * WINDOW
 
 
 class _DatagramChannel:
-    """The part that both ends share.
-
-    Attributes:
-        carrier: the UDP channel.
-    """
+    """The part that both ends share."""
 
     def __init__(self, udp_channel: UdpChannel, route: RouteSink) -> None:
         self.carrier = udp_channel

@@ -95,9 +95,6 @@ class Carrier(Protocol):
 class Scheduler:
     """The queue and the window of one link's direction.
 
-    Args:
-        book: for receipts.
-
     Attributes:
         sent: bytes sent so far, on all streams.
         chunk: bytes of a message in one turn.

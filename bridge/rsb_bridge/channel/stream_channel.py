@@ -36,7 +36,6 @@ class _StreamEnd:
     Args:
         pair: the streams, which are ready.
         route: that the channel carries.
-        keys: make the codecs.
     """
 
     ready = True

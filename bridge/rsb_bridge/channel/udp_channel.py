@@ -116,7 +116,6 @@ class UdpChannel:
     """One end of a UDP channel: the parts that client and server share.
 
     Attributes:
-        socket: its UDP socket.
         ready: whether datagrams are known to get through.
         over: whether it is closed or its last route has left: the next route needs another UDP channel.
         trouble: the reason why no datagrams arrive, for an operator, or an empty string.
@@ -133,8 +132,6 @@ class UdpChannel:
         """Begin.
 
         Args:
-            socket: to use.
-            probe: the connection's.
             now: the time in s, on the clock that all timers use.
             on_ready: called once datagrams are known to get through.
         """

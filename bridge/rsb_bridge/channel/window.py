@@ -117,7 +117,6 @@ class Window:
         Args:
             count: bytes of the channel that the peer claims to have received.
             sent: bytes sent so far.
-            now: s.
         """
         acknowledged = min(self._origin + count, sent)
         gained = acknowledged - self._acknowledged

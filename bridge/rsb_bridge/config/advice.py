@@ -97,7 +97,6 @@ def advise(session: Session, domain_variable: str | None, middleware: str = "") 
     """Everything in a valid session that its operator should know before it runs.
 
     Args:
-        session: without mistakes.
         domain_variable: what ``$ROS_DOMAIN_ID`` says.
         middleware: what ``$RMW_IMPLEMENTATION`` says.
     """

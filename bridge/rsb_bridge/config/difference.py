@@ -41,12 +41,7 @@ def is_another(old: Session, new: Session) -> str:
 
 
 def kept(old: Session, new: Session) -> tuple[Session, list[str]]:
-    """Return the session that a running bridge can change to, and in words what it leaves as it is.
-
-    Args:
-        old: what runs.
-        new: what is wanted.
-    """
+    """Return the session that a running bridge can change to, and in words what it leaves as it is."""
     fixed = _FIXED_ON_CLIENT if old.role == "client" else _FIXED
     restart = ChangeRefused.RESTART()
     left = [ChangeRefused.FIXED(change=change, restart=restart) for change in changes(old, new, only=fixed)]
@@ -62,7 +57,6 @@ def changes(
         old: a session, a topic or a client.
         new: the same with changes.
         only: the fields to compare, or empty for all.
-        leave_out: fields to ignore.
     """
     if isinstance(old, Topic) and isinstance(new, Topic) and old.kind == new.kind:
         old, new = as_written(old), as_written(new)

@@ -71,7 +71,6 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
 
     Args:
         path: of the file. It may be new. A symbolic link is followed, and stays one.
-        content: the whole file.
         like: a file whose mode, owner and group the new one gets. None: the mode is 0600, owner and group are those of
             the file that is replaced. Both are as far as this user may give them.
 
@@ -160,7 +159,6 @@ def give_owner(file: int | Path, like: Path) -> None:
 
     Args:
         file: its path or descriptor.
-        like: the other one.
     """
     model = like.stat()
     for owner in (model.st_uid, -1):

@@ -31,7 +31,6 @@ class FleetFile(NamedTuple):
     Attributes:
         zenoh: where the fleet is.
         operator: as its engines' sessions name them.
-        key: the operator's.
         base: the folder that the files it names are relative to.
     """
 

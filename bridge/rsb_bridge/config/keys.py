@@ -173,8 +173,6 @@ def copy_key(key: Key, path: Path, *, force: bool = False) -> None:
     """Write a key to one more file, mode 0600.
 
     Args:
-        key: to write.
-        path: of the file.
         force: replace a file that exists, atomically.
 
     Raises:

@@ -48,7 +48,6 @@ def merge(text: str, root: yaml.Node, old: Session, new: Session) -> str:
     Topics, services and clients keep the file's order; new ones come last.
 
     Args:
-        text: of the file.
         root: of the text, as PyYAML composes it.
         old: what the text says.
         new: what it is to say.
@@ -149,7 +148,6 @@ class _Merger:
         """Edit a mapping that keeps at least one key.
 
         Args:
-            node: the mapping.
             changes: the new values by key; `_GONE` where the key goes.
             order: of the keys, for those that are added.
         """
@@ -223,10 +221,7 @@ class _Merger:
         """Edit a list.
 
         Args:
-            key: of the list.
-            node: the list.
             gone: the indices of the entries that go.
-            added: the new ones.
         """
         if node.flow_style:
             self._flow_sequence(key, node, gone, added)

@@ -391,7 +391,6 @@ def rights_of_server(session: Session, listed: Set[Identity] | None = None) -> R
     """Return the rights of the server on a client.
 
     Args:
-        session: the client's.
         listed: the identities of the client's topics at present, or None for the topics in its session.
     """
     if listed is None:
@@ -451,7 +450,6 @@ class Row(NamedTuple):
         peer: the client's name; on a client ``the server``.
         may: ``publish``, ``read`` or both; of services, actions and parameters ``call``, ``serve`` or both.
         topics: patterns of names in this side's domain.
-        transports: the permitted transports.
         rate: the limit of messages or calls.
         ports: the ports that they may have here, or an empty string if this side binds none.
     """
@@ -469,7 +467,6 @@ class Listing(NamedTuple):
 
     Attributes:
         peer: as in `Row`.
-        rows: of the table.
         moves: the patterns of `MOVES_A_ROBOT` that it may publish.
         acts: the names that it may call, without those of `ONLY_READ`.
     """
@@ -601,7 +598,6 @@ class Granted:
     """An operator and their key.
 
     Attributes:
-        operator: the session's entry.
         key: the contents of their key file.
     """
 
@@ -642,7 +638,6 @@ def granted_operators(session: Session, base: Path, keys: Mapping[str, tuple[Key
     """Read the keys of a session's operators.
 
     Args:
-        session: the operators' session.
         base: the folder that its key files are relative to.
         keys: of its links, by the clients' names.
 

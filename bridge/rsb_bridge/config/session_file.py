@@ -49,13 +49,7 @@ class UneditableError(SessionError):
 
 @dataclass(frozen=True, slots=True)
 class SessionFile:
-    """A session file as it was read or saved.
-
-    Attributes:
-        path: of the file.
-        text: all of it.
-        session: its contents.
-    """
+    """A session file as it was read or saved."""
 
     path: Path
     text: str
@@ -175,7 +169,6 @@ def save(session: Session, path: Path, opened: SessionFile | None = None) -> Ses
 
     Args:
         session: what the file is to say.
-        path: of the file.
         opened: as in `edited_text`.
 
     Returns:
@@ -205,7 +198,6 @@ def edited_text(session: Session, path: Path, opened: SessionFile | None = None)
 
     Args:
         session: what the file is to say.
-        path: of the file.
         opened: the file that the session came from, or None for a new text. Comments, order, layout and all values that
             did not change are kept.
 

@@ -94,7 +94,6 @@ def import_bringup(
         server_port: None: the file's own. Text that is no number is a problem like any other.
         key_file: the key's path, relative to the session's future file.
         use_name: prefix the client's topics on the server.
-        use_encryption: encrypt the link.
         domain_id: None: ``$ROS_DOMAIN_ID``, as in the thesis. Text as for `server_port`.
 
     Returns:

@@ -149,7 +149,6 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
     """Mistakes in a topic by itself.
 
     Args:
-        topic: to look at.
         location: of the topic. The problems' locations have the key behind it.
         session: the topic's session, or None if it is not known yet. It tells what the link can carry.
         client: the client's name where it is the prefix of the topic's name on the server.
@@ -186,7 +185,6 @@ def on_end_problems(text: str, location: str, kind: Kind | None) -> Iterator[Pro
 
     Args:
         text: of the line, or empty.
-        location: of it.
         kind: of the line, or None for a line of every kind.
     """
     if text in ("", NONE) or (kind is None and text == CANCEL):
@@ -286,8 +284,6 @@ def pattern_problems(topic: Topic, location: str, transport: type[TransportTrait
 
     Args:
         topic: whose name is a pattern.
-        location: of it.
-        transport: of the topic.
     """
     remote_key = key_of(topic.kind, "remote_topic")
     found = list(form_problems(topic.topic, join(location, key_of(topic.kind, "topic"))))
@@ -325,7 +321,6 @@ def too_many_patterns(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
     """Yield a problem for each pattern beyond a link's limit.
 
     Args:
-        topics: of the link.
         where: the location of the session or client that lists them.
     """
     patterns = [here for topic, here in zip(topics, locations(topics), strict=True) if topic.is_pattern]
@@ -400,7 +395,6 @@ def overlaps(topics: Sequence[Topic], where: str) -> Iterator[Problem]:
     """Services of one link that two of its entries bridge.
 
     Args:
-        topics: of the link.
         where: the location of the session or client that lists them.
     """
     first: dict[str, int] = {}

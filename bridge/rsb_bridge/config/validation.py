@@ -125,7 +125,6 @@ def fault_command_warnings(session: Session, file: Path) -> Iterator[str]:
 
     Args:
         session: its `on_fault` may be None.
-        file: the session file.
     """
     if session.on_fault is None:
         return
@@ -321,7 +320,6 @@ def validate_topic(topic: Topic, session: Session | None = None, *, client: str 
     """All problems of a topic by itself.
 
     Args:
-        topic: to look at.
         session: the topic's session, or None if it is not known yet. It tells what the link can carry.
         client: the client's name where it is the prefix of the topic's name on the server.
 

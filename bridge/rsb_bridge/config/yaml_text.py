@@ -63,7 +63,6 @@ class SessionError(Exception):
     """A session is refused. Its text has a line for each problem: ``robot1.yaml:14: topics[2].protocol: ...``.
 
     Attributes:
-        path: the file.
         problems: what is wrong, in the file's order; at least one.
     """
 
@@ -126,7 +125,6 @@ def inline(value: Any, quotes: str | None = None) -> str:
     """Plain data as YAML on one line, fit for any place in a document.
 
     Args:
-        value: plain data.
         quotes: of a text, or None for quotes where they are needed.
     """
     style = quotes if quotes in ("'", '"') else None

@@ -91,7 +91,6 @@ class ConsoleHost(Protocol):
 
     Attributes:
         engine: to be shown and commanded.
-        info: describes the bridge.
         encoded: the parts of the state that are encoded already.
     """
 
@@ -113,7 +112,6 @@ class Console:
 
     Args:
         served: the engine that it is attached to.
-        connection: its own.
         refusal: the reason to refuse it as soon as it says hello, or an empty string.
     """
 

@@ -36,7 +36,6 @@ class RunningBridge:
 
     Attributes:
         path: of its control socket.
-        pid: its process.
         info: its description, or None if it does not answer, or not to this version.
         problem: the reason that `info` is None, or an empty string.
     """
@@ -73,11 +72,7 @@ class SessionRuns(Wording):
 
 
 class AlreadyRunningError(ControlError):
-    """A session that runs on this machine already.
-
-    Attributes:
-        bridge: that runs it.
-    """
+    """A session that runs on this machine already."""
 
     def __init__(self, bridge: RunningBridge) -> None:
         text = SessionRuns.NOT_ANSWERING if bridge.problem else SessionRuns.ANSWERING
@@ -132,9 +127,6 @@ def serve(
     """Serve an engine that is not started yet. From now on this machine refuses to start the same session again.
 
     Args:
-        engine: not started yet.
-        session: that it runs.
-        file: the session file.
         control: the path of the socket, or None for one in the user's folder, named after the session.
         on_stop: ends the process, on another thread, or None to send SIGTERM.
         has_console: whether the process has a console of its own.

@@ -63,11 +63,7 @@ class Connector(Protocol):
 
 
 class UnixSocket:
-    """The control socket of an engine on this machine.
-
-    Args:
-        path: of the socket.
-    """
+    """The control socket of an engine on this machine."""
 
     same_machine = True
 

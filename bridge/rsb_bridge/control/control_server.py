@@ -39,14 +39,11 @@ class ControlServer:
     Args:
         engine: to be served, started or not.
         listener: the socket; closed with this.
-        info: describes the bridge.
         on_stop: called, on this server's thread, when a console asks for the end of the process.
 
     Attributes:
         summarize: makes the engine's figures for consoles that watch (`rsb_bridge.control.protocol.Summary`), on this
             server's thread, or None to send none.
-        engine: as given.
-        info: as given.
         encoded: the parts of the engine's state that are encoded already, for all consoles.
         loop: of the server's thread, from `start` on.
     """
@@ -75,11 +72,7 @@ class ControlServer:
         ready.wait()
 
     def close(self, reason: str = "the bridge has ended") -> None:
-        """Tell the consoles why, and stop serving; takes half a second where they do not listen.
-
-        Args:
-            reason: in words.
-        """
+        """Tell the consoles why, and stop serving; takes half a second where they do not listen."""
         if not self._thread.is_alive():
             self._listener.close()
             return

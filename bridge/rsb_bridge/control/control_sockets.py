@@ -74,11 +74,7 @@ class NotServedError(ControlError):
 
 
 class StrangerError(ControlError):
-    """The other side of a control socket is a user whom this process does not trust.
-
-    Attributes:
-        uid: of that user.
-    """
+    """The other side of a control socket is a user whom this process does not trust."""
 
     def __init__(self, path: Path, uid: int) -> None:
         super().__init__(SocketProblem.STRANGER(path=path, user=user_name(uid), remedy=run_as(uid)))
@@ -86,11 +82,7 @@ class StrangerError(ControlError):
 
 
 class TakenError(ControlError):
-    """A living process listens on the socket already.
-
-    Attributes:
-        path: of the socket.
-    """
+    """A living process listens on the socket already."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(SocketProblem.TAKEN(path=path))
@@ -209,7 +201,6 @@ def connect(path: Path, timeout: float) -> socket.socket:
     """Connect to a control socket, whose server must be this user's or root's; to root, also that of a service.
 
     Args:
-        path: of the socket.
         timeout: s; remains the socket's own.
 
     Raises:
@@ -279,7 +270,6 @@ def _folder(path: Path, *, make: bool) -> Iterator[int]:
     """Open a folder, and make sure that no other user can put a socket of their own there.
 
     Args:
-        path: of the folder.
         make: it is one of the default folders: make it, mode 0700, where it is missing; it must be this user's.
     """
     try:
@@ -362,8 +352,6 @@ def identify(pid: int, uid: int, proc: Path = Path("/proc")) -> str:
     address comes from the environment that the SSH server gave the process; it is unknown for another user's process.
 
     Args:
-        pid: of the process.
-        uid: its user's.
         proc: the file system of processes.
     """
     process = proc / str(pid)

@@ -116,7 +116,6 @@ class Hello(_Message, frozen=True, tag="hello"):
     """The first message of a console.
 
     Attributes:
-        version: of this protocol.
         program: the version of rsb-console.
         read_only: whether the bridge is to refuse all changes.
     """
@@ -135,10 +134,8 @@ class BridgeInfo(msgspec.Struct, frozen=True, omit_defaults=True):
     """The description of a bridge that serves a control socket.
 
     Attributes:
-        name: of its session.
         role: ``client`` or ``server``.
         address: that it binds or calls.
-        pid: its process.
         started: s since the epoch.
         instance: an id that differs from one engine to the next.
         program: its version of rsb-console.
@@ -172,11 +169,7 @@ class Welcome(_Message, frozen=True, tag="welcome"):
 
 
 class Refused(_Message, frozen=True, tag="refused"):
-    """The other answer to `Hello`; the connection closes.
-
-    Attributes:
-        reason: in words.
-    """
+    """The other answer to `Hello`; the connection closes."""
 
     reason: str
 
@@ -189,7 +182,6 @@ class Request(_Message, frozen=True, tag="request"):
 
     Attributes:
         id: of the console's choosing.
-        command: what to do.
         undo: whether it takes back an earlier command of this console; the bridge's log marks it.
         ticket: the newest one that the console has (`rsb_bridge.control.tickets`).
     """
@@ -279,12 +271,7 @@ class Summary(_Message, frozen=True, tag="summary"):
 
 
 class Step(_Message, frozen=True, tag="step"):
-    """A step of a restart.
-
-    Attributes:
-        id: of the request.
-        text: in words.
-    """
+    """A step of a restart."""
 
     id: int
     text: str
@@ -294,7 +281,6 @@ class Reply(_Message, frozen=True, tag="reply"):
     """The result of a command. `value` has room for one kind of object only, so there is a field for each other kind.
 
     Attributes:
-        id: of the request.
         value: a route's key, topics, a message, the description of a type, or None.
         reloaded: the result of `Reload`.
         history: the result of `History`.
@@ -320,8 +306,6 @@ class Failed(_Message, frozen=True, tag="failed"):
     """A command is not done.
 
     Attributes:
-        id: of the request.
-        reason: in words.
         invalid: whether the request itself is wrong, as in `rsb_bridge.api.InvalidRequestError`.
         late: whether its ticket was too old; it may be repeated with the new one if its operator still wants it.
         ticket: for requests of the next moment.
@@ -335,11 +319,7 @@ class Failed(_Message, frozen=True, tag="failed"):
 
 
 class Goodbye(_Message, frozen=True, tag="goodbye"):
-    """The bridge ends, or has had enough of this console; the connection closes.
-
-    Attributes:
-        reason: in words.
-    """
+    """The bridge ends, or has had enough of this console; the connection closes."""
 
     reason: str
 

@@ -352,7 +352,6 @@ class _Waiting(Generic[R]):
 
     Attributes:
         command: as it was given.
-        future: gets the result.
         step: called with each step of a restart, or None.
         undo: whether it takes back an earlier command.
         given_at: the time (s) of `Clock.steady` when the operator gave it.

@@ -365,7 +365,6 @@ class OperatorConnector:
     Args:
         connect: makes a stream to the engine.
         operator: as the engine's session names them.
-        key: the operator's.
         engine: the name of the session that is meant: no other one can answer in its place.
         at: the engine's address in a Zenoh network, or empty.
     """

@@ -68,7 +68,6 @@ class Sender:
 
         Args:
             snapshot: newer than `sent`.
-            session: the present one.
             waits_for_operator: as in `rsb_bridge.api.EngineApi`.
             encoded: shared by all consoles.
         """
@@ -99,7 +98,6 @@ class Receiver:
     """The state of a bridge as a console has received it.
 
     Args:
-        bridge: the sender.
         trusted: whether the bridge is on this machine. Messages of other bridges are limited and cleaned.
 
     Attributes:
@@ -165,7 +163,6 @@ def out_of_reach(shown: Snapshot, reason: str, *, since: float, now: float) -> S
     """Return the snapshot to show of a bridge that is out of reach: everything is down.
 
     Args:
-        shown: the last snapshot.
         reason: the reason that the bridge is out of reach.
         since: s since the epoch of the last contact.
         now: s since the epoch.

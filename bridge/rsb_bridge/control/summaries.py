@@ -42,7 +42,6 @@ class Batteries:
     """Looks at a message of each robot's battery now and then; never waits.
 
     Args:
-        engine: that bridges them.
         of_own_robot: whether the engine runs on the robot and sends the messages, or receives them from robots.
 
     Attributes:
@@ -120,7 +119,6 @@ class SummaryBuilder:
 
     Args:
         engine: to be summed up.
-        version: of this rsb-console.
     """
 
     def __init__(self, engine: EngineApi, version: str) -> None:

@@ -74,9 +74,7 @@ class Member(NamedTuple):
     """An engine of a fleet, as it announces itself: anybody in the network may, under any name.
 
     Attributes:
-        name: its session's.
         role: ``client`` or ``server``.
-        version: of its rsb-console.
         address: of its endpoint, new in each of its lives.
     """
 
@@ -103,7 +101,6 @@ class Announcement:
     Args:
         server: serves the engine; it has been started.
         access: says who may attach.
-        network: where.
     """
 
     def __init__(self, server: ControlServer, access: Access, network: Network) -> None:

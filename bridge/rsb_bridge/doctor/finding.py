@@ -33,7 +33,6 @@ class Finding(NamedTuple):
         code: name of the examined thing, for programs: ``udp_buffers``.
         grade: its grade.
         subject: name of the examined thing, for people.
-        text: the finding itself.
         remedy: a command or advice, or an empty string.
         facts: figures and names for programs.
     """
@@ -54,8 +53,6 @@ class Check(NamedTuple):
     """One check.
 
     Attributes:
-        code: of its findings.
-        subject: of its findings.
         run: yields them; it raises OSError if it cannot find out.
     """
 

@@ -123,7 +123,6 @@ def checks(environ: Mapping[str, str], root: Path = Path("/")) -> tuple[Check, .
     """Return the checks of a machine.
 
     Args:
-        environ: the environment.
         root: in place of ``/`` for ``/sys`` and ``/dev/shm``.
     """
     return (

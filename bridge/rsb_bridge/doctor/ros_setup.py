@@ -81,7 +81,6 @@ def checks(
     """Return the checks of ROS.
 
     Args:
-        environ: the environment.
         self_test: command that prints what `rsb_bridge.ros.self_test.main` prints.
         own_domain: the session's `domain_id`, which counts more than ``$ROS_DOMAIN_ID``, or None.
         root: in place of ``/`` for ``/opt/ros``.

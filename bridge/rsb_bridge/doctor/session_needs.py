@@ -73,9 +73,6 @@ def checks(
     """Return the checks of what a session needs.
 
     Args:
-        session: without mistakes.
-        path: of its file.
-        environ: the environment.
         root: in place of ``/`` for ``/sys``.
         base_timeouts: command that prints what `rsb_bridge.ros.base_timeouts` prints.
     """

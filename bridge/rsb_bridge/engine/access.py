@@ -29,14 +29,9 @@ class Access:
     Args:
         name: the engine's; an operator's console has to ask for it.
         events: where it is recorded who attaches, and who is refused.
-        clock: the engine's.
         strangers: the engine's budget of those who have not proven a key yet, or None for one of its own.
 
     Attributes:
-        name: as given.
-        events: as given.
-        clock: as given.
-        strangers: as given.
         granted: by the operators' names; replaced as a whole.
     """
 

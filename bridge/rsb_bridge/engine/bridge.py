@@ -84,8 +84,6 @@ def watch_shutdown_topic(
     """Wait for a node to publish the word ``shutdown``.
 
     Args:
-        ros: the ROS side.
-        loop: the I/O loop.
         topic: the name of the topic.
         act: called on the ROS thread each time.
         failed: called on the loop with the reason when the subscription fails; it is opened again.
@@ -123,7 +121,6 @@ class Bridge:
 
     Args:
         context: the session, and the state that all parts share.
-        keys: of each client.
         snapshots: kept up to date for consoles.
         folder: gives the folder of the session file.
 
@@ -311,7 +308,6 @@ class Bridge:
         """Execute a command. Its errors become an `EngineError`, and the snapshot shows its effect.
 
         Args:
-            command: to be executed.
             step: called with each step of a restart, or None.
         """
         act: Handler = (
@@ -403,7 +399,6 @@ class Bridge:
 
         Args:
             session: differs from the present one in nothing that is fixed while the bridge runs.
-            keys: of each client.
             dry_run: only say what would change.
 
         Returns:

@@ -153,7 +153,6 @@ class Engine(EngineApi):
     All state belongs to the I/O thread. Commands run there.
 
     Args:
-        session: to be bridged.
         base: the folder that its key files are relative to.
         ros: the ROS side, or None for `rsb_bridge.ros.node.RosNode` in the session's domain.
         clock: the wall clock, or None for the machine's.

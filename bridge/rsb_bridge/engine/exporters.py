@@ -181,11 +181,7 @@ class MetricsExporter:
 
 
 class _Service:
-    """Serves at one address until `end`. An address that is taken is tried again, and ends nothing else.
-
-    Attributes:
-        thread: that does so.
-    """
+    """Serves at one address until `end`. An address that is taken is tried again, and ends nothing else."""
 
     def __init__(self, context: Context, look: Callable[[], Snapshot], before: _Service | None) -> None:
         self._context = context

@@ -42,7 +42,6 @@ def fault_report(
     Args:
         changes: to report, the most important first.
         time: s since the epoch.
-        bridge: the session's name.
         role: ``client`` or ``server``.
         ongoing: number of faults that are reported and not over, these included.
         merged: number of earlier changes for which no command was run.
@@ -240,7 +239,6 @@ class StartLimit:
         """Return whether the command may start at `now` (s), and count the start if so.
 
         Args:
-            now: s.
             for_link: whether a change of a link waits. So topics never use up all starts.
         """
         if self._starts and now - self._starts[-1] < EVERY:
@@ -253,11 +251,7 @@ class StartLimit:
 
 
 class _Runner:
-    """Watches for faults and runs one command for them, on a thread of its own, until `end`.
-
-    Attributes:
-        thread: that runs it.
-    """
+    """Watches for faults and runs one command for them, on a thread of its own, until `end`."""
 
     def __init__(self, context: Context, command: tuple[str, ...], folder: Path) -> None:
         self._events = context.events

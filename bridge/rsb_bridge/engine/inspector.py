@@ -44,7 +44,6 @@ class RouteInspector:
     Args:
         context: the state that all parts share.
         find: gives a route and its link by the route's key.
-        log: records the commands.
 
     Attributes:
         peeking: gives messages that pass.

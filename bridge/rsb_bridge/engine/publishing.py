@@ -102,7 +102,6 @@ class _Rest(NamedTuple):
 
     Attributes:
         timer: publishes it if no other comes in time.
-        payload: the message.
         openings: armed routes, and their ids then: nothing of an earlier arming is published.
     """
 
@@ -144,9 +143,6 @@ class Publishing:
     """Executes `Publish` and `DraftMessage`.
 
     Args:
-        context: the engine's.
-        links: gives the links.
-        log: records the commands.
         peeking: gives messages that pass.
     """
 
@@ -295,9 +291,6 @@ class Publishing:
         """Return the routes that are armed, or an empty list if the topic need not be.
 
         Args:
-            topic: its name here.
-            type_name: its type.
-            routes: all of it.
             driven: whether the topic has to be one on which robots may be driven.
 
         Raises:

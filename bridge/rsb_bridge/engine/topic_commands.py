@@ -60,8 +60,6 @@ class TopicCommands:
     """Executes commands about single topics and patterns.
 
     Args:
-        role: has the links.
-        log: records the commands.
         demands: the names that have to be armed.
         end_motions: stops what operators drive by hand on topics, before that is no longer possible.
     """
@@ -178,7 +176,6 @@ class TopicCommands:
         The peer hears of this at once, so call this only when the change itself can no longer be refused.
 
         Args:
-            link: the entry's link.
             entry: a topic, or a pattern.
             name: of it on this side.
             route: of the topic, or None for a pattern.

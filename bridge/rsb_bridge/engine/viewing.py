@@ -67,13 +67,7 @@ class _View:
 
 
 class Viewing:
-    """Answers `Look` and `EndLook`.
-
-    Args:
-        context: the engine's.
-        links: gives the links.
-        spawn: runs a view.
-    """
+    """Answers `Look` and `EndLook`."""
 
     def __init__(
         self, context: Context, links: Callable[[], Sequence[Link]], spawn: Callable[..., asyncio.Task[None]]

@@ -213,7 +213,6 @@ def report(files: Files, now: float, seconds: float) -> HistoryReport:
     """Report on the last `seconds` from the files of a bridge that does not run.
 
     Args:
-        files: of the bridge.
         now: s since the epoch.
         seconds: 24 h at most.
 
@@ -254,11 +253,8 @@ class Disk:
 
     Args:
         folder: where the files are.
-        name: of the session.
         role: ``client`` or ``server``.
-        events: of the engine.
         recorder: has the time line; goes on from the file that an earlier process left.
-        clock: the machine's.
     """
 
     def __init__(self, folder: Path, name: str, role: str, events: EventLog, recorder: Recorder, clock: Clock) -> None:

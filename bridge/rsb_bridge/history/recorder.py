@@ -41,7 +41,6 @@ class ClockAxis:
         floor: the time of what is remembered last.
 
     Attributes:
-        now: the time.
         jump: s by which the clock was set, as noticed by the last `advance`, or 0.
     """
 
@@ -88,11 +87,8 @@ class Recorder:
     """Remembers what an engine's snapshots and events show, from `start` to `stop`.
 
     Args:
-        name: of the session.
         role: ``client`` or ``server``.
-        events: of the engine.
         latest: gives its newest snapshot; a new object each time that it is renewed.
-        clock: the machine's.
 
     Attributes:
         changes: grows with everything that is worth saving soon.

@@ -69,7 +69,6 @@ class Claim:
 
     Args:
         folder: made if it is missing, mode 0700.
-        name: of the session.
         role: ``client`` or ``server``.
 
     Raises:

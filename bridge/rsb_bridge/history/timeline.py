@@ -67,7 +67,6 @@ class TrackRecords(dict[Key, TrackRecord]):
         one of the link with the most topics, unless the new track's link has more.
 
         Args:
-            key: the new track's.
             turn: number of the present `observe`.
         """
         topics, own = self._topics, self._topics[key[0]]
@@ -105,13 +104,10 @@ class Saved(msgspec.Struct, frozen=True):
     """A `Timeline` as it is kept on disk.
 
     Attributes:
-        version: of this format.
-        name: of the session.
         role: ``client`` or ``server``.
         time: when it was saved, s since the epoch.
         runs: beginning and end of each time in which the bridge ran.
         subjects: the links and topics.
-        actions: events.
     """
 
     version: int
@@ -127,7 +123,6 @@ class Timeline:
     """Remembers outages, rates and operators' actions. All times are on one `ClockAxis`.
 
     Args:
-        name: of the session.
         role: ``client`` or ``server``.
 
     Attributes:
@@ -188,12 +183,7 @@ class Timeline:
         self.changes += was_out != record.is_out
 
     def did(self, event: Event, now: float) -> bool:
-        """Remember an event, if an operator caused it or it concerns the whole bridge; whether it is so.
-
-        Args:
-            event: what happened.
-            now: when.
-        """
+        """Remember an event, if an operator caused it or it concerns the whole bridge; whether it is so."""
         if event.who or event.source == "operator":
             kept = self._did
         elif event.source == "engine":
@@ -268,8 +258,6 @@ class Timeline:
         """Report on the last `span` s.
 
         Args:
-            now: the time.
-            span: s.
             running: whether the bridge runs.
         """
         start = now - span

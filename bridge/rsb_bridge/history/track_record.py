@@ -209,7 +209,6 @@ class TrackRecord:
     All times are s on the axis of `rsb_bridge.history.recorder.ClockAxis`.
 
     Args:
-        link: the peer's name.
         kind: `rsb_bridge.model.history.LINK`, or a `rsb_bridge.model.session.Kind`.
         topic: its name on this side, or empty for the link itself.
         outgoing: whether this side sends it.
@@ -252,10 +251,7 @@ class TrackRecord:
         """Record the present state, which counts until the next call.
 
         Args:
-            now: the time.
-            state: its state.
             reason: why it is not OK.
-            link: of a topic.
             rate: of a link, bytes/s; what is counted by `count` comes on top.
             is_open: whether a waiting topic could carry messages.
         """
@@ -307,8 +303,6 @@ class TrackRecord:
         """End the record at `now`, because the link or topic was removed or nobody watches it any more.
 
         Args:
-            now: the time.
-            link: of a topic.
             cut_off: whether an outage may go on after the record ends.
         """
         if self.live:
@@ -404,9 +398,6 @@ class TrackRecord:
         """Summarize the time from `start` to `now`, to the minute.
 
         Args:
-            start: a time.
-            now: the time.
-            outages: their number.
             parts: the number of rates.
         """
         begin, end = int(start // MINUTE), int(now // MINUTE)

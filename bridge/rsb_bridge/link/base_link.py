@@ -410,7 +410,6 @@ class BaseLink(ABC):
 
         Args:
             reason: why it is over, for an operator.
-            code: of the event.
         """
         self.keepalive.stop()
         self.control = self.keys = None

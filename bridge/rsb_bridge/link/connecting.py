@@ -29,7 +29,6 @@ class Failure(NamedTuple):
     """The reason why the server did not accept a stream.
 
     Attributes:
-        reason: for an operator.
         cause: the same as a code.
         code: of the server's refusal, or None if it did not refuse.
     """
@@ -158,7 +157,6 @@ def failure_of(event: Event, address: str, refusal_message: Callable[[RefusalCod
 
     Args:
         event: the failure of the handshake.
-        address: of the server.
         refusal_message: gives the text for operators about a refusal.
     """
     match event:
@@ -176,7 +174,6 @@ def _not_a_bridge(address: str, protocol: str) -> str:
     """Name the program that answers instead, and the remedy.
 
     Args:
-        address: of the server.
         protocol: the other program's, or an empty string if it is unknown.
     """
     what = f"{address} answers as {protocol}, not as rsb-console" if protocol else f"{address} is not an rsb-console"

@@ -252,7 +252,6 @@ class Contention:
         """Judge once a second, while linked.
 
         Args:
-            keepalive: of the link.
             peer: the other side's name.
             lossy: the path loses packets, which explains why less arrives than is asked for.
         """

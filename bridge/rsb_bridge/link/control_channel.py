@@ -63,7 +63,6 @@ def in_slices(entries: Iterable[tuple[_E, int]], work: Callable[[_E], None]) -> 
 
     Args:
         entries: the entries, each with its bytes.
-        work: processes one entry.
 
     Raises:
         ProtocolError: an entry is invalid.
@@ -86,14 +85,12 @@ class ControlChannel(StreamHandler):
     """The stream's handler once the handshake is done.
 
     Args:
-        stream: the stream.
         connection: its state machine, which has authenticated the peer.
         handlers: handlers of control messages, by type. Each may return work to be done in slices before the next
             message.
         lost: is called once with reason and code when the connection is over. No message comes after it.
 
     Attributes:
-        stream: the stream.
         data: the same stream as a data stream, or None if data has streams of its own.
         over: whether the connection has ended.
     """

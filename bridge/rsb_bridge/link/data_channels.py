@@ -41,7 +41,6 @@ class UdpChannels:
     """A link's UDP channels by port, probed and watched as long as they are open.
 
     Args:
-        loop: sets the timers.
         log: adds an event about the link.
     """
 
@@ -110,7 +109,6 @@ class DataChannels:
     """The streams and UDP channels that carry the messages of one link's routes.
 
     Args:
-        loop: sets the timers.
         log: adds an event about the link.
         unfinished: the budget for incomplete messages of the peer.
         send_receipts: sends receipts to the peer.
@@ -123,7 +121,6 @@ class DataChannels:
         keys: to seal and open routes' messages, or None without a link.
         scheduler: shares the link's streams among its routes, or None without a link.
         probe: the datagram that finds a UDP path, or None without a link.
-        udp: the UDP channels.
     """
 
     def __init__(
@@ -202,8 +199,6 @@ class DataChannels:
         """Use an accepted stream.
 
         Args:
-            stream: to be used.
-            name: its place.
             transport: that it belongs to.
             port: that it was opened to.
             beginning: bytes that arrived after the stream's preamble.

@@ -29,7 +29,6 @@ class GraphWatch:
 
     Args:
         context: context of the engine.
-        links: gives the links.
         look_for_names: starts the search for names after a change.
     """
 

@@ -63,12 +63,9 @@ class Link(BaseLink):
 
     Attributes:
         neighbourhood: the bridges in the ROS domains of both sides.
-        table: negotiates the routes.
         proposed: the topics that this side proposes.
         patterns: the same for patterns of names, and the names that the peer follows here.
         topic_lists: questions of the two sides about their graphs.
-        type_questions: questions about types.
-        bench: measures the link.
         views: pictures of topics, for viewers of both sides.
     """
 
@@ -176,7 +173,6 @@ async def topics_of_peer(links: Iterable[Link], name: str) -> list[TopicInfo]:
     """Return the topics and services of the peer's graph.
 
     Args:
-        links: all links.
         name: of the peer's link.
 
     Raises:

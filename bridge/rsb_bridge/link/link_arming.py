@@ -52,7 +52,6 @@ class LinkLease:
 
     Args:
         context: has the clock and the loop.
-        peer: the other side.
         is_needed: whether any route is armed or about to be.
         lives: is called when the two sides begin to hear each other.
         lapsed: is called when they no longer do, which disarms nothing yet.
@@ -156,7 +155,6 @@ class LinkArming:
 
     Args:
         context: has the clock and the log.
-        peer: the other side.
         peer_operators: names the other side's operators.
         routes: gives the link's routes.
         propose: reopens a route that this side proposes.
@@ -269,8 +267,6 @@ class LinkArming:
         """Arm a route for a console of this side; return once both sides count it as armed.
 
         Args:
-            route: route to arm.
-            console: its holder.
             shared: whether messages by hand of that operator's other consoles pass, too.
 
         Raises:

@@ -80,7 +80,6 @@ class BenchBudget:
             leave: the limits that the session sets now, or None if nothing is allowed.
             seconds: duration of the sending, in s.
             size: bytes to send.
-            rate: messages per second.
         """
         if leave is None:
             return "the session does not permit measuring the link (bench)"

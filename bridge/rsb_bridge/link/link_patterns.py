@@ -58,13 +58,11 @@ class PatternEntry:
     """An entry of a session whose name is a pattern, ready for matching.
 
     Args:
-        topic: the validated entry.
         client: name of the client, which is the prefix.
         prefixed: whether the server's names have the prefix if the entry has no `Topic.remote_topic`.
         always_prefixed: whether other names get the prefix, too, unless they begin with it.
 
     Attributes:
-        topic: the entry.
         source: the pattern of names in the followed graph.
         from_client: whether the client's graph is followed.
         left_out: reasons why matching names could not be bridged, by name.

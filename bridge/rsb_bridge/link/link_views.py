@@ -71,7 +71,6 @@ class PeerView:
     """One view of the peer's topics, on the side of its viewer.
 
     Attributes:
-        route: carries the pictures.
         newest: the newest picture that the viewer has not seen, or None.
     """
 
@@ -238,9 +237,7 @@ class LinkViews(Extension):
         """Return the next picture, or None if there is none within so many seconds.
 
         Args:
-            view: the view.
             topics: names on the peer's side.
-            wish: the viewer's.
             seconds: to wait at most.
 
         Raises:

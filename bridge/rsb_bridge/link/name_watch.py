@@ -62,7 +62,6 @@ class NameWatch:
 
     Args:
         context: context of the engine.
-        followers: gives the followers.
     """
 
     def __init__(self, context: Context, followers: Callable[[], Iterable[Follower]]) -> None:

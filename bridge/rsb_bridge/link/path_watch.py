@@ -173,12 +173,9 @@ class PathWatch:
         """Look at the path. Called once a second, while linked.
 
         Args:
-            control: the control connection.
             streams: the packets of all streams, as far as they are known.
             senders: the channels that send datagrams.
-            pings: the link's.
             peer: the other side's name.
-            now: s.
             large_vanish: none of the last large datagrams has arrived, while probes of their sockets are answered.
 
         Returns:

@@ -43,7 +43,6 @@ class PeerOperators:
     The operator's name is the other side's claim, and is marked so: it cannot be mistaken for one of this side.
 
     Args:
-        context: has the log.
         peer_name: name of the other side, for this side's operators.
     """
 

@@ -47,7 +47,6 @@ class Limits(NamedTuple):
     """The number of connections that may wait.
 
     Attributes:
-        total: in all.
         of_one_host: of one host, where a host cannot choose its address.
         accepted: in stage `Stage.ACCEPTED` under one name; more only come if somebody plays first messages again.
         when_scarce: in all while file descriptors are scarce, or None for `total`.
@@ -64,14 +63,9 @@ class PendingConnections:
 
     Args:
         recording: takes the events of refusals.
-        strangers: the engine's budget.
         limits: the number that may wait.
         streams_awaited: returns how many connections are expected from a host, or in all if it is empty; they are
             allowed on top of the limits.
-
-    Attributes:
-        refusals: the recent ones.
-        strangers: the engine's budget.
     """
 
     def __init__(
@@ -143,8 +137,6 @@ class PendingConnection(ABC):
     """One connection until its peer has authenticated, or it is gone.
 
     Attributes:
-        stage: its progress.
-        host: of the peer.
         network: counts as one host with others (`rsb_bridge.link.refused_clients.network`).
         name: given by the peer, and not authenticated.
     """

@@ -50,10 +50,8 @@ def proposal_of(
 
     Args:
         topic: the validated topic, with the client's names.
-        transport: its transport.
         client_name: name of the client, which is the prefix.
         use_name: whether the server's name of the topic has the prefix.
-        profile: of the link.
     """
     on_server = topic.remote_topic or (server_topic(topic.topic, client_name) if use_name else topic.topic)
     from_client = topic.direction == "transmit"

@@ -39,7 +39,6 @@ class ProposedTopics:
         """Bridge one more topic, which this side proposes; it takes over a route that a pattern has made.
 
         Args:
-            topic: what to bridge.
             by_pattern: whether a pattern adds it, whose entry makes the demands.
 
         Raises:

@@ -54,7 +54,6 @@ class _Asked(Generic[T]):
     """A question to the peer that has no answer yet.
 
     Attributes:
-        answer: the future answer.
         askers: number of callers that wait for it.
         to_send: whether the next caller sends the question: it has not been sent, or a caller has waited for too long.
     """
@@ -91,7 +90,6 @@ class Questions(Generic[T]):
 
         Args:
             number: number of the question, which the answer repeats.
-            question: message to send.
 
         Raises:
             LinkError: the link is lost, or the peer does not answer.
@@ -204,7 +202,6 @@ class TypeQuestions(Extension):
         """Return the description of a route's type.
 
         Args:
-            route: the route.
             linked: whether the peer can be asked.
 
         Raises:

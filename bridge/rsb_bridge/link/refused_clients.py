@@ -59,7 +59,6 @@ def with_remedy(code: RefusalCode, message: str, *, name: str, has_key: bool) ->
 
     Args:
         code: code of the refusal.
-        message: the server's message.
         name: name of the client.
         has_key: whether the client has a key.
     """
@@ -243,9 +242,7 @@ class RefusedClients:
         """Record an attempt, unless the table or the host's share of it is full.
 
         Args:
-            stream: of the client.
             name: that the client gave, or empty.
-            cause: of the refusal.
             reason: the same in words, with the remedy.
         """
         host = network(stream.host)
@@ -288,11 +285,7 @@ REMEDY = "stop one of the two, or give each a name and a key of its own"
 
 @dataclass(slots=True)
 class DuplicateClients:
-    """Clients that try to use the name of a linked client.
-
-    Attributes:
-        name: the common name.
-    """
+    """Clients that try to use the name of a linked client."""
 
     name: str
     _since: float = 0.0  # s since the epoch: there has been at least one since then

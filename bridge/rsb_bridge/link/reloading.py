@@ -57,8 +57,6 @@ def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterato
     """Yield the changes of a client.
 
     Args:
-        link: the client's link.
-        session: the new session.
         key: the new key, or None without encryption.
     """
     if link.key != key:
@@ -81,7 +79,6 @@ def server_steps(server: Server, entries: list[ClientEntry]) -> Iterator[Step]:
     """Yield the changes of a server.
 
     Args:
-        server: the running server.
         entries: the new entries of its clients.
     """
     wanted = {entry.client.name: entry for entry in entries}

@@ -106,7 +106,6 @@ class Pausing:
     """Pauses and resumes routes on both sides, at the request of either side.
 
     Args:
-        peer: the other side.
         peer_operators: records the actions of operators there.
     """
 
@@ -124,8 +123,6 @@ class Pausing:
         """Compare the pause of a proposal with this side's, which an operator may have changed since.
 
         Args:
-            route: this side's half.
-            proposal: the peer's.
             known: whether this side's revisions are about the peer's present process.
         """
         self.from_peer(route, proposal, known=known)
@@ -193,7 +190,6 @@ class RouteTable(Extension):
         """Make this side's half of a route, and ask the peer for the other half if this side proposes it.
 
         Args:
-            spec: the topic, validated.
             proposal: of it, with this side's names.
             proposed_here: whether this side proposes it.
             edited: whether it replaces a route that was removed right before.
@@ -284,7 +280,6 @@ class RouteTable(Extension):
         """Change the limits of a route on both sides, while it stays open.
 
         Args:
-            route: to change.
             spec: the topic as it is wanted, validated.
             proposal: of it, with this side's names.
         """
@@ -366,7 +361,6 @@ class RouteTable(Extension):
         """Ask the peer to open a route; if it is open, it is closed and opened again.
 
         Args:
-            route: the route.
             who: operator who has just added or edited it, or an empty string.
             edited: whether it replaces a route that was removed right before.
         """

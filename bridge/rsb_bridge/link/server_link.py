@@ -137,8 +137,6 @@ class TopicPorts:
         """Count a port that the client asks for.
 
         Args:
-            session: the server's.
-            transport: of the topic.
             port: its number, or channel.
 
         Returns:

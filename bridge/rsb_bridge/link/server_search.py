@@ -72,12 +72,9 @@ class _Try(StreamHandler):
     """One stream to one announced server, which strangers may answer, too.
 
     Args:
-        connection: begins the handshake.
-        host: the server's.
         address: the same, for messages.
         refusal_message: gives the text for operators about a refusal.
         asked_for: called if an answer asks for another cipher suite.
-        finish: takes the outcome.
     """
 
     def __init__(
@@ -153,7 +150,6 @@ class ServerSearch:
     """Tries announced servers by the handshake, and remembers failed ones.
 
     Args:
-        transport: announces the servers.
         now: the time, in s.
         patience: s that a server has to prove the key.
     """

@@ -124,11 +124,8 @@ class TopicView:
     """Draws topics for one viewer until it is closed.
 
     Args:
-        context: the engine's.
-        renderer: draws.
         number: of the view, among all of the engine.
         topics: their names here; the first one gives the kind of picture.
-        wish: the viewer's.
         deliver: takes each picture, and returns when the next one may be drawn.
         bridged: returns a topic that this bridge itself publishes, or None.
 

@@ -104,7 +104,6 @@ class CallsSnapshot:
         refused: calls not carried, by cause: ``calls under way``, ``bytes under way``, ``calls a second``, ``paused``,
             ``disarmed``, ``provider gone``, ``too large``, ``not sent``, ``not arrived``, ``other``.
         lost: pending calls given up because the link or the provider went away.
-        in_flight: calls pending now.
         late: replies that came after their call was given up. Not a part of `asked`.
         node_p50: median time in seconds that the far node took to reply, or None if there is no figure.
         node_p99: 99th percentile of that time.

@@ -74,7 +74,6 @@ class EditTopic(Command[str], frozen=True, tag="edit"):
 
     Attributes:
         key: of the route or the pattern.
-        topic: the new entry.
         drop_arm: whether an operator has agreed to end the demand to be armed. Without that, a change from
             ``arm: true`` to false is refused, and any other change keeps the demand.
     """
@@ -130,7 +129,6 @@ class ArmTopic(Command[None], frozen=True, tag="arm"):
     The console has to keep the topic armed (`KeepArmed`). Only its messages by hand pass from then on.
 
     Attributes:
-        key: of the route.
         shared: whether messages by hand of that operator's other consoles pass, too: the commands of a shell are one
             console each.
     """
@@ -234,7 +232,6 @@ class Peek(Command[PeekedMessage | None], frozen=True, tag="peek"):
     A topic shows a message every half second at most. Messages take no extra step while nobody peeks.
 
     Attributes:
-        key: of the route.
         kept: whether to take the message of a latched topic that a late joiner gets.
     """
 

@@ -46,7 +46,6 @@ class Source:
     """One line of a session that demands arming or a `max_age`.
 
     Attributes:
-        key: identifies the entry.
         name: a name or a pattern on this side.
         deadman: in seconds, or 0 for none.
         kind: of the names, or None for every kind.
@@ -106,7 +105,6 @@ def local_name(topic: Topic, client: str, *, on_server: bool, use_name: bool) ->
 
     Args:
         topic: the entry, as the client sees it.
-        client: the client's name.
         on_server: whether the side is a server.
         use_name: whether the server prefixes the client's topics.
     """
@@ -191,7 +189,6 @@ class Demands:
 
         Args:
             kind: of what has the name.
-            name: on this side.
             type_name: its type, or an empty string if it is unknown: then lines of every type match.
             client: on a server, the client's name.
             client_name: on a server, what the client calls it.
@@ -275,10 +272,7 @@ def demand_on_entry(demands: Demands, session: Session, client: Client | None, t
     """Return the demand on the name of an entry, which is no pattern.
 
     Args:
-        demands: of the session.
-        session: with the entry.
         client: on a server, the client whose entry it is, or None.
-        topic: the entry.
     """
     owner = "" if client is None else client.name
     use_name = session.use_name if client is None or client.use_name is None else client.use_name
@@ -369,7 +363,6 @@ def describe(source: Source, places: Mapping[SourceKey, str]) -> str:
     """Return the line that demands arming, for an operator: ``pattern /cmd* in robot.yaml:20``.
 
     Args:
-        source: the line.
         places: where the lines are, by their keys.
     """
     place = places.get(source.key, OriginText.THIS_SESSION())
@@ -439,7 +432,6 @@ class RunningDemands:
 
     Args:
         armed: returns the running session's `armed`.
-        set_armed: replaces it.
         soon: has `apply` called soon.
         kept: is called with a source that is kept in `armed`, and its origin.
         dropped: is called with a source that an operator has dropped, and its origin.

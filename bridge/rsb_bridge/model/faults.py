@@ -112,7 +112,6 @@ class _Watched:
     """A link, a route or a pattern with a fault, past or present.
 
     Attributes:
-        subject: its newest snapshot.
         since: s, when the fault began; once it is reported, when `next` began.
         seen: the same in s since the epoch.
         reported: the state and cause of the last report, or None before the first.

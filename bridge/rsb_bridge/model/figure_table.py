@@ -54,11 +54,8 @@ class Figure:
     """A figure of a link or a route.
 
     Attributes:
-        of: its subject.
-        name: in JSON.
         metric: its name in Prometheus after the subject, or empty if it is no metric. A counter's ends in ``_total``.
         help: in Prometheus; figures with the same metric share the first one's.
-        unit: its unit.
         shown: its name on ``/diagnostics`` without the unit, or empty for the words of `name`.
         source: an attribute of the `LinkSnapshot` or `RouteSnapshot`, or a function of it; empty for `name` in the
             subject's part.

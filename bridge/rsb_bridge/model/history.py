@@ -26,7 +26,6 @@ class Outage:
     Attributes:
         start: s since the epoch.
         seconds: its length, on a clock that nobody sets.
-        link: the peer's name.
         topic: its name on this side, or empty for the link itself.
         outgoing: whether this side sends the topic.
         state: the worst `rsb_bridge.model.snapshot.State` in this time.
@@ -65,7 +64,6 @@ class Track:
         outgoing: as in `Outage`.
         up: s in which it was fine.
         out: s in which it was not. The rest of the span was not recorded, or it was paused on purpose, or it waited.
-        outages: their number.
         rates: mean rate in each part of the span, oldest first, or None if unknown: of a topic in Hz, of other routes
             in calls/s, of a link in bytes/s in both directions together.
         waiting: s before the first message without a fault, which count neither as up nor as out.
@@ -102,7 +100,6 @@ class Gap:
 
     Attributes:
         start: s since the epoch.
-        seconds: its length.
     """
 
     start: float
@@ -114,15 +111,12 @@ class HistoryReport:
     """The history of a bridge in a span of time.
 
     Attributes:
-        name: of the session.
         role: ``client`` or ``server``.
         time: the end of the span, s since the epoch.
-        span: its length, s.
         running: whether the bridge still runs; if not, the report comes from its files.
         tracks: of each link and each route: first a link, then its routes.
         outages: the newest `OUTAGES_AT_ONCE`, oldest first.
         actions: events of operators and of the whole bridge, the newest `ACTIONS_AT_ONCE`, oldest first.
-        gaps: oldest first.
         outages_left_out: number of older outages.
         actions_left_out: number of older actions.
     """

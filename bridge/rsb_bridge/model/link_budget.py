@@ -182,7 +182,6 @@ def cost_of(
 
     Args:
         now: snapshot of this side's engine.
-        link: the client's name.
         topic: as the client sees it; a topic, not a service or the like.
         type_name: type from the ROS graph, or empty to use the topic's own entry.
         rate: Hz given by the operator, or None to estimate it.

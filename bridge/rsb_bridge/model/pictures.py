@@ -103,7 +103,6 @@ class Scale(msgspec.Struct, frozen=True):
     """The place of a map's cells in the world.
 
     Attributes:
-        frame: of the coordinates.
         left: m, x of the left edge.
         top: m, y of the upper edge.
         column: m a cell to the right.
@@ -143,7 +142,6 @@ class Series(msgspec.Struct, frozen=True, omit_defaults=True, tag="series"):
     Attributes:
         start: s since the epoch on the sending side's clock, at the left edge of the first column.
         step: s a column.
-        curves: the plotted numbers.
     """
 
     start: Annotated[float, Meta(ge=-1e12, le=1e12)]
@@ -197,7 +195,6 @@ class Viewed(msgspec.Struct, frozen=True, omit_defaults=True):
     """A picture as a viewer gets it.
 
     Attributes:
-        picture: the picture.
         where: the link's name if the other side drew it, or an empty string if this side did.
         age: s since DDS received the newest message in it, by both machines' clocks, or None if it has none, or if the
             clocks cannot be compared.

@@ -131,7 +131,6 @@ def qos_problem(qos: Qos, *, depth_known: bool = True) -> str:
     """Return the values of a QoS that are out of range, or an empty string.
 
     Args:
-        qos: to look at.
         depth_known: False allows 0, which stands for the depth of somebody else's endpoint: ROS does not tell it.
     """
     if qos.depth not in DEPTH and (depth_known or qos.depth):

@@ -123,10 +123,8 @@ class RobotSummary(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     """The figures of one robot.
 
     Attributes:
-        name: of its session.
         group: its group, or empty.
         role: of its session: ``client``, ``server``, or empty if unknown.
-        state: its state.
         why: the worst verdict in words and the number of the others, or empty.
         since: s since the epoch, when the fault in `why` began, or without a fault, when the state began.
         seen: s since the epoch, when it was last connected, or None if it never was.
@@ -223,7 +221,6 @@ def of_clients(
     """Summarize the clients of a server, one for each link.
 
     Args:
-        snapshot: of the server.
         session: of the server, with the groups of its clients.
         losses: of each link by its name, as `LossWindow.take` returns them.
         batteries: of each link by its name.
@@ -259,12 +256,7 @@ def of_engine(
     """Summarize an engine for its own announcement.
 
     Args:
-        snapshot: of the engine.
-        session: of the engine.
-        host: its machine's name.
-        version: of its rsb-console.
         losses: of each link by its name; the greatest counts.
-        battery: of its robot.
     """
     summary = _summary(
         snapshot.name, snapshot, snapshot.links, snapshot.routes, lambda route: route.topic, from_robot_is_sent=True
@@ -340,10 +332,6 @@ def _summary(
     """Make the part of a summary that both kinds have in common.
 
     Args:
-        name: of the robot.
-        snapshot: of the engine.
-        links: of the robot.
-        routes: of the robot.
         called: returns the robot's name for the topic of a route.
         from_robot_is_sent: whether the engine that made the snapshot is the robot's own.
     """

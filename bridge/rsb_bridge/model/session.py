@@ -316,7 +316,6 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         metrics: the address on which Prometheus finds the metrics, ``127.0.0.1:9464``; or None.
         on_fault: the command to run when a fault begins, changes or is over, or None. It is a list of words, or a text
             that `rsb_bridge.config.validation` splits into words as a shell would.
-        topics: a client's topics.
         armed: names and patterns on this side that require arming, with or without an entry.
         clients: the clients of a server; empty if it has none yet, or None for one with the session's own name and key.
         ports: TCP and UDP ports that clients' topics may have on the server, or None for any 16 for each client.

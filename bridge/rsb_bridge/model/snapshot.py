@@ -82,7 +82,6 @@ class Event:
     Attributes:
         number: counts from 1, without gaps.
         time: s since the epoch.
-        level: its severity.
         code: its kind, an `rsb_bridge.model.codes.EventCode`; stable, unlike the text.
         text: one line, complete in itself.
         link: the peer's name, or empty.
@@ -147,7 +146,6 @@ class Ledger:
         throttled: left out for a highest rate.
         expired: dropped because they were older than `max_age`, or than their publisher's lifespan.
         in_flight: not accounted for yet.
-        dropped: by cause.
         unknown: sent to a process that ended before it reported whether they arrived.
         lost_in_dds: lost before the bridge could take them; not part of `offered`.
         missed_while_down: published while the route was down, estimated from the usual rate; not part of `offered`.
@@ -220,7 +218,6 @@ class RouteSnapshot:
 
     Attributes:
         key: names the route in commands; stable across reconnects.
-        link: the peer's name.
         topic: its name on this side.
         remote_topic: its name on the other side.
         outgoing: whether this side sends; of a service, action or parameters, whether the callers are here.
@@ -233,14 +230,9 @@ class RouteSnapshot:
         subscriber_qos: combined request of its subscriptions, without depths, or None without subscriptions.
         transport: ``tcp``, ``udp`` or ``bluetooth``.
         port: the port or channel that carries it.
-        stages: in order.
-        ledger: message counts.
         rate: Hz, over the last seconds.
         expected_rate: Hz, given or learned, or None if it is unknown yet.
-        bytes_per_second: of payload.
-        bytes_total: of payload.
         latency_p50: s, one way, or None without a figure.
-        latency_p99: s.
         latency_uncertainty: s, the uncertainty of the clock offset that they contain.
         jitter: s (RFC 3550 section 6.4.1), or None without a figure.
         age: s since the last message, or None before the first.
@@ -320,7 +312,6 @@ class PatternSnapshot:
 
     Attributes:
         key: identifies it in commands, as `RouteSnapshot.key` does a route.
-        link: the peer's name.
         spec: its entry in the session.
         state: WAITING while nothing matches, DOWN if something that matches is not bridged, else OK.
         reason: how many names are bridged, and why others are not.
@@ -366,7 +357,6 @@ class LinkSnapshot:
         fingerprint: of the key in use, or of this side's key while the link is down.
         rtt: s, or None without a figure.
         clock_offset: s, peer's clock minus ours, or None without a figure.
-        clock_uncertainty: s.
         loss_out: share of the packets from here that is lost, 0 to 1, or None without a figure.
         loss_in: the same to here, as the peer reports it.
         rx_bytes_per_second: wire bytes received.
@@ -433,7 +423,6 @@ class RefusedClient:
 
     Attributes:
         name: that the client gave, or empty.
-        host: its address.
         cause: the reason as an `rsb_bridge.model.verdict.LinkCause`.
         reason: the same in words, with the remedy.
         since: s since the epoch, when it was first refused.
@@ -454,13 +443,10 @@ class Snapshot:
 
     Attributes:
         time: s since the epoch.
-        name: the session's name.
         role: ``client`` or ``server``.
         address: the address that is bound or called.
-        domain_id: ROS domain.
         running: False: stopped, or not started.
         links: on a server, one for each known client.
-        routes: of all links.
         last_event: number of the newest event.
         refused: a server's refused clients.
     """
@@ -482,13 +468,11 @@ class TopicInfo:
     """A topic of one side's graph, or a service, an action or a node with parameters.
 
     Attributes:
-        topic: its name there.
         type_name: its type, or empty if its endpoints disagree.
         type_hash: of its type, or empty.
         qos: combined offer of its publishers, or None without publishers and for other kinds.
         publishers: number of publishers, or of providers.
         subscriptions: number of subscriptions, or of callers.
-        kind: its kind.
     """
 
     topic: str
@@ -535,7 +519,6 @@ class PeekedMessage:
             that of the request.
         latency: s that it took over the link, by the clock offset, or None if it is unknown or this side sends it.
         clock_offset: s, the peer's clock minus this machine's, or None if it is unknown.
-        clock_uncertainty: s.
     """
 
     payload: bytes

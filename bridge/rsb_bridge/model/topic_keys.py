@@ -60,7 +60,6 @@ class TopicKey:
         value: what an operator gives for it.
         kinds: the entries that may have it; `wrong_kind` is the remedy for the others.
         limits: the range of a number, or None if other rules apply; `range_text` tells it to an operator.
-        unit: of the number.
         zero: whether 0 is allowed, too.
         sentence: the key with its value, for a person; `zero_sentence` if that is 0.
         live: whether a change leaves the route open.

@@ -161,7 +161,6 @@ class Verdict:
     """One side's judgement of a route.
 
     Attributes:
-        state: its state.
         cause: of the state, a `Cause` or one of a newer peer.
         text: for an operator, with the remedy, and perhaps with `LASTING`; or empty.
         since: s, when it began, or None if the verdict does not say.

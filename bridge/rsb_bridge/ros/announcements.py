@@ -263,8 +263,6 @@ class Announcements:
         """Create them; `start` connects them with the domain.
 
         Args:
-            ros: the domain.
-            loop: the I/O thread's.
             warn: called with warnings for operators.
         """
         self.bridges: tuple[str, ...] = (ros.node_name,)
@@ -337,7 +335,6 @@ class Announcements:
         """Announce a publisher of ours, or its new origin.
 
         Args:
-            topic: its topic.
             link: the link whose messages it publishes.
             endpoint: the publisher as others see it.
             origin: the origin of its messages.
@@ -352,10 +349,7 @@ class Announcements:
         """Announce a service that is about to be offered here.
 
         Args:
-            service: its name.
             link: the link that carries the calls.
-            type_name: the service's type.
-            type_hash: the type's hash.
             via: the bridges that the answers cross.
 
         Returns:
@@ -512,9 +506,6 @@ class Announcements:
 
 def read_announcement(payload: bytes) -> AnnouncementContent:
     """Read another bridge's announcement.
-
-    Args:
-        payload: the message.
 
     Raises:
         AnnouncementError: the message is not an announcement.

@@ -34,8 +34,6 @@ class LastingSubscription:
         """Subscribe.
 
         Args:
-            loop: the I/O loop.
-            subscribe: makes one subscription.
             changed: called on the loop when `failure` has changed.
 
         Raises:

@@ -56,7 +56,6 @@ class RosNode:
     Endpoints are freed on that thread, between waits, so that the wait set never holds one that is gone.
 
     Args:
-        domain_id: ROS domain.
         name: the session's; the node's name is made of it, and is unique.
     """
 
@@ -360,7 +359,6 @@ class Drain(Generic[_Taken]):
         Args:
             endpoint: which the thread frees.
             take: takes up to so many from it.
-            sink: is given them.
             on_failure: called if it fails.
             retire: has the thread free the endpoint.
         """
@@ -395,11 +393,7 @@ class Drain(Generic[_Taken]):
 
 
 class ServerDrain(Drain[Request]):
-    """A service that is offered: `rsb_bridge.ros.ros_interface.ServiceServer`.
-
-    Attributes:
-        service: its name, resolved.
-    """
+    """A service that is offered: `rsb_bridge.ros.ros_interface.ServiceServer`."""
 
     def __init__(
         self,
@@ -414,11 +408,7 @@ class ServerDrain(Drain[Request]):
 
 
 class ClientDrain(Drain[Response]):
-    """A service that is called: `rsb_bridge.ros.ros_interface.ServiceClient`.
-
-    Attributes:
-        service: its name, resolved.
-    """
+    """A service that is called: `rsb_bridge.ros.ros_interface.ServiceClient`."""
 
     def __init__(
         self,

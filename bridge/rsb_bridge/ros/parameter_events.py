@@ -142,9 +142,6 @@ class EventsTopic(NamedTuple):
     """The topic of one subscription for one link.
 
     Attributes:
-        name: of the topic.
-        type_name: of its messages.
-        type_hash: the type's hash.
         link: the link that the events go to.
     """
 
@@ -161,11 +158,7 @@ class _Listener(NamedTuple):
 
 
 class Listening:
-    """One node's events, until `close`.
-
-    Args:
-        end: ends it.
-    """
+    """One node's events, until `close`."""
 
     def __init__(self, end: Callable[[], None]) -> None:
         self._end: Callable[[], None] | None = end
@@ -181,7 +174,6 @@ class ParameterEvents:
     """All that an engine listens to. Everything but the taking of messages is on the I/O loop.
 
     Args:
-        ros: subscribes.
         call: does something on the I/O loop, from another thread.
     """
 
@@ -194,9 +186,6 @@ class ParameterEvents:
         """Listen to the events of one node.
 
         Args:
-            topic: where they are.
-            qos: to subscribe with.
-            node: its full name.
             sink: gets its events, on the ROS thread; and of what is no event at all, one of all sinks does.
             on_failure: called once if the subscription fails, which then is closed.
 

@@ -59,7 +59,6 @@ class Incoming(Protocol):
     """An endpoint that messages, requests or responses come to.
 
     Attributes:
-        handle: rclpy's.
         kind: what it is in a wait set.
     """
 

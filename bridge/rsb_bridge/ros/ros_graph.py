@@ -131,7 +131,6 @@ def graph_of(ros: RosInterface, kinds: Collection[Kind]) -> list[TopicInfo]:
     Topics of a listed action are left out.
 
     Args:
-        ros: whose graph.
         kinds: as in `called_in`.
 
     Raises:

@@ -63,7 +63,6 @@ class RawMessage(NamedTuple):
     Attributes:
         payload: the serialized message (CDR with its 4-byte encapsulation header).
         stamp: ns since the epoch on this machine's clock, when DDS received it.
-        gid: its publisher's.
         number: among its publisher's messages, from 1, or 0 if the middleware does not number them.
         lease: the number that says how old it can be (`rsb_bridge.route.lease`), or 0 without one.
         source: ns since the epoch on its publisher's clock, when it was published, or 0 if unknown.
@@ -308,7 +307,6 @@ class RosInterface(Protocol):
         This may wait some seconds; other threads continue meanwhile.
 
         Args:
-            node: its full name.
             type_name: ``pkg/msg/Name``.
             type_hash: ``RIHS01_...``.
             still_wanted: asked several times a second; False ends the waiting.

@@ -100,7 +100,6 @@ class RosToLoopQueue:
         """Begin.
 
         Args:
-            loop: the I/O loop.
             do_now: does the loop's work on the calling thread or returns False, or None if the loop has none.
         """
         self._loop = loop

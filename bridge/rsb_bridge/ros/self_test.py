@@ -100,7 +100,6 @@ class Findings(NamedTuple):
         middleware: the name of the rmw implementation.
         public_only: the reason why rclpy's public classes are used, or an empty string.
         no_messages: the reason why messages of types that are not installed can't be carried, or an empty string.
-        no_calls: likewise for calls.
         no_numbers: the reason why neither losses in DDS nor depths of latched topics are known, or an empty string.
     """
 

@@ -64,12 +64,7 @@ _CALLS_REMEMBERED = 5000
 
 
 class ServiceEndpoint:
-    """A server or a client. One thread takes from it and frees it; any thread sends with it.
-
-    Attributes:
-        handle: rclpy's.
-        name: the service's, resolved.
-    """
+    """A server or a client. One thread takes from it and frees it; any thread sends with it."""
 
     def __init__(self, handle: Handle, name: str) -> None:
         self.handle = handle
@@ -111,9 +106,6 @@ class Server(ServiceEndpoint):
         """Begin to offer it.
 
         Args:
-            handle: rclpy's.
-            name: the service's, resolved.
-            callers: the service's.
             have_tried: has `try_again` called soon.
         """
         super().__init__(handle, name)
@@ -253,8 +245,6 @@ class _Answer(NamedTuple):
 
     Attributes:
         number: of the caller's request.
-        payload: the response.
-        since: s, monotonic.
     """
 
     number: int

@@ -59,9 +59,6 @@ class CallerTable:
         """Ask nothing yet.
 
         Args:
-            ask: asks the graph.
-            service: its name.
-            offered: its QoS.
             version: another number when the graph has changed.
         """
         self._ask = ask

@@ -56,8 +56,6 @@ class Simulation:
     """A node that publishes and subscribes, and counts both.
 
     Attributes:
-        published: messages by topic.
-        received: messages by topic.
         muted: topics that are not published any more, though their publishers stay.
     """
 

@@ -132,7 +132,6 @@ class Talk(msgspec.Struct, frozen=True):
     """A topic that a node of the stand-in publishes.
 
     Attributes:
-        topic: its name.
         rate: Hz, or 0 for as fast as the bridge takes them.
         size: bytes of each message, if it is a String.
         type: ``std_msgs/msg/String``, or ``sensor_msgs/msg/BatteryState``.
@@ -148,7 +147,6 @@ class StandIn(NoRos):
     """A graph of one node that publishes and subscribes; `rsb_bridge.ros.ros_interface.RosInterface`.
 
     Args:
-        name: of the session.
         talks: what the node publishes.
         hears: topics that it subscribes to.
 

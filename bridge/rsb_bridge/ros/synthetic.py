@@ -40,7 +40,6 @@ class Arrived(NamedTuple):
     """Messages that have arrived on a topic since its last reset.
 
     Attributes:
-        messages: their number.
         latencies: s on the two wall clocks: the 50th, 99th and 99.9th percentile.
     """
 
@@ -118,7 +117,6 @@ class Drain:
     """Takes the messages of one topic where they arrive.
 
     Args:
-        clocks: the clocks.
         closed: called at the end.
         admits: whether a message of so many bytes may come.
 
@@ -186,7 +184,6 @@ class PictureSource:
         """Send a picture. This may block, so not on the I/O thread.
 
         Args:
-            encoded: the picture.
             stamp: ns since the epoch, from which its way over the link counts.
         """
         if not self.closed:
@@ -326,8 +323,6 @@ def ros_side(ros: RosInterface | None, domain: int, name: str, clock: Clock) -> 
 
     Args:
         ros: the side to extend, or None for rclpy's.
-        domain: to join.
-        name: of the session.
         clock: the wall clock.
     """
     return cast("RosInterface", Synthetic(ros or _node(domain, name), Time(clock.time_ns)))

@@ -52,8 +52,6 @@ class Reader:
     """A raw subscription, of the thread that takes from it.
 
     Attributes:
-        handle: rclpy's.
-        topic: its resolved name.
         kind: its kind in a wait set.
         lost: missing messages: between taken ones, and before the first of a publisher that came after the
             subscription.
@@ -65,7 +63,6 @@ class Reader:
         """Begin to count.
 
         Args:
-            handle: rclpy's.
             buffer: memory for taken messages, shared by the readers of a thread.
             earlier: publishers from before the subscription, or None if each publisher's first messages are history.
         """
@@ -144,7 +141,6 @@ class Writer:
     """A raw publisher, for any thread. It is never freed under a `publish`, which keeps the GIL, or else a lock.
 
     Attributes:
-        topic: its resolved name.
         gid: what the graph, and taken messages, know it by.
         told: what the middleware says of its messages: another id than `gid` where that is Cyclone DDS.
     """

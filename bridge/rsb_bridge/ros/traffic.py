@@ -105,7 +105,6 @@ class Arrivals:
     """Counts messages that were made since the last reset: what an overload has left comes late, in a later run.
 
     Attributes:
-        count: of messages.
         latencies: ns, of the first of them.
     """
 

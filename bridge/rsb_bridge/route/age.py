@@ -66,7 +66,6 @@ class PublisherClocks:
         Args:
             source: when it was published, by its publisher's clock, or 0 if that is unknown.
             taken: when it came here.
-            publisher: an id.
         """
         if not source:
             return taken
@@ -243,7 +242,6 @@ class MessageAge:
 
         Args:
             messages: number of messages that came to this half so far.
-            now: s.
         """
         if not self.is_on and not self._lately:
             return

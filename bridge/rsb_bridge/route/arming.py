@@ -225,7 +225,6 @@ class Arming:
         """Return the state for user interfaces at `now` (s), or None if arming is not required.
 
         Args:
-            now: s.
             on_end: what follows on the receiving side, in words.
             velocity: that the receiving side has published last, or None.
         """
@@ -252,8 +251,6 @@ class Arming:
 
         Args:
             by: the operator, in words.
-            console: the operator's console.
-            now: s.
             answered: called once messages may cross, or it is clear that they will not.
             shared: whether that operator's other consoles may publish by hand, too.
         """
@@ -355,7 +352,6 @@ class Settling:
     answers that it has disarmed, too, and at the latest when the lease of the last message has run out.
 
     Args:
-        loop: the I/O loop.
         changed: called when it begins and ends.
     """
 

@@ -40,7 +40,6 @@ class RouteStatus(NamedTuple):
         sends: whether it is the sending half; of calls, the callers' half.
         topic: its name on this side.
         far_topic: its name on the other side.
-        domain_id: of this side.
         link_down: the reason why the link is down, which may be empty, or None if it is up.
         accepted: whether both sides want it, False if it is refused, or None while the peer has not answered.
         refusal: the reason why the route is refused, or was refused until shortly ago, or empty.
@@ -93,7 +92,6 @@ def worst(status: RouteStatus, verdicts: Iterable[Verdict | None]) -> tuple[Verd
     and of equally bad ones the first.
 
     Args:
-        status: the route's.
         verdicts: of the rules for what the route carries; not evaluated if something blocks.
     """
     if (blocking := blocked(status)) is not None:

@@ -48,7 +48,6 @@ class Sample(NamedTuple):
 
     Attributes:
         header: its publisher, number and history depth.
-        message: message from ROS.
         replayed: whether it comes from its publisher's history rather than live.
     """
 
@@ -122,7 +121,6 @@ class Histories:
         """Begin.
 
         Args:
-            loop: the I/O loop.
             probe: subscribes a second time, with a receiver of its messages on the loop; may raise RosError.
             emit: gets the messages, on the loop, in order for each publisher.
             found: called after `depths` has got more entries.

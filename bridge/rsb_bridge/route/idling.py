@@ -38,8 +38,6 @@ class Idling:
         """Decide after a tick how long it is idle.
 
         Args:
-            signs: the signs.
-            now: s.
             changes_at: time (s) at which time alone changes the verdict, `now` if it may at any moment, or infinite.
         """
         if signs != self._signs:

@@ -54,9 +54,7 @@ class _OutputHistory:
     """A publisher here, and what it keeps.
 
     Attributes:
-        publisher: it.
         depth: messages that it keeps.
-        made_at: s.
         kept: number of each message that it keeps, and size of its memory, oldest first.
     """
 
@@ -106,7 +104,6 @@ class LatchedTopic:
         """Create a first publisher, so that the topic is there before its first message.
 
         Args:
-            loop: the I/O loop.
             advertise: makes a publisher with a depth; may raise RosError.
             budget: budget of the publishers' link.
             depth: initial depth of a history, until its own has been found.

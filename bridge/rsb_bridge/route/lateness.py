@@ -97,7 +97,6 @@ class LateWatch:
             delay: s, or None if no message has come since the last tick.
             uncertainty: s by which `delay` may be too long.
             bound: s that a message may take, or 0 for no limit.
-            now: s.
             measured: s that messages take, from which the usual delay is learned, or None without a figure.
             learns: whether the link and the topic are as usual.
             own: the part of `delay` that this side knows without the other one's clock, which may just have been set.
@@ -156,7 +155,6 @@ class Unreported:
         Args:
             sent: messages so far.
             accounted: messages that the receiver has reported, arrived or lost.
-            now: s.
 
         Returns:
             The age in s, about, or 0 if all messages are reported.
@@ -177,7 +175,6 @@ def delay_of_sender(unreported: float, report_delay: float) -> float:
     """Return the least s that messages take, from the age of the oldest unreported one.
 
     Args:
-        unreported: s, that age.
         report_delay: s that a report takes to come back.
     """
     return max(0.0, unreported - _REPORTED_EVERY - report_delay)

@@ -129,7 +129,6 @@ class RouteLedger:
     Attributes:
         offered: messages taken from ROS.
         throttled: left out for the route's highest rate.
-        dropped: here, by cause.
         expired: dropped here, because they were too old.
         unknown: sent to a process that ended before it reported whether they arrived.
         lost_in_dds: lost before the bridge could take them.
@@ -183,7 +182,6 @@ class RouteLedger:
         """Begin a new opening.
 
         Args:
-            route_id: of the opening.
             instance: of the peer's process on the other side of it.
         """
         self.closed()
@@ -204,8 +202,6 @@ class RouteLedger:
         """Take what the receiver counted in the present opening.
 
         Args:
-            report: of the receiver.
-            now: s.
             delay: s that a message and its report take together; a younger message is not lost.
 
         Returns:
@@ -332,9 +328,7 @@ class MissedWhileDown:
         """Count the time until `now` (s), if somebody publishes, without the messages that were taken meanwhile.
 
         Args:
-            now: s.
             offered: messages taken from ROS since the route was made.
-            published: whether somebody publishes.
         """
         if self._since is None:
             return

@@ -59,7 +59,6 @@ class Lifecycle:
     """The phase of one route's half.
 
     Attributes:
-        phase: the present phase.
         accepted: whether both sides want the route.
         described: whether the sender has described its messages.
         ready: whether both sides agree that messages may be sent.
@@ -75,7 +74,6 @@ class Lifecycle:
         """Move to the next phase.
 
         Args:
-            event: event that happened.
             reason: reason of `Event.REFUSE`.
 
         Returns:

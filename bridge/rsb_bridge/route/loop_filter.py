@@ -42,7 +42,6 @@ class Publication(NamedTuple):
     """A publisher on a route's topic.
 
     Attributes:
-        gid: its id.
         node: its node's name, without the ``/`` before it.
         via: the bridges that its messages crossed: empty for an ordinary node, None if not known yet.
         live: whether messages still reach it.
@@ -90,7 +89,6 @@ class SourceTable:
             hop: this bridge's hop from the topic.
             here: the topic in this domain, as a place.
             there: the topic in the peer's domain, under its name there.
-            now: s.
         """
         sources = [*self.sources]
         known = {source.via: number for number, source in enumerate(sources)}

@@ -72,7 +72,6 @@ class _Expansion:
     """A message that is unpacked on another thread.
 
     Args:
-        payload: the compressed content.
         then: called on the loop when it is unpacked.
 
     Attributes:
@@ -177,7 +176,6 @@ class Unpacker:
         """Return whether a message can be unpacked at this turn of the loop. One that will be refused costs no turn.
 
         Args:
-            message: the message.
             go_on: called later if it cannot be: then the route's messages come again, this one first.
         """
         payload, _, flags = message
@@ -281,10 +279,6 @@ class MessageCheck:
         """Ask the nodes that subscribe to a topic for the description of a type that is not installed here.
 
         This may be called often.
-
-        Args:
-            topic: its name here.
-            endpoints: its subscriptions.
         """
         context = self._context
         if self.checker is not None or self._looking is not None or not self.type_name:

@@ -122,9 +122,6 @@ class ChannelLosses:
         """Record the loss of the channel, and call `report` later, by when a link that was lost with it has ended.
 
         Args:
-            reason: why it ended.
-            loop: the I/O loop.
-            report: reports the loss.
             owing: whether messages or answers were on their way, or waited for the channel.
         """
         if owing and not self._worked:

@@ -73,7 +73,6 @@ class Flow(NamedTuple):
         usual_rate: Hz, learned, or None if unknown.
         limit: Hz that may cross, or 0 for any.
         publishers: ids of the topic's publishers.
-        ledger: of the route.
     """
 
     flowing: bool

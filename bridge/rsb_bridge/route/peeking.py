@@ -100,7 +100,6 @@ class Peeking:
         """Wait for a message of a route.
 
         Args:
-            route: route to view.
             kept: take the message that a late joiner gets, if the topic is latched.
 
         Returns:
@@ -171,7 +170,6 @@ def peeked(
 
     Args:
         route: route of the message.
-        payload: the whole message.
         time_ns: arrival on this side, ns since the epoch.
         is_kept: whether it was kept for late joiners.
         latency: seconds that it took over the link, or None.

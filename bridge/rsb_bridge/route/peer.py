@@ -136,11 +136,7 @@ class Peer(Protocol):
 
 
 class TypeBudget:
-    """Limit on the types of one link's topics that are not installed here.
-
-    Attributes:
-        limit: types.
-    """
+    """Limit on the types of one link's topics that are not installed here."""
 
     def __init__(self) -> None:
         self.limit = TYPES_PER_LINK
@@ -213,7 +209,6 @@ class CallBudget:
     """Limits on the calls of one link in one direction, over all its routes. Further calls are refused and never wait.
 
     Args:
-        now: s.
         share: factor on the usual limits.
     """
 

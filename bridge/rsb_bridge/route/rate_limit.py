@@ -59,8 +59,6 @@ class RateLimit:
     Args:
         max_rate: Hz, of the topic's entry, or 0 for any.
         topic: its name on this side.
-        rates: of its link.
-        log: adds an event.
 
     Attributes:
         rate: Hz, or 0 if all messages cross.

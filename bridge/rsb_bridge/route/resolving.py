@@ -35,7 +35,6 @@ class Resolved(NamedTuple):
     Attributes:
         type: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``.
-        qos: to publish with.
         warning: the publishers that are left out, for an operator, or empty.
     """
 
@@ -46,11 +45,7 @@ class Resolved(NamedTuple):
 
 
 class UnresolvedError(Exception):
-    """The type or the QoS is not known yet; the message says why, and is empty where there is no publisher.
-
-    Attributes:
-        cause: of it.
-    """
+    """The type or the QoS is not known yet; the message says why, and is empty where there is no publisher."""
 
     def __init__(self, why: str, *, cause: Cause) -> None:
         super().__init__(why)
@@ -92,7 +87,6 @@ class Resolver:
 
         Args:
             used: the type that the route has sent so far.
-            loop_filter: of the route.
         """
         self.unresolved = None
         try:
@@ -137,8 +131,6 @@ def resolve(
     """Find type and QoS of a route's messages.
 
     Args:
-        proposal: of the route.
-        publishers: on the topic.
         publisher_qos: the QoS that all publishers offer, or None without publishers.
         used: the type that the route has sent so far.
         hint: the type that the topic has on the receiving side.
@@ -177,7 +169,6 @@ def choose_type(
     If the publishers disagree, the type in use stays, so that a node with a wrong type does not stop the topic.
 
     Args:
-        publishers: on the topic.
         wanted: the type that the session names, or empty.
         used: the type that the route has sent so far.
         hint: the type that the topic has on the receiving side.

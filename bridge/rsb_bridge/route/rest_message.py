@@ -43,13 +43,10 @@ class RestMessage:
     Args:
         context: the engine's. Its `moved_by` says who moved a topic last, so that nobody ends another's motion.
         link: the route's, by name.
-        spec: of the topic.
         on_end: ``zero``, or a message as JSON.
         failed: is called with the reason if it cannot be published.
 
     Attributes:
-        spec: of the topic.
-        on_end: as above.
         velocity: of the newest message of this route and its rest, or None if that is not known.
 
     Raises:

@@ -363,7 +363,6 @@ class Route:
         """Take the peer's state of the pause.
 
         Args:
-            paused: the peer's state.
             revision: revision of that state.
             who: operator there, as the peer names them.
             known: whether this side's revisions come from the peer's present process; otherwise the peer's state

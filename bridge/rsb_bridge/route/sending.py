@@ -163,7 +163,6 @@ class Overload:
         """Judge the queue. Called whenever a message is queued.
 
         Args:
-            now: s.
             oldest_since: when (s) the oldest message was queued, or None if the queue is empty.
             length: messages in the queue.
             moves: whether the channel delivers.
@@ -192,7 +191,6 @@ class Outbox:
     Args:
         transport: what carries the route.
         proposal: what the two sides have agreed on.
-        ledger: the route's.
         failed: called for a message that the transport does not carry.
         age: how old the messages may be when they are sent, or None for any age.
 
@@ -278,9 +276,6 @@ class Outbox:
         Args:
             qos: of the route, or None if it is unknown.
             depth: messages that the publisher of a latched topic keeps, or 0.
-            pace: of the channel.
-            now: s.
-            profile: of the link.
         """
         self._overload.look(now, self._queue.oldest_since, len(self._queue), moves=pace is Pace.SLOW)
         best_effort = qos is not None and qos.reliability == "best_effort"
@@ -321,8 +316,6 @@ class OutgoingPath:
 
     Args:
         context: shared by all parts of the engine.
-        route: sends the messages.
-        ledger: of the route.
         loop_filter: of the route; numbers the source of each publisher's messages.
 
     Attributes:

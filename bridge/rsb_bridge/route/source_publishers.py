@@ -114,7 +114,6 @@ class VolatileTopic:
         """Publish a message.
 
         Args:
-            content: of the message.
             look: called right before DDS gets the message, which it does not get if this raises anything; or None.
 
         Raises:
@@ -243,9 +242,6 @@ class PublicationSpec(NamedTuple):
     """A topic to publish.
 
     Attributes:
-        topic: its name here.
-        type_name: of its type.
-        type_hash: of its type.
         qos: of the publishers; of a volatile topic, a depth of 0 means that nobody has chosen one.
     """
 
@@ -278,11 +274,7 @@ class _Announced:
 
 
 class _SourcePublisher:
-    """The publishers of one source.
-
-    Attributes:
-        sink: gets the messages.
-    """
+    """The publishers of one source."""
 
     def __init__(
         self,
@@ -359,7 +351,6 @@ class SourcePublishers:
 
         Args:
             context: shared by all parts of the engine.
-            peer: sends the messages.
             failed: called if publishing fails after `publish` has returned.
         """
         self._context = context

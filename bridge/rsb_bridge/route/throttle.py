@@ -71,8 +71,6 @@ class LatestLater:
         """Begin.
 
         Args:
-            loop: the I/O loop.
-            throttle: decides.
             send: gets the messages that pass later.
             paused: whether no message may pass now; `resume` then sends the messages that are due.
         """

@@ -67,7 +67,6 @@ class Silence:
 
     Args:
         log: adds an event about the route.
-        now: s.
 
     Attributes:
         own: the topic's entry says after how long it is stale.
@@ -94,7 +93,6 @@ class Silence:
         """Warn if nothing has come for too long although messages are due. Called once a second.
 
         Args:
-            now: s.
             due: whether messages are due.
             cause: of the route's state. A cause that explains the silence is logged already, and not repeated.
         """

@@ -31,9 +31,6 @@ class SubscriptionSpec(NamedTuple):
     """A topic to subscribe to.
 
     Attributes:
-        topic: its name.
-        type_name: of its type.
-        type_hash: of its type.
         qos: as its publishers offer, or as an operator wants it.
         origin: messages that this node publishes under the same origin are left out.
     """
@@ -73,7 +70,6 @@ class TopicSubscription:
 
         Args:
             context: shared by all parts of the engine.
-            spec: of the topic.
             path: gets the messages; after `close` it drops messages that are still in the ROS queue.
             meter: of the topic's messages so far.
             log: adds an event about the subscription.

@@ -463,7 +463,6 @@ def _plural(endpoints: Collection[Endpoint], one: str, several: str, what: str =
     """Name the nodes, with a verb for their number; count the endpoints if some nodes have several.
 
     Args:
-        endpoints: the nodes' endpoints.
         one: the verb for one node.
         several: the verb for several nodes.
         what: the plural of the endpoints' kind.

@@ -30,8 +30,6 @@ class _AcknowledgedFault(NamedTuple):
 
     Attributes:
         state: of the route or the link, when it was acknowledged.
-        cause: its cause then.
-        record: of the acknowledgement.
         at: s on the steady clock, the time of the acknowledgement.
     """
 
@@ -82,8 +80,6 @@ class Acknowledgements:
         """Mark acknowledged faults, and forget changed ones. A link's covers the routes that suffer from its fault.
 
         Args:
-            links: all.
-            routes: all.
             now: s since the epoch.
         """
         links, routes = tuple(links), tuple(routes)
@@ -178,7 +174,6 @@ def find_faulty(snapshot: Snapshot, key: str, link: str) -> AnyFaulty:
     """Return the link, route or pattern that an operator names.
 
     Args:
-        snapshot: the newest.
         key: of a route or a pattern. A route that suffers from its link's fault has the link's fault.
         link: the name of a link, or an empty string.
 

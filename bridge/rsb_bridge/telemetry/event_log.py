@@ -121,7 +121,6 @@ class RateLimitedEventLog:
     even those exceed it, the newest one is added late.
 
     Args:
-        events: the log.
         now: gives the time (s) on a clock that nobody sets.
     """
 
@@ -134,9 +133,6 @@ class RateLimitedEventLog:
         """Add an event of a link, if its quota has room.
 
         Args:
-            level: its severity.
-            code: its kind.
-            text: one line.
             link_status: whether it is about the link itself.
             about: `link`, the client's name, and other fields of the event.
         """

@@ -47,11 +47,7 @@ _ENOUGH_ARRIVALS = 3
 
 
 class Smoothed:
-    """A rate that is smoothed over about two seconds.
-
-    Attributes:
-        rate: per second.
-    """
+    """A rate that is smoothed over about two seconds."""
 
     __slots__ = ("_at", "rate")
 
@@ -79,8 +75,6 @@ class RateMeter:
     """Counts messages and bytes; `tick`, called about once a second, makes rates of them.
 
     Attributes:
-        count: messages.
-        bytes: of all messages.
         last: s, when the last message came, or None before the first.
         rate: Hz, over the shortest of 3, 10 and 30 s that holds at least three messages, and never above one message in
             the seconds since the last one.
@@ -142,7 +136,6 @@ class RateMeter:
         """Add what has come since the last tick to the history, as the seconds that it took.
 
         Args:
-            now: s.
             learns: whether the usual rate is learned from it.
         """
         elapsed = now - self._ticked
@@ -394,9 +387,7 @@ class UsualRate:
         """Take the messages since the last call.
 
         Args:
-            messages: their number.
             last: s, when the last message came, or None before the first.
-            now: s.
         """
         began, self._ticked = self._ticked, now
         if not messages or last is None:
@@ -478,7 +469,6 @@ class Throughput:
 
         Args:
             arrived: bytes.
-            now: s.
             at: s since the epoch, now.
             full: more waited to be sent all the time.
 

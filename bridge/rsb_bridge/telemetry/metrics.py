@@ -69,8 +69,6 @@ class Family:
 
     Attributes:
         name: a counter's ends in ``_total``.
-        labels: of each.
-        text: what it is.
     """
 
     name: str
@@ -116,7 +114,6 @@ def application(look: Callable[[], Snapshot], events: EventLog) -> WSGIApplicati
 
     Args:
         look: gives the newest snapshot.
-        events: of the engine.
     """
     registry = CollectorRegistry()
     registry.register(SnapshotCollector(look, events))
@@ -130,7 +127,6 @@ class SnapshotCollector(Collector):
 
     Args:
         look: gives the newest snapshot.
-        events: of the engine.
     """
 
     def __init__(self, look: Callable[[], Snapshot], events: EventLog) -> None:
@@ -237,8 +233,6 @@ class MetricsServer(ThreadingMixIn, WSGIServer):
 
     Args:
         host: an address or a name.
-        port: a TCP port.
-        app: the application.
         steady: the time (s) on a clock that nobody sets.
         failed: called with exceptions of the application.
 

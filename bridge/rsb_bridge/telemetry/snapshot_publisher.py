@@ -79,7 +79,6 @@ class SnapshotPublisher:
 
     Attributes:
         latest: the newest snapshot; replaced, never changed, so that any thread may read it.
-        acknowledged: the acknowledged faults.
     """
 
     def __init__(self, blank: Snapshot, events: EventLog, clock: Clock) -> None:

@@ -96,8 +96,6 @@ class StopWatch:
         Args:
             last: s, when the last message came.
             expected: Hz.
-            now: s.
-            publishers: which there are.
             promised: an operator expects that rate, so that pauses are faults.
         """
         if self.since is not None and last > self.since:
@@ -130,7 +128,6 @@ class Loss:
     """Messages lost in the last seconds.
 
     Attributes:
-        lost: their number.
         of: number of messages that were delivered or lost.
         cause: of most of the losses, as in the ledger.
         since: s, when it began; if all of them were lost, of the last one before that arrived.
@@ -203,7 +200,6 @@ class LossWatch:
         Args:
             delivered: messages that arrived and were published.
             lost: messages that did not, by cause.
-            now: s.
         """
         lost = {cause: count for cause, count in lost.items() if cause not in _NO_LOSS}
         if self._marks and delivered < self._marks[-1][1]:

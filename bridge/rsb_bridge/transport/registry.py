@@ -63,9 +63,7 @@ def transports_of(session: Session, base: Path, random: Random) -> Transports:
     """Return the transports for a session's links and topics.
 
     Args:
-        session: the session.
         base: the folder that its files are relative to.
-        random: for jitter.
     """
     if session.zenoh is None:
         return default_transports()

@@ -44,7 +44,6 @@ async def look_up(host: str, port: int, within: float) -> Found:
 
     Args:
         host: a name or an address.
-        port: of the addresses.
         within: s until the lookup is given up.
 
     Raises:
@@ -80,7 +79,6 @@ class TcpStream(Stream):
     bytes resets the connection (RFC 1122, section 4.2.2.13), and then the last words may be lost in both kernels.
 
     Args:
-        handler: receives its events.
         ending: the streams that wait for their peers to close, which it joins and leaves.
     """
 

@@ -30,7 +30,6 @@ async def in_thread(name: str, work: Callable[[], T], within: float) -> T:
     """Make a blocking call on a thread; return its result.
 
     Args:
-        name: of the thread.
         work: the call; it continues after a timeout.
         within: s to wait for it.
 

@@ -48,7 +48,6 @@ class SendPath(NamedTuple):
     """The path from a bound datagram socket to a peer; made by `DatagramSocket.path`.
 
     Attributes:
-        address: the peer's.
         control: ancillary data (sendmsg(2)) with the datagrams' source address.
     """
 
@@ -178,9 +177,6 @@ class StreamTransport(_Transport):
         When cancelled it leaves no socket behind.
 
         Args:
-            host: of the server.
-            port: of the server.
-            handler: of the stream.
             rank: the rank of its route's priority, or None for a link's control connection.
 
         Raises:

@@ -17,7 +17,6 @@ class Received(NamedTuple):
     """A message that a view takes.
 
     Attributes:
-        topic: its topic.
         type_name: ``pkg/msg/Name``.
         message: its values; arrays of primitive elements are raw (`rsb_bridge.cdr.decoder.Items.raw`).
         time: s since the epoch, when DDS received it.

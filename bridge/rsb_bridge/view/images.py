@@ -56,7 +56,6 @@ class _Encoding(NamedTuple):
     """A way to store pixels in rows (sensor_msgs/image_encodings.hpp).
 
     Attributes:
-        bytes: of a pixel.
         dtype: of a channel, without byte order.
         channels: of a pixel in the rows.
         to_rgb: makes red, green and blue, from 0 to 255, of rows of pixels.

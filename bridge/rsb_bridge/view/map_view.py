@@ -106,14 +106,12 @@ class _Layer(NamedTuple):
     """The part of the map that one topic adds, in its own frame.
 
     Attributes:
-        frame: its frame.
         grid: a grid, or None.
         x: of points, m.
         y: of points, m.
         is_line: whether the points are joined.
         pose: a pose with a direction, or None.
         style: of points and pose.
-        note: about it.
     """
 
     frame: str

@@ -54,7 +54,6 @@ class Points(NamedTuple):
         z: m, up.
         intensity: of each, or None.
         total: number of points in the message.
-        frame: its frame.
     """
 
     x: Floats

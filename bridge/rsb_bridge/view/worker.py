@@ -95,7 +95,6 @@ class Sample(msgspec.Struct, frozen=True, array_like=True):
     """A message as it was taken from DDS.
 
     Attributes:
-        topic: its topic.
         type_name: ``pkg/msg/Name``.
         payload: serialized, with its encapsulation header.
         stamp: ns since the epoch, when DDS received it.
@@ -115,7 +114,6 @@ class Task(msgspec.Struct, frozen=True, array_like=True):
     Attributes:
         view: number of the view, whose earlier messages are remembered.
         type_name: of its first topic.
-        wish: the viewer's.
         samples: messages since the last task, oldest first.
         seen: messages that the view's topics had so far, including the ones left out.
         size: bytes of the newest message.

@@ -102,7 +102,6 @@ class ClientConnection(_Control, ConnectingStream):
         """Prepare to connect.
 
         Args:
-            hello: this side.
             key: 32 bytes, or None for no encryption with any suite.
             suite: AESGCM or CHACHAPOLY, the faster one on this machine. The server may ask for CHACHAPOLY.
             multiplexed: data frames share the stream (Bluetooth).

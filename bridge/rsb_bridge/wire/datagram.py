@@ -87,7 +87,6 @@ class Receipt(NamedTuple):
     """Another payload of `PROBE_ROUTE`'s messages: what a receiver has of a route, for its sender's pace.
 
     Attributes:
-        route: its id.
         newest: the highest sequence number opened.
         opened: datagrams opened so far.
         buffer: bytes of the kernel's receive buffer on the receiver's side, at most 2**32 - 1.
@@ -215,7 +214,6 @@ class DatagramReader:
 
         Args:
             opener: of the peer's direction.
-            route: route id.
             max_message: bytes of the longest message.
             budget: for incomplete messages; when it is spent, the route's oldest is given up. None: one of its own.
         """
@@ -244,7 +242,6 @@ class DatagramReader:
         """Take one datagram. One that is forged, replayed or against the format is ignored.
 
         Args:
-            datagram: as it came.
             now: s, on the same clock as for `expire`.
 
         Returns:

@@ -48,11 +48,7 @@ class Received:
 
 @dataclass(frozen=True, slots=True)
 class Undecoded:
-    """A received control message, for `rsb_bridge.wire.codec.decode_in_parts`.
-
-    Attributes:
-        content: as msgpack, authentic.
-    """
+    """A received control message, for `rsb_bridge.wire.codec.decode_in_parts`."""
 
     content: bytes
 
@@ -111,7 +107,6 @@ class Refused:
     """One side refused the stream. Send the remaining bytes, then close it.
 
     Attributes:
-        code: the reason.
         message: the reason in words, for an operator.
         peer: the refused client if it has proven that it has the key, or None.
     """
@@ -126,7 +121,6 @@ class Failed:
     """The peer broke the format, or a seal is invalid. Send the remaining bytes, then close the stream.
 
     Attributes:
-        reason: for an operator.
         foreign: the other program's protocol, empty if it is unknown, or None if the peer is an rsb-console.
     """
 
@@ -141,7 +135,6 @@ class Admitted:
     Attributes:
         operator: on the engine, who it is; this and the rest are empty on the console.
         host: the machine that they come from, as their console says.
-        key: theirs.
     """
 
     operator: str = ""

@@ -27,7 +27,6 @@ class Assembly:
         """Begin.
 
         Args:
-            opener: opens the chunks.
             limit: bytes of the longest message.
             budget: for what has been taken of memory.
         """
@@ -278,7 +277,6 @@ class DataWriter:
         """Seal the next chunks of a message into a piece of memory, so that the message is never copied whole.
 
         Args:
-            payload: the whole message.
             at: the byte to begin with: 0, then the byte that the last call returned.
             stamp: ns since the epoch.
             flags: `ZSTD`, `HISTORY`.
@@ -326,7 +324,6 @@ class DataReader:
 
         Args:
             opener: of the peer's direction.
-            route: route id.
             limit: bytes of the longest message.
             budget: for incomplete messages, or None for a budget of its own.
         """

@@ -79,7 +79,6 @@ class NoiseHandshake:
         """Start either end.
 
         Args:
-            suite: AESGCM or CHACHAPOLY.
             psk: 32 bytes, the session key.
             prologue: data that both ends must have in common.
             ephemeral: the key of a test vector, or None for a new key.

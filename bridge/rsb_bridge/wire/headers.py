@@ -105,7 +105,6 @@ class CallFrame(NamedTuple):
     """One frame.
 
     Attributes:
-        what: its kind.
         lane: its place among the lanes of the route's kind.
         call: the callers' side's number, from 1 in each opening of the route, or 0 for a message.
         took: of an answer, ns that the providing node took for it, as that side's bridge measured it; else 0.

@@ -64,10 +64,8 @@ class Hello(ControlMessageBase, frozen=True):
     """The client, in the handshake.
 
     Attributes:
-        version: of its software.
         name: of its session; the same as in the preamble.
         instance: random, new with each start of the process.
-        domain_id: its ROS domain.
         features: its abilities beyond version 2, as `rsb_bridge.model.calls.FEATURE`; others are a newer peer's.
         host: its machine's host name, for operators, or empty if unknown.
     """
@@ -84,11 +82,8 @@ class Welcome(ControlMessageBase, frozen=True):
     """The server, in the handshake.
 
     Attributes:
-        version: of its software.
-        name: of its session.
         link_id: 8 random bytes that name this link.
         instance: random, new with each start of the process.
-        domain_id: its ROS domain.
         features: as in `Hello`.
         use_name: whether it puts the client's name before the names of this client's topics.
         taken: text on the client that has the name already, or empty. This client confirms, and is refused.
@@ -127,7 +122,6 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
         late_after: s, 0 for no limit, or None for each side's own default.
         max_age: s that a message may be old when it is published, 0 for no limit, or None if the proposer's session
             sets none.
-        paused: begin paused.
         pause_revision: of `paused`; see `Pause`.
         arm: whether the proposer's session requires arming before anything crosses.
         deadman: s without a key after which it disarms, or 0 for none.
@@ -176,7 +170,6 @@ class Accept(ControlMessageBase, frozen=True):
     """A `Propose` is accepted.
 
     Attributes:
-        route: route id.
         topic: its name on the acceptor's side, which may add a prefix to the proposed one.
         arm: the acceptor wants it to be armed before anything crosses, be it by its session or by the proposal.
         deadman: as in `Propose`.
@@ -199,8 +192,6 @@ class Refuse(ControlMessageBase, frozen=True):
     """The refusal of a `Propose`, or of an accepted route that turns out to be impossible.
 
     Attributes:
-        route: route id.
-        code: why.
         reason: why, for an operator.
     """
 
@@ -213,7 +204,6 @@ class Describe(ControlMessageBase, frozen=True):
     """The sending side describes the messages that it will send.
 
     Attributes:
-        route: route id.
         type: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``; may be empty.
         qos: to publish with; a depth of 0: as the messages themselves say (`rsb_bridge.wire.headers`), or as the
@@ -235,7 +225,6 @@ class Ready(ControlMessageBase, frozen=True):
     """The receiving side has publishers, and the sending side may send. Answers each `Describe`.
 
     Attributes:
-        route: route id.
         sources: there are publishers for the first so many of them.
         before: counts of the last incarnation in which anything came from this process of the peer; its route id names
             that incarnation.
@@ -252,7 +241,6 @@ class Publishers(ControlMessageBase, frozen=True):
     """The sending side of a latched topic: which publishers are there; after each `Ready`, and when they change.
 
     Attributes:
-        route: which.
         present: how many messages each keeps for late joiners, by its id, or 0 while that is unknown. The histories of
             others may be dropped after a while.
     """
@@ -265,7 +253,6 @@ class Provide(ControlMessageBase, frozen=True):
     """The providing side of a route of calls: its providers; after `Accept`, and whenever they change.
 
     Attributes:
-        route: route id.
         lanes: in the order of the kind (`rsb_bridge.model.calls`), or empty if nothing can be called now.
         nodes: some of the providing nodes.
         via: if the provider is a bridge itself, the hops between it and the answering node (section 5).
@@ -293,8 +280,6 @@ class Close(ControlMessageBase, frozen=True):
     """Either side: the route ends.
 
     Attributes:
-        route: route id.
-        reason: for an operator.
         removed: whether it ends for good; else its proposer opens it again.
         who: the operator who has removed it, or empty if unknown or if the route is edited.
     """
@@ -309,7 +294,6 @@ class Ping(ControlMessageBase, frozen=True):
     """A question of either side: whether the peer is alive, and its time.
 
     Attributes:
-        n: counts up.
         sent: ns since the epoch on the sender's clock.
     """
 
@@ -321,8 +305,6 @@ class Pong(ControlMessageBase, frozen=True):
     """The answer to a `Ping`: the first three of an exchange's four times (RFC 5905, section 8).
 
     Attributes:
-        n: from the ping.
-        sent: from the ping.
         received: ns since the epoch on the answerer's clock, when the ping came.
         answered: ns since the epoch on the answerer's clock, when this was sent.
         shift: ns to add to the answerer's times. The sums follow a clock that is never set, as do the stamps of its
@@ -372,7 +354,6 @@ class Shutdown(ControlMessageBase, frozen=True):
     """Either side: this link ends on purpose.
 
     Attributes:
-        reason: for an operator.
         retry_after: s until the client may call again, or None if an operator has shut the link down.
     """
 
@@ -384,7 +365,6 @@ class ListTopics(ControlMessageBase, frozen=True):
     """Either side asks for the peer's topics. Answered by a `TopicList` with the same request number.
 
     Attributes:
-        request: counts up.
         kinds: wanted kinds besides topics; unknown kinds are a newer peer's, and ignored.
     """
 
@@ -400,11 +380,7 @@ class TopicList(ControlMessageBase, frozen=True):
 
 
 class AskType(ControlMessageBase, frozen=True):
-    """Either side asks for the descriptions of a route's types. Answered by a `TypeText`.
-
-    Attributes:
-        route: route id.
-    """
+    """Either side asks for the descriptions of a route's types. Answered by a `TypeText`."""
 
     route: RouteId
 
@@ -413,7 +389,6 @@ class TypeText(ControlMessageBase, frozen=True):
     """The answer to `AskType`.
 
     Attributes:
-        route: route id.
         text: the descriptions (`rsb_bridge.cdr.description`), one a line, zstd-compressed, or empty if none is known.
     """
 
@@ -446,7 +421,6 @@ class Limit(ControlMessageBase, frozen=True):
     """Either side: a limit of its own on the route's rate, in addition to the proposer's.
 
     Attributes:
-        route: route id.
         max_rate: Hz, or 0 for no limit.
     """
 
@@ -461,7 +435,6 @@ class Pause(ControlMessageBase, frozen=True):
     """Either side: the route pauses or resumes.
 
     Attributes:
-        route: route id.
         paused: whether it pauses; else it resumes.
         revision: the change's number, above all numbers that its side had seen. The highest revision counts on both
             sides, and of two equal ones the client's.
@@ -489,11 +462,7 @@ class Arm(ControlMessageBase, frozen=True):
 
 
 class Armed(ControlMessageBase, frozen=True):
-    """The answer to `Arm`: from now on both sides treat the route as armed.
-
-    Attributes:
-        route: route id.
-    """
+    """The answer to `Arm`: from now on both sides treat the route as armed."""
 
     route: RouteId
 
@@ -502,7 +471,6 @@ class Disarm(ControlMessageBase, frozen=True):
     """Either side: the route is not armed any more, or cannot be armed under this id. Its proposer opens it again.
 
     Attributes:
-        route: route id.
         cause: the reason's stable name.
         who: the operator who disarmed it, or empty if no operator did.
     """
@@ -523,7 +491,6 @@ class BenchAsk(ControlMessageBase, frozen=True):
     """The measuring side asks for the other side's counts. Answered by a `BenchAnswer` of the same number.
 
     Attributes:
-        request: counts up.
         route: the measuring topic's route id.
         reset: whether to count arrivals from 0 again.
         size: bytes of each message to be sent by the other side.
@@ -543,14 +510,11 @@ class BenchAnswer(ControlMessageBase, frozen=True):
     """The answer to `BenchAsk`.
 
     Attributes:
-        request: the question's.
         problem: the reason for a refusal, for an operator, or empty.
         sent: messages that the last run has sent.
         rate: Hz that it has reached, or 0 while it runs.
         received: messages since the last reset.
         p50: s on the two wall clocks, a percentile of these messages' latencies.
-        p99: s.
-        p999: s.
         cpu: s of processor time that the process has used.
         memory: bytes that it has.
         sent_bytes: handed to the sockets of its links.
@@ -577,10 +541,7 @@ class ByHand(ControlMessageBase, frozen=True):
     """Either side: an operator there makes a call by hand. The message only reports it.
 
     Attributes:
-        route: route id.
-        lane: of the route.
         request: what the operator wrote, or the beginning of it, on one line.
-        who: the operator.
         outcome: the call's result in words, or empty before the call.
     """
 
@@ -624,7 +585,6 @@ class FoundName(msgspec.Struct, frozen=True, omit_defaults=True):
     """A name that matches.
 
     Attributes:
-        name: it.
         type: empty where its endpoints disagree, or it has none.
         kind: what it is; another one is a newer peer's.
     """
@@ -642,7 +602,6 @@ class Follow(ControlMessageBase, frozen=True):
     """Either side asks for reports of matching names in the peer's graph, from now on. Replaces an earlier `Follow`.
 
     Attributes:
-        request: counts up.
         patterns: the wanted names; without any, reports end.
     """
 
@@ -656,7 +615,6 @@ class Followed(ControlMessageBase, frozen=True):
     Attributes:
         request: the `Follow`'s.
         present: new matches, and matches of another type than before.
-        gone: earlier matches.
         more: number of further matches that the message leaves out.
     """
 
@@ -670,10 +628,8 @@ class Look(ControlMessageBase, frozen=True):
     """A viewer wants pictures of topics of the other side. Answered by a `LookAnswer` of the same number.
 
     Attributes:
-        request: counts up.
         route: id of the route that carries the pictures.
         topics: names on the receiving side.
-        wish: the viewer's.
     """
 
     request: Count
@@ -686,7 +642,6 @@ class LookAnswer(ControlMessageBase, frozen=True):
     """The answer to `Look`.
 
     Attributes:
-        request: the question's.
         problem: the reason for a refusal, for an operator, or empty.
     """
 
@@ -707,11 +662,7 @@ class Lease(ControlMessageBase, frozen=True):
 
 
 class Settled(ControlMessageBase, frozen=True):
-    """The answer to `Disarm`: the sender publishes nothing of that opening any more.
-
-    Attributes:
-        route: route id.
-    """
+    """The answer to `Disarm`: the sender publishes nothing of that opening any more."""
 
     route: RouteId
 

@@ -173,7 +173,6 @@ class OperatorEngine(AcceptingStream, _Records):
         """Wait for a console.
 
         Args:
-            engine: this engine's name.
             identity: the credential of an operator by their name, which is not authenticated yet; may raise `Refusal`.
             at: this engine's address in a Zenoh network, or empty on a stream that takes no sample tags.
         """

@@ -108,7 +108,6 @@ class Refusal(Exception):  # noqa: N818 - an answer, not an error of this side's
     """This side refuses a stream.
 
     Attributes:
-        code: the reason.
         message: the reason in a sentence that is true on either side.
     """
 
@@ -124,9 +123,7 @@ def key_of(keys: tuple[bytes, ...], offered: bytes, name: str, there: str, here:
     The claim is part of the handshake's prologue: with another key, the message does not open.
 
     Args:
-        keys: the valid keys.
         offered: the fingerprint of the peer's key.
-        name: the peer's.
         there: the peer's role, for the message.
         here: this side's role, for the message.
 
@@ -149,7 +146,6 @@ class ControlPreamble(NamedTuple):
 
     Attributes:
         suite: the offered cipher suite.
-        name: of its session.
         fingerprint: of its key, unproven: 8 bytes, or zeros for no key.
         header: the frame up to the handshake message: the handshake's prologue.
         message: the first handshake message.
@@ -167,7 +163,6 @@ class DataPreamble(NamedTuple):
 
     Attributes:
         link_id: 8 bytes.
-        name: the stream's place.
         header: the frame up to the proof, which authenticates it.
         proof: `rsb_bridge.wire.sealing.SessionKeys.attach_proof`.
     """

@@ -47,16 +47,13 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The sending side's ledger of a route: offered = delivered + throttled + expired + dropped + in flight.
 
     Attributes:
-        route: route id.
         offered: messages taken from ROS since the route was made, as for all counts here.
         delivered: published by the receiver, according to its last report.
         throttled: left out because of `Propose.max_rate`.
         expired: datagram messages that the receiver gave up incomplete.
-        in_flight: not reported yet.
         dropped: by cause; ``unknown``: sent to a process that ended before it reported whether they arrived.
         lost_in_dds: lost before the bridge could take them.
         missed_while_down: published while the route was down, estimated; not part of `offered`.
-        publishers: on its topic.
         publisher_qos: their combined offer, or None without publishers.
         subscribed: whether the sender takes messages from ROS.
         verdict: of the sending side, or None.
@@ -88,15 +85,12 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     Attributes:
         route: route id, which names the incarnation.
         received: whole messages that arrived.
-        delivered: published.
         expired: datagram messages given up incomplete.
         incomplete: datagram messages that wait for fragments.
         newest: the highest message number seen on datagrams.
-        dropped: messages by cause.
         subscribers: number on its topic.
         subscriber_qos: their combined request, or None without subscribers.
         type: the topic's type in the receiver's graph, while the sender has described none.
-        type_hash: that type's hash.
         latency: s, one way, of the last second's messages, corrected by the clock offset, or None without a figure.
         latency_p50: s, one way, of the last messages, or None without a figure.
         latency_p99: s, one way, of the last messages, or None without a figure.
@@ -183,11 +177,9 @@ class CallsReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     """A side's counts of a route of calls (`rsb_bridge.model.snapshot.CallsSnapshot`).
 
     Attributes:
-        route: route id.
         asked: calls since the route was made, as all counts here.
         answered: calls whose answers went back.
         expired: calls given up after the timeout.
-        refused: calls by cause.
         lost: calls given up because the link or the provider went.
         in_flight: calls that wait for their answers.
         offered: whether the callers' side offers it.
@@ -211,12 +203,9 @@ class TopicEntry(msgspec.Struct, frozen=True):
     """An entry of a side's graph: a topic, or an entry of another requested kind.
 
     Attributes:
-        topic: its name.
         type: empty if its endpoints disagree.
         type_hash: or empty.
         qos: the publishers' offer, or None without publishers.
-        publishers: their number.
-        subscriptions: their number.
         kind: its kind; an unknown kind is a newer peer's.
     """
 
@@ -236,7 +225,6 @@ def check_qos(qos: Qos | None, *, depth_known: bool = False) -> None:
     """Check the QoS in a message.
 
     Args:
-        qos: to check.
         depth_known: whether a depth of 0, which means unknown, is out of range too.
 
     Raises:

@@ -255,7 +255,6 @@ class DatagramOpener:
 
         Args:
             sequence: from the datagram; authenticated with it.
-            sealed: the sealed content.
             associated: the data authenticated with the content.
 
         Raises:
@@ -292,7 +291,6 @@ class SessionKeys:
     over this process can derive the keys of earlier routes, or the earlier keys of a route that is open.
 
     Attributes:
-        suite: of the link.
         link_id: 8 bytes; names the link in preambles and datagrams.
         sample_secret: the secret of sample tags (`SampleTags`), or None without encryption.
     """
@@ -386,7 +384,6 @@ class SampleTags:
 
     Args:
         secret: of the link (`derive_sample_secret`).
-        stream: names the stream.
         opener: this side opened the stream.
     """
 

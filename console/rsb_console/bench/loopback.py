@@ -57,8 +57,6 @@ class Bed:
     """A talker, a listener, and the processes between them.
 
     Attributes:
-        talker: process that publishes.
-        listener: process that subscribes.
         between: the processes between them, in the order in which messages pass.
         topics: the number of the topic for messages of a size; other sizes use the first topic.
         sockets: control sockets of `between`, if any.
@@ -287,7 +285,6 @@ class Loopback:
     """Two domains of this machine.
 
     Args:
-        transports: transports to measure.
         domains: two ROS domains, free of other nodes.
     """
 

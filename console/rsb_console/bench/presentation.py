@@ -240,7 +240,6 @@ def in_words(judged: Sequence[Judged], over: str, *, together: bool) -> list[str
     """Describe the verdict in sentences.
 
     Args:
-        judged: the topics.
         over: words for the measured link: ``this link``.
         together: whether all topics run at the same time.
     """

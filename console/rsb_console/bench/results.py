@@ -141,7 +141,6 @@ class Load:
     """A topic that an operator wants to bridge.
 
     Attributes:
-        topic: its name.
         size: bytes of a message.
         rate: Hz.
         transport: transport that carries it, or an empty string for any.
@@ -160,7 +159,6 @@ class Judged:
     """The verdict on a topic: whether a link carries it.
 
     Attributes:
-        load: the topic.
         transport: transport for which it was judged.
         share: the topic's rate as a share of the highest rate of such messages, from 0.
         verdict: ``carried``, ``barely``, ``not``, or ``unknown`` if no high enough rate was tried.
@@ -186,7 +184,6 @@ class Report:
         sides: the sending and the receiving bridge, by transport.
         many: figures with many topics.
         judged: verdicts on the session's topics, or on usual ones.
-        verdict: summary in words.
         notes: parts that were not measured, with reasons.
         ended: ``complete``, ``interrupted``, ``time``, or ``stopped`` by the peer or its limits.
     """

@@ -73,8 +73,6 @@ class Suite:
     Args:
         place: place of the benchmark.
         plan: extent of the benchmark.
-        report: filled meanwhile.
-        clock: s, monotonic.
         say: told what is being done.
     """
 
@@ -287,8 +285,6 @@ class OverLink:
     """One link of an attached bridge.
 
     Args:
-        engine: attached.
-        link: its name.
         ways: transports and directions to measure.
     """
 

@@ -36,9 +36,6 @@ class ValueProblem(Wording):
 def seconds(text: str) -> float:
     """Parse a time.
 
-    Args:
-        text: in s.
-
     Raises:
         argparse.ArgumentTypeError: it is not a number above 0.
     """
@@ -68,9 +65,6 @@ def within(least: float, most: float) -> Callable[[str], float]:
 
 def timeout(text: str) -> float:
     """Parse a timeout; 0 means a single check.
-
-    Args:
-        text: in s.
 
     Raises:
         argparse.ArgumentTypeError: it is not a number from 0 on.

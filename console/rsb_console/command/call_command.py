@@ -107,7 +107,6 @@ def response(engine: RemoteEngine, route: RouteSnapshot, request: str, lane: str
 
     Args:
         engine: engine of the bridge.
-        route: route to call.
         request: fields of the request, as YAML.
         lane: name of the service, if the route has several.
         timeout: s, or None for the route's own timeout, which does not limit a goal's result.

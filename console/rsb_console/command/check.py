@@ -85,7 +85,6 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
     """Describe a session, line by line.
 
     Args:
-        session: without mistakes.
         places: places in its file that demand arming, by the keys of the lines.
     """
     demands = Demands(sources_of(session))

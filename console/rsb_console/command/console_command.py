@@ -47,7 +47,6 @@ def run_console(
 
     Args:
         path: session file to run, or None to run `session` or ask.
-        readonly: forbid all changes.
         ascii_only: draw only ASCII, even if the terminal can draw more.
         theme: name of the theme, or None for one that suits the terminal.
         on_hangup: ``stop`` or ``continue``: the bridge's reaction when the terminal hangs up.
@@ -134,8 +133,6 @@ def run_fleet(
     """Show the fleet, and the robots that the operator opens, until they quit.
 
     Args:
-        fleet: a started fleet.
-        readonly: forbid all changes.
         ascii_only: draw only ASCII, even if the terminal can draw more.
         theme: name of the theme, or None for one that suits the terminal.
         mouse: take the mouse from the terminal.

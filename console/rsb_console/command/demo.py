@@ -251,7 +251,6 @@ def _heard(shown: Fleet, engines: int, as_they_are: Callable[[], bool]) -> list[
     wrong, wait until nothing is.
 
     Args:
-        shown: the fleet.
         engines: number of engines.
         as_they_are: whether something is meant to be wrong, or nobody waits for it to become well.
     """

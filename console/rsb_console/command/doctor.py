@@ -40,7 +40,6 @@ def run_doctor(path: Path | None, more: Iterable[Check], *, as_json: bool) -> in
 
     Args:
         path: of the session file, or None.
-        more: further checks.
         as_json: whether to print JSON.
     """
     try:

@@ -38,7 +38,6 @@ class Figures:
     """A topic's figures over a while, as one bridge counts them.
 
     Attributes:
-        route: its newest snapshot.
         time: s since the epoch, of that snapshot.
         seconds: s over which the figures are taken.
         messages: number of messages that this bridge gave to the link's queue, or published.
@@ -92,7 +91,6 @@ class Window:
 
         Args:
             moment: s since the epoch, when it was made.
-            route: the topic.
 
         Returns:
             The figures since the oldest snapshot of the window, or None if that is too new.

@@ -208,7 +208,6 @@ def rate_text(route: RouteSnapshot, *, why: bool = True) -> str:
     """Format a topic's rate, or the reason why it has none, or a service's calls.
 
     Args:
-        route: the topic's.
         why: whether to give the reason besides the state.
     """
     arrow = "→" if route.outgoing else "←"

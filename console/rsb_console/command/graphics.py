@@ -97,7 +97,6 @@ class ImagePrinter:
         """Return the sequence that shows an image at the cursor, as large as an area allows.
 
         Args:
-            pixels: the image.
             width: cells of the area.
             height: cells of the area.
 

@@ -64,7 +64,6 @@ def run_headless(
 
     Args:
         path: the session's file; key files are relative to its folder.
-        session: session to run.
         log_format: ``text`` or ``json`` (one object a line).
         on_hangup: ``continue`` goes on when the terminal goes away; ``stop`` ends cleanly.
         status_every: s between status lines.
@@ -105,7 +104,6 @@ def bridge_on(engine: EngineApi, *, crashed: bool) -> int:
     """Run the engine of a console that has ended, as `bridge_until_told`; a hangup does not stop it.
 
     Args:
-        engine: a running one.
         crashed: the console has crashed, which is reported and makes the exit code non-zero.
     """
     if crashed:
@@ -127,7 +125,6 @@ def bridge_until_told(
     """Run an engine until a signal, then stop it. Its log goes to standard output.
 
     Args:
-        engine: a running one.
         signals: entered already, so that no signal is missed.
         log_format: as for `run_headless`.
         status_every: as for `run_headless`.
@@ -193,7 +190,6 @@ class Reloading:
     """Reloads an engine on SIGHUP, one reload at a time, and informs systemd. The engine logs the outcome.
 
     Args:
-        engine: engine to reload.
         supervisor: gets a report of each reload, or None.
     """
 

@@ -139,7 +139,6 @@ def publish(
     """Publish a message, with a new ticket if the one before has become too old, but the message has not.
 
     Args:
-        engine: publishes it.
         topic: its name on the bridge's side.
         fields: as YAML.
         type_name: its type, or an empty string if the topic has one.

@@ -160,7 +160,6 @@ def add_remote_commands(
     """Add the commands.
 
     Args:
-        command: adds one command.
         complete: completes an argument with a function of `rsb_console.command.completion`.
         attach: runs `attach`.
         console_options: adds the options of the console to a parser.

@@ -86,7 +86,6 @@ class Service:
         system: whether it is a system service rather than the user's.
         user: user that runs a system service.
         setup: absolute path of ROS's or a workspace's setup.bash, or None if `program` finds ROS by itself.
-        environment: further variables.
     """
 
     session: Path

@@ -29,14 +29,7 @@ class CommandText(Wording):
 
 
 class CleanErrors:
-    """Standard error for argparse, logging, warnings and tracebacks, with control characters escaped.
-
-    Args:
-        stream: the stream itself.
-
-    Attributes:
-        raw: the same.
-    """
+    """Standard error for argparse, logging, warnings and tracebacks, with control characters escaped."""
 
     def __init__(self, stream: TextIO) -> None:
         self.raw = stream

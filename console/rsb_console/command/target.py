@@ -170,7 +170,6 @@ def attached(arguments: Namespace, *, read_only: bool = False, expires: bool = F
     """Be attached to the bridge that the arguments mean; of a command for a fleet's robot, to what `attach` gives.
 
     Args:
-        arguments: of the command.
         read_only: whether to change nothing.
         expires: whether the command must not be carried out late, counted from the start of its process.
     """
@@ -369,7 +368,6 @@ def done_with(
 
     Args:
         arguments: arguments of the command.
-        found: the routes.
         what: the command's effect, in words.
         results: of the command, for programs.
     """

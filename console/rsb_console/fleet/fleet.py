@@ -86,7 +86,6 @@ class Robot(NamedTuple):
 
     Attributes:
         source: source that reports it.
-        summary: the robot itself.
         gone: whether its source no longer has it, so that it is only remembered.
     """
 
@@ -219,7 +218,6 @@ class Fleet:
         Args:
             names: an operator's names: ``robot1``, or ``control/robot1`` with the source if several have one.
             group: name of a group to include, or empty.
-            everyone: include all robots.
             gone: choose from the robots that have gone instead of the present ones.
 
         Raises:
@@ -276,7 +274,6 @@ class Remembered(msgspec.Struct, frozen=True):
 
     Attributes:
         source: name of the source that reported it.
-        name: the robot's name.
         seen: time when it was last connected, s since the epoch.
         group: its group at that time.
         host: its host at that time.

@@ -28,8 +28,6 @@ class Bridged(NamedTuple):
     """A topic of a robot.
 
     Attributes:
-        robot: its name.
-        route: the topic's.
         session: session of the robot's bridge.
     """
 
@@ -56,7 +54,6 @@ class Step:
     """The planned change of one robot.
 
     Attributes:
-        robot: the robot.
         key: key of the route, or empty without a route.
         old: the route's present topic, or None without a route.
         new: its topic after the change, or None if nothing changes.
@@ -119,12 +116,10 @@ class Rollout:
     """A change of one topic of some robots. Every method may wait; none is for an app's thread.
 
     Args:
-        fleet: started.
         robots: robots of the fleet.
         topic: the topic's name on the robots.
         keys: ``KEY=VALUE`` each.
         settle: s that a robot has to be as well as before.
-        now: a clock, s.
         sleep: waits so many s.
     """
 
@@ -221,7 +216,6 @@ class Rollout:
 
         Args:
             step: step with the robot and the route.
-            topic: the new topic.
             drop_arm: end the demand for arming, which this change made, unless the topic has it.
 
         Raises:

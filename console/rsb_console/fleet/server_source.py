@@ -38,7 +38,6 @@ class ServerFleet:
 
     Args:
         name: name of the server.
-        path: its control socket.
     """
 
     kind = "server"
@@ -87,7 +86,6 @@ class RobotEngine(RemoteEngine):
 
     Args:
         path: path of the server's control socket.
-        robot: the client's name.
         read_only: have the bridge refuse what would change anything.
     """
 

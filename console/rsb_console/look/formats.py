@@ -90,7 +90,6 @@ def latency(seconds: float, uncertainty: float | None) -> str:
     """Format a latency as `span` does; one that the error of the clock offset made negative as ``<0.4 ms``.
 
     Args:
-        seconds: the latency.
         uncertainty: error of the clock offset in s, or None if unknown.
     """
     if seconds > 0:
@@ -138,7 +137,6 @@ def next_attempt(link: LinkSnapshot, now: float | None = None) -> str:
     """Format the time until a link is tried again, or until its client asks again.
 
     Args:
-        link: the link.
         now: s, so that the seconds change together with `age_since`, or None.
     """
     seconds = link.retry_in

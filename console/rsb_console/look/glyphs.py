@@ -47,7 +47,6 @@ def sparkline(values: Sequence[float], width: int, top: float = 0.0) -> str:
     """Draw the last `width` values as bars, right-aligned.
 
     Args:
-        values: oldest first.
         width: cells.
         top: the value of a full bar, unless one of `values` is larger.
     """

@@ -60,7 +60,6 @@ def picture_rows(
     """Return a picture's rows.
 
     Args:
-        content: of the picture.
         width: cells that a plot fills.
         height: cells that a plot fills.
         colours: the terminal's. With few, images are dithered in greys; without, they are drawn in ASCII by brightness.
@@ -85,8 +84,6 @@ def with_mark(rows: list[Row], column: int, row: int, part: Part, width: int) ->
 
     Args:
         rows: of a picture whose characters take one cell each.
-        column: of the cell.
-        row: of the cell.
         part: a character and its style.
         width: cells of the picture, whose rows may be shorter.
     """

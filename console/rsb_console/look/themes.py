@@ -52,7 +52,6 @@ class Themes:
     """The themes that were read, and the mistakes of the others.
 
     Attributes:
-        found: themes by name.
         problems: one line per file that is no theme.
     """
 

@@ -85,7 +85,6 @@ class BridgeOperations:
     """Methods named after their actions, each run as a worker.
 
     Args:
-        console: the app.
         selected: gives the topic under the cursor.
         screen: gives the screen that shows it.
     """

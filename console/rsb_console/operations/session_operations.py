@@ -33,7 +33,6 @@ class SessionOperations:
     """Methods named after their actions, each run as a worker; a new one cancels the one before.
 
     Args:
-        console: the app.
         reload: has the bridge do what its session file says now, after a question.
     """
 
@@ -45,7 +44,6 @@ class SessionOperations:
         """Return whether the session may end. Asks first if a bridge is shown or changes are not saved.
 
         Args:
-            title: of the question.
             yes: the label of the button that ends the session.
             effect: the effect on the bridge, if it does not just stop, or an empty string.
         """

@@ -90,7 +90,6 @@ class Verdict(NamedTuple):
     """The result of a call.
 
     Attributes:
-        text: result in words.
         look: style of the text.
     """
 
@@ -102,7 +101,6 @@ class CallScreen(FormScreen[Request]):
     """Asks for a request, calls once the operator has confirmed, and shows the answer; it stays open for more.
 
     Args:
-        console: the app.
         route: route to call, as it was when this was opened.
     """
 

@@ -66,7 +66,6 @@ class _ClientChange(Change):
     """A client was added or removed.
 
     Attributes:
-        console: the app.
         path: path of the session file.
         listed: the client as the file has, or had, it.
         running: the client as the bridge has, or had, it.
@@ -241,7 +240,6 @@ class AddClientScreen(FormScreen[Client]):
     """Describe a client.
 
     Args:
-        session: the server's.
         base: the folder that its key files are relative to.
     """
 

@@ -77,11 +77,7 @@ class FullScreen(ModalScreen[T]):
     BINDINGS: ClassVar = [Binding(BY_ID["new_session"].keys, "leave_for('new_session')", show=False)]
 
     def action_leave_for(self, action: str) -> None:
-        """Close the screen, and do something of the main screen.
-
-        Args:
-            action: its id.
-        """
+        """Close the screen, and do something of the main screen."""
         self.dismiss(None)
         self.app.call_later(self.app.run_action, f"screen.{action}")
 
@@ -93,7 +89,6 @@ class ConfirmScreen(ModalScreen[bool]):
 
     Args:
         title: the action: ``Remove /scan?``.
-        message: its effect.
         yes: the label of its button: ``Remove``.
     """
 
@@ -179,11 +174,7 @@ class GuardedConfirmScreen(GuardedScreen, ConfirmScreen):
 
 
 class ArmScreen(GuardedConfirmScreen):
-    """Asks whether to arm a topic or a service.
-
-    Args:
-        route: its route.
-    """
+    """Asks whether to arm a topic or a service."""
 
     def __init__(self, route: RouteSnapshot) -> None:
         deadman = route.arming.deadman if route.arming is not None else 0.0
@@ -268,11 +259,7 @@ class Steps(LiveLines, can_focus=False):
 
 
 class RestartScreen(ModalScreen[None]):
-    """Restarts an engine at once; closing the dialog does not stop the restart.
-
-    Args:
-        engine: engine to restart.
-    """
+    """Restarts an engine at once; closing the dialog does not stop the restart."""
 
     BINDINGS: ClassVar = [Binding("escape,q", "dismiss", show=False)]
 

@@ -113,7 +113,6 @@ def why_not_driven(route: RouteSnapshot, type_name: str = "") -> str:
     """Return the reason why a topic cannot be driven, or an empty string.
 
     Args:
-        route: the topic's.
         type_name: the type, if the route does not know it.
     """
     type_name = known_type(route) or type_name
@@ -240,13 +239,7 @@ class Steering:
 
 
 class DriveScreen(GuardedScreen, ModalScreen[None]):
-    """Drives until it is closed. What is below stays in sight: a camera's picture, for example.
-
-    Args:
-        console: the app.
-        route: the topic's.
-        type_name: its type.
-    """
+    """Drives until it is closed. What is below stays in sight: a camera's picture, for example."""
 
     BINDINGS: ClassVar = [
         Binding("escape,q", "dismiss", show=False),

@@ -116,11 +116,7 @@ class FormScreen(ModalScreen[T | None]):
         self.press(event.button.id or "")
 
     def press(self, button: str) -> None:
-        """Accept or leave; a subclass with more buttons handles those first.
-
-        Args:
-            button: its id.
-        """
+        """Accept or leave; a subclass with more buttons handles those first."""
         if button == "yes":
             self.submit()
         else:

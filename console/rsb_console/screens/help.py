@@ -58,7 +58,6 @@ class HelpScreen(ModalScreen[None]):
 
     Args:
         console: the app with the keys.
-        actions: actions to describe.
     """
 
     BINDINGS: ClassVar = [Binding("escape,q,question_mark,f1,enter", "dismiss", show=False)]

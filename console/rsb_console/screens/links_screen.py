@@ -162,7 +162,6 @@ class LinkScreen(ModalScreen[None]):
 
     Args:
         console: the app with the link.
-        name: the link's.
     """
 
     BINDINGS: ClassVar = [Binding("escape,q,enter", "dismiss", show=False)]

@@ -72,7 +72,6 @@ class MainScreen(Screen[None]):
     handlers of the operations are methods of other objects, named after the actions.
 
     Args:
-        console: the app.
         operations: for each group of actions an object with their methods, which may wait for dialogs.
     """
 
@@ -461,11 +460,7 @@ class MainScreen(Screen[None]):
 
 
 class EventScreen(ModalScreen[None]):
-    """The whole text of an event.
-
-    Args:
-        event: event to show.
-    """
+    """The whole text of an event."""
 
     BINDINGS: ClassVar = [Binding("escape,q,enter", "dismiss", show=False)]
 

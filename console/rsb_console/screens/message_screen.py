@@ -53,7 +53,6 @@ class MessageScreen(FullScreen[bool]):
     The result is true if they are to be shown as pictures instead.
 
     Args:
-        console: the app.
         route: the topic's, as it was when this was opened.
     """
 
@@ -204,7 +203,6 @@ def content_lines(read: ReadMessage, width: int) -> list[Line]:
     """Format the message as YAML or hex, with a note if it is incomplete.
 
     Args:
-        read: the message.
         width: cells.
     """
     if read.decoded is not None:

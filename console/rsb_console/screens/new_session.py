@@ -92,7 +92,6 @@ class NewSessionScreen(FormScreen[NewSession]):
     """A form that writes a session file and its key, and returns the file.
 
     Args:
-        console: asks and tells.
         may_run: whether the operator agrees to run the session of a file instead of the present one; if not, the form
             stays.
         server_ip: first text of the field.
@@ -258,7 +257,6 @@ class ImportScreen(FormScreen[Opened]):
     """A form that imports and saves a session, and returns it if it should run.
 
     Args:
-        console: asks and tells.
         may_run: whether the operator agrees to run the session of a file instead of the present one; if not, the form
             stays.
     """

@@ -76,7 +76,6 @@ class PublishScreen(FormScreen[Message]):
     """Publishes messages, each after a question; it stays open for more.
 
     Args:
-        console: the app.
         message: to begin with; without fields, the topic's last message or its type's defaults are offered.
     """
 

@@ -290,9 +290,7 @@ class RolloutScreen(ModalScreen[None]):
     """Asks for a change, shows its effect, and applies it after a yes.
 
     Args:
-        console: the app.
         fleet: fleet of the robots.
-        robots: robots to change.
         settle: seconds that a robot has to be as well as before.
     """
 

@@ -75,7 +75,6 @@ async def save_asking(console: Console, session: Session, path: Path, *, opened:
     """Write a session file; ask before one is changed or replaced, and notify the operator of the outcome.
 
     Args:
-        console: asks and tells.
         session: its key files are relative to the folder of `path`.
         path: path of the file, left alone if it holds the same session already.
         opened: the file that the session came from: its comments and layout are kept.
@@ -158,7 +157,6 @@ class DiffScreen(ConfirmScreen):
     """A question with the diff of a file.
 
     Args:
-        title: the question.
         message: consequences of a yes.
         yes: label of the button that agrees.
         lines: lines of the diff.

@@ -103,7 +103,6 @@ def suggestions(files: list[Path], what: str) -> Iterator[Suggestion]:
     """Yield suggestions of files.
 
     Args:
-        files: files to offer.
         what: word for their kind, shown with each.
     """
     for path in files:
@@ -221,7 +220,6 @@ class Menu(SelectableList):
     Args:
         running: bridges to attach to.
         choices: ids from `CHOICES`.
-        recent: recent session files.
     """
 
     def __init__(self, running: Sequence[RunningBridge], choices: Sequence[str], recent: Sequence[Path]) -> None:

@@ -65,7 +65,6 @@ def fields_by_kind(session: Session, ends: Ends, route: RouteSnapshot | None) ->
 
     Args:
         session: the session that it is for.
-        ends: of the link.
         route: the route to edit, or None for a form of something new, of any kind.
     """
     kinds = KINDS if route is None else (route.spec.kind,)
@@ -171,7 +170,6 @@ class Draft(NamedTuple):
 
     Attributes:
         topic: as the client sees it.
-        link: the client's name.
     """
 
     topic: Topic
@@ -380,9 +378,6 @@ def suggestions_for(
     What has both, one on each side, is told by its publisher. So it is with the servers and clients of a service.
 
     Args:
-        ends: of the link.
-        here: this side's graph.
-        there: the other side's.
         bridged: the link's routes; neither end of one is offered the same way again.
     """
     taken = {route.spec.identity for route in bridged}

@@ -120,12 +120,7 @@ class PicturePane(Widget, can_focus=True):
         self.refresh()
 
     class Clicked(TextualMessage):
-        """A cell was clicked.
-
-        Attributes:
-            column: of the cell.
-            row: of the cell.
-        """
+        """A cell was clicked."""
 
         def __init__(self, column: int, row: int) -> None:
             super().__init__()
@@ -180,7 +175,6 @@ class ViewScreen(FullScreen[bool]):
     """Shows pictures of topics until it is closed. The result is true if they are to be shown as text instead.
 
     Args:
-        console: the app.
         subject: what the pictures are of.
     """
 

@@ -18,7 +18,6 @@ class Attached(NamedTuple):
     """An attached bridge.
 
     Attributes:
-        engine: its engine.
         name: name of its session.
         base: the folder that its key files are relative to.
         path: its session file, or None without a file on this machine.

@@ -54,7 +54,6 @@ class Goal(NamedTuple):
     """A pose on a map.
 
     Attributes:
-        frame: of the coordinates.
         x: m.
         y: m.
         heading: rad, counterclockwise from the x axis.

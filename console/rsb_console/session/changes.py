@@ -68,7 +68,6 @@ class Change(ABC):
     """One change by an operator.
 
     Attributes:
-        link: the peer's name.
         topic: the name on this side.
         since: the number of the last event before the change.
     """
@@ -154,8 +153,6 @@ class Edited(Change):
 
     Attributes:
         key: key of its route after the edit.
-        old: the topic before.
-        new: the topic after.
         pattern: the pattern that had made its route, or empty.
     """
 

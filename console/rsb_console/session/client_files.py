@@ -251,7 +251,6 @@ def check_address(name: str, address: str) -> None:
     """Check the value of `--address` before anything is written.
 
     Args:
-        name: the client's.
         address: the server's address as the client reaches it, or empty.
 
     Raises:
@@ -270,8 +269,6 @@ def robot_file(session: Session, client: Client, address: str = "") -> str:
     """Return the text of a client's own session file.
 
     Args:
-        session: the server's.
-        client: for whom.
         address: of the server, as the client reaches it, perhaps with its port; if empty, the one that the server
             binds, or a guess.
     """

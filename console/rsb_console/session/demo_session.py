@@ -51,7 +51,6 @@ class SimulatedPart:
     It runs in a process group of its own, so that a Ctrl-C in the terminal does not reach it.
 
     Attributes:
-        process: the process.
         published: messages that it has published, by topic.
         received: messages that it has received, by topic.
     """
@@ -108,8 +107,6 @@ class Demo:
     Attributes:
         path: the session file of the desk's side; its key file is in the same folder.
         session: the session in that file.
-        robot: the simulated robot.
-        desk: the simulated desk.
     """
 
     path: Path

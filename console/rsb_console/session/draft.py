@@ -36,7 +36,6 @@ class Ends:
 
     Attributes:
         is_server: whether this side is the server.
-        client: the client's name.
         use_name: whether topic names on the server have the client's name as a prefix.
     """
 

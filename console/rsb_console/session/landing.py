@@ -75,7 +75,6 @@ def answered(route: RouteSnapshot, seconds: float) -> str:
     """Return the report of a call that was answered.
 
     Args:
-        route: that was called.
         seconds: from the call to its answer.
     """
     nodes = join_first(route.subscribers, _NAMED) or LandingText.A_NODE()

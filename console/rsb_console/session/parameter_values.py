@@ -17,7 +17,6 @@ class Kind(NamedTuple):
     """A type of parameter.
 
     Attributes:
-        number: rcl_interfaces/msg/ParameterType.
         name: name in `ros2 param describe` and ``--type``.
         words: words for a value, in a sentence.
     """

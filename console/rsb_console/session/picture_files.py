@@ -29,7 +29,6 @@ def picture_file(content: Cells | Pixels | Series, suffix: str) -> bytes:
     """Return a picture as the content of a file.
 
     Args:
-        content: of the picture.
         suffix: one of `FORMATS`.
 
     Raises:

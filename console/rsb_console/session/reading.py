@@ -80,7 +80,6 @@ class ReadMessage:
     """A message and its decoded content.
 
     Attributes:
-        peeked: the message.
         decoded: its content, or None if the type is unavailable.
         problem: reason why it was not read to its end, or an empty string.
         age: age of its stamp, or None without a stamp.
@@ -122,7 +121,6 @@ def read_message(
     """Read a message.
 
     Args:
-        peeked: the message.
         description: the text of its type's description, or None if unavailable.
         why: reason why `description` is None.
         items: elements of an array that are kept.
@@ -218,7 +216,6 @@ def message_lines(message: Message, width: int, *, arrays: bool = True) -> Itera
     """Format a message as YAML. Its text is escaped, as it is not trusted.
 
     Args:
-        message: a decoded message.
         width: cells at which arrays and strings are wrapped.
         arrays: show the elements of arrays rather than only their type and length.
     """

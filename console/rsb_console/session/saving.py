@@ -92,7 +92,6 @@ def moved(session: Session, old: Path, new: Path) -> Session:
 
     Args:
         session: session whose key files are relative to `old`.
-        old: a folder.
         new: the folder of its new file.
     """
     if old.resolve() == new.resolve():

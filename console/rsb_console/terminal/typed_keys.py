@@ -33,7 +33,6 @@ class TypedKeys:
     """Lines on standard input, until its end. To be used as a context.
 
     Args:
-        fd: standard input's.
         environ: the environment, which names some multiplexers.
         clock: gives s on a clock that nobody sets.
     """

@@ -123,7 +123,6 @@ def state_counts(
     Acknowledged faults do not count.
 
     Args:
-        things: topics, or links.
         states: states to count, in this order.
         words: name of each state.
     """
@@ -252,7 +251,6 @@ class KeyEntry(NamedTuple):
 
     Attributes:
         key: name of the key for people.
-        label: its effect.
         action: action that a click runs.
         rank: order on a narrow screen, lower ranks first.
         counts: figures after the label, or in its place on a screen without room for both.

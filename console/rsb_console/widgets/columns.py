@@ -31,10 +31,8 @@ class Column(Generic[R]):
     """One column of a table.
 
     Attributes:
-        title: its heading.
         width: cells, or 0 for all remaining ones.
         text: formats the cell of a route or another row.
-        order: its sort key.
         right: whether cells are aligned to the right.
         from_width: cells; a narrower table leaves the column out.
         beside_calls: the same for a table with calls, or None to use `from_width`.

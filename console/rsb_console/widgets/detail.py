@@ -85,7 +85,6 @@ def detail_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
     """Lay out the details of a topic, a service, an action or parameters.
 
     Args:
-        route: the topic's route.
         peer: the other side's name or address.
         width: width of the pane in cells.
     """
@@ -166,8 +165,6 @@ def call_lines(route: RouteSnapshot, calls: CallsSnapshot, peer: str, width: int
     """Lay out the details of a service, an action or parameters.
 
     Args:
-        route: route to describe.
-        calls: its calls.
         peer: the other side's name or address.
         width: width of the pane in cells.
     """

@@ -47,7 +47,6 @@ def heading(route: RouteSnapshot, last: str, width: int) -> Iterator[Line]:
     """Yield the state, the arming and the reason of a fault.
 
     Args:
-        route: route to describe.
         last: word for the last arrival: ``message``.
         width: width of the pane in cells.
     """
@@ -100,7 +99,6 @@ def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
     """Yield the type, the direction, the transport, the name on the other side and the pattern.
 
     Args:
-        route: route to describe.
         way: direction and peer in words.
         width: width of the pane in cells.
     """
@@ -188,7 +186,6 @@ def ledger(title: str, rows: Sequence[tuple[str, int, str, str]]) -> Iterator[Li
     """Yield counts, one a line.
 
     Args:
-        title: title above them.
         rows: name, count, style if the count is not 0, and a remark for each line.
     """
     yield ((f" {title}", "head"),)

@@ -40,7 +40,6 @@ class Fault:
         look: style of the sign.
         robot: robot of the topic if there are several robots, or empty.
         name: the link's, or the topic's.
-        cause: in words.
         of_link: whether it is a link's.
         others: names of others with the same cause, ignoring names and durations.
         measured: whether the cause has figures that change all the time, so that no other fault shares it for long.
@@ -99,7 +98,6 @@ class FaultLines(LiveLines):
         """Show as many of `faults` as fit.
 
         Args:
-            faults: the worst first.
             most: lines that fit.
             keys: keys that show the others.
             now: s, the time of the snapshot.
@@ -131,7 +129,6 @@ class Heights:
         Args:
             faults: all that are shown.
             width: cells.
-            now: s.
         """
         before = self._needed if width == self._width else {}
         self._width, self._needed = width, {}

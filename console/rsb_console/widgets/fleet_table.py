@@ -54,7 +54,6 @@ class Row(NamedTuple):
     """A robot as a line of the table.
 
     Attributes:
-        robot: it.
         rates: its messages a second, both ways, the oldest first.
         now: s since the epoch.
     """
@@ -186,7 +185,6 @@ class FleetView:
 
     Attributes:
         cursor: the key under the cursor, or None before it has moved.
-        pattern: the filter.
         faults_only: show only robots with a fault.
         grouped: keep the robots of a group together.
         folded: groups of which only the heading is shown.

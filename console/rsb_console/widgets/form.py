@@ -30,7 +30,6 @@ class Spec:
         key: key of its value.
         label: label to its left.
         help: one or two lines, shown while the field has the focus.
-        value: initial value.
         blank: meaning of an empty field, shown in it.
         options: value and label of each choice, or empty for a text field.
         edited: whether operators usually edit the value rather than replace it, as with a path.
@@ -73,11 +72,7 @@ class Field(Vertical):
     """
 
     class Changed(Message):
-        """The value of a field changed.
-
-        Attributes:
-            field: the field.
-        """
+        """The value of a field changed."""
 
         def __init__(self, field: Field) -> None:
             super().__init__()

@@ -53,11 +53,9 @@ class FieldInput(Input):
     """One line of text, which ignores input from its submission until the result is shown.
 
     Attributes:
-        input_guard: the form's.
         submits: whether enter submits the form.
 
     Args:
-        value: at first.
         blank: meaning of an empty field.
         edited: the focus comes to its end; else what is typed then replaces it.
     """
@@ -127,9 +125,6 @@ class Choice(Widget, can_focus=True):
     Args:
         options: value and label of each; at least one.
         value: chosen at first, or empty for the first option.
-
-    Attributes:
-        input_guard: the form's.
     """
 
     BINDINGS: ClassVar = [
@@ -148,12 +143,7 @@ class Choice(Widget, can_focus=True):
         """Enter was pressed."""
 
     class Mistyped(Message):
-        """The typed text matches the beginning of no option.
-
-        Attributes:
-            text: the typed text.
-            choice: the widget.
-        """
+        """The typed text matches the beginning of no option."""
 
         def __init__(self, text: str, choice: Choice) -> None:
             super().__init__()

@@ -159,7 +159,6 @@ def changed_width(old: Line, new: Line, width: int) -> int:
 
     Args:
         old: the line on screen.
-        new: the new line.
         width: width of the pane.
     """
     cells = width_of(new)

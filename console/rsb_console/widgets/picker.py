@@ -29,7 +29,6 @@ class Suggestion(NamedTuple):
     """One suggestion.
 
     Attributes:
-        key: unique key.
         value: value for the field once it is picked.
         line: formats its line for a width in cells.
         fills: values for other fields of the form, by their keys.

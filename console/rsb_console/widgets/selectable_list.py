@@ -29,11 +29,7 @@ class SelectableList(LiveLines, can_focus=True):
     must not meet the one that has just taken its place."""
 
     class CursorMoved(Message):
-        """Another item is under the cursor.
-
-        Attributes:
-            pane: the list.
-        """
+        """Another item is under the cursor."""
 
         def __init__(self, pane: SelectableList) -> None:
             super().__init__()

@@ -54,11 +54,7 @@ def guid_of_publisher(publisher: int) -> bytes:
 
 
 class Publishers:
-    """The publishers of one subscription. Belongs to the thread that takes from it.
-
-    Args:
-        subscription: its address.
-    """
+    """The publishers of one subscription. Belongs to the thread that takes from it."""
 
     def __init__(self, subscription: int) -> None:
         self._entity = _entity(rmw_subscription(subscription))

@@ -215,7 +215,6 @@ class Handle:
         """Hold one that was just created.
 
         Args:
-            entity: itself.
             give_back: called when nothing uses its type any more.
             entities: held while its participant's endpoints are created or freed.
         """

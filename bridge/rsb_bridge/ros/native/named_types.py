@@ -81,7 +81,6 @@ class BorrowedType(NamedTuple):
     """A message or service class that an endpoint uses.
 
     Attributes:
-        interface: for rclpy.
         give_back: to be called once, when the endpoint is gone.
     """
 

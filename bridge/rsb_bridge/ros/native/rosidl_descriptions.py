@@ -135,8 +135,6 @@ def ask_node(
     Takes some seconds at most.
 
     Args:
-        own: our node.
-        context: its context.
         node: full name of the node to ask.
         type_name: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``.

@@ -124,7 +124,6 @@ class LaneEndpoints:
     Args:
         context: what every part of the engine shares.
         peer: the other side of the link.
-        members: of the route.
         failed: called, on the I/O loop, for an endpoint that has failed and closed itself.
 
     Attributes:
@@ -176,7 +175,6 @@ class LaneEndpoints:
         """Open the services. Topics stay open, and so do services of the right type.
 
         Args:
-            entries: types, by lane.
             names: of the lanes' services and topics on this side.
             lanes: the services to have open, or None for all.
 
@@ -260,14 +258,11 @@ class Clients(LaneEndpoints):
 
     Args:
         context: what every part of the engine shares.
-        peer: whose callers ask.
-        members: of the route.
         responded: gets a lane's responses.
         published: gets a lane's messages.
         failed: called for a client or a subscription that has failed and closed itself.
 
     Attributes:
-        clients: by lane.
         node: the node with the parameters, or empty unless the route is of parameters.
     """
 
@@ -318,15 +313,12 @@ class Offers(LaneEndpoints):
 
     Args:
         context: what every part of the engine shares.
-        peer: whose providers answer.
-        members: of the route.
         asked: gets a lane's requests.
         too_late: gets requests that come after the offer has ended.
         failed: called for a server that has failed and closed itself.
         marks: returns the lease that requests are marked with, or None without arming.
 
     Attributes:
-        servers: by lane.
         publishers: by lane; the memory that DDS holds for their subscribers is bounded.
     """
 

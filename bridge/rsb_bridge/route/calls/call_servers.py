@@ -44,7 +44,6 @@ class Provision(NamedTuple):
 
     Attributes:
         entries: by lane, or empty if nothing can be called.
-        servers: of all services.
         unavailable: the trouble that keeps it from being called, or None.
         warning: the trouble that does not keep it from being called, or None.
     """
@@ -56,11 +55,7 @@ class Provision(NamedTuple):
 
 
 class UnavailableError(Exception):
-    """Nothing can be called now.
-
-    Attributes:
-        trouble: the reason.
-    """
+    """Nothing can be called now."""
 
     def __init__(self, cause: Cause, text: str) -> None:
         super().__init__(text)
@@ -78,8 +73,6 @@ def provision(
     """Find what can be called here.
 
     Args:
-        ros: the graph.
-        members: of the route.
         name: the route's, on this side.
         wanted: the type that the session names, or empty for any.
         domain_id: of this side, for people.
@@ -162,8 +155,6 @@ def types_clash(
     """Return the trouble if the two sides, or a caller, have other versions of a type, or None.
 
     Args:
-        ros: this side's graph.
-        members: of the route.
         entries: the other side's types, by lane.
         names: of the lanes on this side.
         callers: of the services on this side, by name.
@@ -231,7 +222,6 @@ class Usable(NamedTuple):
     """The servers of a service, sorted.
 
     Attributes:
-        servers: may be called.
         via: the bridges that their answers cross.
         circular: must not be called.
         unexplained: have not announced yet where their answers come from.
@@ -330,7 +320,6 @@ class LocalServers:
 
     Args:
         context: what every part of the engine shares.
-        peer: the providing side.
         look_again: has the route look.
 
     Attributes:

@@ -68,8 +68,6 @@ class LaneMessages:
     """Publishes messages of the lanes that are topics, and keeps the last one of latched lanes.
 
     Args:
-        members: of the route.
-        offers: have the publishers.
         budget: bytes that may be kept on the link.
         notices: report messages that cannot be published.
     """
@@ -140,7 +138,6 @@ class CallerAction:
     """Goals of an action, and the calls that wait for the end of an interruption.
 
     Args:
-        context: has the clock.
         timeout: s that a call without a goal waits at most.
 
     Attributes:

@@ -46,7 +46,6 @@ class CallsLedger:
     """Counts of one half, since the route was made: asked = answered + expired + refused + lost + in flight.
 
     Attributes:
-        asked: all calls.
         answered: calls with an answer that went back.
         expired: calls given up after their timeout.
         refused: refused calls, by cause.

@@ -35,7 +35,6 @@ class CallsOutbox:
     Args:
         transport: what carries the route.
         proposal: what the two sides have agreed on.
-        members: of the route.
         leaves: whether a call or an answer is still wanted; asked right before it is sent.
         stamp: gives the stamp of frames that have none.
     """

@@ -149,7 +149,6 @@ class CallsRoute(Route):
 
         Args:
             lane: its place among the route's members.
-            request: serialized.
 
         Returns:
             The serialized response.
@@ -350,7 +349,6 @@ class CallsRoute(Route):
         """Return the reason why ROS may not get a frame's content, or None if it may.
 
         Args:
-            frame: that came.
             part: the suffix of the lane's type: ``_Request``, ``_Response`` or nothing.
         """
         if not self.context.session.check_messages or frame.lane >= len(self._types):

@@ -21,7 +21,6 @@ class Trouble(NamedTuple):
     """A problem to show to operators.
 
     Attributes:
-        cause: its kind.
         text: for an operator, with the remedy.
     """
 

@@ -41,7 +41,6 @@ class KeptCall(NamedTuple):
     Attributes:
         lane: of a service of the action.
         caller: for `rsb_bridge.ros.ros_interface.ServiceServer.answer`.
-        payload: the serialized request.
         asked: when the caller asked, in s.
         again: whether it was sent before.
         instance: the peer's process that it was sent to, or empty if it was not sent.

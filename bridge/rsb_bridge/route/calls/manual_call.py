@@ -58,9 +58,7 @@ async def call_directly(
 
     Args:
         context: what every part of the engine shares.
-        service: its name.
         entry: its type and hash.
-        request: serialized.
         within: the timeout in s, or None to wait until the answer comes or the task is cancelled.
 
     Returns:

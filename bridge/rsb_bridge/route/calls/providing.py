@@ -81,9 +81,6 @@ class PeersCall(Call):
 class ProviderAction:
     """Goals of an action, and its server's answers, which outlive an interruption.
 
-    Args:
-        context: has the clock.
-
     Attributes:
         goals: all that are known.
         answers: what the server was asked, and answered.

@@ -80,7 +80,6 @@ class Seen(NamedTuple):
 
     Attributes:
         service: as in `rsb_bridge.transport.zenoh.network.Network.endpoint`.
-        address: of the endpoint.
         label: as its owner says, unauthenticated.
     """
 
@@ -127,8 +126,6 @@ class Endpoint:
     """An endpoint on the loop that made it; all but `cut_off` must be called on that loop.
 
     Attributes:
-        address: its own.
-        outbox: sends its samples.
         seen: present endpoints of the watched services, by address, including itself.
         on_stream: called with the sender's address, the id and the first header of a new stream; returns this side's
             end. Or None to refuse new streams.

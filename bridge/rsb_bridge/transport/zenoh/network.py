@@ -86,9 +86,7 @@ def why_unreachable(settings: ZenohSettings, config: zenoh.Config, error: str) -
     """Return the problem of each endpoint; block for up to 2 s for each.
 
     Args:
-        settings: have the endpoints.
         config: the configuration that failed.
-        error: Zenoh's error.
     """
     endpoints = settings.connect or tuple(_endpoints(json.loads(config.get_json("connect/endpoints"))))
     if not endpoints or UNABLE not in error:

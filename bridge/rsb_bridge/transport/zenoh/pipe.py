@@ -66,7 +66,6 @@ class Pipe(asyncio.Transport):
     """One end of a stream.
 
     Args:
-        endpoint: this side's.
         peer: the other side's address.
         stream: 16 hexadecimal digits.
         rank: of its priority (`rsb_bridge.transport.zenoh.outbox`).

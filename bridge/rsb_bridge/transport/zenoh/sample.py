@@ -30,7 +30,6 @@ class Header(NamedTuple):
     Attributes:
         kind: a `Kind`; other numbers are passed over.
         rank: of the stream's priority; `Outbox` has the ranks.
-        number: by the kind.
         tag: proves that the peer sent the sample, or is empty.
     """
 
