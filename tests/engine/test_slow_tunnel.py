@@ -116,8 +116,9 @@ def test_live_topic_stays_fresh(qos: Any, bridge: Bridge, robot: Domain, pc: Dom
         assert ledger.in_flight < 30
         relay.rate = 1e7
         ledger = settled(client, "/tcp", count)
-        assert ledger.delivered == len(there.payloads)
-        assert ledger.dropped == {"queue full": count - ledger.delivered}, (count, ledger)
+        # Best effort: DDS may lose some before the bridge takes them, which the ledger counts apart, and after it.
+        assert 0.9 * ledger.delivered <= len(there.payloads) <= ledger.delivered
+        assert ledger.dropped == {"queue full": count - ledger.delivered - ledger.lost_in_dds}, (count, ledger)
 
 
 def test_flood_from_the_first_message_on(bridge: Bridge, robot: Domain, pc: Domain) -> None:
