@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 from tests.support import lanes
 
@@ -20,3 +21,14 @@ def test_what_computes_has_three_lanes_and_every_other_file_its_own() -> None:
     }
     assert lanes.lane_of("tests/engine/test_late.py::test_y[a/b::c]") == "tests/engine/test_late.py"
     assert lanes.lane_of("tests/network/test_x.py::test_y") == lanes.lane_of("tests/network/test_z.py::test_y")
+
+
+def test_the_longest_come_first_and_waiting_and_computing_ones_alternate() -> None:
+    names = [
+        f"tests/{folder}/test_{number}.py::test" for folder in ("engine", "console", "simulation") for number in (1, 2)
+    ]
+    items = [SimpleNamespace(nodeid=name) for name in names]
+    lanes.sort_by_lane(items)  # type: ignore[arg-type]  # it reads their ids only
+    assert [lanes.folder_of(each.nodeid) for each in items] == [
+        "simulation", "simulation", "engine", "console", "engine", "console"
+    ]  # fmt: skip
