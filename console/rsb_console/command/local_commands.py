@@ -10,7 +10,7 @@ import errno
 import os
 import sys
 import termios
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 from rsb_bridge.config.files import is_there
 from rsb_bridge.config.keys import (
@@ -199,19 +199,21 @@ def import_thesis(arguments: Namespace) -> int:
     return OK
 
 
-def _has_hung_up(terminal: int) -> bool:
+def _has_hung_up(stream: TextIO | None) -> bool:
     try:
-        termios.tcgetattr(terminal)
+        termios.tcgetattr(stream)  # type: ignore[arg-type]
     except termios.error as error:
         return bool(error.args[0] == errno.EIO)
+    except (OSError, TypeError):  # it has no descriptor, or is closed, as for some services
+        pass
     return False
 
 
 def can_draw(instead: str) -> bool:
     """Whether the console has a terminal to draw on; print an error if not."""
     reason = None
-    if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        gone = _has_hung_up(sys.stdin.fileno())
+    if not all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout)):
+        gone = _has_hung_up(sys.stdin)
         reason = (LocalText.TERMINAL_GONE if gone else LocalText.NO_TERMINAL)(instead=instead)
     elif os.environ.get("TERM", "") in ("", "dumb"):
         reason = LocalText.PLAIN_TERMINAL(instead=instead)
