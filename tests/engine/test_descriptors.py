@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.support.bridge import happened, linked, now
 from tests.support.domain import text
+from tests.support.long import long
 from tests.support.ports import free_port
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
@@ -107,7 +108,8 @@ def test_the_program_takes_all_that_it_may_have(bridge: Bridge, programs: Progra
     assert resource.prlimit(program.pid, resource.RLIMIT_NOFILE) == (4096, 4096)
 
 
-@pytest.mark.parametrize("side", ["server", "client"])
+# A client's streams do not always reach the limit at one moment: of 48 runs, 4 waited for that in vain.
+@pytest.mark.parametrize("side", ["server", *long("client")])
 def test_topics_beyond_the_limit(side: str, bridge: Bridge, programs: Programs) -> None:
     """Both sides show whose limit it is; the link, the other topics and other clients are served.
 
