@@ -199,7 +199,7 @@ class _InboundStream(PendingConnection, StreamHandler):
             self._admission.attach(stream, self._connection, event)
             stream.trust()
         except Refusal as refusal:  # no failure of its host: the route may have been closed meanwhile
-            self._pending.refusals.log(stream, EventCode.LINK_REJECTED, refusal.message)
+            self._pending.refusals.log(stream, EventCode.LINK_REJECTED, refusal.message, refusal.link)
             stream.write(self._connection.refuse(refusal.code, refusal.message))
             stream.close(refusal.message)
 

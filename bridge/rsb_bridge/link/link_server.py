@@ -226,7 +226,7 @@ class Server:
         stream.authenticate(link.sample_secret, opener=False)
         transport, port = link.take_stream(event)
         if refusal := link.descriptors.refusal:
-            raise Refusal(RefusalCode.BUSY, refusal)
+            raise Refusal(RefusalCode.BUSY, refusal, link.name)
         stream.when_gone(link.descriptors.take())
         stream.write(connection.accept_attach())
         link.channels.attach(stream, event.name, transport, port, connection.leftover())

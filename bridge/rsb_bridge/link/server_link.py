@@ -446,7 +446,7 @@ class ServerLink(Link):
             (transport is not self.transport, transport.name) for transport, at in self._awaited() if at == port
         )
         if not found or not self.channels.is_new(event.name):
-            raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE, self.name)
         name = found[0][1]
         return next(each for each, _ in self._awaited() if each.name == name), port
 

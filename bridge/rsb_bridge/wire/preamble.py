@@ -109,12 +109,14 @@ class Refusal(Exception):  # noqa: N818 - an answer, not an error of this side's
 
     Attributes:
         message: the reason in a sentence that is true on either side.
+        link: the name of the client that asks, if it has proven its key; else an empty string.
     """
 
-    def __init__(self, code: RefusalCode, message: str) -> None:
+    def __init__(self, code: RefusalCode, message: str, link: str = "") -> None:
         super().__init__(message)
         self.code = code
         self.message = message
+        self.link = link
 
 
 def key_of(keys: tuple[bytes, ...], offered: bytes, name: str, there: str, here: str) -> bytes:
