@@ -23,6 +23,7 @@ from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.doctor.finding import Check, Finding, Grade
 from rsb_bridge.doctor.machine import MachineText, bluetooth_adapters
 from rsb_bridge.model import transports
+from rsb_bridge.model.names import other_side
 from rsb_bridge.model.verdict import clocks_differ
 from rsb_bridge.model.wording import Wording
 
@@ -132,7 +133,7 @@ def _peers_clocks(path: Path, environ: Mapping[str, str]) -> Iterator[Finding]:
     for link in links:
         if link.clock_offset is None:
             continue
-        peer = "the server" if bridge.info is not None and bridge.info.role == "client" else link.name
+        peer = link.name if bridge.info is None else other_side(bridge.info.role, link.name)
         facts = {"link": link.name, "offset": link.clock_offset, "uncertainty": link.clock_uncertainty}
         finding = partial(Finding, "clock", subject="clock", facts=facts)
         if warning := clocks_differ(peer, link.clock_offset, link.clock_uncertainty):

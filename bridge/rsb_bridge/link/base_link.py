@@ -29,7 +29,7 @@ from rsb_bridge.wire.messages import Ping, Pong, Receipts
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Coroutine
+    from collections.abc import Callable, Coroutine, Iterator
 
     from rsb_bridge.channel.channel import Carrier
     from rsb_bridge.channel.data_keys import Meter
@@ -506,16 +506,20 @@ class BaseLink(ABC):
         pair = self.channels.pair_of(transport, port)
         if pair is None:
             return
-        for route_id, route in self._awaiting.pop((transport, port), {}).items():
-            if route.id == route_id and route.channel is None:  # else it was closed meanwhile
-                self.channels.carry(route, pair)
-                route.advance()
+        for route in self._take_awaiting(transport, port):
+            self.channels.carry(route, pair)
+            route.advance()
 
     def streams_failed(self, transport: str, port: int, reason: str) -> None:
         """Report to the routes that wait for streams that these cannot be opened."""
+        for route in self._take_awaiting(transport, port):
+            route.channel_lost(reason)
+
+    def _take_awaiting(self, transport: str, port: int) -> Iterator[Route]:
+        """Yield the routes that wait for streams, and for which nothing else has come first; none of them waits on."""
         for route_id, route in self._awaiting.pop((transport, port), {}).items():
-            if route.id == route_id and route.channel is None:
-                route.channel_lost(reason)
+            if route.id == route_id and route.channel is None:  # else it was closed meanwhile
+                yield route
 
     def _new_udp_channel(self, transport: DatagramTransport, port: int) -> UdpChannel | None:
         udp_channel = self.open_udp_channel(transport, port)

@@ -18,7 +18,7 @@ from rsb_bridge.wire.events import StreamName
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from rsb_bridge.channel.channel import Carrier
     from rsb_bridge.channel.data_keys import Meter
@@ -230,9 +230,14 @@ class DataChannels:
             self._pairs[transport, port] = pair
         return pair
 
+    def _streams(self) -> Iterator[DataStream]:
+        for pair in self._pairs.values():
+            if not pair.over:
+                yield from pair.streams()
+
     def handle_receipts(self, receipts: Receipts) -> None:
         """Hand the peer's receipts and intervals to the streams."""
-        streams = {each.number: each for pair in self._pairs.values() if not pair.over for each in pair.streams()}
+        streams = {each.number: each for each in self._streams()}
         for number, every in receipts.every:
             if number in streams:
                 streams[number].set_interval(every)
@@ -253,9 +258,7 @@ class DataChannels:
 
     def carriers(self, control: ControlChannel | None) -> set[Carrier]:
         """Return all streams and UDP channels, including the control connection's."""
-        carriers: set[Carrier] = {
-            each.stream for pair in self._pairs.values() if not pair.over for each in pair.streams()
-        }
+        carriers: set[Carrier] = {each.stream for each in self._streams()}
         if control is not None:
             carriers.add(control.stream)
         return carriers.union(self.udp.all())

@@ -442,13 +442,10 @@ class ServerLink(Link):
         except SealError as error:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, str(error)) from None
         port = event.name.port or self.shared_port()
-        found = sorted(
-            (transport is not self.transport, transport.name) for transport, at in self._awaited() if at == port
-        )
-        if not found or not self.channels.is_new(event.name):
+        transports = [transport for transport, at in self._awaited() if at == port]
+        if not transports or not self.channels.is_new(event.name):
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE, self.name)
-        name = found[0][1]
-        return next(each for each, _ in self._awaited() if each.name == name), port
+        return min(transports, key=lambda each: (each is not self.transport, each.name)), port
 
     def open_udp_channel(self, transport: DatagramTransport, port: int) -> None:
         """Do nothing: the client's first probe opens them."""

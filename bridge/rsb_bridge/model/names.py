@@ -23,6 +23,11 @@ def file_stem(name: str, number: int = 1) -> str:
     return safe if number == 1 else f"{safe}-{number}"
 
 
+def other_side(role: str, link: str) -> str:
+    """Return the name of a link's other side: a client's link has the client's own name."""
+    return "the server" if role == "client" else link
+
+
 @lru_cache(maxsize=4096)
 def natural_order(name: str) -> tuple[tuple[str, int], ...]:
     """Return a sort key by which ``robot2`` comes before ``robot10``."""

@@ -47,6 +47,12 @@ _ROUND_TRIPS, _MOST_RETRIED_AFTER = 4, 8
 1 s had the kernel send every second byte twice, and end a connection after 14 s (`bench.robot`); 8 s, none."""
 
 
+def retry_after(sock: socket.socket | None, seconds: int) -> None:
+    """Have the kernel wait for so long at most between retransmissions, if it is TCP and can be told."""
+    with contextlib.suppress(OSError, AttributeError):
+        sock.setsockopt(socket.IPPROTO_TCP, TCP_RTO_MAX_MS, seconds * 1000)  # type: ignore[union-attr]
+
+
 class PacketCounts(NamedTuple):
     """Packets of a stream with data, as the kernel counts them.
 
@@ -243,9 +249,7 @@ class Stream(asyncio.Protocol):
         if wanted == self._retried_after or self._transport is None:
             return
         self._retried_after = wanted
-        sock = self._transport.get_extra_info("socket")
-        with contextlib.suppress(OSError, AttributeError):
-            sock.setsockopt(socket.IPPROTO_TCP, TCP_RTO_MAX_MS, wanted * 1000)
+        retry_after(self._transport.get_extra_info("socket"), wanted)
 
     @property
     def over(self) -> bool:

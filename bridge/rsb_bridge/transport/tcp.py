@@ -18,12 +18,12 @@ from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.listening import StreamListener, bind
 from rsb_bridge.transport.streams import (
     RETRIED_AFTER,
-    TCP_RTO_MAX_MS,
     Address,
     Stream,
     StreamHandler,
     StreamProblem,
     os_error_message,
+    retry_after,
 )
 from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.transport import Acceptor, Listener, StreamTransport
@@ -184,5 +184,4 @@ def _set_options(sock: socket.socket) -> None:
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _IDLE)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _KEEPALIVE_EVERY)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _GIVEN_UP_AFTER_MS)
-    with contextlib.suppress(OSError):
-        sock.setsockopt(socket.IPPROTO_TCP, TCP_RTO_MAX_MS, RETRIED_AFTER * 1000)
+    retry_after(sock, RETRIED_AFTER)

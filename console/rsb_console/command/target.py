@@ -25,13 +25,13 @@ from rsb_bridge.control.control_sockets import (
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.names import other_side as other_side_of
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, USAGE, print_error, print_line
-from rsb_console.look import formats
 from rsb_console.session.draft import suggestion
 
 if TYPE_CHECKING:
@@ -316,7 +316,7 @@ def _routes_meant(engine: RemoteEngine, arguments: Namespace) -> list[RouteSnaps
 
 def other_side(engine: RemoteEngine, link: str) -> str:
     """Return the name of a link's other side."""
-    return formats.other_side(engine.bridge.role, link)
+    return other_side_of(engine.bridge.role, link)
 
 
 def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | PatternSnapshot:

@@ -147,11 +147,6 @@ def next_attempt(link: LinkSnapshot, now: float | None = None) -> str:
     return retry(link.attempts + 1, seconds)
 
 
-def other_side(role: str, link: str) -> str:
-    """Return the name of a link's other side: a client's link has the client's own name."""
-    return "the server" if role == "client" else link
-
-
 def counted(count: int, what: str) -> str:
     """Format a count of things: ``1 topic``, ``8 topics``."""
     return f"{thousands(count)} {plural(count, what)}"

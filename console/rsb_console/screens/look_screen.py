@@ -11,11 +11,11 @@ from textual.screen import ModalScreen
 from textual.widgets import Input
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.names import other_side
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.worker import VIEWS
-from rsb_console.look import formats
 from rsb_console.screens.dialog import Dialog
 from rsb_console.widgets.filter import Pattern
 from rsb_console.widgets.picker import Suggestion, SuggestionList
@@ -137,7 +137,7 @@ class LookScreen(ModalScreen[Subject]):
             layers = (each.topic for each in self._found[side] if is_layer(each.type_name) and each.publishers)
             others = tuple(topic for topic in layers if topic != info.topic)
             self._subjects[key] = Subject((info.topic,), side, info.type_name, others)
-            shown = escape_text(formats.other_side(role, side) if side else LookText.HERE())[: _SIDE - 1]
+            shown = escape_text(other_side(role, side) if side else LookText.HERE())[: _SIDE - 1]
             line: Line = (
                 (f"{escape_text(info.topic):<{_TOPIC}} ", ""),
                 (f"{shown:<{_SIDE}}", "dim"),

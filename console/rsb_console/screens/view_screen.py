@@ -22,6 +22,7 @@ from textual.widget import Widget
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import replace_file
+from rsb_bridge.model.names import other_side
 from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_RATE, MOST_ROWS, TOPICS_AT_ONCE, Cells, Series, Wish
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
@@ -338,7 +339,7 @@ class ViewScreen(FullScreen[bool]):
             waited = time.monotonic() - self._came
             return escape_text(self._problem) or ViewText.WAITING(waited=formats.age(waited))
         where = self._viewed.where
-        side = formats.other_side(self.console.snapshot().role, where) if where else ViewText.HERE()
+        side = other_side(self.console.snapshot().role, where) if where else ViewText.HERE()
         picture, parts = self._viewed.picture, [self._problem or self._viewed.picture.problem]
         if self._viewed.age is not None:
             age = self._viewed.age + time.monotonic() - self._came

@@ -26,7 +26,7 @@ class GoalCancels:
         self._clients = clients
         self._failed = failed
         self._client: ServiceClient | None = None
-        self._unanswered: set[int] = set()  # calls of this client: another one begins to number themagain
+        self._unanswered: set[int] = set()  # calls of this client: another one numbers from the start
 
     def cancel(self, goals: Iterable[bytes]) -> None:
         """Ask the server to cancel goals."""
