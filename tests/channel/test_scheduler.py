@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+from typing import TYPE_CHECKING
 
 import pytest
 from tests.channel.sides import Radio, Route, connected, pass_seconds, simulate
+
+from rsb_bridge.transport.streams import StreamHandler
+
+if TYPE_CHECKING:
+    from tests.channel.sides import Side
+
+    from rsb_bridge.channel.data_stream import DataStream
 
 _PACE = 50_000
 """Bytes/s of the radio."""
@@ -113,6 +121,67 @@ def test_what_fits_is_fresh_beside_what_does_not(rate: int) -> None:
             late = sorted(when - at for (_, when), at in zip(far.routes[1].arrived, sent, strict=True))
             assert late[len(late) // 2] < 1.0  # half of the window times of 0.2 to 0.8 s, and one chunk
             assert late[-1] < 2.0
+
+    simulate(scene)
+
+
+class Holding(StreamHandler):
+    """Keeps what comes on a data stream, until `release`."""
+
+    def __init__(self, stream: DataStream) -> None:
+        self._stream = stream
+        self._kept: list[bytes] = []
+        stream.stream.handler = self
+
+    def received(self, data: bytes) -> None:
+        self._kept.append(data)
+
+    def release(self) -> None:
+        self._stream.stream.handler = self._stream
+        for each in self._kept:
+            self._stream.received(each)
+
+
+def test_a_stream_on_which_nothing_gets_through_does_not_hold_the_other_one() -> None:
+    """It fills the window of both. It takes nothing more meanwhile, and no byte is counted twice once it goes on."""
+    small, images = Route(1, outgoing=True), Route(2, always=40_000, outgoing=True)
+
+    async def talk(near: Side, far: Side) -> list[float]:
+        """The latencies of 100 messages, sorted."""
+        before = len(far.routes[1].arrived)
+        sent: list[float] = []
+        for _ in range(100):
+            sent.append(now())
+            small.send(bytes(100))
+            await asyncio.sleep(0.1)
+            if len(sent) % 10 == 0:
+                near.tick()
+                far.tick()
+        came = far.routes[1].arrived[before:]
+        return sorted(when - at for (_, when), at in zip(came, sent, strict=True))
+
+    async def scene() -> None:
+        async with connected(small, images, open_streams=Radio(_PACE).open) as (near, far):
+            images.flush()
+            await pass_seconds(20, near, far)
+            near_large, far_large = near.pair.large, far.pair.large
+            assert near_large is not None
+            assert far_large is not None
+            holding = Holding(far_large)
+            await pass_seconds(5, near, far)
+            stuck = near_large.sent
+            late = await talk(near, far)
+            assert late[-1] < 1.5  # the first ones wait for the next look, once a second
+            assert late[85] < 0.1
+            assert (near_large.sent, near_large.in_transit) == (stuck, 0)
+            holding.release()
+            came = len(far.routes[2].arrived)
+            await pass_seconds(10, near, far)
+            assert len(far.routes[2].arrived) > came + 5
+            images.always = 0
+            await pass_seconds(10, near, far)
+            assert near.in_transit() == near_large.in_transit == 0
+            assert near_large.acknowledged == near_large.sent
 
     simulate(scene)
 

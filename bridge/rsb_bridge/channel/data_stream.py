@@ -73,7 +73,7 @@ class DataStream(StreamHandler):
         pair: that it belongs to.
 
     Attributes:
-        queue: see `rsb_bridge.channel.scheduler.Carrier`, and so for `time` and `behind`.
+        queue: see `rsb_bridge.channel.scheduler.Carrier`, and so for `time`, `behind` and `moved_at`.
         sent: bytes sent so far.
         acknowledged: bytes that have arrived.
     """
@@ -83,7 +83,9 @@ class DataStream(StreamHandler):
         self.number = number
         self.queue: list[tuple[int, int, Turns]] = []
         self.time = self.behind = 0
+        self.moved_at = float("-inf")
         self.sent = self.acknowledged = 0
+        self._written_off = 0  # the first bytes, which count as acknowledged in the window
         self._pair = pair
         self._frames = FrameReader(CONTROL_LIMIT, pair.budget)
         self._counter = ReceiptCounter()
@@ -92,7 +94,14 @@ class DataStream(StreamHandler):
 
     @property
     def congested(self) -> bool:
-        return self.stream.congested or self.stream.over
+        return self.stream.congested or self.stream.over or self.acknowledged < self._written_off
+
+    @property
+    def in_transit(self) -> int:
+        return self.sent - max(self.acknowledged, self._written_off)
+
+    def write_off(self) -> None:
+        self._written_off = self.sent
 
     def write(self, data: bytes | memoryview) -> None:
         self.sent += len(data)
@@ -179,10 +188,11 @@ class DataStream(StreamHandler):
     def receipt(self, count: int) -> None:
         """Take the peer's receipt of the first `count` bytes."""
         acknowledged = min(count, self.sent)
-        gained, self.acknowledged = acknowledged - self.acknowledged, max(acknowledged, self.acknowledged)
-        if gained <= 0:
+        if acknowledged <= self.acknowledged:
             return
-        every = self._pair.scheduler.acknowledge(gained)
+        before, self.acknowledged = self.in_transit, acknowledged
+        self.moved_at = self._pair.book.now()
+        every = self._pair.scheduler.acknowledge(before - self.in_transit)
         if every >= 2 * self._asked or 2 * every <= self._asked:
             self._asked = every
             self._pair.book.ask(self.number, every)
@@ -310,7 +320,7 @@ class StreamPair:
     def _end(self, stream: DataStream, reason: str) -> None:
         stream.end(reason)
         self.book.forget(stream.number)
-        self.scheduler.remove(stream, stream.sent - stream.acknowledged)
+        self.scheduler.remove(stream)
 
 
 def frame_size(frame: memoryview) -> int:

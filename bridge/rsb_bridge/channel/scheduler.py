@@ -10,7 +10,8 @@ A route is asked for its messages when its turn comes, and not before. What wait
 depth and age count, and newer messages replace older ones.
 
 The window (`rsb_bridge.channel.window`) bounds what is in transit on all streams of the link together. With a window
-for each stream or route, the one with the most data would have the most in transit, whatever its priority.
+for each stream or route, the one with the most data would have the most in transit, whatever its priority. A stream on
+which nothing gets through any more would keep the window full, so its bytes are written off.
 """
 
 from __future__ import annotations
@@ -76,11 +77,22 @@ class Carrier(Protocol):
         queue: its routes that wait for a turn: when it begins, in which order they came, and the route's end.
         time: virtual time of its last turn.
         behind: what its virtual time is behind the link's, because it was congested while other streams sent.
+        moved_at: time (s) of its last receipt, or of its oldest unacknowledged byte if that came later.
     """
 
     queue: list[tuple[int, int, Turns]]
     time: int
     behind: int
+    moved_at: float
+
+    @property
+    def in_transit(self) -> int:
+        """Bytes that count in the window."""
+        ...
+
+    def write_off(self) -> None:
+        """Count these no longer, and take nothing more until all of them have arrived."""
+        ...
 
     @property
     def congested(self) -> bool:
@@ -124,14 +136,17 @@ class Scheduler:
         """Use a further stream."""
         self._carriers.append(carrier)
 
-    def remove(self, carrier: Carrier, unacknowledged: int) -> None:
-        """Forget a stream that is lost, and its `unacknowledged` bytes, which no receipt will ever count."""
+    def remove(self, carrier: Carrier) -> None:
+        """Forget a stream that is lost, and its bytes in transit, which no receipt will ever count."""
         self._carriers.remove(carrier)
         for _, _, end in carrier.queue:
             if end.queued:
                 self.leave(end)
         carrier.queue.clear()
-        self._acknowledged += unacknowledged
+        self._write_off(carrier.in_transit)
+
+    def _write_off(self, size: int) -> None:
+        self._acknowledged += size
         self._window.write_off(self._acknowledged, self.sent)
         self.run()
 
@@ -179,7 +194,10 @@ class Scheduler:
         """Send bytes on a stream."""
         if not self.sent:
             self._window.expect(self._book.ping())  # known by now: when the connection began, it was not
-        self._window.wrote(self.sent, self._now())
+        now = self._now()
+        if not carrier.in_transit:
+            carrier.moved_at = now
+        self._window.wrote(self.sent, now)
         self.sent += len(data)
         carrier.write(data)
 
@@ -271,10 +289,23 @@ class Scheduler:
         return window.every
 
     def tick(self) -> None:
-        """Close the window while the path is stalled. Called once a second."""
+        """Close the window while the path is stalled, and open it if only a stream is. Called once a second."""
         if self._window.awaits_receipts:
             self._window.back = self._book.way_back()
             self._window.check(self.sent, self._now())
+            if self._waiting and self.sent >= self._window.limit:
+                self._pass_by_stuck_streams()
+
+    def _pass_by_stuck_streams(self) -> None:
+        """Write off the streams on which nothing gets through, if another one waits for the window that they fill."""
+        latest = self._now() - _STALLED - self._book.ping() - self._book.way_back()
+        stuck = [each for each in self._carriers if each.in_transit and each.moved_at < latest]
+        others = (each for each in self._carriers if each not in stuck)
+        if stuck and any(end.queued for each in others for _, _, end in each.queue):
+            for each in stuck:
+                size = each.in_transit
+                each.write_off()
+                self._write_off(size)
 
     # --- figures
 
