@@ -315,6 +315,16 @@ def let_in(server: Engine) -> tuple[int, int, int]:
     return on_bridge(server, ask)
 
 
+def measures(server: Engine) -> bool:
+    """Whether the link has a topic; a snapshot may be older than the topic."""
+
+    async def ask(bridge: Bridge) -> bool:
+        (link,) = bridge.links()
+        return bool(link.routes)
+
+    return on_bridge(server, ask)
+
+
 def storm(rogue: Rogue, transport: str, what: str, size: int) -> int:
     """Send 20 MB on a topic that measures, as fast as the server takes them; the bytes that went out."""
     route = rogue.route(bench_topic(transport, "transmit"), transport, Qos(), (TYPE, TYPE_HASH))
@@ -366,7 +376,8 @@ def test_no_byte_beyond_the_limit_is_taken(
                 storm(rogue, transport, what, size)
             except AssertionError:  # it may not propose the topic any more
                 refused += 1
-            eventually(lambda: not both.server.snapshot().routes, WITHIN)
+            if what != "one":  # the length of a frame ends its stream before a byte counts
+                eventually(lambda: not measures(both.server), WITHIN)
             wire, payload, unfinished = let_in(both.server)
             assert max(wire, payload) <= MEGABYTE
             assert unfinished <= MEGABYTE

@@ -168,6 +168,8 @@ class Relay:
         """End everything."""
         self._call(self._end)
         self._thread.join()
+        for sock in (self._wake, self._wakes):  # the thread may end before it is woken
+            sock.close()
 
     # --- figures
 
@@ -212,9 +214,9 @@ class Relay:
                 connection.abort()
             for source in self._sources.values():
                 source.far.close()
-            for sock in (self._near, self._wake, self._wakes, self._listener):
-                if sock is not None:
-                    sock.close()
+            self._near.close()
+            if self._listener is not None:
+                self._listener.close()
             self.selector.close()
 
     def _turn(self, now: float, seconds: float) -> None:
