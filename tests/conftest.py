@@ -6,6 +6,8 @@ import gc
 import os
 import shlex
 import sys
+import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -14,7 +16,6 @@ from tests.support.locks import domains_of
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
-    from pathlib import Path
 
     from tests.support.bridge import Bridge
     from tests.support.control import Machine
@@ -67,6 +68,24 @@ def pytest_configure_node(node: Any) -> None:
 
 def _has_lanes(config: pytest.Config) -> bool:
     return bool(getattr(config, "workerinput", {}).get("lanes"))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session) -> Generator[None, Any, Any]:
+    """Have one worker write the bytecode of all tests, so that the others read it: to rewrite assertions takes 5 s."""
+    worker = getattr(session.config, "workerinput", None)
+    if worker is None:
+        return (yield)
+    written = Path(session.config.option.basetemp).parent / "bytecode-is-written"
+    if worker["workerid"] == "gw0":
+        try:
+            return (yield)
+        finally:
+            written.touch()
+    deadline = time.monotonic() + 60
+    while not written.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return (yield)
 
 
 @pytest.hookimpl(optionalhook=True)

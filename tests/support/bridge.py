@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakSet
 
-from tests.support.inside import inside
+from tests.support.inside import inside, renew_snapshot
 from tests.support.participants import KnownNode, agree
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -144,6 +144,8 @@ def protocol_of(topic: str) -> Protocol:
 def now(engine: EngineApi) -> Snapshot:
     """Return a new snapshot of an engine; the published one may be a second old."""
     asked = time.time()
+    if isinstance(engine, Engine):
+        renew_snapshot(engine)
     return eventually(lambda: new if (new := engine.snapshot()).time > asked or not new.running else None)
 
 
