@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import socket
+from collections import deque
 from typing import TYPE_CHECKING, Any, Self
 
 from tests.console.scripted import ScriptedEngine
@@ -124,6 +125,8 @@ class Stranger:
     def __init__(self, port: int, name: str = "anna", key: Key = ANNA, engine: str = "robot1") -> None:
         self.console = OperatorConsole(name, key.secret, engine, version=VERSION, host="pc")
         self.socket = socket.create_connection(("127.0.0.1", port), 60.0)
+        self._frames = frames_to_console()
+        self._heard: deque[ToConsole] = deque()
 
     def __enter__(self) -> Self:
         return self
@@ -167,10 +170,9 @@ class Stranger:
         self.send(self.console.send(encode(message)))
 
     def answer(self) -> ToConsole:
-        """The next message of the control protocol, which comes alone."""
-        frames = frames_to_console()
-        while True:
+        """The next message of the control protocol; those that came together with it are kept."""
+        while not self._heard:
             for event in self.hear():
                 assert isinstance(event, Opened)
-                for message in frames.feed(event.content):
-                    return message
+                self._heard.extend(self._frames.feed(event.content))
+        return self._heard.popleft()
