@@ -120,8 +120,8 @@ def test_a_router_that_is_killed_and_comes_back(bridge: Bridge, router: Router, 
     eventually(lambda: link(client).cause == LinkCause.UNREACHABLE)
     assert router.endpoint in link(client).reason
     assert says(link(client).reason, Unreachable.NOBODY_LISTENS)
+    eventually(lambda: link(server).cause == LinkCause.ROUTER_LOST)
     assert link(server).state is State.DOWN
-    assert link(server).cause == LinkCause.ROUTER_LOST
     assert router.endpoint in link(server).reason
     assert any(event.cause == LinkCause.ROUTER_LOST for event in server.events())
     router.start()
