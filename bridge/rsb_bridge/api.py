@@ -183,8 +183,9 @@ class EngineApi(ABC):
         ticket: int = 0,
         rest: str = "",
         rest_after: float = REST_AFTER,
+        reduce: bool = False,
     ) -> Future[Published]:
-        return self.do(commands.Publish(topic, fields, type_name, ticket, rest, rest_after))
+        return self.do(commands.Publish(topic, fields, type_name, ticket, rest, rest_after, reduce))
 
     def describe(self, key: str) -> Future[str]:
         return self.do(commands.Describe(key))

@@ -32,6 +32,7 @@ from rsb_bridge.model.snapshot import (
     RouteSnapshot,
     State,
 )
+from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_console.command.headless import HeadlessText
 from rsb_console.command.remote import COMMANDS, RemoteProblem
 from rsb_console.command.target import BridgeChoice, RouteChoice
@@ -576,3 +577,16 @@ def test_the_details_say_who_has_armed_it_and_the_limit_of_its_age(ran: Any, eng
     assert "anna on pts/3" in text
     assert "0.5 s" in text
     assert json.loads(ran("info", "/scan", "--json").out)["max_age"] == 0.5
+    assert json.loads(ran("info", "/scan", "--json").out)["limits"] is None
+
+
+def test_the_details_have_the_limits_and_whose_they_are(ran: Any, engine: ScriptedEngine) -> None:
+    limited = replace(SCAN, limits=VelocityLimits(0.5), limited_by=("robot.yaml:14",), ledger=Ledger())
+    engine.now = replace(engine.now, routes=(limited,))
+    (line,) = [each for each in ran("info", "/scan").out.splitlines() if "robot.yaml:14" in each]
+    assert "0.5 m/s" in line
+    assert json.loads(ran("info", "/scan", "--json").out)["limits"] == {
+        "linear": 0.5,
+        "angular": None,
+        "limited_by": ["robot.yaml:14"],
+    }

@@ -23,6 +23,7 @@ from tests.support.wording import says
 from rsb_bridge.control.protocol import RequestProblem
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
+from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_console.screens.main import MainText
 
 if TYPE_CHECKING:
@@ -103,6 +104,13 @@ async def test_a_name_is_disarmed_everywhere(app: ConsoleApp, pilot: Pilot[None]
 async def test_the_line_that_demands_it_is_among_the_details(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, replace(DISARMED, arming=ArmingSnapshot(armed=False, demanded_by=("robot.yaml:14",))))
     await shown(pilot, "robot.yaml:14")
+
+
+@on_main()
+async def test_what_a_hand_may_ask_is_among_the_details_with_its_line(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, replace(DISARMED, limits=VelocityLimits(0.5), limited_by=("robot.yaml:15",)))
+    await shown(pilot, "at most 0.5 m/s by hand")
+    await shown(pilot, "robot.yaml:15")
 
 
 @on_main()

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from tests.console.driving import (
+    NOWHERE,
     AppSteps,
     drive,
     engine_as,
@@ -20,7 +21,7 @@ from tests.console.driving import (
     text,
     until,
 )
-from tests.console.scripted import ScriptedEngine, route
+from tests.console.scripted import SESSION, ScriptedEngine, route
 from tests.support.wording import says
 from textual.events import Key
 from textual.pilot import Pilot
@@ -31,9 +32,10 @@ from rsb_bridge.model.by_hand import Draft, Published
 from rsb_bridge.model.commands import Publish
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
+from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_console.app import ConsoleApp
 from rsb_console.screens import drive_screen
-from rsb_console.screens.drive_screen import DriveScreen, DriveText, Steering, why_not_driven
+from rsb_console.screens.drive_screen import DriveScreen, DriveText, Steering, limits_on, why_not_driven
 from rsb_console.session.by_hand import TWIST, TWIST_STAMPED, ByHandText, velocity
 
 # -- what keys mean
@@ -527,3 +529,31 @@ async def test_what_the_robot_has_in_hand_is_shown(app: ConsoleApp, pilot: Pilot
     ]:
         put(app, replace(ARMED, arming=replace(ARMED.arming, velocity=given)))
         await shown(pilot, DriveText.IN_HAND(link=ARMED.link, motion=motion))
+
+
+# -- limits
+
+LIMITED = replace(ARMED, limits=VelocityLimits(0.1, 0.3), limited_by=("robot.yaml:14",))
+
+
+def test_what_is_asked_is_within_the_limits_and_their_line_is_shown(clock: Clock) -> None:
+    """The bridge reduces what is beyond limits that this console does not know yet."""
+
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        await shown(pilot, DriveText.LIMITED, limits=VelocityLimits(0.1, 0.3), lines="robot.yaml:14")
+        await pressed(pilot, clock, "o")
+        await shown(pilot, "+0.10")
+        await until(pilot, lambda: sent(app), "a command")
+        assert velocities(app)[0] == velocity(TWIST, 0.1, -0.3)
+        assert all(each.reduce for each in sent(app))
+        await pressed(pilot, clock, "minus", "minus", "minus", "minus", "minus", "space", "i")
+        await until(pilot, lambda: velocity(TWIST, SPEED / 1.25**5, 0.0) in velocities(app), "a slower command")
+
+    driving(LIMITED, steps)
+
+
+def test_the_smallest_limits_of_all_robots_on_the_topic_count() -> None:
+    slow = replace(ARMED, key="2", link="robot2", limits=VelocityLimits(0.05), limited_by=("pc.yaml:3",))
+    elsewhere = replace(LIMITED, key="3", topic="/other", limits=VelocityLimits(0.01), limited_by=("pc.yaml:9",))
+    snapshot = replace(ScriptedEngine(SESSION, NOWHERE).snapshot(), routes=(LIMITED, slow, elsewhere))
+    assert limits_on(LIMITED, snapshot) == (VelocityLimits(0.05, 0.3), ["robot.yaml:14", "pc.yaml:3"])

@@ -463,9 +463,10 @@ class RouteTable(Extension):
             return
         if current():  # else it was closed while its port was being bound
             arming = route.arming
-            max_age = arming.own.max_age
-            own_end = arming.own.on_end
-            self._link.send(Accept(route.id, route.local_topic, arming.required, arming.deadman, max_age, own_end))
+            own = arming.own
+            required, deadman = arming.required, arming.deadman
+            demands = required, deadman, own.max_age, own.on_end, own.limits
+            self._link.send(Accept(route.id, route.local_topic, *demands))
             self._accepted(route)
 
     def _accepted(self, route: Route) -> None:

@@ -308,6 +308,8 @@ class Publish(Command[Published], frozen=True, tag="publish"):
             a robot that is driven stops if its operator's console is gone. Only for topics that have to be armed and
             limit the age of messages.
         rest_after: s in which the next message is due.
+        reduce: whether a velocity beyond the topic's limits is reduced to them, and not refused: for one who drives by
+            keys, and sees what is reduced.
     """
 
     refreshes = False
@@ -318,6 +320,7 @@ class Publish(Command[Published], frozen=True, tag="publish"):
     ticket: int = 0
     rest: str = ""
     rest_after: Annotated[float, Meta(gt=0, le=LONGEST_REST)] = REST_AFTER
+    reduce: bool = False
 
     @property
     def expires(self) -> bool:

@@ -11,6 +11,7 @@ from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.capacity import Capacity, Fullness
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Kind, Topic
+from rsb_bridge.model.velocity_limits import VelocityLimits
 
 # These types must be known where a snapshot is decoded
 
@@ -254,6 +255,8 @@ class RouteSnapshot:
             link, on the receiving side those published.
         acknowledged: the acknowledgement of its fault, or None. A link's covers the routes that are down with it.
         max_age: s after which a message or a request is dropped, as the two sides' sessions say, or 0 for no limit.
+        limits: what a hand may ask, as the two sides' sessions say, or None for any velocity.
+        limited_by: the lines that have a number of `limits`: ``robot.yaml:14``.
     """
 
     key: str
@@ -299,6 +302,8 @@ class RouteSnapshot:
     last_error_at: float = 0.0
     acknowledged: Acknowledgement | None = None
     max_age: float = 0.0
+    limits: VelocityLimits | None = None
+    limited_by: tuple[str, ...] = ()
 
     @property
     def max_rate(self) -> float | None:

@@ -15,6 +15,7 @@ import msgspec
 
 from rsb_bridge.model.demands import NO_DEMAND, Demand
 from rsb_bridge.model.snapshot import ArmingSnapshot
+from rsb_bridge.model.velocity_limits import smallest
 from rsb_bridge.route.lease import SLOW
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import split_number, with_number
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
     from rsb_bridge.model.qos import Qos
+    from rsb_bridge.model.velocity_limits import VelocityLimits
     from rsb_bridge.route.lease import Lease
     from rsb_bridge.wire.framing import Message
 
@@ -104,6 +106,8 @@ class Arming:
         deadman: s without a key after which it disarms, or 0 for no limit.
         own: the demand of this side's session.
         peer_on_end: what the other side's session wants when it ends.
+        peer_limits: what a hand may ask by the other side's session, or None for any velocity.
+        limited_by: the lines that have a number of `limits`, in words.
         demanded_by: the lines that demand arming, in words.
         by: the operator who armed it, or empty if it is not armed.
         console: that operator's console on this side, or None if it was armed on the other side or is not armed.
@@ -115,7 +119,8 @@ class Arming:
 
     __slots__ = (
         "_answered", "_deadline", "_first", "_key_pressed", "_phase", "_seen_at", "by", "console", "deadman",
-        "demanded_by", "lease", "own", "peer_on_end", "reason", "required", "shared", "why",
+        "demanded_by", "lease", "limited_by", "own", "peer_limits", "peer_on_end", "reason", "required", "shared",
+        "why",
     )  # fmt: skip
 
     def __init__(self, *, required: bool = False, deadman: float = 0.0) -> None:
@@ -123,6 +128,8 @@ class Arming:
         self.deadman = deadman
         self.own: Demand = NO_DEMAND
         self.peer_on_end = ""
+        self.peer_limits: VelocityLimits | None = None
+        self.limited_by: tuple[str, ...] = ()
         self.demanded_by: tuple[str, ...] = ()
         self.why = Disarmed.NOT_YET
         self.reason = DISARM_TEXT[self.why]
@@ -156,6 +163,11 @@ class Arming:
         self.required = False
         self.demand(required=required, deadman=deadman)
         self._clear(_Phase.FREE)
+
+    @property
+    def limits(self) -> VelocityLimits | None:
+        """What a hand may ask by both sides' sessions, armed or not, or None for any velocity."""
+        return smallest((self.own.limits, self.peer_limits))
 
     # --- state
 

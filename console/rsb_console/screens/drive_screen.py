@@ -12,6 +12,7 @@ import asyncio
 import contextlib
 import time
 from collections import deque
+from itertools import chain
 from typing import TYPE_CHECKING, ClassVar
 
 from textual import work
@@ -23,6 +24,7 @@ from textual.widgets import Static
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.text import escape_text, join_first
+from rsb_bridge.model.velocity_limits import smallest
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ArmScreen, GuardedConfirmScreen
 from rsb_console.session.by_hand import TWIST, TWIST_STAMPED, ByHandText, velocity
@@ -31,12 +33,13 @@ from rsb_console.terminal.input_gate import GuardedScreen, InputGate
 from rsb_console.terminal.input_queue import DIALOG
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from textual.app import ComposeResult
     from textual.events import Key
 
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+    from rsb_bridge.model.velocity_limits import VelocityLimits
     from rsb_console.console_api import Console
 
 _KEY_LASTS = 0.6
@@ -82,6 +85,7 @@ class DriveText(Wording):
     MOVES = "forward {forward:+.2f} m/s  turn {turn:+.2f} rad/s"
     STANDS = "stands"
     SPEED = "keys: {speed:.2f} m/s, {turn:.2f} rad/s"
+    LIMITED = "at most {limits}: {lines}"
     LATE = "keys came late, all at once: they are ignored"
     DISARMED = "disarmed: press A to arm it{reason}"
     ARMED = "armed{left}"
@@ -142,6 +146,14 @@ def in_hand(route: RouteSnapshot, snapshot: Snapshot) -> str:
             motion = DriveText.MOVING(forward=forward, turning=turning) if any(velocity) else DriveText.RESTS()
             found.append(DriveText.IN_HAND(link=each.link, motion=motion))
     return join_first(found, _NAMED)
+
+
+def limits_on(route: RouteSnapshot, snapshot: Snapshot) -> tuple[VelocityLimits | None, list[str]]:
+    """Return what a hand may ask of all robots on a route's topic, and the lines that say so."""
+    routes = [each for each in snapshot.routes if each.topic == route.topic and each.calls is None]
+    limits = smallest(each.limits for each in routes)
+    found = (each.limited_by for each in routes if limits and each.limits and each.limits.are_in(limits))
+    return limits, list(dict.fromkeys(chain.from_iterable(found)))
 
 
 async def drive(console: Console, route: RouteSnapshot) -> None:
@@ -285,7 +297,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         sent_until = 0.0
         while True:
             began = time.monotonic()
-            forward, turn = self._steering.at(began)
+            forward, turn = self._asked(began)
             if forward or turn:
                 sent_until = began + _RESTS_AFTER
             if began < sent_until:
@@ -314,6 +326,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
                 ticket=self._ticket,
                 rest=velocity(type_name, 0.0, 0.0),
                 rest_after=_RESTS_AFTER,
+                reduce=True,
             )
         )
         self._ticket, self._links = published.ticket, published.links
@@ -369,7 +382,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
 
     def _draw(self) -> None:
         now = time.monotonic()
-        forward, turn = self._steering.at(now)
+        forward, turn = self._asked(now)
         route = self._current()
         if route is None or route.arming is None or not route.arming.armed:
             moves = DriveText.NOT_WHILE_DISARMED()
@@ -379,7 +392,18 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         problem = DriveText.LATE() if self._steering.came_late(now) else self._problem
         lines = (f"{moves}   ({speed})", self._moved(), in_hand(self._route, self.console.snapshot()), problem)
         first, *others = map(escape_text, lines)
-        self._pane.update(Content("\n".join((first, self._state(), *others))))
+        self._pane.update(Content("\n".join((first, self._state(), *self._limited(), *others))))
+
+    def _asked(self, now: float) -> tuple[float, float]:
+        """Return the velocity that the keys ask at `now` (s), within the limits, to which the bridge reduces it too."""
+        velocity = self._steering.at(now)
+        limits, _ = limits_on(self._route, self.console.snapshot())
+        return velocity if limits is None else limits.reduced(*velocity)
+
+    def _limited(self) -> Iterator[str]:
+        limits, lines = limits_on(self._route, self.console.snapshot())
+        if limits is not None:
+            yield escape_text(DriveText.LIMITED(limits=limits, lines=join_first(lines, _NAMED)))
 
     def _moved(self) -> str:
         snapshot = self.console.snapshot()
