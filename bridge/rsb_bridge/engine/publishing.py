@@ -88,7 +88,7 @@ class PublishProblem(Wording):
     OTHER_VERSION = "{type_name} is installed here in another version than {topic} has: install that one"
     NOT_ARMED = "{topic} has to be armed{reason}: arm it first"
     ENDING = "{topic} is about to be disarmed, or the bridge to stop: nothing more is published by hand"
-    ANOTHER_DRIVES = "{topic} is armed by {who}, whose messages by hand pass alone: disarm it, then arm it yourself"
+    ANOTHER_DRIVES = "{topic} is armed by {who}, whose messages by hand pass alone: ask for it (arm --ask)"
     NO_ROUTE_TO_ARM = "{topic} has to be armed, and no route of it is open: nothing can arm it"
     BEYOND_LIMITS = "{topic}: {linear:g} m/s, {angular:g} rad/s by hand is beyond {limits} ({lines}): ask for less"
     LIMITS_OF_OTHER_TYPE = (

@@ -22,7 +22,7 @@ from rsb_bridge.model.demands import (
 from rsb_bridge.model.on_end import suits
 from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.route.arming import DISARM_TEXT, Disarmed
+from rsb_bridge.route.arming import ANSWERED_WITHIN, DISARM_TEXT, Disarmed
 from rsb_bridge.route.lease import BEAT, Lease, Standstill
 from rsb_bridge.wire import messages as wire
 from rsb_bridge.wire.headers import LEASE_FEATURE
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 _LATE = 0.001
 """s by which a timer comes later than a moment that it must not come before: its clock is another one."""
+_LOOK_EVERY = 0.02
 _AT_ONCE, _A_SECOND = 20.0, 1 / 30
 """Armings by one link's peer: each is in the log, so more than people need are refused."""
 DROPPED: Final = "arm_dropped"
@@ -295,6 +296,12 @@ class LinkArming:
         await answered.wait()
         if not (arming.armed and arming.console == console):
             raise LinkError(f"{topic} is not armed: {f'{arming.by} armed it' if arming.armed else arming.reason}")
+
+    async def until_free(self, route: Route) -> None:
+        """Wait until a route is open again that was disarmed, so that it can be armed; not for long."""
+        until = self._context.now() + ANSWERED_WITHIN
+        while (route.arming.spent or not route.accepted) and self._context.now() < until:  # noqa: ASYNC110 -- plain state, polled for a moment
+            await asyncio.sleep(_LOOK_EVERY)
 
     def _why_not(self, route: Route) -> str:
         arming = route.arming

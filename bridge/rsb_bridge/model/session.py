@@ -55,7 +55,7 @@ Identity = tuple[Kind, str, Direction]
 Protocol = Literal["tcp", "udp", "bluetooth", "zenoh", "zenoh-drop"]
 Role = Literal["client", "server"]
 May = Literal["publish", "read", "look", "call", "serve"]
-OperatorMay = Literal["look", "change"]
+OperatorMay = Literal["look", "change", "take"]
 
 ZENOH_HOST = "zenoh"
 """The `Session.server_ip` of a link over Zenoh."""
@@ -258,7 +258,7 @@ class Operator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_def
     Attributes:
         name: in events and logs.
         key_file: their key. No other operator and no link may have the same.
-        may: ``look`` only, or ``change`` what the bridge does.
+        may: ``look`` only, or ``change`` what the bridge does, or also ``take`` an arming without asking its holder.
     """
 
     name: str

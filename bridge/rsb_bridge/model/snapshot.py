@@ -186,6 +186,8 @@ class ArmingSnapshot:
             and while the type is unknown, empty.
         velocity: that the robot's side has given the robot last: forward in m/s, and turn in rad/s; both are 0 after
             the end of an arming. None if it is unknown, as of types that are not Twist or TwistStamped.
+        asked_by: the operator who asks the holder for it, or empty.
+        goes_in: s until it goes over to that operator without an answer, or None if nobody asks.
     """
 
     armed: bool
@@ -198,6 +200,8 @@ class ArmingSnapshot:
     reason: str = ""
     on_end: str = ""
     velocity: tuple[float, float] | None = None
+    asked_by: str = ""
+    goes_in: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

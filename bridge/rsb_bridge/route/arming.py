@@ -8,6 +8,7 @@ message of an earlier arming can be published, wherever it waits (PROTOCOL.md, 7
 from __future__ import annotations
 
 import asyncio
+from dataclasses import dataclass
 from enum import Enum, StrEnum, auto
 from typing import TYPE_CHECKING
 
@@ -85,6 +86,27 @@ DISARM_TEXT = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class Question:
+    """The question to a holder whether another operator may hold the arming instead.
+
+    Attributes:
+        who: asks, in words.
+        until: s, when it goes over without an answer.
+        answered: takes the answer, or None once the arming has ended otherwise.
+        from_peer: whether an operator of the other side asks.
+    """
+
+    who: str
+    until: float
+    answered: Callable[[bool | None], None]
+    from_peer: bool = False
+
+
+_QUESTION_LASTS = 2.0
+"""s beyond its end after which a question counts for nothing: the other side has given up, or stands still."""
+
+
 class _Phase(Enum):
     FREE = auto()
     """It may be armed."""
@@ -112,6 +134,7 @@ class Arming:
         by: the operator who armed it, or empty if it is not armed.
         console: that operator's console on this side, or None if it was armed on the other side or is not armed.
         shared: whether that operator's other consoles may publish by hand, too.
+        question: of another operator to the holder, or None.
         why: the cause why it is not armed.
         reason: the same as a text.
         lease: lease of the link, or None before the first opening: nothing passes without it.
@@ -119,8 +142,8 @@ class Arming:
 
     __slots__ = (
         "_answered", "_deadline", "_first", "_key_pressed", "_phase", "_seen_at", "by", "console", "deadman",
-        "demanded_by", "lease", "limited_by", "own", "peer_limits", "peer_on_end", "reason", "required", "shared",
-        "why",
+        "demanded_by", "lease", "limited_by", "own", "peer_limits", "peer_on_end", "question", "reason", "required",
+        "shared", "why",
     )  # fmt: skip
 
     def __init__(self, *, required: bool = False, deadman: float = 0.0) -> None:
@@ -136,10 +159,14 @@ class Arming:
         self.lease: Lease | None = None
         self._first = 0  # the lease's number when somebody armed it
         self._answered: Callable[[], None] | None = None
+        self.question: Question | None = None
         self._clear(_Phase.FREE)
 
     def _clear(self, phase: _Phase) -> None:
         self._answer()
+        question, self.question = self.question, None
+        if question is not None:
+            question.answered(None)
         self._phase = phase
         self.by = ""
         self.console: Hashable | None = None
@@ -231,6 +258,11 @@ class Arming:
             number, payload = split_number(payload)
         return number, (payload, stamp, flags & ~LEASED)
 
+    def question_at(self, now: float) -> Question | None:
+        """Return the question that the holder has not answered yet at `now` (s), or None."""
+        is_open = self.question is not None and now < self.question.until + _QUESTION_LASTS
+        return self.question if is_open else None
+
     def snapshot(
         self, now: float, on_end: str = "", velocity: tuple[float, float] | None = None
     ) -> ArmingSnapshot | None:
@@ -247,8 +279,18 @@ class Arming:
         left = max(0.0, self._deadline - grace - now) if armed and self.deadman else None
         here = self.console is not None
         if armed:
+            question = self.question_at(now)
             return ArmingSnapshot(
-                armed, self.by, here, left, self.deadman, self.demanded_by, on_end=on_end, velocity=velocity
+                armed,
+                self.by,
+                here,
+                left,
+                self.deadman,
+                self.demanded_by,
+                on_end=on_end,
+                velocity=velocity,
+                asked_by="" if question is None else question.who,
+                goes_in=None if question is None else max(0.0, question.until - now),
             )
         overdue = self.overdue(now)
         why, reason = (self.why, self.reason) if overdue is None else (overdue, DISARM_TEXT[overdue])

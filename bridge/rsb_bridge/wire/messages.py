@@ -488,6 +488,35 @@ class Disarm(ControlMessageBase, frozen=True):
 ArmingMessage: TypeAlias = Arm | Armed | Disarm
 
 
+class AskForArming(ControlMessageBase, frozen=True):
+    """Either side: an operator asks the holder, an operator of the other side, for the arming of a route.
+
+    Only to a side with the feature `take_over`.
+
+    Attributes:
+        who: the operator who asks, in words.
+        withdrawn: whether that operator asks no longer.
+    """
+
+    route: RouteId
+    who: Name = ""
+    withdrawn: bool = False
+
+
+class HolderSays(ControlMessageBase, frozen=True):
+    """The holder's answer to `AskForArming`. A side whose operator gets it disarms the route, then arms it.
+
+    Attributes:
+        gives: whether the holder gives it.
+    """
+
+    route: RouteId
+    gives: bool
+
+
+HolderMessage: TypeAlias = AskForArming | HolderSays
+
+
 Size: TypeAlias = Annotated[int, Meta(ge=0, le=MOST_SIZE)]
 Difference: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
 
@@ -690,6 +719,8 @@ ControlMessage: TypeAlias = (
     | Arm
     | Armed
     | Disarm
+    | AskForArming
+    | HolderSays
     | Settled
     | Lease
     | Ping

@@ -27,17 +27,20 @@ from rsb_bridge.model.text import escape_text, join_first
 from rsb_bridge.model.velocity_limits import smallest
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ArmScreen, GuardedConfirmScreen
+from rsb_console.screens.take_over import AskHolderScreen
 from rsb_console.session.by_hand import TWIST, TWIST_STAMPED, ByHandText, velocity
 from rsb_console.session.landing import Landing
-from rsb_console.terminal.input_gate import GuardedScreen, InputGate
+from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate
 from rsb_console.terminal.input_queue import DIALOG
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from concurrent.futures import Future
 
     from textual.app import ComposeResult
     from textual.events import Key
 
+    from rsb_bridge.api import EngineApi
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_bridge.model.velocity_limits import VelocityLimits
     from rsb_console.console_api import Console
@@ -89,7 +92,9 @@ class DriveText(Wording):
     LATE = "keys came late, all at once: they are ignored"
     DISARMED = "disarmed: press A to arm it{reason}"
     ARMED = "armed{left}"
-    ARMED_BY = "armed by {who}, whose messages pass alone; A disarms it"
+    ARMED_BY = "armed by {who}, whose messages pass alone; A asks for it, or disarms it"
+    ASKED = "asked {who} for it: without an answer it goes over in {seconds:.0f} s"
+    ASKS = "{who} asks for it: y gives it, n keeps it; without an answer it goes over in {seconds:.0f} s"
     LEFT = ", for {seconds:.0f} s without a key"
     NOT_WHILE_DISARMED = "keys do nothing while it is disarmed"
     MOVED = "moves {robots}{round_trip}"
@@ -258,6 +263,8 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         Binding("plus,equals_sign", f"speed({_FASTER})", show=False),
         Binding("minus", f"speed({1 / _FASTER})", show=False),
         Binding("A", "arm", show=False),
+        Binding("y", "answer(True)", show=False),
+        Binding("n", "answer(False)", show=False),
     ]
     SAFE_KEYS = frozenset({*_STOPS, "escape", "q", "A", "ctrl+c"})  # A disarms, or opens a question that is guarded
 
@@ -267,6 +274,8 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         self._route = route
         self._type_name = type_name
         self._has_armed = False
+        self._asking: Future[None] | None = None
+        self._asked_since: float | None = None
         self._links: tuple[str, ...] = ()
         self._landing: Landing | None = None
         self._landed_at = 0.0
@@ -358,7 +367,9 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         route, engine = self._current(), self.console.engine
         if engine is None or route is None or route.arming is None:
             return
-        if route.arming.armed:
+        if route.arming.armed and not self._is_holder:
+            await self._take_over(engine, route)
+        elif route.arming.armed:
             await self.console.command(engine.disarm(route.key))
         elif await self.console.ask(ArmScreen(route)):
             self._has_armed = True
@@ -367,13 +378,52 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
                 return
             await self.console.command(engine.arm(route.key))
 
+    async def _take_over(self, engine: EngineApi, route: RouteSnapshot) -> None:
+        question = AskHolderScreen(route)
+        if not await self.console.ask(question) or not self.is_running:
+            return
+        if question.choice == "disarm":
+            await self.console.command(engine.disarm(route.key))
+            return
+        gets = engine.take_arming if question.choice == "take" else engine.ask_holder
+        if self._asking is None:
+            self._get(gets(route.key))
+
+    @work
+    async def _get(self, asking: Future[None]) -> None:
+        """Wait for the holder's answer, apart from the keys, which do not wait for it."""
+        self._has_armed, self._asking = True, asking
+        self.console.deadman.armed_on(self)
+        await self.console.command(asking)
+        self._asking = None
+
+    def action_answer(self, gives: bool) -> None:
+        """Answer an operator who asks for what this console holds, once the question was to be read."""
+        engine, since = self.console.engine, self._asked_since
+        if engine is not None and since is not None and time.monotonic() - since > SEEN_AFTER:
+            self._answer(engine.answer_asker(self._route.key, gives=gives))
+
+    @work
+    async def _answer(self, answering: Future[None]) -> None:
+        await self.console.command(answering)
+
+    def drives(self, key: str) -> bool:
+        """Whether it drives a route, whose holder it asks by itself."""
+        return key == self._route.key
+
+    @property
+    def _is_holder(self) -> bool:
+        return self._route.key in self.console.deadman.held
+
     def on_unmount(self) -> None:
-        """Disarm what this screen has armed: nobody watches it any more."""
+        """Disarm what this screen has armed, and ask no longer: nobody watches it any more."""
+        if self._asking is not None:
+            self._asking.cancel()
         route, engine = self._current(), self.console.engine
         if not self._has_armed or engine is None or route is None or route.arming is None:
             return
         if route.arming.here and route.arming.armed:
-            engine.disarm(route.key)
+            engine.disarm(route.key, own=True)
 
     # -- the picture --------------------------------------------------------------------------------------------------
 
@@ -428,7 +478,14 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         if not route.arming.armed:
             reason = f" ({escape_text(route.arming.reason)})" if route.arming.reason else ""
             return DriveText.DISARMED(reason=reason)
-        left = route.arming.left
-        if not route.arming.here:
+        left, seconds = route.arming.left, route.arming.goes_in
+        if seconds is None or not self._is_holder:
+            self._asked_since = None
+        if seconds is not None and self._is_holder:
+            self._asked_since = self._asked_since or time.monotonic()
+            return DriveText.ASKS(who=escape_text(route.arming.asked_by), seconds=seconds)
+        if seconds is not None and self._asking is not None:
+            return DriveText.ASKED(who=escape_text(route.arming.by), seconds=seconds)
+        if not self._is_holder:
             return DriveText.ARMED_BY(who=escape_text(route.arming.by))
         return DriveText.ARMED(left="" if left is None else DriveText.LEFT(seconds=left))
