@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.model.benchmark import BenchmarkStep, Outcome
-    from rsb_bridge.model.by_hand import Draft, Published
+    from rsb_bridge.model.by_hand import Draft, Held, Published
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.pictures import Viewed, Wish
@@ -129,10 +129,19 @@ class EngineApi(ABC):
     def arm(self, key: str, *, shared: bool = False) -> Future[None]:
         return self.do(commands.ArmTopic(key, shared))
 
-    def disarm(self, key: str) -> Future[None]:
-        return self.do(commands.DisarmTopic(key))
+    def ask_holder(self, key: str, *, shared: bool = False) -> Future[None]:
+        return self.do(commands.AskHolder(key, shared))
 
-    def keep_armed(self, *, pressed: bool) -> Future[None]:
+    def take_arming(self, key: str, *, shared: bool = False) -> Future[None]:
+        return self.do(commands.TakeArming(key, shared))
+
+    def answer_asker(self, key: str, *, gives: bool) -> Future[None]:
+        return self.do(commands.AnswerAsker(key, gives))
+
+    def disarm(self, key: str, *, own: bool = False) -> Future[None]:
+        return self.do(commands.DisarmTopic(key, own))
+
+    def keep_armed(self, *, pressed: bool) -> Future[Held]:
         return self.do(commands.KeepArmed(pressed))
 
     def release_armed(self) -> Future[None]:
@@ -183,8 +192,9 @@ class EngineApi(ABC):
         ticket: int = 0,
         rest: str = "",
         rest_after: float = REST_AFTER,
+        reduce: bool = False,
     ) -> Future[Published]:
-        return self.do(commands.Publish(topic, fields, type_name, ticket, rest, rest_after))
+        return self.do(commands.Publish(topic, fields, type_name, ticket, rest, rest_after, reduce))
 
     def describe(self, key: str) -> Future[str]:
         return self.do(commands.Describe(key))

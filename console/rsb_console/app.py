@@ -20,6 +20,7 @@ from rsb_console.operations.bridge_operations import BridgeOperations, Deadman
 from rsb_console.operations.session_operations import SessionOperations
 from rsb_console.screens.dialog import FullScreen
 from rsb_console.screens.main import MainScreen
+from rsb_console.screens.take_over import HandOverScreen, NewQuestions
 from rsb_console.session.changes import Changes
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.terminal.shutdown import ShutdownReason
@@ -98,6 +99,7 @@ class ConsoleApp(TerminalApp[None]):
         self.note = "no session"
         self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else LOCAL_RATE
         self.deadman = Deadman()
+        self._questions = NewQuestions()
         self.fault_bell = Bell(self.bell, is_on=self.preferences.bell)
         self.changes = Changes()
         console: Console = self
@@ -292,11 +294,24 @@ class ConsoleApp(TerminalApp[None]):
         snapshot = self.snapshot()
         self.needs_young_keys = any(route.arming is not None or route.spec.paused for route in snapshot.routes)
         self.deadman.keep(self.engine, snapshot)
+        for route in self._questions.look(snapshot, self.deadman.held):
+            self._hand_over(route)
         self.fault_bell.look(self.engine, snapshot)
         if any(isinstance(screen, FullScreen) for screen in self.screen_stack):
             self.main.hold(events)  # Textual would write the whole of the screen above for each of its changes
         else:
             self.main.show(snapshot, events)
+
+    @work
+    async def _hand_over(self, route: RouteSnapshot) -> None:
+        """Ask the operator whether another one gets what this console holds; the drive screen asks by itself."""
+        from rsb_console.screens.drive_screen import DriveScreen  # noqa: PLC0415 -- keeps the start short
+
+        if isinstance(self.screen, DriveScreen) and self.screen.drives(route.key):
+            return
+        gives = await self.ask(HandOverScreen(self, route))
+        if gives is not None and self.engine is not None:
+            await self.command(self.engine.answer_asker(route.key, gives=gives))
 
     def change_refresh_rate(self, step: int) -> None:
         index = REFRESH_RATES.index(self.refresh_rate) + step

@@ -24,7 +24,13 @@ T = TypeVar("T")
 
 
 class OperatorWatch(Protocol):
-    """Finds out whether the operator watches what is armed."""
+    """Finds out whether the operator watches what is armed.
+
+    Attributes:
+        held: keys of the routes that this console holds.
+    """
+
+    held: frozenset[str]
 
     def armed_on(self, screen: Screen[Any]) -> None:
         """Note that a topic is armed on a screen, whose keys count from then on."""

@@ -7,9 +7,10 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 import pytest
@@ -32,6 +33,7 @@ from rsb_bridge.model.snapshot import (
     RouteSnapshot,
     State,
 )
+from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_console.command.headless import HeadlessText
 from rsb_console.command.remote import COMMANDS, RemoteProblem
 from rsb_console.command.target import BridgeChoice, RouteChoice
@@ -576,3 +578,76 @@ def test_the_details_say_who_has_armed_it_and_the_limit_of_its_age(ran: Any, eng
     assert "anna on pts/3" in text
     assert "0.5 s" in text
     assert json.loads(ran("info", "/scan", "--json").out)["max_age"] == 0.5
+    assert json.loads(ran("info", "/scan", "--json").out)["limits"] is None
+
+
+def test_the_details_have_the_limits_and_whose_they_are(ran: Any, engine: ScriptedEngine) -> None:
+    limited = replace(SCAN, limits=VelocityLimits(0.5), limited_by=("robot.yaml:14",), ledger=Ledger())
+    engine.now = replace(engine.now, routes=(limited,))
+    (line,) = [each for each in ran("info", "/scan").out.splitlines() if "robot.yaml:14" in each]
+    assert "0.5 m/s" in line
+    assert json.loads(ran("info", "/scan", "--json").out)["limits"] == {
+        "linear": 0.5,
+        "angular": None,
+        "limited_by": ["robot.yaml:14"],
+    }
+
+
+@pytest.mark.parametrize(("option", "command"), [("--ask", "ask_holder"), ("--take", "take_arming"), ("", "arm")])
+def test_what_another_holds_is_asked_for_or_taken(option: str, command: str, ran: Any, engine: ScriptedEngine) -> None:
+    engine.now = replace(engine.now, routes=(SCAN,))
+    ran("arm", "/scan", *filter(None, (option,)))
+    assert engine.commands[0][:2] == (command, "/scan")
+
+
+class Keys:
+    """Stands for the terminal of `arm`, whose operator presses Enter all the time until somebody asks.
+
+    Attributes:
+        engine: of the bridge.
+        questions: printed so far.
+        keeps: whether the operator answers.
+    """
+
+    engine: ScriptedEngine
+    questions: list[str]
+    keeps: bool
+
+    def __init__(self, *_: object) -> None:
+        self._answers = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def wait(self, seconds: float) -> bool:
+        time.sleep(seconds)  # in which the bridge's states come
+        if not self.questions:
+            self._becomes(ArmingSnapshot(armed=True, asked_by="bert", goes_in=9.0))
+            return True
+        self._answers += 1
+        if self._answers > 1:
+            self._becomes(ArmingSnapshot(armed=False))
+        return self.keeps and self._answers == 1
+
+    def _becomes(self, arming: ArmingSnapshot) -> None:
+        self.engine.now = replace(self.engine.now, routes=(replace(SCAN, arming=arming),))
+
+
+@pytest.mark.parametrize("keeps", [True, False])
+def test_who_holds_a_topic_in_a_shell_is_asked_for_it_and_enter_keeps_it(
+    keeps: bool, ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An Enter from before the question is no answer."""
+    Keys.engine, Keys.questions, Keys.keeps = engine, [], keeps
+    engine.now = replace(engine.now, routes=(replace(SCAN, arming=ArmingSnapshot(armed=True)),))
+    monkeypatch.setattr("rsb_console.command.remote.TypedKeys", Keys)
+    monkeypatch.setattr("rsb_console.command.remote.print_error", Keys.questions.append)
+    ran("arm", "/scan")
+    (question,) = Keys.questions
+    assert says(question, RemoteProblem.ASKED_FOR)
+    assert "bert" in question
+    answers = [each for each in engine.commands if each[0] == "answer_asker"]
+    assert answers == ([("answer_asker", "/scan", False)] if keeps else [])

@@ -20,12 +20,15 @@ from rsb_bridge.model.limits import (
     NAME_BYTES,
     QOS_TIME,
     RATE,
+    SPEED,
     STALE_AFTER,
     TOPIC_LENGTH,
+    TURN_RATE,
     Range,
 )
 from rsb_bridge.model.qos import PROFILES, QosProblem
 from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.codec import decode, decode_hello, encode
 from rsb_bridge.wire.messages import Hello, Propose
@@ -79,6 +82,7 @@ TOPIC_FIELDS: dict[str, st.SearchStrategy[Any]] = {
     "stale_after": st.none() | around(STALE_AFTER),
     "paused": st.booleans(),
     "deadman": st.none() | around(DEADMAN_TIME),
+    "limits": st.none() | st.builds(VelocityLimits, st.none() | around(SPEED), st.none() | around(TURN_RATE)),
 }
 some_fields = st.lists(
     st.sampled_from([*TOPIC_FIELDS]).flatmap(lambda key: st.tuples(st.just(key), TOPIC_FIELDS[key])), max_size=4

@@ -15,7 +15,7 @@ from rsb_bridge.model.session import Operator, Session
 
 FILE = Path("robot1.yaml")
 BASE = "name: robot1\nrole: client\nserver_ip: 192.168.1.10\nserver_port: 49152\nkey_file: key.txt\n"
-ANNA = Operator("anna", "anna.key", "change")
+ANNA = Operator("anna", "anna.key", "take")
 BOB = Operator("bob", "bob.key")
 
 
@@ -25,7 +25,7 @@ def with_operators(*operators: Operator) -> Session:
 
 def test_operators_are_read_and_written() -> None:
     text = (
-        f"{BASE}operators:\n  - {{name: anna, key_file: anna.key, may: change}}\n  - {{name: bob, key_file: bob.key}}\n"
+        f"{BASE}operators:\n  - {{name: anna, key_file: anna.key, may: take}}\n  - {{name: bob, key_file: bob.key}}\n"
     )
     session = parse(text, FILE)
     assert session.operators == (ANNA, BOB)

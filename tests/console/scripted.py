@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from rsb_bridge.api import EngineApi, EngineError
 from rsb_bridge.model import commands
+from rsb_bridge.model.by_hand import Held
 from rsb_bridge.model.calls import LANES, CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.commands import Command, R
 from rsb_bridge.model.history import HistoryReport, Outage, Track
@@ -237,6 +238,7 @@ class ScriptedEngine(EngineApi):
         self.remembered = REMEMBERED
         self.commands: list[tuple[object, ...]] = []
         self.kept: list[bool] = []
+        self.holds: tuple[str, ...] | None = None  # the keys that this console holds, or those armed on this side
         self.running = False
         self.peeked: list[PeekedMessage] = []
         self.described: str | None = None
@@ -291,7 +293,16 @@ class ScriptedEngine(EngineApi):
                 return self._done(None, "acknowledge", key or link, acknowledged)
             case commands.KeepArmed(pressed):  # not noted: a sign of life
                 self.kept.append(pressed)
-                return answered(None)
+                held = (route for route in self.now.routes if route.arming is not None and route.arming.here)
+                return answered(Held(tuple(route.key for route in held) if self.holds is None else self.holds))
+            case commands.DisarmTopic(key, own):
+                return self._done(None, "disarm", key, *["own"] * own)
+            case commands.AskHolder(key):
+                return self._done(None, "ask_holder", key)
+            case commands.TakeArming(key):
+                return self._done(None, "take_arming", key)
+            case commands.AnswerAsker(key, gives):
+                return self._done(None, "answer_asker", key, gives)
             case commands.ReleaseArmed():
                 return self._done(None, "release")
             case commands.Restart():

@@ -22,8 +22,10 @@ from tests.support.wording import says
 
 from rsb_bridge.control.protocol import RequestProblem
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import ArmingSnapshot, State
+from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
+from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_console.screens.main import MainText
+from rsb_console.screens.take_over import HandOverText
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -81,6 +83,52 @@ async def test_an_armed_topic_is_marked_and_disarmed_at_once(app: ConsoleApp, pi
     await until(pilot, lambda: engine_of(app).commands == [("disarm", "/cmd_vel")], "disarmed")
 
 
+def asked(seconds: float = 7.0) -> RouteSnapshot:
+    assert ARMED.arming is not None
+    return replace(ARMED, arming=replace(ARMED.arming, asked_by="bert on pts/2", goes_in=seconds))
+
+
+@pytest.mark.parametrize(("key", "gives"), [("y", True), ("n", False)])
+def test_the_holder_is_asked_wherever_the_operator_is(key: str, gives: bool) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await until(pilot, lambda: app.engine is not None, "the engine")
+        put(app, ARMED)
+        await shown(pilot, "◆ ARMED    /cmd_vel")
+        await pilot.press("question_mark")
+        put(app, asked())
+        await shown(pilot, HandOverText.ASKS, who="bert on pts/2", seconds=7.0)
+        put(app, asked(6.0))
+        await shown(pilot, HandOverText.ASKS, who="bert on pts/2", seconds=6.0)
+        await pilot.press(key)
+        await until(pilot, lambda: engine_of(app).commands == [("answer_asker", "/cmd_vel", gives)], "the answer")
+        put(app, asked(5.0))
+        await gone(pilot, HandOverText.GIVE(topic="/cmd_vel", link="robot1"))
+
+    drive(app, steps)
+
+
+@on_main()
+async def test_a_question_that_is_over_is_gone(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    title = HandOverText.GIVE(topic="/cmd_vel", link="robot1")
+    put(app, asked())
+    await shown(pilot, title)
+    put(app, DISARMED)
+    await gone(pilot, title)
+    assert engine_of(app).commands == []
+
+
+@on_main()
+async def test_only_the_holders_console_asks_its_operator(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine_of(app).holds = ()
+    put(app, asked())
+    await shown(pilot, "◆ ARMED    /cmd_vel")
+    app.pull()
+    await pilot.pause()
+    assert app.screen is app.main
+
+
 @on_main()
 async def test_a_name_is_disarmed_everywhere(app: ConsoleApp, pilot: Pilot[None]) -> None:
     others = (
@@ -103,6 +151,13 @@ async def test_a_name_is_disarmed_everywhere(app: ConsoleApp, pilot: Pilot[None]
 async def test_the_line_that_demands_it_is_among_the_details(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, replace(DISARMED, arming=ArmingSnapshot(armed=False, demanded_by=("robot.yaml:14",))))
     await shown(pilot, "robot.yaml:14")
+
+
+@on_main()
+async def test_what_a_hand_may_ask_is_among_the_details_with_its_line(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, replace(DISARMED, limits=VelocityLimits(0.5), limited_by=("robot.yaml:15",)))
+    await shown(pilot, "at most 0.5 m/s by hand")
+    await shown(pilot, "robot.yaml:15")
 
 
 @on_main()

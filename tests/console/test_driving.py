@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from tests.console.driving import (
+    NOWHERE,
     AppSteps,
     drive,
     engine_as,
@@ -20,7 +21,7 @@ from tests.console.driving import (
     text,
     until,
 )
-from tests.console.scripted import ScriptedEngine, route
+from tests.console.scripted import SESSION, ScriptedEngine, route
 from tests.support.wording import says
 from textual.events import Key
 from textual.pilot import Pilot
@@ -31,9 +32,11 @@ from rsb_bridge.model.by_hand import Draft, Published
 from rsb_bridge.model.commands import Publish
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
+from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_console.app import ConsoleApp
 from rsb_console.screens import drive_screen
-from rsb_console.screens.drive_screen import DriveScreen, DriveText, Steering, why_not_driven
+from rsb_console.screens.drive_screen import DriveScreen, DriveText, Steering, limits_on, why_not_driven
+from rsb_console.screens.take_over import HandOverText
 from rsb_console.session.by_hand import TWIST, TWIST_STAMPED, ByHandText, velocity
 
 # -- what keys mean
@@ -411,7 +414,7 @@ def test_leaving_the_screen_disarms_what_it_has_armed(clock: Clock) -> None:
         await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
         put(app, ARMED)
         await pilot.press("escape")
-        await until(pilot, lambda: engine_of(app).commands[1:] == [("disarm", "/cmd_vel")], "disarmed")
+        await until(pilot, lambda: engine_of(app).commands[1:] == [("disarm", "/cmd_vel", "own")], "disarmed")
 
     driving(DISARMED, steps)
 
@@ -462,7 +465,7 @@ def test_other_robots_that_a_topic_moves_are_named_and_asked_for(clock: Clock) -
 def test_only_keys_on_the_screen_that_armed_a_topic_keep_it_armed(clock: Clock) -> None:
     async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
         kept: list[bool] = []
-        engine_of(app).keep_armed = lambda *, pressed: kept.append(pressed)  # type: ignore[method-assign, assignment, return-value]
+        engine_of(app).kept = kept
         await pilot.press("A", "y")
         put(app, ARMED)
         kept.clear()
@@ -527,3 +530,101 @@ async def test_what_the_robot_has_in_hand_is_shown(app: ConsoleApp, pilot: Pilot
     ]:
         put(app, replace(ARMED, arming=replace(ARMED.arming, velocity=given)))
         await shown(pilot, DriveText.IN_HAND(link=ARMED.link, motion=motion))
+
+
+# -- several drivers
+
+ELSEWHERE = replace(ARMED, arming=ArmingSnapshot(armed=True, by="bert on pts/2", here=True, deadman=60.0))
+QUESTION = replace(arming(), asked_by="bert on pts/2", goes_in=7.0)
+ASKED = replace(ARMED, arming=QUESTION)
+
+
+@pytest.mark.parametrize(
+    ("key", "command"), [("y", "ask_holder"), ("t", "take_arming"), ("A", "disarm"), ("n", ""), ("escape", "")]
+)
+def test_what_another_console_holds_is_asked_for_taken_or_disarmed(clock: Clock, key: str, command: str) -> None:
+    """Also if it was armed on this side."""
+
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        engine_of(app).holds = ()
+        await shown(pilot, DriveText.ARMED_BY, who="bert on pts/2")
+        await pilot.press("A")
+        await shown(pilot, HandOverText.HELD, topic="/cmd_vel")
+        await shown(pilot, "bert on pts/2 holds it")
+        await pilot.press(key)
+        await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
+        expected = [(command, "/cmd_vel")] if command else []
+        await until(pilot, lambda: engine_of(app).commands == expected, "the command")
+
+    driving(ELSEWHERE, steps)
+
+
+def test_leaving_the_screen_asks_no_longer(clock: Clock) -> None:
+    asking: list[Future[None]] = []
+
+    def ask_holder(key: str, *, shared: bool = False) -> Future[None]:
+        asking.append(Future())
+        return asking[-1]
+
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        engine = engine_of(app)
+        engine.holds = ()
+        engine.ask_holder = ask_holder  # type: ignore[method-assign]
+        await shown(pilot, DriveText.ARMED_BY, who="bert on pts/2")
+        await pilot.press("A")
+        await shown(pilot, HandOverText.HELD, topic="/cmd_vel")
+        await pilot.press("y")
+        await until(pilot, lambda: asking, "the question")
+        put(app, replace(ELSEWHERE, arming=replace(QUESTION, by="bert on pts/2", asked_by="anna")))
+        await shown(pilot, DriveText.ASKED, who="bert on pts/2", seconds=7.0)
+        await pilot.press("escape")
+        await until(pilot, asking[0].cancelled, "no question")
+
+    driving(ELSEWHERE, steps)
+
+
+@pytest.mark.parametrize(("key", "gives"), [("y", True), ("n", False)])
+def test_the_holder_sees_the_question_while_driving_and_answers(clock: Clock, key: str, gives: bool) -> None:
+    """The keys that drive and stop do so meanwhile. A key that was on its way when the question came is no answer."""
+
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        put(app, ASKED)
+        await shown(pilot, DriveText.ASKS, who="bert on pts/2", seconds=7.0)
+        await pilot.press(key)
+        await pressed(pilot, clock, "up")
+        await until(pilot, lambda: sent(app), "a command")
+        assert not [command for command in engine_of(app).commands if command[0] == "answer_asker"]
+        clock.now += 1.0
+        await pilot.press(key)
+        await until(pilot, lambda: ("answer_asker", "/cmd_vel", gives) in engine_of(app).commands, "the answer")
+        assert isinstance(app.screen, DriveScreen)
+
+    driving(ARMED, steps)
+
+
+# -- limits
+
+LIMITED = replace(ARMED, limits=VelocityLimits(0.1, 0.3), limited_by=("robot.yaml:14",))
+
+
+def test_what_is_asked_is_within_the_limits_and_their_line_is_shown(clock: Clock) -> None:
+    """The bridge reduces what is beyond limits that this console does not know yet."""
+
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        await shown(pilot, DriveText.LIMITED, limits=VelocityLimits(0.1, 0.3), lines="robot.yaml:14")
+        await pressed(pilot, clock, "o")
+        await shown(pilot, "+0.10")
+        await until(pilot, lambda: sent(app), "a command")
+        assert velocities(app)[0] == velocity(TWIST, 0.1, -0.3)
+        assert all(each.reduce for each in sent(app))
+        await pressed(pilot, clock, "minus", "minus", "minus", "minus", "minus", "space", "i")
+        await until(pilot, lambda: velocity(TWIST, SPEED / 1.25**5, 0.0) in velocities(app), "a slower command")
+
+    driving(LIMITED, steps)
+
+
+def test_the_smallest_limits_of_all_robots_on_the_topic_count() -> None:
+    slow = replace(ARMED, key="2", link="robot2", limits=VelocityLimits(0.05), limited_by=("pc.yaml:3",))
+    elsewhere = replace(LIMITED, key="3", topic="/other", limits=VelocityLimits(0.01), limited_by=("pc.yaml:9",))
+    snapshot = replace(ScriptedEngine(SESSION, NOWHERE).snapshot(), routes=(LIMITED, slow, elsewhere))
+    assert limits_on(LIMITED, snapshot) == (VelocityLimits(0.05, 0.3), ["robot.yaml:14", "pc.yaml:3"])

@@ -17,7 +17,7 @@ from rsb_bridge.control.tickets import TicketClock
 from rsb_bridge.model import commands
 from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
 from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.commands import ArmTopic, Call, Pause, Publish
+from rsb_bridge.model.commands import AnswerAsker, ArmTopic, AskHolder, Call, Pause, Publish, TakeArming
 
 if TYPE_CHECKING:
     from tests.support.control import Machine
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 MOVING: list[Command[Any]] = [
     ArmTopic("/scan"),
+    AskHolder("/scan"),
+    TakeArming("/scan"),
+    AnswerAsker("/scan", gives=True),
     Pause("/scan", paused=False),
     Publish("/scan", "{}"),
     Call("/scan", "{}"),

@@ -48,6 +48,24 @@ def test_who_may_look_changes_nothing(machine: Machine) -> None:
     assert machine.stopped == 0
 
 
+def test_only_who_may_take_takes_an_arming_without_asking(machine: Machine) -> None:
+    """Others ask its holder."""
+    robot = Reachable(machine)
+    anna = robot.attach()
+    anna.ask_holder("/cmd_vel").result(60)
+    with pytest.raises(EngineError, match=pattern(RequestRefused.ASKS_FIRST)):
+        anna.take_arming("/cmd_vel").result(60)
+    with pytest.raises(EngineError, match=pattern(RequestRefused.READ_ONLY)):
+        robot.attach("bob", BOB).take_arming("/cmd_vel").result(60)
+    robot.access.grant(granted("anna", ANNA, "take"))
+    anna.stop()
+    anna = robot.attach()
+    assert not anna.read_only
+    anna.take_arming("/cmd_vel").result(60)
+    given = [command for command in robot.engine.commands if command != ("release",)]
+    assert given == [("ask_holder", "/cmd_vel"), ("take_arming", "/cmd_vel")]
+
+
 @pytest.mark.parametrize(
     ("name", "key", "engine", "code"),
     [

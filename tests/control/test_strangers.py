@@ -44,6 +44,9 @@ CHANGES: tuple[AnyCommand, ...] = (
     commands.Pause("key", paused=True),
     commands.Acknowledge("key"),
     commands.ArmTopic("key"),
+    commands.AskHolder("key"),
+    commands.TakeArming("key"),
+    commands.AnswerAsker("key", gives=True),
     commands.DisarmTopic("key"),
     commands.AddClient(Client("robot2")),
     commands.ChangeClient(Client("robot2")),
@@ -60,7 +63,9 @@ CHANGES: tuple[AnyCommand, ...] = (
 
 @pytest.mark.parametrize("read_only", [True, False])
 def test_who_may_look_is_refused_every_change_whatever_their_console_says(machine: Machine, read_only: bool) -> None:
-    assert {type(each) for each in CHANGES} == {each for each in get_args(AnyCommand) if each.right is Right.CHANGE}
+    assert {type(each) for each in CHANGES} == {
+        each for each in get_args(AnyCommand) if each.right in (Right.CHANGE, Right.TAKE)
+    }
     robot = Reachable(machine)
     with Stranger(robot.port, "bob", BOB) as bob:
         bob.attach(read_only=read_only)

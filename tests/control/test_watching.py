@@ -34,6 +34,7 @@ class Taking:
     """A connection that takes everything at once."""
 
     operator, read_only_reason, of_this_machine, closing = "anna", "", True, False
+    never_takes_reason = ""
 
     def __init__(self) -> None:
         self.buffered = 0

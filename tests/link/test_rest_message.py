@@ -10,7 +10,8 @@ import pytest
 from tests.link.test_arming import CONSOLE, arm, let_time_pass, propose, route
 from tests.link.test_route_table import Pair, Side, hear_all
 
-from rsb_bridge.cdr.resting import resting, stamped, velocity_of
+from rsb_bridge.cdr.resting import resting, stamped
+from rsb_bridge.cdr.velocity import velocity_of
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Armed, Topic

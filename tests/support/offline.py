@@ -9,6 +9,7 @@ import pytest
 from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 
 from rsb_bridge.context import Context
+from rsb_bridge.link.holder_questions import FEATURE as ASKS_HOLDERS
 from rsb_bridge.model.calls import FEATURE
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.session import Session
@@ -76,7 +77,7 @@ class FakePeer:
     fullness_undecided = False
     full_in: Fullness | None = None
     path_fault: PathFault | None = None
-    features: tuple[str, ...] = (FEATURE, LEASE_FEATURE)
+    features: tuple[str, ...] = (FEATURE, LEASE_FEATURE, ASKS_HOLDERS)
     down_reason = ""
     connections = 1
 

@@ -13,6 +13,7 @@ from rsb_bridge.model.calls import FEATURE, LANES, MOST_LANES, Refused
 from rsb_bridge.model.limits import DEPTH, QOS_TIME, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Kind
+from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.wire import events, headers, messages, preamble, records
 from rsb_bridge.wire.fields import RefuseCode
 
@@ -31,6 +32,7 @@ STRUCTS = {
     "TopicEntry": records.TopicEntry,
     "NamePattern": messages.NamePattern,
     "FoundName": messages.FoundName,
+    "VelocityLimits": VelocityLimits,
     "qos": Qos,
 } | {message.__name__: message for message in typing.get_args(messages.ControlMessage)}
 

@@ -7,44 +7,40 @@ expects, and has as many axes as the node that reads it.
 from __future__ import annotations
 
 import struct
-from math import isfinite
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-Velocity: TypeAlias = tuple[float, float]
-"""Forward in m/s, and turn in rad/s, counterclockwise."""
-
-_BEGIN = 4
+BEGIN = 4
 """Bytes before the first field: the encapsulation header. Fields are aligned from there."""
 _STAMP = 8
-_STAMPED_AT = slice(_BEGIN, _BEGIN + _STAMP)
+_STAMPED_AT = slice(BEGIN, BEGIN + _STAMP)
 
 
-class _NoRestError(Exception):
+class TooShortError(Exception):
     """A message is too short for its type."""
 
 
 def _of_numbers(message: bytes) -> bytes:
-    return message[:_BEGIN] + bytes(len(message) - _BEGIN)
+    return message[:BEGIN] + bytes(len(message) - BEGIN)
 
 
 def _of_stamped_numbers(message: bytes) -> bytes:
-    end = _end_of_header(message)
+    end = end_of_header(message)
     return message[:end] + bytes(len(message) - end)
 
 
 def _of_joy(message: bytes) -> bytes:
     """Return a Joy with as many axes and buttons, none of which is moved or pressed."""
     rest = bytearray(message)
-    at = _end_of_header(message)
+    at = end_of_header(message)
     for _ in ("axes", "buttons"):
-        at = _aligned(at)
+        at = aligned(at)
         (count,) = _read(_length_of(message), message, at)
         at += 4
         if at + 4 * count > len(message):
-            raise _NoRestError
+            raise TooShortError
         rest[at : at + 4 * count] = bytes(4 * count)
         at += 4 * count
     return bytes(rest)
@@ -54,32 +50,32 @@ def _length_of(message: bytes) -> struct.Struct:
     return struct.Struct("<I" if message[1] & 1 else ">I")
 
 
-def _end_of_header(message: bytes) -> int:
+def end_of_header(message: bytes) -> int:
     """Return where a std_msgs/Header ends that a message begins with."""
-    at = _BEGIN + _STAMP
+    at = BEGIN + _STAMP
     (length,) = _read(_length_of(message), message, at)
     end = at + 4 + int(length)
     if end > len(message):
-        raise _NoRestError
+        raise TooShortError
     return end
 
 
-def _aligned(at: int, to: int = 4) -> int:
-    return at + -(at - _BEGIN) % to
+def aligned(at: int, to: int = 4) -> int:
+    """Return the first place from `at` on where a field of `to` bytes may begin."""
+    return at + -(at - BEGIN) % to
 
 
 def _read(layout: struct.Struct, message: bytes, at: int) -> tuple[int, ...]:
     try:
         return layout.unpack_from(message, at)
     except struct.error:
-        raise _NoRestError from None
+        raise TooShortError from None
 
 
-_TWIST, _TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
-_VELOCITIES = struct.Struct(">6d"), struct.Struct("<6d")
+TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 _RESTS: dict[str, tuple[Callable[[bytes], bytes], bool]] = {
-    _TWIST: (_of_numbers, False),
-    _TWIST_STAMPED: (_of_stamped_numbers, True),
+    TWIST: (_of_numbers, False),
+    TWIST_STAMPED: (_of_stamped_numbers, True),
     "ackermann_msgs/msg/AckermannDrive": (_of_numbers, False),
     "ackermann_msgs/msg/AckermannDriveStamped": (_of_stamped_numbers, True),
     "sensor_msgs/msg/Joy": (_of_joy, True),
@@ -97,25 +93,12 @@ def resting(type_name: str, message: bytes) -> bytes | None:
         message: the last one that passed, with its encapsulation header. It is returned itself if it rests.
     """
     make, _ = _RESTS[type_name]
-    if len(message) < _BEGIN:
+    if len(message) < BEGIN:
         return None
     try:
         return make(message)
-    except _NoRestError:
+    except TooShortError:
         return None
-
-
-def velocity_of(type_name: str, message: bytes) -> Velocity | None:
-    """Return the velocity that a message commands, or None if it has none, or another type than Twist(Stamped)."""
-    if type_name not in (_TWIST, _TWIST_STAMPED):
-        return None
-    try:
-        at = _BEGIN if type_name == _TWIST else _aligned(_end_of_header(message), 8)
-        numbers = _VELOCITIES[message[1] & 1].unpack_from(message, at)
-    except (_NoRestError, struct.error, IndexError):
-        return None
-    forward, *_, turn = numbers
-    return (forward, turn) if isfinite(forward) and isfinite(turn) else None
 
 
 def stamped(type_name: str, message: bytes, now: int) -> bytes:

@@ -106,7 +106,7 @@ def parse(text: str, path: Path) -> Session:
 
 
 def demand_places(path: Path) -> dict[SourceKey, str]:
-    """Return where a session file demands arming: ``robot.yaml:14``, by the keys of the lines.
+    """Return where a session file demands arming or limits: ``robot.yaml:14``, by the keys of the lines.
 
     A file that cannot be read, or that has mistakes, has no such lines.
     """
@@ -118,7 +118,7 @@ def demand_places(path: Path) -> dict[SourceKey, str]:
 
 
 def demand_lines(text: str, path: Path) -> dict[SourceKey, int]:
-    """Return the lines of a session file's text that demand arming.
+    """Return the lines of a session file's text that demand arming or limits.
 
     Raises:
         SessionError: it has mistakes.
@@ -133,8 +133,9 @@ def demand_lines(text: str, path: Path) -> dict[SourceKey, int]:
     holders += [(join("clients", at), each.name, each.topics) for at, each in enumerate(session.listed_clients)]
     for where, client, topics in holders:
         for topic, here in zip(topics, locations(topics), strict=True):
-            if topic.arm:
-                found[client, topic.identity] = document.lines[join(join(where, here), "arm")]
+            if topic.arm or topic.limits is not None:
+                key = "arm" if topic.arm else "limits"
+                found[client, topic.identity] = document.lines[join(join(where, here), key)]
     return found
 
 

@@ -13,6 +13,7 @@ from rsb_bridge.config.file_form import LISTS, NOUNS, key_of, locations
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.model import transports
 from rsb_bridge.model.calls import LANES, FieldError
+from rsb_bridge.model.demands import full_type
 from rsb_bridge.model.limits import CHANNEL, NO_PORT, TEXT_LENGTH, TOPIC_LENGTH
 from rsb_bridge.model.names import expand_type_name, is_topic_name, server_topic, well_formed
 from rsb_bridge.model.on_end import CANCEL, LONGEST, NONE, ZERO, is_message, text_of
@@ -28,6 +29,7 @@ from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Kind, Problem, Session, Topic
 from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC, OWN_NAMES
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.velocity_limits import TWISTS, VelocityLimits
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -60,6 +62,11 @@ class TopicMistake(Wording):
     ON_END_OF_CALLED = "only topics and actions have it: leave it out"
     ON_END = "{value} is neither zero, none nor a message: {{linear: {{x: 0.1}}}}"
     ON_END_TOO_LONG = "the message has {length} characters, and at most {limit} are allowed: leave out what is 0"
+    LIMITS_EMPTY = "has no number: give linear (m/s), angular (rad/s) or both"
+    LIMITS_OF_TYPE = "only Twist and TwistStamped have a velocity, and the type is {name}: leave limits out"
+    LIMITS_OF_PATTERN = "a pattern with limits needs type: Twist or type: TwistStamped"
+    LIMITS_OF_CALLED = "only topics have it: leave it out"
+    SPEED_OUT_OF_RANGE = "{value} is out of range: {range} {unit}, or leave it out"
     OUT_OF_RANGE = "{value} is out of range: {range}"
     NO_NAME = "the {noun}'s name is empty: give an absolute one, /part/part"
     IS_A_PATTERN = "{name} is a pattern: give the name of one {noun}"
@@ -178,6 +185,8 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
         yield Problem(join(location, "on_end"), TopicMistake.ON_END_WITHOUT_ARM(kind=A_KIND[topic.kind]))
     else:
         yield from on_end_problems(text_of(topic.on_end), join(location, "on_end"), topic.kind)
+    if topic.kind == "topic":  # else it is a key of another kind
+        yield from limits_problems(topic.limits, join(location, "limits"), "topic", topic.type, topic.topic)
 
 
 def on_end_problems(text: str, location: str, kind: Kind | None) -> Iterator[Problem]:
@@ -208,6 +217,33 @@ def on_end_problems(text: str, location: str, kind: Kind | None) -> Iterator[Pro
         return
     if not isinstance(fields, dict):
         yield Problem(location, TopicMistake.ON_END(value=show(text)))
+
+
+def limits_problems(
+    limits: VelocityLimits | None, location: str, kind: Kind | None, type_name: str, name: str
+) -> Iterator[Problem]:
+    """Yield the mistakes in what a hand may ask.
+
+    Args:
+        kind: of the line, or None for a line of every kind.
+        type_name: of the line, or ``auto``.
+        name: a name or a pattern.
+    """
+    if limits is None:
+        return
+    if kind not in (None, "topic"):
+        yield Problem(location, TopicMistake.LIMITS_OF_CALLED())
+        return
+    if limits == VelocityLimits():
+        yield Problem(location, TopicMistake.LIMITS_EMPTY())
+    for key, value, allowed, unit in limits.out_of_range:
+        message = TopicMistake.SPEED_OUT_OF_RANGE(value=show(value), range=allowed, unit=unit)
+        yield Problem(join(location, key), message)
+    if type_name == AUTO:
+        if is_pattern(name):
+            yield Problem(location, TopicMistake.LIMITS_OF_PATTERN())
+    elif full_type(type_name) not in TWISTS:
+        yield Problem(location, TopicMistake.LIMITS_OF_TYPE(name=show(type_name)))
 
 
 def name_problems(name: str, location: str, kind: Kind = "topic") -> Iterator[Problem]:

@@ -33,6 +33,7 @@ from rsb_bridge.config.keys import conceal
 from rsb_bridge.config.rights import benchmark_limit_problems, grant_problems, operator_problems
 from rsb_bridge.config.topic_rules import (
     form_problems,
+    limits_problems,
     name_problems,
     on_end_problems,
     overlaps,
@@ -48,6 +49,7 @@ from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, PORT, TOPIC_PORT
 from rsb_bridge.model.names import is_prefix, well_formed
 from rsb_bridge.model.on_end import text_of
 from rsb_bridge.model.patterns import is_pattern
+from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Armed, Identity, Problem, Session, Topic, is_mac
 from rsb_bridge.model.text import is_clean
 from rsb_bridge.model.wording import Wording
@@ -566,6 +568,7 @@ def armed_problems(armed: Sequence[str | Armed]) -> Iterator[Problem]:
         yield from form_problems(entry.name, here if isinstance(each, str) else join(here, "name"), hidden=True)
         yield from range_problems(entry, here)
         yield from on_end_problems(text_of(entry.on_end), join(here, "on_end"), entry.kind)
+        yield from limits_problems(entry.limits, join(here, "limits"), entry.kind, entry.type or AUTO, entry.name)
         if known.setdefault(entry, at) != at:
             yield Problem(here, SessionMistake.ARMED_TWICE(name=show(entry.name), number=known[entry] + 1))
 

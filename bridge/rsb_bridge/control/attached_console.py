@@ -15,7 +15,7 @@ from rsb_bridge.control.states import EncodedRoutes, Sender
 from rsb_bridge.control.tickets import TicketClock
 from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.command_origin import acting, on_console, undoing
-from rsb_bridge.model.commands import ArmTopic, Right, Stop
+from rsb_bridge.model.commands import ArmTopic, AskHolder, Right, Stop, TakeArming
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.tasks import Tasks
 
@@ -40,6 +40,7 @@ class RequestRefused(Wording):
     """Reasons why an attached console's command is not executed."""
 
     READ_ONLY = "{reason}: nothing can be changed"
+    ASKS_FIRST = "{reason}: ask the holder"
     ATTACHED_READ_ONLY = "attached read-only"
     LATE = "the command came too late: its way to the bridge, or this program, was held up; give it again"
     TOO_MANY_WAITING = "{count} requests already wait for an answer: try again later"
@@ -56,6 +57,11 @@ class Connection(Protocol):
     @property
     def read_only_reason(self) -> str:
         """The reason this operator may change nothing, or an empty string."""
+        ...
+
+    @property
+    def never_takes_reason(self) -> str:
+        """The reason this operator may take no arming from its holder without asking, or an empty string."""
         ...
 
     @property
@@ -219,20 +225,24 @@ class Console:
         self._operator = self._connection.operator
         read_only = self._connection.read_only_reason
         attached_read_only = RequestRefused.ATTACHED_READ_ONLY() if hello.read_only else ""
-        self._denied = {Right.MEASURE: read_only, Right.CHANGE: read_only or attached_read_only}
+        changes = read_only or attached_read_only
+        takes = changes or self._connection.never_takes_reason
+        self._denied = {Right.MEASURE: read_only, Right.CHANGE: changes, Right.TAKE: takes}
         self._sender = Sender()
         self.send(protocol.Welcome(info, bool(self._denied[Right.CHANGE])))
 
     def _request(self, request: protocol.Request) -> None:
         if reason := self._denied.get(request.command.right):
-            self.send(protocol.Failed(request.id, RequestRefused.READ_ONLY(reason=reason)))
+            asks = request.command.right is Right.TAKE and not self._denied[Right.CHANGE]
+            text = RequestRefused.ASKS_FIRST if asks else RequestRefused.READ_ONLY
+            self.send(protocol.Failed(request.id, text(reason=reason)))
         elif self._requests >= protocol.REQUESTS_WAITING:
             self.send(protocol.Failed(request.id, RequestRefused.TOO_MANY_WAITING(count=protocol.REQUESTS_WAITING)))
         elif request.command.expires and not 0 <= self._tickets.age(request.ticket) <= TICKET_LIFE:
             self.send(protocol.Failed(request.id, RequestRefused.LATE(), late=True, ticket=self._tickets.issue()))
         else:
             self._requests += 1
-            self._has_armed |= isinstance(request.command, ArmTopic)
+            self._has_armed |= isinstance(request.command, ArmTopic | AskHolder | TakeArming)
             self._tasks.spawn(self._answer(request))
 
     async def _answer(self, request: protocol.Request) -> None:
@@ -244,7 +254,11 @@ class Console:
             reply = protocol.Failed(request.id, str(error), isinstance(error, InvalidRequestError))
         finally:
             self._requests -= 1
-        if request.command.right is Right.CHANGE and self._sender.sent is not None and self._buffered == 0:
+        if (
+            request.command.right in (Right.CHANGE, Right.TAKE)
+            and self._sender.sent is not None
+            and self._buffered == 0
+        ):
             await self._send_state()  # before the reply: the operator wants to see the effect
         self.send(msgspec.structs.replace(reply, ticket=self._tickets.issue()))
 

@@ -185,7 +185,7 @@ def _not_yours() -> str:
 class _OfThisMachine:
     """A console's connection through the control socket, of whose other end the kernel knows who it is."""
 
-    read_only_reason = ""
+    read_only_reason = never_takes_reason = ""
     of_this_machine = True
 
     def __init__(self, writer: asyncio.StreamWriter) -> None:

@@ -18,7 +18,7 @@ import msgspec
 from rsb_bridge import __version__
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.benchmark import Outcome
-from rsb_bridge.model.by_hand import Draft, Published
+from rsb_bridge.model.by_hand import Draft, Held, Published
 from rsb_bridge.model.commands import AnyCommand
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.pictures import PictureError, Viewed, check_picture
@@ -288,6 +288,7 @@ class Reply(_Message, frozen=True, tag="reply"):
         viewed: the result of `Look`.
         draft: the result of `DraftMessage`.
         published: the result of `Publish`.
+        held: the result of `KeepArmed`.
         ticket: for requests of the next moment.
     """
 
@@ -299,6 +300,7 @@ class Reply(_Message, frozen=True, tag="reply"):
     viewed: Viewed | None = None
     draft: Draft | None = None
     published: Published | None = None
+    held: Held | None = None
     ticket: int = 0
 
 
@@ -345,6 +347,7 @@ _FIELD_OF: Final = {
     Viewed: "viewed",
     Draft: "draft",
     Published: "published",
+    Held: "held",
 }
 
 

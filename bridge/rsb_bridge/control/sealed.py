@@ -76,6 +76,7 @@ class OperatorRefused(Wording):
     UNKNOWN = "there is no operator {name!r}"
     OPERATORS_CHANGED = "the operators of this engine have changed meanwhile: try again"
     READ_ONLY = "{name} has read-only access (may: {may} in the bridge's operators)"
+    ASKS_HOLDERS = "{name} may not take over at once (may: {may}, not take, in the bridge's operators)"
     REMOVED = "{name} may no longer attach: removed from the bridge's operators"
     RIGHTS_CHANGED = "the rights or the key of {name} were changed on the bridge"
     BY_ENGINE = "{engine} refuses: {message}"
@@ -305,7 +306,14 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         """The reason this operator may change nothing, or an empty string."""
         assert self._granted is not None
         may = self._granted.operator.may
-        return "" if may == "change" else OperatorRefused.READ_ONLY(name=self.name, may=may)
+        return OperatorRefused.READ_ONLY(name=self.name, may=may) if may == "look" else ""
+
+    @property
+    def never_takes_reason(self) -> str:
+        """The reason this operator may take no arming from its holder without asking, or an empty string."""
+        assert self._granted is not None
+        may = self._granted.operator.may
+        return "" if may == "take" else OperatorRefused.ASKS_HOLDERS(name=self.name, may=may)
 
     @property
     def buffered(self) -> int:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import Counter
+from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
+from rsb_bridge.cdr.velocity import reduced, speeds_of
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.link import topics_of_peer
@@ -20,11 +22,13 @@ from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.by_hand import TICKET_LIFE, Draft, Published
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import console
+from rsb_bridge.model.demands import NO_DEMAND
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.qos import Qos, match_publishers, match_subscriptions
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import join_first, sanitize_text
+from rsb_bridge.model.velocity_limits import TWISTS, smallest
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
@@ -84,8 +88,12 @@ class PublishProblem(Wording):
     OTHER_VERSION = "{type_name} is installed here in another version than {topic} has: install that one"
     NOT_ARMED = "{topic} has to be armed{reason}: arm it first"
     ENDING = "{topic} is about to be disarmed, or the bridge to stop: nothing more is published by hand"
-    ANOTHER_DRIVES = "{topic} is armed by {who}, whose messages by hand pass alone: disarm it, then arm it yourself"
+    ANOTHER_DRIVES = "{topic} is armed by {who}, whose messages by hand pass alone: ask for it (arm --ask)"
     NO_ROUTE_TO_ARM = "{topic} has to be armed, and no route of it is open: nothing can arm it"
+    BEYOND_LIMITS = "{topic}: {linear:g} m/s, {angular:g} rad/s by hand is beyond {limits} ({lines}): ask for less"
+    LIMITS_OF_OTHER_TYPE = (
+        "{topic}: limits ({lines}) are for Twist and TwistStamped, and its type is {type_name}: leave them out there"
+    )
     NO_DEADMAN = "{topic} cannot be driven: that needs arm: true and max_age on the topic, so that the robot stops"
 
 
@@ -217,6 +225,7 @@ class Publishing:
         self._check_armed(topic, resolved.type_name, self._routes(topic), driven=driven)
         payload = await self._serialize(resolved, command.fields)
         rest = await self._serialize(resolved, command.rest) if driven else b""
+        self._within_limits(command, resolved.type_name, self._routes(topic), (payload, rest))
         await self._open(publication, topic, resolved)
         assert publication.publisher is not None
         # Nothing is awaited from here on.
@@ -224,6 +233,7 @@ class Publishing:
         armed = self._check_armed(topic, resolved.type_name, routes, driven=driven)
         if armed and not 0 <= self._ticket() - command.ticket <= TICKET_LIFE * 1e3:
             return Published(is_done=False, ticket=self._ticket(), type_name=resolved.type_name)
+        payload, rest = self._within_limits(command, resolved.type_name, routes, (payload, rest))
         publication.publisher.publish(payload)
         self._note_moved(topic, resolved, payload, armed)
         if driven:
@@ -313,6 +323,40 @@ class Publishing:
         if driven and not (armed and all(_stops_by_itself(route) for route in routes)):
             raise LinkError(PublishProblem.NO_DEADMAN(topic=topic))
         return armed
+
+    def _within_limits(
+        self,
+        command: Publish,
+        type_name: str,
+        routes: Iterable[TopicRoute[DataChannel]],
+        payloads: tuple[bytes, bytes],
+    ) -> tuple[bytes, bytes]:
+        """Return a command's message and rest within the limits that the sessions of all sides set on a hand.
+
+        Raises:
+            LinkError: one is beyond them, and is not to be reduced; or the type has no velocity.
+        """
+        topic = command.topic
+        demand = self._context.demands.of("topic", topic, type_name) or NO_DEMAND
+        found = [(route.arming.limits, route.arming.limited_by) for route in routes]
+        found.append((demand.limits, tuple(map(self._context.demands.origin, demand.limited_by))))
+        limits = smallest(each for each, _ in found)
+        if limits is None:
+            return payloads
+        by = dict.fromkeys(line for each, lines in found if each is not None and each.are_in(limits) for line in lines)
+        lines = ", ".join(by)
+        if type_name not in TWISTS:
+            raise LinkError(PublishProblem.LIMITS_OF_OTHER_TYPE(topic=topic, lines=lines, type_name=type_name))
+        for payload in payloads:
+            speeds = speeds_of(type_name, payload)
+            if speeds is None or limits.allow(*speeds) or (command.reduce and all(map(isfinite, speeds))):
+                continue
+            linear, angular = speeds
+            raise LinkError(
+                PublishProblem.BEYOND_LIMITS(topic=topic, linear=linear, angular=angular, limits=limits, lines=lines)
+            )
+        message, rest = (reduced(type_name, payload, limits) for payload in payloads)
+        return message, rest
 
     # --- types
 

@@ -8,8 +8,10 @@ import msgspec
 
 from rsb_bridge.config.difference import changes, described
 from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.model.by_hand import Held
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import console, is_undo, operator
+from rsb_bridge.model.commands import ArmTopic
 from rsb_bridge.model.demands import PEER_DEMANDS, local_name
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.arming import Disarmed
@@ -22,13 +24,15 @@ if TYPE_CHECKING:
     from rsb_bridge.link.roles import BridgeRole
     from rsb_bridge.model.commands import (
         AddTopic,
-        ArmTopic,
+        AnswerAsker,
+        AskHolder,
         DisarmTopic,
         EditTopic,
         KeepArmed,
         Pause,
         ReleaseArmed,
         RemoveTopic,
+        TakeArming,
     )
     from rsb_bridge.model.demands import RunningDemands
     from rsb_bridge.model.session import Topic
@@ -249,15 +253,44 @@ class ArmingCommands:
         link, route = self._find(command.key)  # it may have been edited meanwhile
         await link.table.arming.arm(route, console(), shared=command.shared)
 
+    async def ask(self, command: AskHolder) -> None:
+        link, route = self._find(command.key)
+        opening = route.id
+        await link.table.questions.ask(route, console())
+        await self._take(command, opening)
+
+    async def take(self, command: TakeArming) -> None:
+        _, route = self._find(command.key)
+        await self._take(command, route.id)
+
+    async def _take(self, command: AskHolder | TakeArming, opening: int) -> None:
+        """Disarm a route if it is still held in an opening, and arm it: the robot stands in between."""
+        link, route = self._find(command.key)
+        if route.id == opening and route.arming.held and route.arming.console != console():
+            await self._disarm(link, route)
+        await link.table.arming.until_free(route)
+        await self.arm(ArmTopic(command.key, command.shared))
+
+    async def answer(self, command: AnswerAsker) -> None:
+        link, route = self._find(command.key)
+        link.table.questions.answer(route, console(), gives=command.gives)
+
     async def disarm(self, command: DisarmTopic) -> None:
         link, route = self._find(command.key)
+        if not command.own or route.arming.console == console():
+            await self._disarm(link, route)
+
+    async def _disarm(self, link: Link, route: Route) -> None:
         await self._end_motions({route.local_topic})
         link.table.arming.disarm(route, Disarmed.OPERATOR)
         await _settled((route,))
 
-    async def keep(self, command: KeepArmed) -> None:
+    async def keep(self, command: KeepArmed) -> Held:
         for link in self._links():
             link.table.arming.seen(console(), pressed=command.pressed)
+        routes = (route for link in self._links() for route in link.routes.values())
+        held = (route.key for route in routes if route.arming.held and route.arming.console == console())
+        return Held(tuple(held))
 
     async def release(self, _: ReleaseArmed) -> None:
         routes = (route for link in self._links() for route in link.routes.values())

@@ -22,7 +22,7 @@ from rsb_bridge.model.demands import (
 from rsb_bridge.model.on_end import suits
 from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.route.arming import DISARM_TEXT, Disarmed
+from rsb_bridge.route.arming import ANSWERED_WITHIN, DISARM_TEXT, Disarmed
 from rsb_bridge.route.lease import BEAT, Lease, Standstill
 from rsb_bridge.wire import messages as wire
 from rsb_bridge.wire.headers import LEASE_FEATURE
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 _LATE = 0.001
 """s by which a timer comes later than a moment that it must not come before: its clock is another one."""
+_LOOK_EVERY = 0.02
 _AT_ONCE, _A_SECOND = 20.0, 1 / 30
 """Armings by one link's peer: each is in the log, so more than people need are refused."""
 DROPPED: Final = "arm_dropped"
@@ -193,6 +194,7 @@ class LinkArming:
         route.arming.lease = self.lease.state
         own = route.arming.own = self._own(route)
         route.arming.peer_on_end = "" if route.proposed_here else _suiting(route, proposal.on_end)
+        route.arming.peer_limits = None if route.proposed_here else proposal.limits
         route.arming.demand(required=own.arm, deadman=own.deadman)
         self._say_who_demands(route)
         if route.arming.required:
@@ -206,7 +208,13 @@ class LinkArming:
         """Return this side's demand for the present opening, as fields of a proposal."""
         own = route.arming.own
         max_age = self.max_age(route, route.proposal)
-        return {"arm": own.arm, "deadman": own.deadman, "max_age": max_age, "on_end": own.on_end}
+        return {
+            "arm": own.arm,
+            "deadman": own.deadman,
+            "max_age": max_age,
+            "on_end": own.on_end,
+            "limits": own.limits,
+        }
 
     def max_age(self, route: Route, proposal: Propose) -> float | None:
         """Return what this side demands of the age of messages, and the proposal of a route that it proposes."""
@@ -216,6 +224,7 @@ class LinkArming:
         """Note that the other side accepts an opening, and what it demands."""
         route.arming.demand(required=message.arm, deadman=message.deadman)
         route.arming.peer_on_end = _suiting(route, message.on_end)
+        route.arming.peer_limits = message.limits
         self._say_who_demands(route)
 
     def renew_demand(self, route: Route) -> bool:
@@ -223,7 +232,8 @@ class LinkArming:
         if not route.id:
             return False
         own, before = self._own(route), route.arming.own
-        if (own.arm, own.deadman, own.on_end) != (before.arm, before.deadman, before.on_end):
+        agreed = (before.arm, before.deadman, before.on_end, before.limits)
+        if (own.arm, own.deadman, own.on_end, own.limits) != agreed:
             return True
         if own.max_age != before.max_age and not route.proposed_here:
             return True
@@ -234,7 +244,7 @@ class LinkArming:
     def keep_demand(self, route: Route, topic: Topic) -> None:
         """Keep the demand of an entry that is not added because the other side bridges the same."""
         key, max_age = ("", route.local_topic), default_max_age(topic.max_age, armed=True)
-        source = Source(key, route.local_topic, topic.deadman_seconds, max_age=max_age)
+        source = Source(key, route.local_topic, topic.deadman_seconds, max_age=max_age, limits=topic.limits)
         self._context.demands.keep(source, acting_operator())
 
     def demand_dropped(self, source: Source) -> None:
@@ -256,10 +266,13 @@ class LinkArming:
         return self.demand_on(route, self._context.demands) or NO_DEMAND
 
     def _say_who_demands(self, route: Route) -> None:
-        """Name the lines that demand arming, for operators."""
-        arming = route.arming
-        own = tuple(map(self._context.demands.origin, arming.own.sources))
+        """Name the lines that demand arming, and those that limit what a hand may ask, for operators."""
+        arming, origin = route.arming, self._context.demands.origin
+        own = tuple(map(origin, arming.own.sources))
         arming.demanded_by = own or ((PEER_DEMANDS,) if arming.required else ())
+        found = [(origin(each), each.limits) for each in arming.own.limited_by] + [(PEER_DEMANDS, arming.peer_limits)]
+        whole = arming.limits
+        arming.limited_by = tuple(line for line, each in found if whole and each and each.are_in(whole))
 
     # --- operators of this side
 
@@ -283,6 +296,12 @@ class LinkArming:
         await answered.wait()
         if not (arming.armed and arming.console == console):
             raise LinkError(f"{topic} is not armed: {f'{arming.by} armed it' if arming.armed else arming.reason}")
+
+    async def until_free(self, route: Route) -> None:
+        """Wait until a route is open again that was disarmed, so that it can be armed; not for long."""
+        until = self._context.now() + ANSWERED_WITHIN
+        while (route.arming.spent or not route.accepted) and self._context.now() < until:  # noqa: ASYNC110 -- plain state, polled for a moment
+            await asyncio.sleep(_LOOK_EVERY)
 
     def _why_not(self, route: Route) -> str:
         arming = route.arming

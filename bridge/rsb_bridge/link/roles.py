@@ -13,6 +13,7 @@ import msgspec
 from rsb_bridge import __version__
 from rsb_bridge.config.keys import Key
 from rsb_bridge.config.rights import rights_of_client
+from rsb_bridge.link import holder_questions
 from rsb_bridge.link.client_link import ClientLink
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.link_server import Server
@@ -55,6 +56,7 @@ FEATURES = (
     MAX_AGE_FEATURE,
     sealing.FEATURE,
     pictures.FEATURE,
+    holder_questions.FEATURE,
 )  # fmt: skip
 """Features of this version beyond version 2 of the wire format."""
 ReportStep = Callable[[str], None]

@@ -9,6 +9,7 @@ from msgspec import UNSET
 
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.extension import Extension
+from rsb_bridge.link.holder_questions import HolderQuestions
 from rsb_bridge.link.link_arming import DROPPED, LinkArming
 from rsb_bridge.link.peer_operators import PeerOperators, acting_operator
 from rsb_bridge.link.proposals import (
@@ -44,10 +45,13 @@ from rsb_bridge.wire.messages import (
     Arm,
     Armed,
     ArmingMessage,
+    AskForArming,
     ByHand,
     Close,
     Describe,
     Disarm,
+    HolderMessage,
+    HolderSays,
     Lease,
     LeaseMessage,
     Limit,
@@ -71,7 +75,9 @@ if TYPE_CHECKING:
 
 _HalfMessage: TypeAlias = Describe | Ready | Publishers | Provide
 """The control messages from one half of a route to the other."""
-_AboutOpenRoute: TypeAlias = Accept | Refuse | _HalfMessage | Close | Limit | Pause | ByHand | ArmingMessage
+_AboutOpenRoute: TypeAlias = (
+    Accept | Refuse | _HalfMessage | Close | Limit | Pause | ByHand | ArmingMessage | HolderMessage
+)
 RouteMessage: TypeAlias = Propose | Amend | LeaseMessage | _AboutOpenRoute
 """The control messages that are about routes."""
 
@@ -147,6 +153,7 @@ class RouteTable(Extension):
 
     Attributes:
         arming: arms and disarms the routes.
+        questions: to the holders of armings.
         superseded: topics of this side whose place the other side's own have taken, by their routes' keys.
         listed: identities of the topics that this side proposes; named ones stay even if the other side removes them.
         on_removed: is called with a route that an operator of the other side has removed.
@@ -167,6 +174,8 @@ class RouteTable(Extension):
         self.arming = LinkArming(
             link.context, link, self._peer_operators, lambda: tuple(link.routes.values()), self.propose
         )
+
+        self.questions = HolderQuestions(link.context, link, self._peer_operators)
 
     # --- the connection
 
@@ -463,9 +472,10 @@ class RouteTable(Extension):
             return
         if current():  # else it was closed while its port was being bound
             arming = route.arming
-            max_age = arming.own.max_age
-            own_end = arming.own.on_end
-            self._link.send(Accept(route.id, route.local_topic, arming.required, arming.deadman, max_age, own_end))
+            own = arming.own
+            required, deadman = arming.required, arming.deadman
+            demands = required, deadman, own.max_age, own.on_end, own.limits
+            self._link.send(Accept(route.id, route.local_topic, *demands))
             self._accepted(route)
 
     def _accepted(self, route: Route) -> None:
@@ -519,6 +529,8 @@ class RouteTable(Extension):
                 self._peer_operators.called(route, message)
             case Arm() | Armed() | Disarm():
                 self.arming.handle(route, message)
+            case AskForArming() | HolderSays():
+                self.questions.handle(route, message)
 
     # --- time
 

@@ -10,6 +10,8 @@ OLD_AFTER = 5.0
 """s after which a command that moves a robot is given up: what stood still for so long is no longer wanted."""
 REST_AFTER, LONGEST_REST = 0.5, 2.0
 """s, as usual and at most, after which an engine publishes by itself the message that ends a motion."""
+ASKED_FOR = 10.0
+"""s in which the holder of an arming answers whether another operator may hold it instead; then it goes over."""
 
 
 class Draft(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -42,3 +44,13 @@ class Published(msgspec.Struct, frozen=True, omit_defaults=True):
     type_name: str = ""
     nodes: int = 0
     links: tuple[str, ...] = ()
+
+
+class Held(msgspec.Struct, frozen=True, omit_defaults=True):
+    """What a console holds.
+
+    Attributes:
+        keys: of the routes that it has armed.
+    """
+
+    keys: tuple[str, ...] = ()

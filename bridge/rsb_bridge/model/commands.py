@@ -13,7 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from rsb_bridge.model.benchmark import BenchmarkStep, Outcome
-from rsb_bridge.model.by_hand import LONGEST_REST, REST_AFTER, Draft, Published
+from rsb_bridge.model.by_hand import LONGEST_REST, REST_AFTER, Draft, Held, Published
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.pictures import TOPICS_AT_ONCE, Viewed, Wish
 from rsb_bridge.model.session import Client, Topic
@@ -32,6 +32,9 @@ class Right(enum.Enum):
     """Every console has it, unless its operator has read-only access: a measurement loads the link."""
     CHANGE = enum.auto()
     """A console lacks it if its operator has read-only access, or if the console is attached read-only."""
+    TAKE = enum.auto()
+    """To take an arming from its holder at once: whoever has `CHANGE`, but of operators over a network only those with
+    `may: take`."""
 
 
 class Command(msgspec.Struct, Generic[R_co], frozen=True, tag_field="is", omit_defaults=True):
@@ -141,13 +144,68 @@ class ArmTopic(Command[None], frozen=True, tag="arm"):
         return True
 
 
-class DisarmTopic(Command[None], frozen=True, tag="disarm"):
-    """Disarm a topic, even if another operator armed it; done once no earlier message can be published."""
+class AskHolder(Command[None], frozen=True, tag="ask_holder"):
+    """Ask the holder of an armed topic for it, and arm it for the console that gives the command, after a disarm.
+
+    The holder has `rsb_bridge.model.by_hand.ASKED_FOR` for an answer; without one it goes over. A topic that nobody
+    holds is armed at once.
+
+    Attributes:
+        shared: as of `ArmTopic`.
+    """
+
+    cancellable = True
+    key: str
+    shared: bool = False
+
+    @property
+    def expires(self) -> bool:
+        return True
+
+
+class TakeArming(Command[None], frozen=True, tag="take_arming"):
+    """Arm a topic for the console that gives the command, after a disarm if another one holds it.
+
+    Attributes:
+        shared: as of `ArmTopic`.
+    """
+
+    right = Right.TAKE
+    key: str
+    shared: bool = False
+
+    @property
+    def expires(self) -> bool:
+        return True
+
+
+class AnswerAsker(Command[None], frozen=True, tag="answer_asker"):
+    """Answer an operator who asks the console that gives the command for its arming of a topic.
+
+    Attributes:
+        gives: whether the topic goes over.
+    """
 
     key: str
+    gives: bool
+
+    @property
+    def expires(self) -> bool:
+        return True
 
 
-class KeepArmed(Command[None], frozen=True, tag="keep_armed"):
+class DisarmTopic(Command[None], frozen=True, tag="disarm"):
+    """Disarm a topic, even if another operator armed it; done once no earlier message can be published.
+
+    Attributes:
+        own: whether to do so only if the console that gives the command holds it.
+    """
+
+    key: str
+    own: bool = False
+
+
+class KeepArmed(Command[Held], frozen=True, tag="keep_armed"):
     """Keep armed all topics that this console has armed; due at least every 2 s.
 
     A topic disarms if its console is silent for 5 s, or if its operator presses no key within its deadman time.
@@ -308,6 +366,8 @@ class Publish(Command[Published], frozen=True, tag="publish"):
             a robot that is driven stops if its operator's console is gone. Only for topics that have to be armed and
             limit the age of messages.
         rest_after: s in which the next message is due.
+        reduce: whether a velocity beyond the topic's limits is reduced to them, and not refused: for one who drives by
+            keys, and sees what is reduced.
     """
 
     refreshes = False
@@ -318,6 +378,7 @@ class Publish(Command[Published], frozen=True, tag="publish"):
     ticket: int = 0
     rest: str = ""
     rest_after: Annotated[float, Meta(gt=0, le=LONGEST_REST)] = REST_AFTER
+    reduce: bool = False
 
     @property
     def expires(self) -> bool:
@@ -396,6 +457,9 @@ AnyCommand: TypeAlias = (
     | Pause
     | Acknowledge
     | ArmTopic
+    | AskHolder
+    | TakeArming
+    | AnswerAsker
     | DisarmTopic
     | KeepArmed
     | ReleaseArmed

@@ -1,4 +1,4 @@
-"""Names that require arming, or have a `max_age`. A session's demand belongs to the name, on every route."""
+"""Names that require arming, or have `max_age` or `limits`. A session's demand belongs to the name, on every route."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from rsb_bridge.model.on_end import NONE, more_careful, suits, text_of
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import DEADMAN, Armed, Client, Identity, Kind, Session, Topic
+from rsb_bridge.model.velocity_limits import VelocityLimits, is_as_small, smallest
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ SourceKey: TypeAlias = tuple[str, Identity | str]
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """One line of a session that demands arming or a `max_age`.
+    """One line of a session that demands arming, a `max_age` or `limits`.
 
     Attributes:
         name: a name or a pattern on this side.
@@ -55,6 +56,7 @@ class Source:
         arm: whether it demands arming.
         max_age: in seconds, 0 for no limit, or None if it says nothing.
         on_end: what the robot gets when an arming ends, as of `on_end.text_of`.
+        limits: what a hand may ask, or None for any velocity.
     """
 
     key: SourceKey
@@ -67,6 +69,7 @@ class Source:
     arm: bool = True
     max_age: float | None = None
     on_end: str = ""
+    limits: VelocityLimits | None = None
 
     @property
     def is_pattern(self) -> bool:
@@ -83,12 +86,16 @@ class Demand:
         max_age: the smallest limit in seconds, 0 for no limit, or None if no line says anything.
         sources: the lines that demand arming.
         on_end: what the robot gets when an arming ends, or an empty string if no line says anything.
+        limits: the smallest of all lines, or None for any velocity.
+        limited_by: the lines with a number that is in `limits`.
     """
 
     deadman: float
     max_age: float | None
     sources: tuple[Source, ...]
     on_end: str = ""
+    limits: VelocityLimits | None = None
+    limited_by: tuple[Source, ...] = ()
 
     @property
     def arm(self) -> bool:
@@ -116,7 +123,7 @@ def local_name(topic: Topic, client: str, *, on_server: bool, use_name: bool) ->
 def sources_of_entries(topics: Iterable[Topic], client: str, *, on_server: bool, use_name: bool) -> Iterator[Source]:
     """Yield the entries of one link that demand anything; `local_name` has the same arguments."""
     for topic in topics:
-        if topic.arm or topic.max_age is not None:
+        if topic.arm or topic.max_age is not None or topic.limits is not None:
             name = local_name(topic, client, on_server=on_server, use_name=use_name)
             key = client if on_server else "", topic.identity
             type_name = full_type(topic.type) if topic.is_pattern else ""
@@ -131,6 +138,7 @@ def sources_of_entries(topics: Iterable[Topic], client: str, *, on_server: bool,
                 arm=topic.arm,
                 max_age=default_max_age(topic.max_age, armed=topic.arm),
                 on_end=text_of(topic.on_end),
+                limits=topic.limits,
             )
 
 
@@ -142,7 +150,16 @@ def sources_of_names(armed: Iterable[str | Armed]) -> Iterator[Source]:
         max_age = default_max_age(entry.max_age, armed=True)
         type_name = full_type(entry.type or AUTO)
         on_end = text_of(entry.on_end)
-        yield Source(key, entry.name, entry.deadman_seconds, entry.kind, type_name, max_age=max_age, on_end=on_end)
+        yield Source(
+            key,
+            entry.name,
+            entry.deadman_seconds,
+            entry.kind,
+            type_name,
+            max_age=max_age,
+            on_end=on_end,
+            limits=entry.limits,
+        )
 
 
 def sources_of(session: Session) -> Iterator[Source]:
@@ -202,11 +219,14 @@ class Demands:
         )
         if not found:
             return None
+        limits = smallest(each.limits for each in found) if kind == "topic" else None
         return Demand(
             min((each.deadman for each in found if each.deadman), default=0.0),
             smallest_max_age(each.max_age for each in found),
             tuple(each for each in found if each.arm),
             more_careful(each.on_end for each in found if suits(kind, each.on_end)),
+            limits,
+            tuple(each for each in found if limits is not None and each.limits and each.limits.are_in(limits)),
         )
 
     def _matching(self, kind: Kind | None, name: str) -> Iterator[Source]:
@@ -242,6 +262,7 @@ class Demands:
                 _is_as_short(new.deadman, old.deadman)
                 and _is_as_short(new.max_age or 0.0, old.max_age or 0.0)
                 and (new.on_end == old.on_end or old.on_end in ("", NONE))
+                and is_as_small(new.limits, old.limits)
             )
             for new in found
             if new.arm and new.kind in (None, old.kind) and new.type in ("", old.type)
@@ -283,7 +304,8 @@ def demand_on_entry(demands: Demands, session: Session, client: Client | None, t
 def _kept(source: Source, name: str) -> Source:
     """Return a source for `armed` that demands a name, as carefully as another source."""
     max_age = _unless(source.max_age, ARMED)
-    entry = Armed(name, deadman=_unless(source.deadman, DEADMAN), max_age=max_age, on_end=source.on_end or None)
+    deadman = _unless(source.deadman, DEADMAN)
+    entry = Armed(name, deadman=deadman, max_age=max_age, on_end=source.on_end or None, limits=source.limits)
     if is_pattern(name):
         entry = msgspec.structs.replace(entry, kind=source.kind, type=source.type or None)
     return next(sources_of_names([entry]))
@@ -306,7 +328,8 @@ def kept_whole(source: Source) -> Source:
 def as_armed(source: Source) -> str | Armed:
     """Return the entry of `armed` for one of its sources."""
     deadman, max_age = _unless(source.deadman, DEADMAN), _unless(source.max_age, ARMED)
-    entry = Armed(source.name, source.kind, source.type or None, deadman, max_age, source.on_end or None)
+    on_end, type_name = source.on_end or None, source.type or None
+    entry = Armed(source.name, source.kind, type_name, deadman, max_age, on_end, source.limits)
     return source.name if entry == Armed(source.name) else entry
 
 
@@ -360,7 +383,7 @@ def _related(kind: Kind, name: str, client_name: str) -> Iterator[tuple[Kind, st
 
 
 def describe(source: Source, places: Mapping[SourceKey, str]) -> str:
-    """Return the line that demands arming, for an operator: ``pattern /cmd* in robot.yaml:20``.
+    """Return a line that demands something, for an operator: ``pattern /cmd* in robot.yaml:20``.
 
     Args:
         places: where the lines are, by their keys.
@@ -598,7 +621,7 @@ class RunningDemands:
         self.changed()
 
     def origin(self, source: Source) -> str:
-        """Return the line that demands arming, for an operator."""
+        """Return a line that demands something, for an operator."""
         if (who := self._changed_by.get(source.key)) is not None:
             text = OriginText.ADDED if isinstance(source.key[1], tuple) else OriginText.KEPT
             return describe(source, {source.key: text(who=who)})

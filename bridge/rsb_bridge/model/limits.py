@@ -80,6 +80,10 @@ MAX_AGE_FEATURE = "max_age"
 """The feature by which a side holds messages to `max_age`, and stamps them by a clock that nobody sets."""
 DEADMAN_TIME = Range(2, 86_400)
 """s: the other side hears of pressed keys once a second; the longest is a day."""
+SPEED = Range(0.01, 1000)
+"""m/s: a bound on what a hand may ask, from a robot that creeps to one that flies."""
+TURN_RATE = Range(0.01, 1000)
+"""rad/s: the same for turning."""
 CALL_TIME = Range(0.1, 86_400)
 """s: until a call is given up. Shorter ones are over before a slow link has answered; the longest is a day."""
 

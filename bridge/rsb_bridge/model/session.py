@@ -18,6 +18,7 @@ from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.profiles import Compression, ProfileName
 from rsb_bridge.model.qos import Qos, parse_qos
 from rsb_bridge.model.text import one_line
+from rsb_bridge.model.velocity_limits import VelocityLimits
 
 Priority = Literal["low", "normal", "high"]
 
@@ -54,7 +55,7 @@ Identity = tuple[Kind, str, Direction]
 Protocol = Literal["tcp", "udp", "bluetooth", "zenoh", "zenoh-drop"]
 Role = Literal["client", "server"]
 May = Literal["publish", "read", "look", "call", "serve"]
-OperatorMay = Literal["look", "change"]
+OperatorMay = Literal["look", "change", "take"]
 
 ZENOH_HOST = "zenoh"
 """The `Session.server_ip` of a link over Zenoh."""
@@ -122,6 +123,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         deadman: s without a key on that console after which it disarms, 0 for never, or None for `DEADMAN`.
         on_end: what the robot gets when the arming ends: ``zero``, ``none`` or the fields of a message; None for zero
             of types that drive robots, and nothing of others.
+        limits: what a hand may ask of a robot, or None for any velocity; only of Twist and TwistStamped.
         kind: topic, service, action or parameters.
         timeout: s that a call waits for its answer, or None for `CALL_TIMEOUT`; not for topics.
         priority: on a full link, topics of a higher priority get a larger share; only for topics.
@@ -145,6 +147,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     arm: bool = False
     deadman: float | None = None
     on_end: str | dict[str, Any] | None = None
+    limits: VelocityLimits | None = None
     kind: Kind = "topic"
     timeout: float | None = None
     priority: Priority = "normal"
@@ -255,7 +258,7 @@ class Operator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_def
     Attributes:
         name: in events and logs.
         key_file: their key. No other operator and no link may have the same.
-        may: ``look`` only, or ``change`` what the bridge does.
+        may: ``look`` only, or ``change`` what the bridge does, or also ``take`` an arming without asking its holder.
     """
 
     name: str
@@ -273,6 +276,7 @@ class Armed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         deadman: as in `Topic`.
         max_age: as in `Topic`.
         on_end: as in `Topic`.
+        limits: as in `Topic`.
     """
 
     name: str
@@ -281,6 +285,7 @@ class Armed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     deadman: float | None = None
     max_age: float | None = None
     on_end: str | dict[str, Any] | None = None
+    limits: VelocityLimits | None = None
 
     def __post_init__(self) -> None:
         _write_out(self)

@@ -11,6 +11,7 @@ from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.capacity import Capacity, Fullness
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Kind, Topic
+from rsb_bridge.model.velocity_limits import VelocityLimits
 
 # These types must be known where a snapshot is decoded
 
@@ -185,6 +186,8 @@ class ArmingSnapshot:
             and while the type is unknown, empty.
         velocity: that the robot's side has given the robot last: forward in m/s, and turn in rad/s; both are 0 after
             the end of an arming. None if it is unknown, as of types that are not Twist or TwistStamped.
+        asked_by: the operator who asks the holder for it, or empty.
+        goes_in: s until it goes over to that operator without an answer, or None if nobody asks.
     """
 
     armed: bool
@@ -197,6 +200,8 @@ class ArmingSnapshot:
     reason: str = ""
     on_end: str = ""
     velocity: tuple[float, float] | None = None
+    asked_by: str = ""
+    goes_in: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,6 +259,8 @@ class RouteSnapshot:
             link, on the receiving side those published.
         acknowledged: the acknowledgement of its fault, or None. A link's covers the routes that are down with it.
         max_age: s after which a message or a request is dropped, as the two sides' sessions say, or 0 for no limit.
+        limits: what a hand may ask, as the two sides' sessions say, or None for any velocity.
+        limited_by: the lines that have a number of `limits`: ``robot.yaml:14``.
     """
 
     key: str
@@ -299,6 +306,8 @@ class RouteSnapshot:
     last_error_at: float = 0.0
     acknowledged: Acknowledgement | None = None
     max_age: float = 0.0
+    limits: VelocityLimits | None = None
+    limited_by: tuple[str, ...] = ()
 
     @property
     def max_rate(self) -> float | None:

@@ -32,6 +32,7 @@ class ForeignKey(Wording):
     STALE_AFTER_OF_CALLED = (
         "calls do not become stale: leave it out; timeout limits how long a call waits for its answer"
     )
+    LIMITS_OF_CALLED = "only topics have it: leave it out"
     LATE_AFTER_OF_CALLED = "only topics have it: leave it out; timeout limits how long a call waits for its answer"
     DIRECTION_OF_CALLED = "write provider: client or provider: server, the side whose node answers"
     LIST_UNDER = "list this entry under {list}, or write {key}: /..."
@@ -161,6 +162,9 @@ TOPIC_KEYS: Final = {key.name: key for key in (
              label="On end", help="What the robot gets once disarmed: zero, none, or a message: {linear: {x: 0}}.",
              help_of_calls="cancel: once disarmed, an action's goals of the callers over the link are cancelled.",
              blank="zero, if the type drives robots; of an action none"),
+    TopicKey("limits", kinds="topics", wrong_kind=ForeignKey.LIMITS_OF_CALLED,
+             label="Limits", help="What a hand may ask at most, in m/s and rad/s: {linear: 0.5, angular: 1}.",
+             blank="any velocity"),
     TopicKey("excepts", "list", label="Except", blank="nothing",
              help="For a pattern (/camera/**): names and patterns on the client that it leaves out, "
                   "separated by blanks."),

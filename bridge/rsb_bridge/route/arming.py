@@ -8,6 +8,7 @@ message of an earlier arming can be published, wherever it waits (PROTOCOL.md, 7
 from __future__ import annotations
 
 import asyncio
+from dataclasses import dataclass
 from enum import Enum, StrEnum, auto
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ import msgspec
 
 from rsb_bridge.model.demands import NO_DEMAND, Demand
 from rsb_bridge.model.snapshot import ArmingSnapshot
+from rsb_bridge.model.velocity_limits import smallest
 from rsb_bridge.route.lease import SLOW
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import split_number, with_number
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
     from rsb_bridge.model.qos import Qos
+    from rsb_bridge.model.velocity_limits import VelocityLimits
     from rsb_bridge.route.lease import Lease
     from rsb_bridge.wire.framing import Message
 
@@ -83,6 +86,27 @@ DISARM_TEXT = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class Question:
+    """The question to a holder whether another operator may hold the arming instead.
+
+    Attributes:
+        who: asks, in words.
+        until: s, when it goes over without an answer.
+        answered: takes the answer, or None once the arming has ended otherwise.
+        from_peer: whether an operator of the other side asks.
+    """
+
+    who: str
+    until: float
+    answered: Callable[[bool | None], None]
+    from_peer: bool = False
+
+
+_QUESTION_LASTS = 2.0
+"""s beyond its end after which a question counts for nothing: the other side has given up, or stands still."""
+
+
 class _Phase(Enum):
     FREE = auto()
     """It may be armed."""
@@ -104,10 +128,13 @@ class Arming:
         deadman: s without a key after which it disarms, or 0 for no limit.
         own: the demand of this side's session.
         peer_on_end: what the other side's session wants when it ends.
+        peer_limits: what a hand may ask by the other side's session, or None for any velocity.
+        limited_by: the lines that have a number of `limits`, in words.
         demanded_by: the lines that demand arming, in words.
         by: the operator who armed it, or empty if it is not armed.
         console: that operator's console on this side, or None if it was armed on the other side or is not armed.
         shared: whether that operator's other consoles may publish by hand, too.
+        question: of another operator to the holder, or None.
         why: the cause why it is not armed.
         reason: the same as a text.
         lease: lease of the link, or None before the first opening: nothing passes without it.
@@ -115,7 +142,8 @@ class Arming:
 
     __slots__ = (
         "_answered", "_deadline", "_first", "_key_pressed", "_phase", "_seen_at", "by", "console", "deadman",
-        "demanded_by", "lease", "own", "peer_on_end", "reason", "required", "shared", "why",
+        "demanded_by", "lease", "limited_by", "own", "peer_limits", "peer_on_end", "question", "reason", "required",
+        "shared", "why",
     )  # fmt: skip
 
     def __init__(self, *, required: bool = False, deadman: float = 0.0) -> None:
@@ -123,16 +151,22 @@ class Arming:
         self.deadman = deadman
         self.own: Demand = NO_DEMAND
         self.peer_on_end = ""
+        self.peer_limits: VelocityLimits | None = None
+        self.limited_by: tuple[str, ...] = ()
         self.demanded_by: tuple[str, ...] = ()
         self.why = Disarmed.NOT_YET
         self.reason = DISARM_TEXT[self.why]
         self.lease: Lease | None = None
         self._first = 0  # the lease's number when somebody armed it
         self._answered: Callable[[], None] | None = None
+        self.question: Question | None = None
         self._clear(_Phase.FREE)
 
     def _clear(self, phase: _Phase) -> None:
         self._answer()
+        question, self.question = self.question, None
+        if question is not None:
+            question.answered(None)
         self._phase = phase
         self.by = ""
         self.console: Hashable | None = None
@@ -156,6 +190,11 @@ class Arming:
         self.required = False
         self.demand(required=required, deadman=deadman)
         self._clear(_Phase.FREE)
+
+    @property
+    def limits(self) -> VelocityLimits | None:
+        """What a hand may ask by both sides' sessions, armed or not, or None for any velocity."""
+        return smallest((self.own.limits, self.peer_limits))
 
     # --- state
 
@@ -219,6 +258,11 @@ class Arming:
             number, payload = split_number(payload)
         return number, (payload, stamp, flags & ~LEASED)
 
+    def question_at(self, now: float) -> Question | None:
+        """Return the question that the holder has not answered yet at `now` (s), or None."""
+        is_open = self.question is not None and now < self.question.until + _QUESTION_LASTS
+        return self.question if is_open else None
+
     def snapshot(
         self, now: float, on_end: str = "", velocity: tuple[float, float] | None = None
     ) -> ArmingSnapshot | None:
@@ -235,8 +279,18 @@ class Arming:
         left = max(0.0, self._deadline - grace - now) if armed and self.deadman else None
         here = self.console is not None
         if armed:
+            question = self.question_at(now)
             return ArmingSnapshot(
-                armed, self.by, here, left, self.deadman, self.demanded_by, on_end=on_end, velocity=velocity
+                armed,
+                self.by,
+                here,
+                left,
+                self.deadman,
+                self.demanded_by,
+                on_end=on_end,
+                velocity=velocity,
+                asked_by="" if question is None else question.who,
+                goes_in=None if question is None else max(0.0, question.until - now),
             )
         overdue = self.overdue(now)
         why, reason = (self.why, self.reason) if overdue is None else (overdue, DISARM_TEXT[overdue])

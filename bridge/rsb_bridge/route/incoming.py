@@ -56,7 +56,7 @@ from rsb_bridge.wire.records import ReceivedReport, SentReport
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping
 
-    from rsb_bridge.cdr.resting import Velocity
+    from rsb_bridge.cdr.velocity import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic

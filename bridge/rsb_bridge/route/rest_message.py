@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.cdr.resting import DRIVING_TYPES, resting, stamped, velocity_of
+from rsb_bridge.cdr.resting import DRIVING_TYPES, resting, stamped
+from rsb_bridge.cdr.velocity import velocity_of
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.on_end import ZERO
@@ -22,7 +23,7 @@ from rsb_bridge.ros.ros_interface import Endpoint, RosError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.cdr.resting import Velocity
+    from rsb_bridge.cdr.velocity import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.route.source_publishers import PublicationSpec

@@ -36,7 +36,7 @@ from rsb_bridge.wire.messages import Close, Propose
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from rsb_bridge.cdr.resting import Velocity
+    from rsb_bridge.cdr.velocity import Velocity
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.capacity import Fullness
@@ -571,6 +571,8 @@ class Route:
             pattern=self.pattern,
             messages_total=self.meter.count,
             max_age=self.age.max_age,
+            limits=self.arming.limits,
+            limited_by=self.arming.limited_by,
         )
 
     def _expected_rate(self) -> float | None:

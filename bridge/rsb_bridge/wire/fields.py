@@ -73,6 +73,7 @@ class OutOfRange(Wording):
     """Limits of a route that are neither 0 nor in their range."""
 
     RATE = "a rate is 0 or {range} Hz"
+    SPEED = "a {name} limit is {range} {unit}"
     SECONDS = "{name} is 0 or {range} s"
 
 
@@ -85,7 +86,7 @@ _CHECKED = tuple(
 
 
 def check_limits(message: Struct) -> None:
-    """Check the limits of a route in a message, which are 0 or in a range.
+    """Check the limits of a route in a message, which are 0 or in a range, and those on velocities.
 
     Raises:
         ValueError: one is out of its range.
@@ -94,3 +95,6 @@ def check_limits(message: Struct) -> None:
         value = getattr(message, name, None)
         if value and value not in limits:
             raise ValueError(mistake(name=name, range=limits))
+    speeds = getattr(message, "limits", None)
+    for name, _, allowed, unit in () if speeds is None else speeds.out_of_range:
+        raise ValueError(OutOfRange.SPEED(name=name, range=allowed, unit=unit))

@@ -13,6 +13,7 @@ from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
 from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.sources import MOST_SOURCES
+from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.wire.fields import (
     Bridges,
     Compression,
@@ -127,6 +128,7 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
         deadman: s without a key after which it disarms, or 0 for none.
         on_end: the message that the receiving side publishes once an arming ends, by the proposer's session: ``zero``,
             ``none``, the JSON of its fields, or empty if the session says nothing.
+        limits: what a hand may ask, by the proposer's session, or None for any velocity.
         who: the operator who has just added or edited the topic, or empty if unknown.
         edited: whether it replaces the route that was removed right before.
         kind: a key of `rsb_bridge.model.calls.LANES`; another kind is a newer peer's, and refused. For calls, the
@@ -160,6 +162,7 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
     late_after: LateAfter | None = None
     max_age: MaxAge | None = None
     on_end: Name = ""
+    limits: VelocityLimits | None = None
 
     def __post_init__(self) -> None:
         check_qos(self.qos, depth_known=True)
@@ -175,6 +178,7 @@ class Accept(ControlMessageBase, frozen=True):
         deadman: as in `Propose`.
         max_age: as in `Propose`, by the acceptor's session.
         on_end: as in `Propose`, by the acceptor's session.
+        limits: as in `Propose`, by the acceptor's session.
     """
 
     route: RouteId
@@ -183,6 +187,7 @@ class Accept(ControlMessageBase, frozen=True):
     deadman: Seconds = 0.0
     max_age: MaxAge | None = None
     on_end: Name = ""
+    limits: VelocityLimits | None = None
 
     def __post_init__(self) -> None:
         check_limits(self)
@@ -483,6 +488,35 @@ class Disarm(ControlMessageBase, frozen=True):
 ArmingMessage: TypeAlias = Arm | Armed | Disarm
 
 
+class AskForArming(ControlMessageBase, frozen=True):
+    """Either side: an operator asks the holder, an operator of the other side, for the arming of a route.
+
+    Only to a side with the feature `take_over`.
+
+    Attributes:
+        who: the operator who asks, in words.
+        withdrawn: whether that operator asks no longer.
+    """
+
+    route: RouteId
+    who: Name = ""
+    withdrawn: bool = False
+
+
+class HolderSays(ControlMessageBase, frozen=True):
+    """The holder's answer to `AskForArming`. A side whose operator gets it disarms the route, then arms it.
+
+    Attributes:
+        gives: whether the holder gives it.
+    """
+
+    route: RouteId
+    gives: bool
+
+
+HolderMessage: TypeAlias = AskForArming | HolderSays
+
+
 Size: TypeAlias = Annotated[int, Meta(ge=0, le=MOST_SIZE)]
 Difference: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
 
@@ -685,6 +719,8 @@ ControlMessage: TypeAlias = (
     | Arm
     | Armed
     | Disarm
+    | AskForArming
+    | HolderSays
     | Settled
     | Lease
     | Ping

@@ -62,6 +62,8 @@ class CheckText(Wording):
     NO_OTHER_GUARD = (
         "hint: nothing stops what {names} drives if this bridge is killed or frozen: give the robot's base a timeout"
     )
+    LIMITED = ", at most {limits} by hand ({lines})"
+    LIMITED_PATTERN = "at most {limits} by hand"
     ENDS_WITH = "; when that ends, the robot gets {message} ({line})"
     ENDS_BY_TYPE = "; when that ends, the robot gets zero if the type drives robots"
     ENDS_WITH_ZERO = "; when that ends, the robot gets zero"
@@ -122,6 +124,9 @@ def _demands_on(
         return ""
     demand = demand_on_entry(demands, session, client, topic)
     limit = f", dropped if older than {demand.max_age:g} s" if demand.max_age and not topic.max_age else ""
+    if demand.limits is not None:
+        lines = ", ".join(describe(source, places) for source in demand.limited_by)
+        limit += CheckText.LIMITED(limits=demand.limits, lines=lines)
     if not demand.arm:
         return limit
     keys = f"within {demand.deadman:g} s" if demand.deadman else "never"
@@ -258,6 +263,8 @@ def _details(topic: Topic, compression: Compression) -> Iterator[str]:
     if topic.arm and topic.is_pattern:
         keys = f"within {topic.deadman_seconds:g} s" if topic.deadman_seconds else "never"
         yield f"has to be armed (keys needed: {keys})"
+    if topic.limits is not None and topic.is_pattern:
+        yield CheckText.LIMITED_PATTERN(limits=topic.limits)
 
 
 def check_session(arguments: Namespace) -> int:

@@ -57,6 +57,7 @@ def _values(route: RouteSnapshot) -> dict[str, object]:
         "port": route.port,
         "priority": route.spec.priority,
         "max_age": route.max_age or None,
+        "limits": _limits_values(route),
         "qos": _qos_values(route.qos),
         "publisher_qos": _qos_values(route.publisher_qos),
         "subscriber_qos": _qos_values(route.subscriber_qos),
@@ -71,6 +72,12 @@ def _values(route: RouteSnapshot) -> dict[str, object]:
         "last_error_at": round(route.last_error_at, 3) if route.last_error else None,
         "stages": [{"name": stage.name, "done": stage.done, "detail": stage.detail} for stage in route.stages],
     }
+
+
+def _limits_values(route: RouteSnapshot) -> object:
+    if route.limits is None:
+        return None
+    return {"linear": route.limits.linear, "angular": route.limits.angular, "limited_by": route.limited_by}
 
 
 def _qos_values(qos: Qos | None) -> object:
@@ -91,6 +98,8 @@ def _lines(route: RouteSnapshot, link: LinkSnapshot | None, other: str, figures:
     if route.arming is not None and route.arming.armed:
         left = "" if route.arming.left is None else f", {route.arming.left:.0f} s left without a key"
         yield f"ARMED by: {route.arming.by}{left}"
+    if route.limits is not None:
+        yield f"By hand: at most {route.limits} ({', '.join(route.limited_by)})"
     towards = "sent to" if route.outgoing else "received from"
     if not is_topic:
         towards = "calls go to" if route.outgoing else "calls come from"

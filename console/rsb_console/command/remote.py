@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import time
@@ -9,11 +10,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rsb_bridge.api import EngineError
 from rsb_bridge.config.difference import changes, described
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.remote_engine import RemoteEngine
+from rsb_bridge.model.by_hand import ASKED_FOR
 from rsb_bridge.model.link_budget import as_report, cost_of, describe_cost
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.echo import echo
 from rsb_console.command.figures import BW, HZ, print_figures
@@ -104,6 +108,7 @@ class RemoteProblem(Wording):
         "example: rsb-console add {topic} --kind {kind} --provider client"
     )
     DISARMED = "{topic} is no longer armed: {reason}"
+    ASKED_FOR = "{who} asks for {topic}: Enter keeps it; without an answer it goes over in {seconds:g} s"
     NO_MORE_MESSAGES = "no more messages of {topic} within {seconds:g} s{reason}"
     NOTHING_TO_REPORT = "no bridge runs here, and there is no history file that you may read"
     NOTHING_OF_BRIDGE_TO_REPORT = "no bridge named {name!r} runs here, and you may read no history file of that name"
@@ -479,7 +484,8 @@ def _arm(arguments: Namespace) -> int:
     # The console detaches first, which disarms: the terminal's last answer may take its time.
     with TypedKeys(_standard_input(), os.environ) as keys, attached(arguments, expires=True) as engine:
         route = chosen_route(engine, arguments)
-        result(engine.arm(route.key, shared=True))  # for `rsb-console pub` in another shell
+        arm = engine.take_arming if arguments.take else engine.ask_holder if arguments.ask else engine.arm
+        result(arm(route.key, shared=True))  # for `rsb-console pub` in another shell
         _say_armed(arguments, route)
         why, cause = _hold(engine, route.key, keys)
     return failed(arguments, RemoteProblem.DISARMED(topic=route.topic, reason=why), FAILURE, cause=cause)
@@ -497,8 +503,13 @@ def _say_armed(arguments: Namespace, route: RouteSnapshot) -> None:
 
 def _hold(engine: RemoteEngine, key: str, keys: TypedKeys) -> tuple[str, str]:
     """Keep a topic armed; once it is disarmed, return the reason in words and as a cause."""
+    asked_by = ""
     while True:
-        result(engine.keep_armed(pressed=keys.wait(ASKED_EVERY)))
+        pressed = keys.wait(ASKED_EVERY)
+        result(engine.keep_armed(pressed=pressed))
+        if pressed and asked_by:  # whoever presses Enter drives
+            with contextlib.suppress(EngineError):  # it is over
+                result(engine.answer_asker(key, gives=False))
         if engine.unreachable:
             return engine.unreachable, ""
         route = next((each for each in engine.snapshot().routes if each.key == key), None)
@@ -508,6 +519,10 @@ def _hold(engine: RemoteEngine, key: str, keys: TypedKeys) -> tuple[str, str]:
             return "arming is not required any more", ""
         if not route.arming.armed:
             return route.arming.reason or route.reason, route.arming.why
+        if route.arming.asked_by != asked_by:
+            asked_by = route.arming.asked_by
+            if asked_by:
+                print_error(RemoteProblem.ASKED_FOR(who=escape_text(asked_by), topic=route.topic, seconds=ASKED_FOR))
 
 
 def _disarm(arguments: Namespace) -> int:

@@ -210,6 +210,9 @@ def add_remote_commands(
         route_arguments(remote(name, summary, about_topic=True), complete)
     _ack_arguments(remote("ack", "acknowledge a fault, until it changes", _EXIT_ACK, about_topic=True), complete)
     arm = remote("arm", "arm a topic, a service or an action while this command runs", _EXIT_ARM, about_topic=True)
+    held = arm.add_mutually_exclusive_group()
+    held.add_argument("--ask", action="store_true", help="ask whoever holds it; without an answer it goes over in 10 s")
+    held.add_argument("--take", action="store_true", help="take it at once from whoever holds it")
     route_arguments(arm, complete)
     route_arguments(
         remote("disarm", "disarm all routes of a name, also if others armed them", about_topic=True), complete

@@ -26,11 +26,13 @@ from rsb_console.terminal.input_gate import InputGate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from concurrent.futures import Future
 
     from textual.events import Event
     from textual.screen import Screen
 
     from rsb_bridge.api import EngineApi
+    from rsb_bridge.model.by_hand import Held
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.console_api import Console
     from rsb_console.screens.topic_form import Draft
@@ -342,9 +344,13 @@ class Deadman:
     """Tells the engine, at each refresh, that the console is there, and of keys since the last one.
 
     Only keys on a screen on which a topic was armed count: who reads the help does not watch the robot.
+
+    Attributes:
+        held: keys of the routes that this console holds, as the engine answers.
     """
 
     def __init__(self) -> None:
+        self.held: frozenset[str] = frozenset()
         self._pressed = False
         self._screens: WeakSet[Screen[Any]] = WeakSet()
 
@@ -360,4 +366,11 @@ class Deadman:
         """Keep armed what is; the engine knows what this console has armed."""
         pressed, self._pressed = self._pressed, False
         if engine is not None and any(route.arming and route.arming.here for route in snapshot.routes):
-            engine.keep_armed(pressed=pressed)
+            engine.keep_armed(pressed=pressed).add_done_callback(self._note)
+        else:
+            self.held = frozenset()
+
+    def _note(self, kept: Future[Held]) -> None:
+        """Note what this console holds. Called on any thread."""
+        if not kept.cancelled() and kept.exception() is None:
+            self.held = frozenset(kept.result().keys)

@@ -12,6 +12,7 @@ import asyncio
 import contextlib
 import time
 from collections import deque
+from itertools import chain
 from typing import TYPE_CHECKING, ClassVar
 
 from textual import work
@@ -23,20 +24,25 @@ from textual.widgets import Static
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.text import escape_text, join_first
+from rsb_bridge.model.velocity_limits import smallest
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ArmScreen, GuardedConfirmScreen
+from rsb_console.screens.take_over import AskHolderScreen
 from rsb_console.session.by_hand import TWIST, TWIST_STAMPED, ByHandText, velocity
 from rsb_console.session.landing import Landing
-from rsb_console.terminal.input_gate import GuardedScreen, InputGate
+from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate
 from rsb_console.terminal.input_queue import DIALOG
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
+    from concurrent.futures import Future
 
     from textual.app import ComposeResult
     from textual.events import Key
 
+    from rsb_bridge.api import EngineApi
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+    from rsb_bridge.model.velocity_limits import VelocityLimits
     from rsb_console.console_api import Console
 
 _KEY_LASTS = 0.6
@@ -82,10 +88,13 @@ class DriveText(Wording):
     MOVES = "forward {forward:+.2f} m/s  turn {turn:+.2f} rad/s"
     STANDS = "stands"
     SPEED = "keys: {speed:.2f} m/s, {turn:.2f} rad/s"
+    LIMITED = "at most {limits}: {lines}"
     LATE = "keys came late, all at once: they are ignored"
     DISARMED = "disarmed: press A to arm it{reason}"
     ARMED = "armed{left}"
-    ARMED_BY = "armed by {who}, whose messages pass alone; A disarms it"
+    ARMED_BY = "armed by {who}, whose messages pass alone; A asks for it, or disarms it"
+    ASKED = "asked {who} for it: without an answer it goes over in {seconds:.0f} s"
+    ASKS = "{who} asks for it: y gives it, n keeps it; without an answer it goes over in {seconds:.0f} s"
     LEFT = ", for {seconds:.0f} s without a key"
     NOT_WHILE_DISARMED = "keys do nothing while it is disarmed"
     MOVED = "moves {robots}{round_trip}"
@@ -142,6 +151,14 @@ def in_hand(route: RouteSnapshot, snapshot: Snapshot) -> str:
             motion = DriveText.MOVING(forward=forward, turning=turning) if any(velocity) else DriveText.RESTS()
             found.append(DriveText.IN_HAND(link=each.link, motion=motion))
     return join_first(found, _NAMED)
+
+
+def limits_on(route: RouteSnapshot, snapshot: Snapshot) -> tuple[VelocityLimits | None, list[str]]:
+    """Return what a hand may ask of all robots on a route's topic, and the lines that say so."""
+    routes = [each for each in snapshot.routes if each.topic == route.topic and each.calls is None]
+    limits = smallest(each.limits for each in routes)
+    found = (each.limited_by for each in routes if limits and each.limits and each.limits.are_in(limits))
+    return limits, list(dict.fromkeys(chain.from_iterable(found)))
 
 
 async def drive(console: Console, route: RouteSnapshot) -> None:
@@ -246,6 +263,8 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         Binding("plus,equals_sign", f"speed({_FASTER})", show=False),
         Binding("minus", f"speed({1 / _FASTER})", show=False),
         Binding("A", "arm", show=False),
+        Binding("y", "answer(True)", show=False),
+        Binding("n", "answer(False)", show=False),
     ]
     SAFE_KEYS = frozenset({*_STOPS, "escape", "q", "A", "ctrl+c"})  # A disarms, or opens a question that is guarded
 
@@ -255,6 +274,8 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         self._route = route
         self._type_name = type_name
         self._has_armed = False
+        self._asking: Future[None] | None = None
+        self._asked_since: float | None = None
         self._links: tuple[str, ...] = ()
         self._landing: Landing | None = None
         self._landed_at = 0.0
@@ -285,7 +306,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         sent_until = 0.0
         while True:
             began = time.monotonic()
-            forward, turn = self._steering.at(began)
+            forward, turn = self._asked(began)
             if forward or turn:
                 sent_until = began + _RESTS_AFTER
             if began < sent_until:
@@ -314,6 +335,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
                 ticket=self._ticket,
                 rest=velocity(type_name, 0.0, 0.0),
                 rest_after=_RESTS_AFTER,
+                reduce=True,
             )
         )
         self._ticket, self._links = published.ticket, published.links
@@ -345,7 +367,9 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         route, engine = self._current(), self.console.engine
         if engine is None or route is None or route.arming is None:
             return
-        if route.arming.armed:
+        if route.arming.armed and not self._is_holder:
+            await self._take_over(engine, route)
+        elif route.arming.armed:
             await self.console.command(engine.disarm(route.key))
         elif await self.console.ask(ArmScreen(route)):
             self._has_armed = True
@@ -354,13 +378,52 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
                 return
             await self.console.command(engine.arm(route.key))
 
+    async def _take_over(self, engine: EngineApi, route: RouteSnapshot) -> None:
+        question = AskHolderScreen(route)
+        if not await self.console.ask(question) or not self.is_running:
+            return
+        if question.choice == "disarm":
+            await self.console.command(engine.disarm(route.key))
+            return
+        gets = engine.take_arming if question.choice == "take" else engine.ask_holder
+        if self._asking is None:
+            self._get(gets(route.key))
+
+    @work
+    async def _get(self, asking: Future[None]) -> None:
+        """Wait for the holder's answer, apart from the keys, which do not wait for it."""
+        self._has_armed, self._asking = True, asking
+        self.console.deadman.armed_on(self)
+        await self.console.command(asking)
+        self._asking = None
+
+    def action_answer(self, gives: bool) -> None:
+        """Answer an operator who asks for what this console holds, once the question was to be read."""
+        engine, since = self.console.engine, self._asked_since
+        if engine is not None and since is not None and time.monotonic() - since > SEEN_AFTER:
+            self._answer(engine.answer_asker(self._route.key, gives=gives))
+
+    @work
+    async def _answer(self, answering: Future[None]) -> None:
+        await self.console.command(answering)
+
+    def drives(self, key: str) -> bool:
+        """Whether it drives a route, whose holder it asks by itself."""
+        return key == self._route.key
+
+    @property
+    def _is_holder(self) -> bool:
+        return self._route.key in self.console.deadman.held
+
     def on_unmount(self) -> None:
-        """Disarm what this screen has armed: nobody watches it any more."""
+        """Disarm what this screen has armed, and ask no longer: nobody watches it any more."""
+        if self._asking is not None:
+            self._asking.cancel()
         route, engine = self._current(), self.console.engine
         if not self._has_armed or engine is None or route is None or route.arming is None:
             return
         if route.arming.here and route.arming.armed:
-            engine.disarm(route.key)
+            engine.disarm(route.key, own=True)
 
     # -- the picture --------------------------------------------------------------------------------------------------
 
@@ -369,7 +432,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
 
     def _draw(self) -> None:
         now = time.monotonic()
-        forward, turn = self._steering.at(now)
+        forward, turn = self._asked(now)
         route = self._current()
         if route is None or route.arming is None or not route.arming.armed:
             moves = DriveText.NOT_WHILE_DISARMED()
@@ -379,7 +442,18 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         problem = DriveText.LATE() if self._steering.came_late(now) else self._problem
         lines = (f"{moves}   ({speed})", self._moved(), in_hand(self._route, self.console.snapshot()), problem)
         first, *others = map(escape_text, lines)
-        self._pane.update(Content("\n".join((first, self._state(), *others))))
+        self._pane.update(Content("\n".join((first, self._state(), *self._limited(), *others))))
+
+    def _asked(self, now: float) -> tuple[float, float]:
+        """Return the velocity that the keys ask at `now` (s), within the limits, to which the bridge reduces it too."""
+        velocity = self._steering.at(now)
+        limits, _ = limits_on(self._route, self.console.snapshot())
+        return velocity if limits is None else limits.reduced(*velocity)
+
+    def _limited(self) -> Iterator[str]:
+        limits, lines = limits_on(self._route, self.console.snapshot())
+        if limits is not None:
+            yield escape_text(DriveText.LIMITED(limits=limits, lines=join_first(lines, _NAMED)))
 
     def _moved(self) -> str:
         snapshot = self.console.snapshot()
@@ -404,7 +478,14 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         if not route.arming.armed:
             reason = f" ({escape_text(route.arming.reason)})" if route.arming.reason else ""
             return DriveText.DISARMED(reason=reason)
-        left = route.arming.left
-        if not route.arming.here:
+        left, seconds = route.arming.left, route.arming.goes_in
+        if seconds is None or not self._is_holder:
+            self._asked_since = None
+        if seconds is not None and self._is_holder:
+            self._asked_since = self._asked_since or time.monotonic()
+            return DriveText.ASKS(who=escape_text(route.arming.asked_by), seconds=seconds)
+        if seconds is not None and self._asking is not None:
+            return DriveText.ASKED(who=escape_text(route.arming.by), seconds=seconds)
+        if not self._is_holder:
             return DriveText.ARMED_BY(who=escape_text(route.arming.by))
         return DriveText.ARMED(left="" if left is None else DriveText.LEFT(seconds=left))

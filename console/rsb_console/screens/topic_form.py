@@ -42,7 +42,7 @@ KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
 ORDER = (
     "topic", "kind", "direction", "provider", "excepts", "type", "qos", "remote_topic", "timeout", "protocol", "port",
     "max_rate", "priority", "expected_rate", "stale_after", "late_after", "max_age", "compression", "arm", "deadman",
-    "on_end", "paused",
+    "on_end", "limits", "paused",
 )  # fmt: skip
 """The keys of all fields, in the order in which an operator thinks of them."""
 FIRST = ("link", "topic", "kind", "direction", "provider", "type", "qos", "protocol", "priority")

@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from rsb_bridge.config.decoding import read
 from rsb_bridge.config.file_form import DIRECTIONS, KEYS, field_of, hints_of, key_of, locations
 from rsb_bridge.config.session_file import SessionError, validate, validate_topic
 from rsb_bridge.config.topic_rules import overlaps
 from rsb_bridge.config.yaml_text import read_yaml
 from rsb_bridge.model.names import client_topic
-from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.session import Problem, Session, Topic
 from rsb_bridge.model.topic_keys import keys_of_value
+from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -57,6 +59,8 @@ def plain(key: str, text: str) -> Any:
     """Convert a field's text as a session file would; text in place of a number stays, for the rules to refuse."""
     if key == "qos":
         return _plain_qos(text)
+    if key == "limits":
+        return _plain_limits(text)
     if key == "excepts":
         return tuple(text.replace(",", " ").split())
     if key not in _NUMBERS:
@@ -72,9 +76,20 @@ def plain(key: str, text: str) -> Any:
 def _plain_qos(text: str) -> Any:
     if text.isdecimal():
         return int(text)
+    return _mapping(text)
+
+
+def _plain_limits(text: str) -> Any:
+    data, problems = _mapping(text), list[Problem]()
+    limits = read(data, VelocityLimits, problems) if isinstance(data, dict) else data
+    return data if problems else limits
+
+
+def _mapping(text: str) -> Any:
+    """Return the mapping that a text is, or the text."""
     if text.startswith("{"):
         try:
-            return read_yaml(text, Path("qos")).data
+            return read_yaml(text, Path("field")).data
         except SessionError:
             return text
     return text

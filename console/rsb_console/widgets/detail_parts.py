@@ -63,6 +63,8 @@ def heading(route: RouteSnapshot, last: str, width: int) -> Iterator[Line]:
         yield from wrapped(f"has to be armed: {', '.join(arming.demanded_by)}", width, "dim")
     if arming is not None and arming.on_end:
         yield from wrapped(f"when that ends, {_ends(arming.on_end, route)}", width, "dim")
+    if route.limits is not None:
+        yield from wrapped(f"at most {route.limits} by hand: {', '.join(route.limited_by)}", width, "dim")
     if route.acknowledged is not None:
         yield from wrapped(acknowledged_by(route.acknowledged), width, "dim")
     failed = next((stage.detail for stage in route.stages if not stage.done), "")

@@ -1,0 +1,127 @@
+"""The two sides of taking over an arming: how to get it from its holder, and whether the holder gives it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from textual.binding import Binding
+from textual.widgets import Button, Static
+
+from rsb_bridge.model.by_hand import ASKED_FOR
+from rsb_bridge.model.wording import Wording
+from rsb_console.screens.dialog import GuardedConfirmScreen
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from textual.app import ComposeResult
+
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+    from rsb_console.console_api import Console
+
+_LOOK_EVERY = 0.2
+
+
+class HandOverText(Wording):
+    """Texts about an arming that goes over."""
+
+    HELD = "{topic} is armed by somebody else"
+    MEANS = (
+        "{holder} holds it, and drives alone.\n"
+        "y asks for it: without an answer it goes over after {seconds:.0f} s, and the robot stands in between.\n"
+        "t takes it at once, with the right to. A disarms it at once."
+    )
+    ASK, TAKE, DISARM = "Ask", "Take", "Disarm"
+    KEYS = "y ask   t take   A disarm   n no"
+    GIVE = "Give {topic} of {link} to somebody else?"
+    ASKS = (
+        "{who} asks for it, to drive instead.\n"
+        "Without an answer it goes over in {seconds:.0f} s; the robot stands in between."
+    )
+    YES = "Give"
+
+
+class AskHolderScreen(GuardedConfirmScreen):
+    """Asks how to get what another console holds.
+
+    Attributes:
+        choice: ``ask`` its holder, ``take`` it at once, or ``disarm`` it.
+    """
+
+    BINDINGS: ClassVar = [
+        Binding("t", "choose('take')", show=False),
+        Binding("A", "choose('disarm')", show=False),
+    ]
+    SAFE_KEYS = GuardedConfirmScreen.SAFE_KEYS | {"A"}
+    KEYS = HandOverText.KEYS()
+
+    def __init__(self, route: RouteSnapshot) -> None:
+        holder = "" if route.arming is None else route.arming.by
+        title = HandOverText.HELD(topic=route.topic)
+        super().__init__(title, HandOverText.MEANS(holder=holder, seconds=ASKED_FOR), HandOverText.ASK())
+        self.choice = "ask"
+
+    def compose_buttons(self) -> ComposeResult:
+        yield Button(self._yes, id="yes", variant=self.VARIANT, compact=True)
+        yield Button(HandOverText.TAKE(), id="take", variant=self.VARIANT, compact=True)
+        yield Button(HandOverText.DISARM(), id="disarm", compact=True)
+        yield Button("No", id="no", compact=True)
+
+    def on_button_pressed(self, event: Button.Pressed) -> None:
+        if event.button.id in ("take", "disarm"):
+            self.action_choose(event.button.id)
+        else:
+            super().on_button_pressed(event)
+
+    def action_choose(self, choice: str) -> None:
+        self.choice = choice
+        self.dismiss(True)
+
+
+class HandOverScreen(GuardedConfirmScreen):
+    """Asks the holder whether another operator gets it; it closes once the question is over."""
+
+    def __init__(self, console: Console, route: RouteSnapshot) -> None:
+        super().__init__(HandOverText.GIVE(topic=route.topic, link=route.link), "", HandOverText.YES())
+        self.console, self._key = console, route.key
+        self._text = Static(_asks(route), markup=False)
+
+    def compose_message(self) -> ComposeResult:
+        yield self._text
+
+    def on_mount(self) -> None:
+        super().on_mount()
+        self.set_interval(_LOOK_EVERY, self._count)
+
+    def _count(self) -> None:
+        route = asked_about(self.console.snapshot(), self._key)
+        if route is None:
+            if self.is_current:
+                self.dismiss(None)
+        else:
+            self._text.update(_asks(route))
+
+
+def _asks(route: RouteSnapshot) -> str:
+    assert route.arming is not None
+    return HandOverText.ASKS(who=route.arming.asked_by, seconds=route.arming.goes_in or 0.0)
+
+
+def asked_about(snapshot: Snapshot, key: str) -> RouteSnapshot | None:
+    """Return a route for whose arming somebody asks its holder, or None."""
+    found = (route for route in snapshot.routes if route.key == key)
+    return next((route for route in found if route.arming is not None and route.arming.asked_by), None)
+
+
+class NewQuestions:
+    """Finds the questions that a holder has not seen yet."""
+
+    def __init__(self) -> None:
+        self._asked: set[str] = set()
+
+    def look(self, snapshot: Snapshot, held: Iterable[str]) -> list[RouteSnapshot]:
+        """Return the routes of `held` for whose arming somebody has begun to ask."""
+        routes = {key: route for key in held if (route := asked_about(snapshot, key)) is not None}
+        new = [route for key, route in routes.items() if key not in self._asked]
+        self._asked = set(routes)
+        return new

@@ -1,0 +1,145 @@
+"""A session's `limits`: read, checked, shown with its line, written, and kept."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import msgspec
+import pytest
+
+from rsb_bridge.config.session_file import SessionError, demand_places, load_file, parse, save
+from rsb_bridge.model.demands import Demands, as_armed, sources_of
+from rsb_bridge.model.session import Armed, Session, Topic
+from rsb_bridge.model.velocity_limits import VelocityLimits
+from rsb_console.command.check import CheckText, summary
+from rsb_console.session.draft import problems_of, topic_of, values_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FILE = """\
+name: r
+role: client
+server_ip: 10.0.0.1
+server_port: 5
+use_encryption: false
+armed: [{name: /turn, limits: {angular: 0.3}}]
+topics:
+  - {topic: /cmd_vel, direction: receive, arm: true, limits: {linear: 0.5, angular: 1}}
+  - {topic: /turn, direction: receive, limits: {linear: 0.2, angular: 2}}
+  - {topic: "/b/**", direction: receive, type: TwistStamped, limits: {linear: 2}}
+"""
+LIMITS = VelocityLimits(0.5, 1.0)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    made = tmp_path / "robot.yaml"
+    made.write_text(FILE)
+    return made
+
+
+def test_what_is_saved_is_what_is_read(path: Path) -> None:
+    opened = load_file(path)
+    first, *others = opened.session.topics
+    assert first.limits == LIMITS
+    slower = msgspec.structs.replace(first, limits=VelocityLimits(0.1))
+    armed = (*opened.session.armed, Armed("/d", limits=LIMITS))
+    new = msgspec.structs.replace(opened.session, topics=(slower, *others), armed=armed)
+    save(new, path, opened)
+    assert load_file(path).session == new
+
+
+@pytest.mark.parametrize(
+    ("entry", "key"),
+    [
+        ("limits: 0.5", "limits"),
+        ("limits: {}", "limits"),
+        ("limits: {linear: 0}", "limits.linear"),
+        ("limits: {linear: -1}", "limits.linear"),
+        ("limits: {linear: .nan}", "limits.linear"),
+        ("limits: {linear: 1, angular: .inf}", "limits.angular"),
+        ("limits: {linear: fast}", "limits.linear"),
+        ("limits: {linear: true}", "limits.linear"),
+        ("limits: {x: 0.5}", "limits.x"),
+        ("type: String, limits: {linear: 0.5}", "limits"),
+        ("type: ackermann_msgs/msg/AckermannDrive, limits: {linear: 0.5}", "limits"),
+    ],
+)
+def test_mistakes_are_located(entry: str, key: str, path: Path) -> None:
+    text = FILE.replace("arm: true, limits: {linear: 0.5, angular: 1}", entry)
+    with pytest.raises(SessionError) as error:
+        parse(text, path)
+    assert {(each.location, each.line) for each in error.value.problems} == {(f"topics[0].{key}", 8)}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "location"),
+    [
+        ("type: TwistStamped, ", "", "topics[2].limits"),
+        ("name: /turn, ", "name: /turn, kind: action, ", "armed[0].limits"),
+        ("name: /turn, ", "name: /turn, type: String, ", "armed[0].limits"),
+        ("name: /turn, ", 'name: "/turn/*", ', "armed[0].limits"),
+        ("{angular: 0.3}", "{angular: -0.3}", "armed[0].limits.angular"),
+        ("topics:", "services:\n  - {service: /a, provider: client, limits: {linear: 1}}\ntopics:",
+         "services[0].limits"),
+    ],
+)  # fmt: skip
+def test_only_velocities_have_limits(old: str, new: str, location: str, path: Path) -> None:
+    with pytest.raises(SessionError) as error:
+        parse(FILE.replace(old, new), path)
+    assert [each.location for each in error.value.problems] == [location]
+
+
+def test_check_shows_the_smallest_with_their_lines(path: Path) -> None:
+    shown = {line.split()[1]: line for line in summary(load_file(path).session, demand_places(path))}
+    assert CheckText.LIMITED(limits=LIMITS, lines="robot.yaml:8") in shown["/cmd_vel"]
+    both = "robot.yaml:6, robot.yaml:9"
+    assert CheckText.LIMITED(limits=VelocityLimits(0.2, 0.3), lines=both) in shown["/turn"]
+    (pattern,) = [line for line in summary(load_file(path).session) if "/b/**" in line]
+    assert CheckText.LIMITED_PATTERN(limits=VelocityLimits(2.0)) in pattern
+
+
+def test_they_belong_to_the_name_and_its_type(path: Path) -> None:
+    demands = Demands(sources_of(load_file(path).session))
+
+    def found(name: str, type_name: str) -> VelocityLimits | None:
+        demand = demands.of("topic", name, type_name)
+        return None if demand is None else demand.limits
+
+    assert found("/b/c", "geometry_msgs/msg/TwistStamped") == VelocityLimits(2.0)
+    assert found("/b/c", "geometry_msgs/msg/Twist") is None
+    service = demands.of("service", "/turn")
+    assert service is not None
+    assert service.limits is None
+
+
+def test_a_demand_for_arming_that_is_kept_keeps_its_limits() -> None:
+    def demands(*topics: Topic) -> Demands:
+        return Demands(sources_of(Session(name="r", role="client", server_ip="::1", topics=topics)))
+
+    limited = Topic("/cmd", "receive", arm=True, limits=LIMITS)
+    wider = Topic("/cmd", "transmit", arm=True, limits=VelocityLimits(0.6, 1.0))
+    narrower = Topic("/cmd", "transmit", arm=True, limits=VelocityLimits(0.4, 1.0))
+    for after in ((), (wider,)):
+        (rest,) = demands(*after).missing(demands(limited).sources).values()
+        assert [as_armed(each) for each in rest] == [Armed("/cmd", limits=LIMITS)]
+    assert demands(narrower).missing(demands(limited).sources) == {}
+
+
+@pytest.mark.parametrize("text", ["{linear: 0.5, angular: 1}", "{linear: .5}"])
+def test_a_form_takes_them(text: str) -> None:
+    topic = topic_of({"topic": "/cmd_vel", "direction": "receive", "limits": text})
+    assert topic.limits is not None
+    assert topic.limits.linear == 0.5
+    assert topic_of(values_of(topic)) == topic
+    assert problems_of(topic, SESSION, None) == {}
+
+
+@pytest.mark.parametrize("text", ["0.5", "{linear: fast}", "{speed: 1}", "{linear: 0}", "{", "{linear: 1", "{}"])
+def test_a_form_names_mistakes(text: str) -> None:
+    topic = topic_of({"topic": "/cmd_vel", "direction": "receive", "limits": text})
+    assert problems_of(topic, SESSION, None).keys() == {"limits"}
+
+
+SESSION = Session(name="r", role="client", server_ip="10.0.0.1", server_port=5, use_encryption=False)

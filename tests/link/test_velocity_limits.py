@@ -1,0 +1,70 @@
+"""Limits on what a hand may ask: agreed when a route opens, the smaller number of the two sessions counts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import msgspec
+import pytest
+from tests.link.test_arming import propose, route
+from tests.link.test_route_table import Pair, Side, hear_all
+
+from rsb_bridge.model.demands import PEER_DEMANDS, OriginText
+from rsb_bridge.model.session import Armed, Topic
+from rsb_bridge.model.velocity_limits import VelocityLimits
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.context import Context
+
+HERE = OriginText.THIS_SESSION()
+Lines = tuple[str, ...]
+
+
+def pair_with(make_context: Callable[..., Context], robots: VelocityLimits | None, pcs: VelocityLimits | None) -> Pair:
+    armed = () if pcs is None else (Armed("/cmd_vel", limits=pcs),)
+    robot, pc = Side(make_context(), is_client=True), Side(make_context(role="server", armed=armed), is_client=False)
+    robot.other, pc.other = pc, robot
+    propose(robot, Topic("/cmd_vel", "receive", limits=robots))
+    hear_all((robot, pc))
+    return robot, pc
+
+
+@pytest.mark.parametrize(
+    ("robots", "pcs", "whole", "at_the_robot", "at_the_pc"),
+    [
+        (None, None, None, (), ()),
+        (VelocityLimits(0.5), None, VelocityLimits(0.5), (HERE,), (PEER_DEMANDS,)),
+        (None, VelocityLimits(0.5), VelocityLimits(0.5), (PEER_DEMANDS,), (HERE,)),
+        (VelocityLimits(0.5), VelocityLimits(0.8, 1), VelocityLimits(0.5, 1), (HERE, PEER_DEMANDS), None),
+        (VelocityLimits(0.5, 2), VelocityLimits(0.4, 1), VelocityLimits(0.4, 1), (PEER_DEMANDS,), (HERE,)),
+        (VelocityLimits(0.5), VelocityLimits(0.5), VelocityLimits(0.5), (HERE, PEER_DEMANDS), None),
+    ],
+)
+def test_either_session_may_set_them_and_both_sides_know_whose_they_are(
+    robots: VelocityLimits | None,
+    pcs: VelocityLimits | None,
+    whole: VelocityLimits | None,
+    at_the_robot: Lines,
+    at_the_pc: Lines | None,
+    make_context: Callable[..., Context],
+) -> None:
+    shown = [route(side).snapshot() for side in pair_with(make_context, robots, pcs)]
+    assert [each.limits for each in shown] == [whole, whole]
+    assert [each.limited_by for each in shown] == [at_the_robot, at_the_robot if at_the_pc is None else at_the_pc]
+
+
+def test_they_change_with_the_session_of_either_side(make_context: Callable[..., Context]) -> None:
+    """Also while the route is open."""
+    robot, pc = pair_with(make_context, VelocityLimits(0.5), VelocityLimits(0.4))
+    assert route(robot).arming.limits == VelocityLimits(0.4)
+    pc.context.session = msgspec.structs.replace(
+        pc.context.session, armed=(Armed("/cmd_vel", limits=VelocityLimits(0.3)),)
+    )
+    pc.context.demands.changed()
+    pc.context.demands.apply()
+    hear_all((robot, pc))
+    robot.table.retry()
+    hear_all((robot, pc))
+    assert [route(side).arming.limits for side in (robot, pc)] == [VelocityLimits(0.3)] * 2
