@@ -9,20 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support import constants
 from tests.support.commands import parser_and_commands
 from tests.support.systemd import exposure
 from tests.support.wording import says
 
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session
-from rsb_console.command import service
 from rsb_console.command.service import KEPT_VARIABLES, Service, ServiceText, unit_name
 
 
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    monkeypatch.setattr(service, "_SYSTEM_UNITS", tmp_path / "system")
+    constants.SYSTEM_UNITS.set(monkeypatch, tmp_path / "system")
     for name in (*KEPT_VARIABLES, "ROS_DISTRO"):
         monkeypatch.delenv(name, raising=False)
     return tmp_path

@@ -16,6 +16,7 @@ from tests.console.driving import NARROW, NOWHERE, WIDE, ended, notices, settled
 from tests.console.scripted import NOW, SESSION, ScriptedEngine
 from tests.console.tmux import Tmux
 from tests.model.test_robot_summary import a, on_server
+from tests.support import surroundings
 from tests.support.fleet import ScriptedSource, ServerEngine, fleet_of, robot, topics
 from textual.pilot import Pilot
 from textual.widgets import Input
@@ -110,7 +111,7 @@ class Bed:
 @pytest.fixture(autouse=True)
 def _now(monkeypatch: pytest.MonkeyPatch) -> None:
     """The time of the script."""
-    monkeypatch.setattr("rsb_console.screens.fleet_screen.time.time", lambda: NOW)
+    surroundings.set_wall_clock(monkeypatch, lambda: NOW)
 
 
 @pytest.mark.parametrize("action", FLEET_ACTIONS, ids=lambda action: action.id)
@@ -349,12 +350,18 @@ def rollout(bed: Bed) -> RolloutScreen:
     return bed.app.screen
 
 
-async def planned(bed: Bed, change: str) -> RolloutScreen:
-    """Type a change, and wait for what it would be."""
+async def marked(bed: Bed) -> RolloutScreen:
+    """Open the dialog for the first two robots, whose faults need not last long."""
     await bed.press("space", "space", "e")
     await bed.until(lambda: isinstance(bed.app.screen, RolloutScreen), "the dialog")
     screen = rollout(bed)
     screen._settle = 0.05
+    return screen
+
+
+async def planned(bed: Bed, change: str) -> RolloutScreen:
+    """Type a change, and wait for what it would be."""
+    screen = await marked(bed)
     screen.query_one(Input).value = change
     await bed.press("enter")
     return screen
@@ -412,10 +419,7 @@ def with_different_cameras() -> Bed:
 
 async def picking(bed: Bed) -> RolloutScreen:
     """Mark the first two robots, and wait for what can be picked."""
-    await bed.press("space", "space", "e")
-    await bed.until(lambda: isinstance(bed.app.screen, RolloutScreen), "the dialog")
-    screen = rollout(bed)
-    screen._settle = 0.05
+    screen = await marked(bed)
     await bed.until(lambda: "/scan" in change_of(screen).list.keys and not change_of(screen)._waiting, "all topics")
     return screen
 

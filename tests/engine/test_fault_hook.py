@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 import pytest
 from tests.console.scripted import LINK, NOW, SESSION, route
+from tests.support import constants
 from tests.support.waiting import eventually
 
-from rsb_bridge.engine import fault_hook
 from rsb_bridge.engine.fault_hook import (
     EVERY,
     FOR_LINKS,
@@ -161,7 +161,7 @@ def test_nothing_of_a_peer_is_in_its_arguments(hooked: Hooked) -> None:
 
 
 def test_one_runs_at_a_time_and_what_waits_is_merged(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fault_hook, "RUNS_FOR", 1e6)  # the clock is set forward
+    constants.FAULT_COMMAND_RUNS_FOR.set(monkeypatch, 1e6)  # the clock is set forward
     hooked.open("mkdir alone || echo twice >> told; cat >> told; while [ ! -e go ]; do sleep 0.05; done; rmdir alone")
     hooked.sees(SLOW)
     eventually(lambda: hooked.told)
@@ -180,8 +180,8 @@ def test_one_runs_at_a_time_and_what_waits_is_merged(hooked: Hooked, monkeypatch
 
 
 def test_one_that_takes_too_long_is_ended_with_its_children(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fault_hook, "RUNS_FOR", 0.5)
-    monkeypatch.setattr(fault_hook, "_ENDS_WITHIN", 0.3)
+    constants.FAULT_COMMAND_RUNS_FOR.set(monkeypatch, 0.5)
+    constants.FAULT_COMMAND_ENDS_WITHIN.set(monkeypatch, 0.3)
     hooked.open("trap '' TERM\nsleep 1000 & echo $! > child; echo $$ > parent; cat >> told; while :; do sleep 1; done")
     hooked.sees(SLOW)
     eventually(hooked.warnings)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import zstandard
+from tests.support import constants
 from tests.support.slices import take
 from tests.support.wording import pattern
 
@@ -21,10 +22,8 @@ from rsb_bridge.cdr.description import (
 )
 from rsb_bridge.cdr.description import text_of as text_of_description
 from rsb_bridge.cdr.type_difference import difference_of_texts
-from rsb_bridge.link import questions
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.questions import TypeQuestions, description_in
-from rsb_bridge.ros import type_descriptions
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.ros.type_descriptions import TypeDescriptions
@@ -155,7 +154,7 @@ def test_nodes_that_know_nothing_are_asked_again_after_a_while() -> None:
 
 
 def test_what_is_kept_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(type_descriptions, "_KEPT", 3 * len(TEXT))
+    constants.DESCRIPTIONS_KEPT.set(monkeypatch, 3 * len(TEXT))
     known = TypeDescriptions(Ros(), lambda: 0.0)
     texts = [TEXT.replace('"x"', f'"{letter}"') for letter in "abcde"]
     hashes = [hash_of_text(text) for text in texts]
@@ -215,7 +214,7 @@ async def asked_by_a_caller(answering: Side) -> tuple[str, str]:
 
 @pytest.mark.parametrize("most", [DESCRIPTION_LIMIT, len(REQUEST), 0])
 def test_one_answer_has_all_types_of_a_service_that_fit(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(questions, "DESCRIPTION_LIMIT", max(most, 1))
+    constants.DESCRIPTION_LIMIT.set(monkeypatch, max(most, 1))
     monkeypatch.setattr(Route, "message_types", versions(REQUEST, RESPONSE, REQUEST))
     answering = Side()
     answering.known._ros = Installed(REQUEST, RESPONSE)

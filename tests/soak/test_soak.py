@@ -7,7 +7,7 @@ from random import Random
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.soak import processes, worlds
+from tests.soak import worlds
 from tests.soak.faults import Fault
 from tests.soak.ledgers import Book
 from tests.soak.measures import Life, Sample
@@ -15,6 +15,7 @@ from tests.soak.processes import spawn
 from tests.soak.report import broken, leaks, of_processes
 from tests.soak.run import play
 from tests.soak.stage import Stage
+from tests.support import constants
 from tests.support.waiting import eventually
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def test_a_ledger_that_does_not_balance() -> None:
 
 
 def test_one_kill_and_one_cut(tmp_path: Path, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, "STOPS_WITHIN", _RECOVERY)
+    constants.SOAK_STOPS_WITHIN.set(monkeypatch, _RECOVERY)
     stage = Stage(tmp_path, (pc.id, robot.id))
     told: list[str] = []
     try:

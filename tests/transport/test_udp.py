@@ -9,6 +9,8 @@ from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import replaced
+from tests.support.held import held_by
 
 from rsb_bridge.transport import udp_segments
 from rsb_bridge.transport.streams import StreamHandler
@@ -91,7 +93,7 @@ def test_a_peer_that_roams_does_not_make_the_table_of_sizes_grow() -> None:
         async with pair("127.0.0.1") as (sock, _, _):
             for number in range(1000):
                 assert sock.datagram_size((f"127.0.{number // 250}.{number % 250 + 1}", 1000)) > 1000
-            assert len(sock._sizes) <= 256
+            assert held_by(sock) <= 256
 
     asyncio.run(main())
 
@@ -101,8 +103,8 @@ def test_a_peer_that_roams_does_not_make_the_table_of_sizes_grow() -> None:
 def test_datagrams_arrive_as_they_were_sent(host: str, with_segments: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Datagrams of one size and of several, both ways, with the kernel's help and without."""
     if not with_segments:
-        monkeypatch.setattr(udp_segments, "can_segment", lambda _: False)
-        monkeypatch.setattr(udp_segments, "coalesce", lambda _: False)
+        replaced.CAN_SEGMENT.set(monkeypatch, lambda _: False)
+        replaced.COALESCE.set(monkeypatch, lambda _: False)
     sizes = [1200] * 150 + [700] + [1200] * 3 + [1, 2, 0, 5] + [60_000, 60_000, 9000]
     datagrams = [bytes([index % 251]) * size for index, size in enumerate(sizes)]
 
@@ -205,7 +207,6 @@ def test_what_the_kernel_does_not_cut_goes_one_by_one_for_a_while(number: int) -
 def test_a_datagram_that_fails_alone_is_lost_and_no_other() -> None:
     async def main() -> None:
         async with pair("127.0.0.1") as (_, client, came):
-            client._segments = False
             watch(client).failures = [None, OSError(errno.EMSGSIZE, "")]
             client.send([b"a", b"b", b"c"], None)
             await until(lambda: len(came) == 2)

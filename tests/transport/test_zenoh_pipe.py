@@ -9,6 +9,7 @@ import weakref
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.held import held_by
 from tests.support.virtual_time import virtual_loop
 from tests.support.zenoh_pipes import Pair, Sent, Side
 
@@ -157,7 +158,7 @@ def test_a_paused_receiver_holds_no_more_than_the_bytes_that_came() -> None:
         pair.far.pipe.pause_reading()
         for number in range(100_000):
             pair.far.arrive(Kind.DATA, number)
-        assert len(pair.far.pipe._held) == 0
+        assert held_by(pair.far.pipe) == 0
         assert not pair.far.pipe.is_closing()
 
     run(test())
@@ -199,12 +200,12 @@ def test_a_peer_that_ignores_the_window_is_cut_off() -> None:
         pair.far.pipe.pause_reading()
         for number in range(2 * UNDER_WAY // SAMPLE):
             pair.far.arrive(Kind.DATA, number, bytes(SAMPLE))
-            assert len(pair.far.pipe._held) <= UNDER_WAY
+            assert held_by(pair.far.pipe) <= UNDER_WAY
         await pair.settle()
         assert pair.far.told.calls[-1] == "lost"
         assert str(pair.far.told.error) == PipeProblem.WINDOW_IGNORED(limit=WINDOW)
         assert str(pair.near.told.error) == str(pair.far.told.error)
-        assert len(pair.far.pipe._held) == 0
+        assert held_by(pair.far.pipe) == 0
 
     run(test())
 
@@ -485,7 +486,7 @@ def test_a_stranger_has_4_kib_until_it_is_answered(pieces: list[int], paused: bo
             side.arrive(Kind.DATA, number, bytes(size))
         await asyncio.sleep(0)
         assert isinstance(side.told.error, OSError)
-        assert sum(map(len, side.told.pieces)) + len(side.pipe._held) <= STRANGER_LIMIT
+        assert sum(map(len, side.told.pieces)) + held_by(side.pipe) <= STRANGER_LIMIT
 
     run(test())
 

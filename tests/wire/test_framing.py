@@ -58,30 +58,32 @@ def data_ends(
 
 @given(st.data(), st.lists(st.binary(max_size=50), max_size=8))
 def test_frames_come_out_as_they_went_in_however_the_stream_is_cut(data: st.DataObject, frames: list[bytes]) -> None:
-    reader = FrameReader(50)
+    budget = Budget(1 << 20)
+    reader = FrameReader(50, budget)
     stream = b"".join(pack_frame(frame) for frame in frames)
     out = [bytes(frame) for piece in data.draw(pieces(stream)) for frame in reader.feed(piece)]
     assert out == frames
-    assert reader._budget.held == 0
+    assert budget.held == 0
 
 
 @given(st.data(), st.binary(max_size=200))
 def test_garbage_gives_frames_or_words_and_keeps_no_more_than_a_frame(data: st.DataObject, garbage: bytes) -> None:
-    reader = FrameReader(50)
+    budget = Budget(1 << 20)
+    reader = FrameReader(50, budget)
     whole, words = 0, ""
     try:
         for piece in data.draw(pieces(garbage)):
             for frame in reader.feed(piece):
                 assert len(frame) <= 50
                 whole += 4 + len(frame)
-            assert len(reader._tail) < 54
+            assert budget.held < 54
     except ProtocolError as error:
         words = str(error)
     if words:
         # Frames before it in the same piece are not handed out, so the length it names may be further on.
         assert says(words, Broken.FRAME_TOO_LONG, limit=50)
     else:
-        assert whole + len(reader._tail) == len(garbage)
+        assert whole + budget.held == len(garbage)
 
 
 def test_a_length_is_refused_before_its_content_comes() -> None:
