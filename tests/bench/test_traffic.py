@@ -41,7 +41,7 @@ class _Publishing:
 def test_each_message_has_a_stamp_of_its_own_at_every_rate(rate: int, monkeypatch: pytest.MonkeyPatch) -> None:
     surroundings.set_stdin(monkeypatch, f"send {rate} 1000 2500\n")
     node = _Publishing()
-    traffic._talk(node, ["/topic"])
+    traffic.talk(node, ["/topic"])
     stamps = [made_at(message) for message in node.published]
     assert len(set(stamps)) == len(stamps) == 1000
     assert stamps == sorted(stamps)

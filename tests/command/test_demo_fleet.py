@@ -115,7 +115,7 @@ def test_engines_that_a_busy_machine_holds_up_are_waited_for(
     ok, fault, waiting = RobotState.OK, RobotState.FAULT, RobotState.WAITING
     looks: list[dict[str, RobotState | None]] = [{}, {"a": ok}, {"a": ok, "b": None}]
     looks += [{"a": ok, "b": waiting}, {"a": ok, "b": fault}, {"a": ok, "b": ok}]
-    found = demo._heard(Looks(*looks), 2, lambda: as_they_are)  # type: ignore[arg-type]
+    found = demo.heard(Looks(*looks), 2, lambda: as_they_are)  # type: ignore[arg-type]
     assert [(robot.summary.name, robot.summary.state) for robot in found] == [("a", ok), ("b", expected)]
 
 

@@ -92,7 +92,7 @@ def test_a_terminal_that_does_not_answer(answering: list[Terminal], monkeypatch:
     constants.TERMINAL_ANSWERS_WITHIN.set(monkeypatch, 0.2)
     terminal = Terminal(b"")
     answering.append(terminal)
-    assert graphics._asked(terminal.slave, terminal.slave) == b""
+    assert graphics.asked(terminal.slave, terminal.slave) == b""
 
 
 def test_without_a_terminal_nothing_is_asked() -> None:

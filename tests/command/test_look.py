@@ -81,7 +81,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -
         monkeypatch.setattr("time.monotonic", lambda: now[0])
         monkeypatch.setattr("time.sleep", lambda _: None)
         with pytest.raises(KeyboardInterrupt):
-            look_command._many(cast("RemoteEngine", Engine(*answers)), "viewer", ARGUMENTS)
+            look_command.many(cast("RemoteEngine", Engine(*answers)), "viewer", ARGUMENTS)
         return capsys.readouterr().out.split("\x1b[H")[1:]
 
     return draw

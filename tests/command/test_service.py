@@ -143,7 +143,7 @@ def test_a_setup_file_is_sourced_first(ran: Any, session: Path, tmp_path: Path) 
     (line,) = [line for line in out.splitlines() if line.startswith("ExecStart=")]
     assert line.startswith(f'ExecStart="/bin/bash" "-c" "source \\"$$0\\" && exec \\"$$@\\"" "{setup}" ')
     made = Service(session, ("/usr/bin/env",), system=False, user="", setup=setup)
-    words = made._command()[:4]
+    words = made.command()[:4]
     done = subprocess.run([*words, "/usr/bin/env"], capture_output=True, text=True, check=True)
     assert "FROM_SETUP=yes" in done.stdout.splitlines()
 

@@ -66,8 +66,8 @@ class Route:
 class Side:
     """One side's questions and answers, on a clock of its own."""
 
-    def __init__(self) -> None:
-        self.ros, self.time = Ros(), 0.0
+    def __init__(self, ros: Ros | None = None) -> None:
+        self.ros, self.time = ros or Ros(), 0.0
         self.sent: list[Any] = []
         self.known = TypeDescriptions(self.ros, lambda: self.time)
         self.tasks: list[asyncio.Task[None]] = []
@@ -200,10 +200,7 @@ HERE = described("a_msgs/srv/A_Request", "z"), described("a_msgs/srv/A_Response"
 
 async def asked_by_a_caller(answering: Side) -> tuple[str, str]:
     """Have a side with other versions ask: the texts of the answer, and the difference that it tells."""
-    asking, told = Side(), asyncio.get_running_loop().create_future()
-    asking.ros = Installed(*HERE)
-    asking.known = TypeDescriptions(asking.ros, lambda: 0.0)
-    asking.questions._known = asking.known
+    asking, told = Side(Installed(*HERE)), asyncio.get_running_loop().create_future()
     asking.questions.compare(3, versions(REQUEST, RESPONSE), told.set_result)
     await asking.has_sent.wait()
     take(answering.questions, *asking.sent)
@@ -216,8 +213,7 @@ async def asked_by_a_caller(answering: Side) -> tuple[str, str]:
 def test_one_answer_has_all_types_of_a_service_that_fit(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.DESCRIPTION_LIMIT.set(monkeypatch, max(most, 1))
     monkeypatch.setattr(Route, "message_types", versions(REQUEST, RESPONSE, REQUEST))
-    answering = Side()
-    answering.known._ros = Installed(REQUEST, RESPONSE)
+    answering = Side(Installed(REQUEST, RESPONSE))
     texts, difference = asyncio.run(asked_by_a_caller(answering))
     fit = [text for text, size in ((REQUEST, len(REQUEST)), (RESPONSE, DESCRIPTION_LIMIT)) if size <= most]
     assert texts == "\n".join(fit)

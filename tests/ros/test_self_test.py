@@ -122,11 +122,11 @@ def test_nodes_that_start_at_once_leave_the_environment_alone(monkeypatch: pytes
 
 
 def test_a_missing_function_is_named() -> None:
-    function = librcl._function("rcl_no_such_function")
+    function = librcl.function("rcl_no_such_function")
     with pytest.raises(RosError, match=pattern(RosProblem.LACKS, name="rcl_no_such_function")):
         function(1, 2)
     with pytest.raises(RosError, match=pattern(RosProblem.LACKS, name="rclpy's NoSuchClass")):
-        extension._named("NoSuchClass")(1)
+        extension.named("NoSuchClass")(1)
 
 
 def test_the_environment_is_as_before(monkeypatch: pytest.MonkeyPatch) -> None:

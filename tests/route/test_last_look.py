@@ -97,7 +97,8 @@ def test_nothing_is_published_that_became_old_on_the_way_to_dds(
     stand(route, ros, loop, seconds)
     route.deliver([(with_number(number, LONG), context.stamps.now(), LEASED)])
     assert len(ros.published.sizes) == count
-    report = route._received_report()
+    report = route.news()
+    assert report is not None
     assert (report.received, report.delivered, report.dropped.get("disarmed", 0)) == (1, count, 1 - count)
 
 

@@ -204,7 +204,9 @@ def test_what_the_kernel_does_not_cut_goes_one_by_one_for_a_while(number: int) -
     asyncio.run(main())
 
 
-def test_a_datagram_that_fails_alone_is_lost_and_no_other() -> None:
+def test_a_datagram_that_fails_alone_is_lost_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    replaced.CAN_SEGMENT.set(monkeypatch, lambda _: False)
+
     async def main() -> None:
         async with pair("127.0.0.1") as (_, client, came):
             watch(client).failures = [None, OSError(errno.EMSGSIZE, "")]
