@@ -562,7 +562,7 @@ def test_the_robot_of_the_picture_is_driven(routes: tuple[RouteSnapshot, ...], t
             return
         await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
         assert isinstance(app.screen, DriveScreen)
-        assert app.screen._route.topic == topic
+        await shown(pilot, topic)
         await pilot.press("escape")
         await until(pilot, lambda: isinstance(app.screen, ViewScreen), "the picture")
 

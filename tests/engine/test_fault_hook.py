@@ -78,9 +78,14 @@ class Hooked:
             snapshot = Snapshot(NOW, "robot1", "client", "", 0, running=True, links=(LINK,), routes=routes)
             self.clock.skipped += skip
             self.hook.tick(snapshot)
-            runner = self.hook._runner
+            runner = self.runner
             assert runner is not None
             eventually(lambda runner=runner, snapshot=snapshot: runner._seen is snapshot)
+
+    @property
+    def runner(self) -> Any:
+        """What runs the command, on a thread of its own."""
+        return self.hook._runner
 
     @property
     def told(self) -> list[dict[str, Any]]:
@@ -134,7 +139,7 @@ def test_it_is_told_of_the_begin_another_cause_and_the_end(hooked: Hooked) -> No
 
 def test_without_a_command_there_is_no_thread(hooked: Hooked) -> None:
     hooked.names(None)
-    assert hooked.hook._runner is None
+    assert hooked.runner is None
     hooked.hook.tick(Snapshot(NOW, "robot1", "client", "", 0, running=True))
 
 

@@ -31,8 +31,9 @@ if TYPE_CHECKING:
 
 def crash(disk: Disk) -> None:
     """Let go of the files as a process does that is killed."""
-    assert disk._claim is not None
-    disk._claim.close()
+    claim = disk._claim
+    assert claim is not None
+    claim.close()
 
 
 def disk_of(world: World, folder: Path) -> Disk:

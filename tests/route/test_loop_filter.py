@@ -66,7 +66,9 @@ class Graph(NoRos):
     def installed_hash(self, type_name: str) -> str | None:
         return TYPE_HASH
 
-    def subscribe(self, *_: object, **__: object) -> Any:
+    def subscribe(self, topic: str, type_name: str, type_hash: str, qos: Qos, sink: Any, *_: object) -> Any:
+        self.sink = sink
+
         class Subscription:
             lost = 0
 

@@ -8,6 +8,7 @@ import pytest
 import zstandard
 from tests.route.test_loop_filter import FIRST, World, world
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.route.lease import Lease
@@ -92,11 +93,10 @@ def test_age_is_asked_again_when_a_message_leaves_the_queue(world: World) -> Non
 
 def test_what_comes_after_its_opening_is_lost_with_the_link(world: World) -> None:
     """It may be older than what arms the next opening."""
-    subscription, ledger = world.route._subscription, world.ledger
-    assert subscription is not None
-    receiver = subscription._receiver
+    ledger = world.ledger
+    world.graph.sink([RawMessage(b"late", 0, FIRST)])
     world.route.close("over")
-    receiver.offer([RawMessage(b"late", 0, FIRST)])
+    world.wait(0.1)
     assert (ledger.offered, ledger.dropped["link lost"]) == (1, 1)
     assert not world.sent
 
@@ -122,11 +122,10 @@ def test_a_message_is_not_too_large_for_the_receiver_alone(world: World) -> None
 
 @pytest.mark.parametrize(("largest", "remedy"), [(8 << 20, "use tcp"), (MESSAGE_LIMIT, "publish smaller ones")])
 def test_the_remedy_for_a_message_that_no_transport_carries(largest: int, remedy: str, world: World) -> None:
-    waiting = outbox(world)
-    said: list[str] = []
-    waiting.largest, waiting._failed = largest, lambda _, text: said.append(text)
-    assert not waiting.fitting([(bytes(MESSAGE_LIMIT + 1), 1, 0)])
-    assert said[0].endswith(remedy)
+    outbox(world).largest = largest
+    assert not outbox(world).fitting([(bytes(MESSAGE_LIMIT + 1), 1, 0)])
+    (said,) = [each.text for each in world.context.events.after(0) if each.code == EventCode.ROUTE_TOO_LARGE]
+    assert said.endswith(remedy)
 
 
 def test_a_message_without_a_channel_is_lost(world: World) -> None:

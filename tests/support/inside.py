@@ -31,8 +31,9 @@ if TYPE_CHECKING:
 
 def inside(engine: Engine) -> Bridge:
     """Return the parts of a running engine, which belong to its loop."""
-    assert engine._bridge is not None
-    return engine._bridge
+    bridge = engine._bridge
+    assert bridge is not None
+    return bridge
 
 
 def is_running(engine: Engine) -> bool:
@@ -49,13 +50,15 @@ def forget_events(engine: Engine) -> None:
 
 
 def participant_of(node: RosNode) -> Participant:
-    assert node._participant is not None
-    return node._participant
+    participant = node._participant
+    assert participant is not None
+    return participant
 
 
 def socket_of(stream: Stream) -> socket.socket:
-    assert stream._transport is not None
-    found: socket.socket = stream._transport.get_extra_info("socket")
+    transport = stream._transport
+    assert transport is not None
+    found: socket.socket = transport.get_extra_info("socket")
     return found
 
 

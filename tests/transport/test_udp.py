@@ -136,6 +136,11 @@ def test_datagrams_of_one_size_go_in_one_call(host: str) -> None:
     asyncio.run(main())
 
 
+def has_read(sock: UdpSocket, at: float) -> None:
+    """Let its last read have been at a moment."""
+    sock._read_at = at
+
+
 @pytest.mark.parametrize(("read_at", "datagrams", "reads"), [(float("-inf"), 1, 1), (float("inf"), 3, 4)])
 def test_a_wake_up_reads_once_unless_they_follow_one_another(read_at: float, datagrams: int, reads: int) -> None:
     """A read that finds nothing costs as much as half a message; in a flood, one of many."""
@@ -146,7 +151,7 @@ def test_a_wake_up_reads_once_unless_they_follow_one_another(read_at: float, dat
             asyncio.get_running_loop().remove_reader(server._sock)
             for number in range(3):
                 client.send([bytes([number])], None)
-            server._read_at = read_at
+            has_read(server, read_at)
             server._read()
             assert len(came) == datagrams
             assert watched.reads == reads
@@ -157,7 +162,7 @@ def test_a_wake_up_reads_once_unless_they_follow_one_another(read_at: float, dat
 def test_what_was_not_read_at_once_comes_next() -> None:
     async def main() -> None:
         async with pair("127.0.0.1") as (server, client, came):
-            server._read_at = float("-inf")
+            has_read(server, float("-inf"))
             client.send([b"a"], None)
             client.send([b"bc"], None)
             await until(lambda: len(came) == 2)

@@ -32,7 +32,7 @@ zenoh = pytest.importorskip("zenoh")
 from tests.support.zenoh_router import Announced, Router, stranger  # noqa: E402 (it needs the package)
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Iterator
+    from collections.abc import AsyncIterator, Callable, Iterator, Sized
 
     from rsb_bridge.transport.zenoh.endpoint import Endpoint
 
@@ -82,6 +82,11 @@ def waiting_bytes(endpoint: Endpoint) -> int:
 def budget_of(endpoint: Endpoint) -> Strangers:
     """Return the endpoint's budget for strangers."""
     return endpoint._strangers
+
+
+def of_strangers(endpoint: Endpoint) -> Sized:
+    """Return the samples of strangers that wait for the endpoint's loop."""
+    return endpoint._of_strangers
 
 
 def soon(endpoint: Endpoint, work: Callable[[], object]) -> None:
@@ -363,7 +368,7 @@ def test_few_first_samples_of_strangers_wait(router: Router) -> None:
                 other.put(f"{at}/{number:016x}/{NOBODY}", b"x", **settings)
             other.put(f"{at}/{NOBODY}/{NOBODY}", b"x", **settings)
             eventually(lambda: waiting_bytes(server))  # the loop has had no turn
-            await until(lambda: before and not server._of_strangers)
+            await until(lambda: before and not of_strangers(server))
             assert before[0] <= constants.ZENOH_STRANGERS_AT_A_TIME.value
             assert len(asked) == constants.ZENOH_STRANGERS_WAIT.value
             other.close()
@@ -393,7 +398,7 @@ def test_what_comes_while_a_stream_is_proven_stays_in_order(router: Router) -> N
             server.add(NOBODY, NOBODY, end)
             for number in range(5):
                 put(number)
-            eventually(lambda: len(server._of_strangers) == 5)  # the loop has had no turn
+            eventually(lambda: len(of_strangers(server)) == 5)  # the loop has had no turn
             await until(lambda: len(end.came) == 6)
             assert [header.number for header, _ in end.came] == [*range(6)]
             other.close()

@@ -207,8 +207,9 @@ def test_a_replay_that_is_answered_confirms_nothing() -> None:
 
 def sealer_of(console: OperatorConsole) -> Sealer:
     """Return what seals records, for a console that keeps to no rule."""
-    assert console._sealer is not None
-    return console._sealer
+    sealer = console._sealer
+    assert sealer is not None
+    return sealer
 
 
 def test_a_confirmation_with_content_is_none() -> None:
