@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from argparse import Namespace
 from concurrent.futures import Future
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 from xml.etree import ElementTree
 
@@ -78,8 +79,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -
                 raise KeyboardInterrupt
 
         replaced.LOOK_WAIT.set(monkeypatch, wait)
-        monkeypatch.setattr("time.monotonic", lambda: now[0])
-        monkeypatch.setattr("time.sleep", lambda _: None)
+        replaced.LOOK_TIME.set(monkeypatch, SimpleNamespace(monotonic=lambda: now[0], sleep=lambda _: None))
         with pytest.raises(KeyboardInterrupt):
             look_command.many(cast("RemoteEngine", Engine(*answers)), "viewer", ARGUMENTS)
         return capsys.readouterr().out.split("\x1b[H")[1:]

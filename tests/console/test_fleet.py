@@ -417,6 +417,21 @@ def with_different_cameras() -> Bed:
     return bed
 
 
+async def planned_for_the_worse(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> RolloutScreen:
+    """Type a change that makes each robot faulty, and wait for the question."""
+    screen = await planned(bed, "/camera max_rate=5")
+    await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
+    tell = screen._tell
+
+    def worse(step: Step, what: str) -> None:
+        tell(step, what)
+        if what == "settling":
+            bed.source.put(step.name, state=RobotState.FAULT, why="refused")
+
+    monkeypatch.setattr(screen, "_tell", worse)
+    return screen
+
+
 async def picking(bed: Bed) -> RolloutScreen:
     """Mark the first two robots, and wait for what can be picked."""
     screen = await marked(bed)
@@ -517,14 +532,7 @@ def test_a_change_that_makes_it_worse_is_put_back(monkeypatch: pytest.MonkeyPatc
     bed = with_cameras("robot1", "robot2")
 
     async def steps(bed: Bed) -> None:
-        screen = await planned(bed, "/camera max_rate=5")
-        await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
-
-        def worse(step: Step, what: str) -> None:
-            if what == "settling":
-                bed.source.put(step.name, state=RobotState.FAULT, why="refused")
-
-        monkeypatch.setattr(screen, "_tell", worse)
+        screen = await planned_for_the_worse(bed, monkeypatch)
         await bed.press("y")
         await bed.until(lambda: screen.phase is Phase.ENDED, "the end")
         await bed.shown("stopped at robot1")
@@ -577,16 +585,7 @@ def test_a_change_that_is_put_back_is_shown_the_other_way_round(monkeypatch: pyt
     bed = with_cameras("robot1", "robot2")
 
     async def steps(bed: Bed) -> None:
-        screen = await planned(bed, "/camera max_rate=5")
-        await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
-        tell = screen._tell
-
-        def worse(step: Step, what: str) -> None:
-            tell(step, what)
-            if what == "settling":
-                bed.source.put(step.name, state=RobotState.FAULT, why="refused")
-
-        monkeypatch.setattr(screen, "_tell", worse)
+        screen = await planned_for_the_worse(bed, monkeypatch)
         await bed.press("y")
         await bed.until(lambda: screen.phase is Phase.ENDED and screen.outcome is not None, "the end")
         await bed.press("u")

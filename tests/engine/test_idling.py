@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from tests.support.bridge import carries, happened, linked, route
 from tests.support.domain import text
-from tests.support.inside import forget_events, participant_of, role_of
+from tests.support.inside import break_waiting, forget_events, role_of
 from tests.support.offline import loop, make_context
 from tests.support.participants import KnownNode
 from tests.support.waiting import eventually, holds
@@ -125,11 +125,6 @@ def test_the_engine_stops_when_its_ros_side_has_failed(
 ) -> None:
     node = RosNode(robot.id, "robot1")
     client = bridge.start(bridge.client_session(), node)
-
-    def broken(*_: object) -> None:
-        raise RuntimeError("the wait set is broken")
-
-    monkeypatch.setattr(participant_of(node), "wait", broken)
-    participant_of(node).wake()
+    break_waiting(node, monkeypatch)
     eventually(lambda: not client.snapshot().running)
     assert happened(client, EventCode.ENGINE_ROS_FAILED, "the wait set is broken: the engine stops")

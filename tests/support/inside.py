@@ -8,6 +8,8 @@ if TYPE_CHECKING:
     import asyncio
     import socket
 
+    import pytest
+
     from rsb_bridge.control.attached_console import Console
     from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.engine import Engine
@@ -53,6 +55,16 @@ def participant_of(node: RosNode) -> Participant:
     participant = node._participant
     assert participant is not None
     return participant
+
+
+def break_waiting(node: RosNode, patch: pytest.MonkeyPatch) -> None:
+    """Let a node's thread fail when it next waits for DDS."""
+
+    def broken(*_: object) -> None:
+        raise RuntimeError("the wait set is broken")
+
+    patch.setattr(participant_of(node), "wait", broken)
+    participant_of(node).wake()
 
 
 def socket_of(stream: Stream) -> socket.socket:

@@ -40,6 +40,11 @@ def hide_modules(patch: pytest.MonkeyPatch, *names: str) -> None:
         patch.setitem(sys.modules, name, None)
 
 
+def set_foreground(patch: pytest.MonkeyPatch, *, is_ours: bool) -> None:
+    """Let this process be in the foreground of every terminal, or of none."""
+    patch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp() + (not is_ours))
+
+
 def offer_bluetooth(patch: pytest.MonkeyPatch) -> None:
     """Let this Python have sockets for Bluetooth, as a distribution's has."""
     patch.setattr(socket, "AF_BLUETOOTH", 31, raising=False)
