@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from _pytest.unraisableexception import gc_collect_iterations_key
+from tests.support import constants, replaced
 from tests.support.locks import domains_of
 
 if TYPE_CHECKING:
@@ -144,15 +145,14 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 @pytest.fixture(scope="session", autouse=True)
 def _own_control_sockets(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Bridges that others run on this machine are not the tests' business, nor theirs the others'; nor their files."""
-    from rsb_bridge.control import control_sockets
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("run")))
         patch.setenv("RSB_CONSOLE_ISOLATED", "1")
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         nobodys = tmp_path_factory.mktemp("nobody")
-        patch.setattr(control_sockets, "_fallback_folder", lambda: nobodys / "rsb-console")
-        patch.setattr(control_sockets, "SERVICES", nobodys / "services")
+        replaced.FALLBACK_FOLDER.set(patch, lambda: nobodys / "rsb-console")
+        constants.SERVICES_SOCKETS.set(patch, nobodys / "services")
         yield
 
 

@@ -54,6 +54,11 @@ class Here:
         self.routes[topic] = SimpleNamespace(key=topic, local_topic=topic, proposed_here=False, id=1, refusal="")
         return self.ros.advertise(topic, "", "", Qos(), PEER)
 
+    @property
+    def own(self) -> set[Any]:
+        """What the peer was asked to send."""
+        return self.bench._own
+
     def ask(self, **wanted: Any) -> BenchAnswer:
         return asyncio.run(self.bench._answer(BenchAsk(1, 0, **wanted)))
 
@@ -99,13 +104,13 @@ def test_the_rate_is_of_all_topics_together() -> None:
 def test_what_the_peer_was_asked_to_send_is_not_charged_to_it() -> None:
     here = Here()
     drain = here.open(DOWN)
-    here.bench._own.add(drain)
+    here.own.add(drain)
     publish(drain, 500, 20_000)
     here.second()
     assert not here.denied
     drain.close()
     here.second()
-    assert not here.bench._own
+    assert not here.own
 
 
 def test_one_run_at_a_time_whatever_the_topics() -> None:

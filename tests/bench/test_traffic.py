@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
-import sys
-
 import pytest
+from tests.support import surroundings
 
 from rsb_bridge.ros import traffic
 from rsb_bridge.ros.known_messages import made_at, stamped_string
@@ -41,9 +39,9 @@ class _Publishing:
 
 @pytest.mark.parametrize("rate", [100_000, 1_000_000])
 def test_each_message_has_a_stamp_of_its_own_at_every_rate(rate: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO(f"send {rate} 1000 2500\n"))
+    surroundings.set_stdin(monkeypatch, f"send {rate} 1000 2500\n")
     node = _Publishing()
-    traffic._talk(node, ["/topic"])
+    traffic.talk(node, ["/topic"])
     stamps = [made_at(message) for message in node.published]
     assert len(set(stamps)) == len(stamps) == 1000
     assert stamps == sorted(stamps)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import replaced
 
 pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
 
@@ -19,7 +20,6 @@ from tests.support.bridge import feedback_listeners
 from tests.support.fibonacci import FibonacciClient, FibonacciServer
 from tests.support.waiting import eventually
 
-from rsb_bridge.ros import raw_types
 from rsb_bridge.ros.native.named_types import named_services
 from rsb_bridge.ros.self_test import findings
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 @pytest.fixture(autouse=True)
 def _another(monkeypatch: pytest.MonkeyPatch) -> None:
     found = findings()._replace(no_calls="this is another middleware")
-    monkeypatch.setattr(raw_types, "findings", lambda: found)
+    replaced.FINDINGS.set(monkeypatch, lambda: found)
 
 
 def test_calls_are_answered_in_any_order(bridge: Bridge, near: CallNode, far: CallNode, service: str) -> None:

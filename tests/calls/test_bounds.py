@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from tests.calls.ledgers import AT_ONCE, Counts, balanced, called, counts, nothing_left, settled
+from tests.support import constants
 from tests.support.bridge import route
 from tests.support.waiting import eventually, holds
 
@@ -19,15 +20,14 @@ if TYPE_CHECKING:
     from rsb_bridge.engine import Engine
     from rsb_bridge.model.calls import CallsSnapshot
 
-_LIMITS = "rsb_bridge.route.peer."
-_SILENT = "rsb_bridge.link.keepalive.DEAD_AFTER"
+_SILENT = 60.0
 """s; a link that stalls is the same link afterwards, however busy the machine."""
 
 
 def test_calls_beyond_those_under_way_are_refused(
     bridge: Bridge, near: CallNode, far: CallNode, service: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_LIMITS + "CALLS_UNDER_WAY", 50)
+    constants.CALLS_UNDER_WAY.set(monkeypatch, 50)
     far.serve(service, delay=None)
     engines = server, client = bridge.both(called(service, timeout=5.0))
     with balanced(*engines):
@@ -46,7 +46,7 @@ def test_calls_beyond_those_under_way_are_refused(
 def test_calls_beyond_the_bytes_of_requests_are_refused(
     bridge: Bridge, near: CallNode, far: CallNode, service: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_LIMITS + "BYTES_UNDER_WAY", 1_000_000)
+    constants.BYTES_UNDER_WAY.set(monkeypatch, 1_000_000)
     far.serve(service, delay=(0.5, 0.5), gather=9)
     engines = _, client = bridge.both(called(service))
     with balanced(*engines):
@@ -64,8 +64,8 @@ def test_calls_beyond_the_bytes_of_responses_are_refused(
     bridge: Bridge, relay: Relay, near: CallNode, far: CallNode, service: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Responses wait where the network stalls; the kernel takes some megabytes of them."""
-    monkeypatch.setattr(_SILENT, 60.0)
-    monkeypatch.setattr(_LIMITS + "BYTES_UNDER_WAY", 1_000_000)
+    constants.DEAD_AFTER.set(monkeypatch, _SILENT)
+    constants.BYTES_UNDER_WAY.set(monkeypatch, 1_000_000)
     far.serve(service, gather=90)
     engines = server, client = bridge.both(called(service, timeout=30.0))
     with balanced(*engines):
@@ -91,7 +91,7 @@ def test_calls_beyond_those_of_a_second_are_refused(
 ) -> None:
     """The limit is that of a link's services together, or a service's max_rate."""
     slow = f"{service}_slow"
-    monkeypatch.setattr(_LIMITS + "CALLS_A_SECOND", 100.0)
+    constants.CALLS_A_SECOND.set(monkeypatch, 100.0)
     far.serve(service, slow)
     engines = server, client = bridge.both(called(service), called(slow, max_rate=5.0))
     with balanced(*engines):
@@ -135,7 +135,7 @@ def test_a_service_is_not_offered_again_before_the_other_side_has_resumed_it(
     bridge: Bridge, relay: Relay, near: CallNode, far: CallNode, service: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its report from before the pause is outdated: a call would be refused there."""
-    monkeypatch.setattr(_SILENT, 60.0)
+    constants.DEAD_AFTER.set(monkeypatch, _SILENT)
     far.serve(service)
     engines = server, client = bridge.both(called(service))
     with balanced(*engines):

@@ -11,6 +11,7 @@ from nav_msgs.srv import GetPlan
 from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool, Trigger
 from tests.calls.ledgers import called, counts, nothing_left
+from tests.support import replaced
 from tests.support.bridge import happened, route
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
@@ -241,7 +242,7 @@ def test_a_call_of_a_type_that_is_not_installed_is_refused_in_words(
 
     try:
         with monkeypatch.context() as patch:
-            patch.setattr(typesupport, "_is_interface_package", lambda package: package != "std_srvs")
+            replaced.IS_INTERFACE_PACKAGE.set(patch, lambda package: package != "std_srvs")
             forget()  # only now: the engines' threads look types up, too
             for engine in (server, client):
                 with pytest.raises(

@@ -12,6 +12,7 @@ import yaml
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.parameter import Parameter
 from tests.calls.test_by_hand import ready
+from tests.support import constants
 from tests.support.bridge import happened
 from tests.support.commands import parser_and_commands
 from tests.support.waiting import eventually
@@ -63,7 +64,7 @@ def run(
 ) -> Callable[..., Said]:
     """Run a command against what `machine` serves; a test that fails shows what all of them said."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
-    monkeypatch.setattr(bridges, "_ASKED_FOR", 60.0)  # s: how soon a busy machine answers is not what is tested
+    constants.BRIDGES_ASKED_FOR.set(monkeypatch, 60.0)  # s: how soon a busy machine answers is not what is tested
 
     def said(*words: str) -> Said:
         done = Said(capsys, words)

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.calls.ledgers import called
+from tests.support import replaced
 from tests.support.bridge import happened, link, route
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.transport.tcp import Tcp
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -24,7 +24,7 @@ def test_calls_on_a_shared_stream_that_were_paused_from_the_start_cross_when_the
     who: int, own: bool, bridge: Bridge, near: CallNode, far: CallNode, service: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Frames that come before there is a channel for them would be dropped, and the next seal would not hold."""
-    monkeypatch.setattr(Tcp, "multiplexed", True)  # there is no radio here
+    replaced.TCP_MULTIPLEXED.set(monkeypatch, True)  # there is no radio here
     far.serve(service)
     engines = bridge.both(called(service, paused=True, port=free_port() if own else None))
     for engine in engines:

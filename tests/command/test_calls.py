@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import pytest
 from tests.console.scripted import SESSION, ScriptedEngine, answered, route
+from tests.support import surroundings
 from tests.support.commands import Ran
 from tests.support.wording import says
 
@@ -227,7 +227,7 @@ def test_a_call_prints_the_response(ran: Any, engine: ScriptedEngine, monkeypatc
     assert printed == {"ok": True, "response": {"success": True, "message": "docked"}}
     assert landed["ok"]
     assert says(landed["report"], LandingText.ANSWERED, link=DOCK.link)
-    monkeypatch.setattr("sys.stdin", io.StringIO("speed: 2\n"))
+    surroundings.set_stdin(monkeypatch, "speed: 2\n")
     assert ran("call", "/dock", "-").code == 0
     assert ran("call", "/navigate", "--lane", "cancel_goal").code == 0
     assert engine.commands == [

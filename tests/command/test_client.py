@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 import json
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, get_args
 
 import pytest
 from msgspec.structs import replace
 from tests.console.scripted import LINK, ScriptedEngine
+from tests.support import surroundings
 from tests.support.commands import Ran
 from tests.support.wording import says
 
@@ -238,9 +237,7 @@ def test_a_finish_asks_if_the_client_may_not_have_the_new_key(
         machine.serve(engine, file=path)
     run("rekey", "robot1", str(path), "--keep-old")
     before = path.read_text()
-    terminal = io.StringIO(answer or "")
-    monkeypatch.setattr(terminal, "isatty", lambda: answer is not None)
-    monkeypatch.setattr(sys, "stdin", terminal)
+    surroundings.set_stdin(monkeypatch, answer or "", is_terminal=answer is not None)
     ran = run("rekey", "robot1", str(path), "--finish")
     assert (ran.code == 0, path.read_text() == TEXT) == (finished, finished)
     if not finished:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
+from tests.support import replaced, surroundings
 from tests.support.commands import parser_and_commands, rsb_console
 from tests.support.locks import alone
 from tests.support.wording import says
@@ -381,7 +382,7 @@ def test_a_thesis_file_in_place_of_a_session_leads_to_the_import(command: tuple[
 )
 def test_the_console_is_refused_without_a_terminal(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     with Path(os.devnull).open() as nothing:
-        monkeypatch.setattr("sys.stdin", nothing)
+        surroundings.set_stdin(monkeypatch, nothing)
         run = rsb_console(*arguments)
     assert run.returncode == 2
     assert says(run.stderr, LocalText.NO_TERMINAL)
@@ -472,7 +473,7 @@ def test_an_unforeseen_failure_is_one_line_and_a_log(folder: Path, monkeypatch: 
     def check(_: object) -> int:
         raise RuntimeError("sprocket")
 
-    monkeypatch.setattr("rsb_console.command.arguments.check_session", check)
+    replaced.CHECK_SESSION.set(monkeypatch, check)
     run = rsb_console("check", "robot1.yaml", may_crash=True)
     log = folder / "state" / "rsb-console" / "crash.log"
     assert run.returncode == 1

@@ -19,6 +19,7 @@ import msgspec
 import pytest
 from argcomplete.finders import CompletionFinder
 from tests.console.scripted import SESSION, ScriptedEngine, route
+from tests.support import constants, replaced
 from tests.support.commands import parser_and_commands
 
 from rsb_bridge.model.session import Topic
@@ -211,6 +212,6 @@ def test_the_other_shells_get_theirs(shell: str, file: str, word: str) -> None:
 
 
 def test_a_bridge_that_does_not_answer_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rsb_console.command.target.attached", lambda *_, **__: time.sleep(60))
-    monkeypatch.setattr(completion, "_WAITS", 0.01)
+    replaced.ATTACHED.set(monkeypatch, lambda *_, **__: time.sleep(60))
+    constants.COMPLETION_WAITS.set(monkeypatch, 0.01)
     assert completion.links(argparse.Namespace()) == []

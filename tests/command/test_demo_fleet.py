@@ -15,6 +15,7 @@ import pytest
 from tests.console.scripted import ScriptedEngine
 from tests.console.terminal import COMMAND, Terminal
 from tests.console.tmux import Tmux
+from tests.support import constants
 from tests.support.commands import parser_and_commands
 from tests.support.locks import alone
 from tests.support.long import long_cases
@@ -110,11 +111,11 @@ def test_engines_that_a_busy_machine_holds_up_are_waited_for(
     as_they_are: bool, expected: RobotState, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Until each has reported; and until it is ok, unless something is meant to be wrong."""
-    monkeypatch.setattr(demo, "_LOOK_EVERY", 0.0)
+    constants.DEMO_LOOK_EVERY.set(monkeypatch, 0.0)
     ok, fault, waiting = RobotState.OK, RobotState.FAULT, RobotState.WAITING
     looks: list[dict[str, RobotState | None]] = [{}, {"a": ok}, {"a": ok, "b": None}]
     looks += [{"a": ok, "b": waiting}, {"a": ok, "b": fault}, {"a": ok, "b": ok}]
-    found = demo._heard(Looks(*looks), 2, lambda: as_they_are)  # type: ignore[arg-type]
+    found = demo.heard(Looks(*looks), 2, lambda: as_they_are)  # type: ignore[arg-type]
     assert [(robot.summary.name, robot.summary.state) for robot in found] == [("a", ok), ("b", expected)]
 
 

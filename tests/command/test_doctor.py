@@ -9,6 +9,7 @@ import sys
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import surroundings
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.doctor.finding import Finding, Grade
@@ -87,6 +88,6 @@ def test_commands_are_not_broken_into_lines() -> None:
 def test_terminals(
     environ: dict[str, str], size: tuple[int, int], grades: list[Grade], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    surroundings.print_to_terminal(monkeypatch)
     monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size(size))
     assert [each.grade for each in terminal_check(environ).run()] == grades

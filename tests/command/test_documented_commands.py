@@ -16,6 +16,7 @@ import msgspec
 import pytest
 from tests.command.test_command import BRINGUP
 from tests.console.scripted import LINK, NOW, SESSION, ScriptedEngine, call_route, route
+from tests.support import constants, replaced, surroundings
 from tests.support.commands import parser_and_commands
 from tests.support.fleet import ServerEngine, topics
 from tests.support.operators import ANNA
@@ -28,7 +29,6 @@ from rsb_bridge.model.commands import Call, DraftMessage, Look, Publish
 from rsb_bridge.model.pictures import Cells, Curve, Picture, Pixels, Series, Viewed
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, PeekedMessage, State
-from rsb_console.command import bench_command, console_command, figures, local_commands, service, shell
 from rsb_console.command.shell import INTERRUPTED, OK
 from rsb_console.fleet.fleet import Memory, Remembered, memory_path
 
@@ -260,8 +260,8 @@ def run(line: str) -> int:
 def consoles(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """The consoles that a line opens. They don't draw: tests/console does."""
     opened: list[object] = []
-    monkeypatch.setattr(local_commands, "can_draw", lambda _: True)
-    monkeypatch.setattr(console_command, "run_app", lambda app, **_: opened.append(app))
+    replaced.CAN_DRAW.set(monkeypatch, lambda _: True)
+    replaced.RUN_APP.set(monkeypatch, lambda app, **_: opened.append(app))
     return opened
 
 
@@ -271,7 +271,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     for name in ("XDG_STATE_HOME", "XDG_CONFIG_HOME"):
         monkeypatch.setenv(name, str(tmp_path / name))
-    monkeypatch.setattr(service, "_SYSTEM_UNITS", tmp_path / "system")
+    constants.SYSTEM_UNITS.set(monkeypatch, tmp_path / "system")
     for name in ("robot1.key", "key.txt"):
         write_key(tmp_path / name)
     for name in ("robot1.yaml", "robot2.yaml"):
@@ -305,18 +305,16 @@ def press_keys(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     """Has an operator answer yes; and press Ctrl-C once a line has printed something, if it lasts until then."""
 
     def press(line: str) -> None:
-        keys = io.StringIO("y\n")
-        monkeypatch.setattr(keys, "isatty", lambda: True)
-        monkeypatch.setattr("sys.stdin", keys)
+        surroundings.set_stdin(monkeypatch, "y\n", is_terminal=True)
         if not lasts(line):
             return
-        write = shell._print
+        write = replaced.SHELL_PRINT.value
 
         def written(text: str) -> None:
             write(text)
             signal.raise_signal(signal.SIGINT)
 
-        monkeypatch.setattr(shell, "_print", written)
+        replaced.SHELL_PRINT.set(monkeypatch, written)
 
     return press
 
@@ -348,8 +346,8 @@ def test_it_works(
     prepare(text)
     serve(text)
     press_keys(text)
-    monkeypatch.setattr(figures, "_EVERY", 0.05)
-    monkeypatch.setattr(bench_command, "_measure", lambda *_: OK)  # tests/bench measures
+    constants.FIGURES_EVERY.set(monkeypatch, 0.05)
+    replaced.BENCH_MEASURE.set(monkeypatch, lambda *_: OK)  # tests/bench measures
     if text in _BEFORE:
         assert run(_BEFORE[text]) == OK
     check(text, capsys, consoles)

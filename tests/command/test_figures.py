@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 import pytest
 from tests.console.scripted import LINK, NOW, SESSION, ScriptedEngine, route
+from tests.support import constants, replaced
 from tests.support.bridge import carries, linked
 from tests.support.commands import Ran, parser_and_commands
 from tests.support.domain import text
+from tests.support.held import held_by
 from tests.support.running import Running
 from tests.support.waiting import eventually
 
@@ -61,8 +63,8 @@ def publishing(out: Publisher, period: float) -> Iterator[None]:
 @pytest.fixture
 def engine(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> Running:
     monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
-    monkeypatch.setattr(figures, "_EVERY", 0.05)
-    monkeypatch.setattr(figures, "_LEDGER_FROM", 0.0)
+    constants.FIGURES_EVERY.set(monkeypatch, 0.05)
+    constants.FIGURES_LEDGER_FROM.set(monkeypatch, 0.0)
     made = Running(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN, DOCK))
     machine.serve(made)
     return made
@@ -78,14 +80,14 @@ def objects(done: Ran) -> list[dict[str, Any]]:
 
 
 def test_hz_gives_the_rate_over_the_window(ran: Any, engine: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    newer = figures._newer
+    newer = replaced.NEWER_FIGURES.value
 
     def seen(*given: Any) -> Any:
         now = newer(*given)
         engine.seen = True
         return now
 
-    monkeypatch.setattr(figures, "_newer", seen)
+    replaced.NEWER_FIGURES.set(monkeypatch, seen)
     engine.waits = True
     done = ran("hz", "/scan", "--count", "3", "--json", "--window", "2")
     assert done.code == 0
@@ -161,7 +163,7 @@ def test_what_is_removed_meanwhile_ends_it(ran: Any, engine: Running, monkeypatc
             engine.now = replace(engine.now, routes=())
             return super().add(moment, route)
 
-    monkeypatch.setattr(figures, "Window", Gone)
+    replaced.FIGURES_WINDOW.set(monkeypatch, Gone)
     assert ran("hz", "/scan", "--for", "60", "--json").code == 1
 
 
@@ -180,7 +182,7 @@ def test_a_window_forgets_what_is_older() -> None:
         found = window.add(NOW + second, replace(SCAN, messages_total=7122 + second * second))
     assert found is not None
     assert (found.seconds, found.messages) == (3.0, 999**2 - 996**2)
-    assert len(window._looks) == 4
+    assert held_by(window) == 4
 
 
 def test_info_of_a_topic(ran: Any, engine: Running) -> None:
@@ -241,7 +243,7 @@ def test_what_a_full_link_delivers_stands_beside_what_it_is_given(
     ran: Any, machine: Machine, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
-    monkeypatch.setattr(figures, "_EVERY", 0.05)
+    constants.FIGURES_EVERY.set(monkeypatch, 0.05)
     machine.serve(Dropping(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,)))
     people = ran(name, "/scan", *(() if name == "info" else ("--count", "3")))
     assert people.code == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import re
 import signal
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.console.scripted import NOW, ScriptedEngine, call_route
+from tests.support import surroundings
 from tests.support.commands import Ran, parser_and_commands
 from tests.support.fleet import ServerEngine
 
@@ -49,9 +49,7 @@ def fleet(capsys: pytest.CaptureFixture[str], *words: str) -> Ran:
 
 def answers(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     """Somebody is there, and types this."""
-    stdin = io.StringIO(text)
-    monkeypatch.setattr(stdin, "isatty", lambda: True)
-    monkeypatch.setattr("sys.stdin", stdin)
+    surroundings.set_stdin(monkeypatch, text, is_terminal=True)
 
 
 # --- how they are
@@ -107,7 +105,7 @@ def test_the_screen_needs_a_terminal(
     engine: ServerEngine, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with Path(os.devnull).open() as nothing:
-        monkeypatch.setattr("sys.stdin", nothing)
+        surroundings.set_stdin(monkeypatch, nothing)
         ran = fleet(capsys)
     assert (ran.code, "fleet --json" in ran.err) == (2, True)
 
@@ -207,7 +205,7 @@ def test_each_robot_gets_what_standard_input_has(
     engine.now = replace(engine.now, routes=(*engine.now.routes, *routes))
     engine.published = [Published(is_done=True, nodes=1)] * 2
     engine.called.set_result("success: true\n")
-    monkeypatch.setattr("sys.stdin", io.StringIO("data: true"))
+    surroundings.set_stdin(monkeypatch, "data: true")
     assert fleet(capsys, "exec", "robot1", "robot2", "--", *words, "-").code == 0
     published = [each[1].fields for each in engine.commands if each[0] == "publish"]  # type: ignore[attr-defined]
     called = [each[2] for each in engine.commands if each[0] == "call"]
@@ -246,7 +244,7 @@ def test_a_change_after_a_yes(
 def test_nobody_is_asked(
     engine: ServerEngine, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO())
+    surroundings.set_stdin(monkeypatch, "")
     assert fleet(capsys, "edit", "robot1", "/camera", "max_rate=5").code == 2
     assert fleet(capsys, "edit", "robot1", "/camera", "max_rate=5", "--json").code == 2
     assert engine.commands == []

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from PIL import Image
+from tests.support import constants, replaced, surroundings
 
 from rsb_bridge.model.pictures import Pixels
 from rsb_console.command import graphics
@@ -63,7 +64,7 @@ def protocol(answer: bytes, terminals: list[Terminal], monkeypatch: pytest.Monke
     terminal = Terminal(answer)
     terminals.append(terminal)
     with open(terminal.slave, "r+b", buffering=0, closefd=False) as stream:
-        monkeypatch.setattr("sys.stdin", stream)
+        surroundings.set_stdin(monkeypatch, stream)
         monkeypatch.setattr("sys.stdout", stream)
         try:
             return protocol_of_terminal()
@@ -88,10 +89,10 @@ def test_a_terminal_is_asked(
 
 
 def test_a_terminal_that_does_not_answer(answering: list[Terminal], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(graphics, "_ANSWERS_WITHIN", 0.2)
+    constants.TERMINAL_ANSWERS_WITHIN.set(monkeypatch, 0.2)
     terminal = Terminal(b"")
     answering.append(terminal)
-    assert graphics._asked(terminal.slave, terminal.slave) == b""
+    assert graphics.asked(terminal.slave, terminal.slave) == b""
 
 
 def test_without_a_terminal_nothing_is_asked() -> None:
@@ -99,17 +100,17 @@ def test_without_a_terminal_nothing_is_asked() -> None:
 
 
 def test_sixel_without_its_library(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(graphics, "find_spec", lambda _: None)
+    surroundings.hide_modules(monkeypatch, "textual_image", "PIL")
     assert why_not("sixel")
     assert why_not("kitty") == why_not("blocks") == ""
 
 
 def test_kitty_gets_a_png_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(graphics, "_cell_size", lambda: _CELL)
+    replaced.CELL_SIZE.set(monkeypatch, lambda: _CELL)
     noise = Pixels(100, 80, os.urandom(24_000))
     commands = _COMMAND.findall(ImagePrinter("kitty").printed(noise, 50, 10))
     assert len(commands) > 2
-    assert all(len(payload) <= graphics._CHUNK for _, payload in commands)
+    assert all(len(payload) <= constants.GRAPHICS_CHUNK.value for _, payload in commands)
     first = dict(pair.split("=") for pair in commands[0][0].split(","))
     assert (first["a"], first["f"], first["c"], first["r"], first["m"]) == ("T", "100", "25", "10", "1")
     assert [keys for keys, _ in commands[1:]] == ["m=1"] * (len(commands) - 2) + ["m=0"]
@@ -121,7 +122,7 @@ def test_kitty_gets_a_png_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_sixels_select_each_colour_that_they_define(monkeypatch: pytest.MonkeyPatch) -> None:
     """Some terminals select it with its definition, xterm does not."""
-    monkeypatch.setattr(graphics, "_cell_size", lambda: _CELL)
+    replaced.CELL_SIZE.set(monkeypatch, lambda: _CELL)
     printed = ImagePrinter("sixel").printed(RED, 10, 11)
     size = re.match(r'\x1bP[0-9;]*q"1;1;([0-9]+);([0-9]+)', printed)
     assert size is not None

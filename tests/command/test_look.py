@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-import sys
 from argparse import Namespace
 from concurrent.futures import Future
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 from xml.etree import ElementTree
 
 import pytest
 from rich.style import Style
 from tests.console.scripted import ScriptedEngine
+from tests.support import constants, replaced, surroundings
 from tests.support.bridge import linked
 from tests.support.commands import Ran
 from tests.support.domain import LATCHED, text
@@ -77,11 +78,10 @@ def drawn(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -
             if waits[0] > times:
                 raise KeyboardInterrupt
 
-        monkeypatch.setattr(look_command, "wait", wait)
-        monkeypatch.setattr("time.monotonic", lambda: now[0])
-        monkeypatch.setattr("time.sleep", lambda _: None)
+        replaced.LOOK_WAIT.set(monkeypatch, wait)
+        replaced.LOOK_TIME.set(monkeypatch, SimpleNamespace(monotonic=lambda: now[0], sleep=lambda _: None))
         with pytest.raises(KeyboardInterrupt):
-            look_command._many(cast("RemoteEngine", Engine(*answers)), "viewer", ARGUMENTS)
+            look_command.many(cast("RemoteEngine", Engine(*answers)), "viewer", ARGUMENTS)
         return capsys.readouterr().out.split("\x1b[H")[1:]
 
     return draw
@@ -234,7 +234,7 @@ def test_any_terminal_has_a_picture(
 def test_of_several_topics_it_prints_the_last_picture(
     ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(look_command, "_SETTLE_SECONDS", 1.0)
+    constants.LOOK_SETTLES_IN.set(monkeypatch, 1.0)
     engine.viewed = [viewed(), Viewed(Picture()), viewed(Cells(("both",)))]
     assert ran("/map", "/scan", "--once").out.startswith("both\n")
 
@@ -247,7 +247,7 @@ def test_several_topics_wait_for_the_one_without_which_nothing_can_be_drawn(ran:
 def test_a_problem_does_not_replace_a_picture_of_several_topics(
     ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(look_command, "_SETTLE_SECONDS", 1.0)
+    constants.LOOK_SETTLES_IN.set(monkeypatch, 1.0)
     engine.viewed = [viewed(), viewed(None, problem="no transform any more")]
     assert ran("/map", "/tf", "--once").out.startswith("a row\n")
 
@@ -271,7 +271,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
             monkeypatch.delenv(name, raising=False)
         for name, value in variables.items():
             monkeypatch.setenv(name, value)
-        monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+        surroundings.print_to_terminal(monkeypatch)
         Style.parse.cache_clear()  # a parsed style keeps the codes of the first terminal
 
     return make

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import pytest
 from tests.console.scripted import SESSION, ScriptedEngine, route
+from tests.support import replaced
 from tests.support.commands import parser_and_commands, rsb_console
 from tests.support.running import Running
 
@@ -200,7 +201,7 @@ def test_a_traceback_is_clean_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     stream = io.StringIO()
     stream.fileno = lambda: 2  # type: ignore[method-assign]
     monkeypatch.setattr(sys, "stderr", stream)
-    monkeypatch.setattr("rsb_console.command.arguments.check_session", fails)
+    replaced.CHECK_SESSION.set(monkeypatch, fails)
     monkeypatch.setattr("signal.signal", lambda *_: None)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     assert main(["check", "x.yaml", "--debug"]) == 1

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import getpass
-import io
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 import yaml
 from tests.console.scripted import ScriptedEngine, route
+from tests.support import replaced, surroundings
 from tests.support.bridge import linked
 from tests.support.commands import Ran, rsb_console
 from tests.support.consoles import Consoles
@@ -21,7 +21,6 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.engine.publishing import PublishProblem
 from rsb_bridge.model.by_hand import Draft, Published
 from rsb_bridge.model.calls import FIELDS_LENGTH
-from rsb_bridge.model.clock import Clock as SteadyClock
 from rsb_bridge.model.command_origin import acting
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
@@ -83,8 +82,8 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
-    monkeypatch.setattr(pub_command, "time", made)
-    monkeypatch.setattr(SteadyClock, "steady", staticmethod(made.steady))
+    replaced.PUB_TIME.set(monkeypatch, made)
+    replaced.STEADY_CLOCK.set(monkeypatch, staticmethod(made.steady))
     return made
 
 
@@ -113,7 +112,7 @@ def test_the_type_of_a_new_topic(ran: Any, engine: ScriptedEngine) -> None:
 
 def test_the_message_of_standard_input(ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch) -> None:
     engine.published = [TAKEN]
-    monkeypatch.setattr("sys.stdin", io.StringIO("data: hello\n"))
+    surroundings.set_stdin(monkeypatch, "data: hello\n")
     assert ran("/words", "-").code == 0
     assert [each.fields for each in sent(engine)] == ["data: hello\n"]
 
@@ -122,7 +121,7 @@ def test_no_more_of_standard_input_is_read_than_a_message_may_have(
     ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine.published = [EngineError("too long")]
-    monkeypatch.setattr("sys.stdin", io.StringIO("#" * (2 * FIELDS_LENGTH)))
+    surroundings.set_stdin(monkeypatch, "#" * (2 * FIELDS_LENGTH))
     assert ran("/words", "-").code == 1
     assert [len(each.fields) for each in sent(engine)] == [FIELDS_LENGTH + 1]
 
@@ -174,7 +173,7 @@ def test_messages_that_are_late_are_not_made_up_for(
         clock.now += 1.0 if not sent(engine) else 0.0
         return publish(*arguments)
 
-    monkeypatch.setattr(pub_command, "publish", slowly)
+    replaced.PUB_PUBLISH.set(monkeypatch, slowly)
     assert ran("/words", "", "--count", "4", "--rate", "4").code == 0
     assert clock.slept == [0.0, 0.25, 0.25]
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 import msgspec
 import pytest
 from tests.console.scripted import EVENTS, ROUTES, SESSION, ScriptedEngine, route
+from tests.support import replaced
 from tests.support.commands import Ran
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -459,7 +460,7 @@ def test_status_shows_all_bridges_and_exits_with_the_worst_code(
     assert [(each["name"], each["ok"]) for each in faulty.json["bridges"]] == [("robot1", True), ("robot2", False)]
     assert ran("status", "robot1").code == 0
     frozen = [replace(each, info=None, problem="frozen") for each in running_bridges()[:1]]
-    monkeypatch.setattr("rsb_console.command.status.running_bridges", lambda: [*frozen, *running_bridges()[1:]])
+    replaced.STATUS_BRIDGES.set(monkeypatch, lambda: [*frozen, *running_bridges()[1:]])
     assert ran("status").code == 3
 
 

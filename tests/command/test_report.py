@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.console.scripted import LINK, NOW, REMEMBERED, ScriptedEngine
 from tests.history.world import World
+from tests.support import constants, surroundings
 from tests.support.commands import Ran
 from tests.support.wording import says
 
@@ -37,7 +38,7 @@ def state(machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setenv("TZ", "UTC")
-    monkeypatch.setattr("rsb_bridge.history.state_folder.SERVICES", tmp_path / "none")
+    constants.SERVICES_STATE.set(monkeypatch, tmp_path / "none")
     (tmp_path / "state" / "rsb-console").mkdir(parents=True)
     return tmp_path / "state" / "rsb-console"
 
@@ -109,7 +110,7 @@ def test_of_a_bridge_that_does_not_run_it_comes_from_its_files(
     world.go(60)
     world.timeline.cut()
     history_files.write_history(state / "robot1.history", world.recorder.save())
-    monkeypatch.setattr("time.time", lambda: world.clock.wall + 600)
+    surroundings.set_wall_clock(monkeypatch, lambda: world.clock.wall + 600)
     report = ran("report", "robot1")
     assert report.code == 0
     assert ReportText.STOPPED().strip() in report.out
@@ -197,14 +198,14 @@ def test_files_from_the_future_say_so_and_one_event_from_the_future_moves_nothin
     world = World("/scan")
     world.go(60)
     history_files.write_history(state / "robot1.history", world.recorder.save())
-    monkeypatch.setattr("time.time", lambda: world.clock.wall + 600)
+    surroundings.set_wall_clock(monkeypatch, lambda: world.clock.wall + 600)
     event = Event(1, world.clock.wall + 1e8, Level.INFO, EventCode.ROUTE_PAUSED, "paused by anna", who="anna")
     (state / "robot1.jsonl").write_bytes(history_files.encode_event(event))
     report = ran("report", "robot1", "--last", "1h")
     assert report.code == 0
     assert says(report.out, ReportText.RAN_PARTLY, watched="1 min", share="1.7 %")
     assert "anna" not in report.out
-    monkeypatch.setattr("time.time", lambda: world.clock.wall - 1e6)
+    surroundings.set_wall_clock(monkeypatch, lambda: world.clock.wall - 1e6)
     report = ran("report", "robot1")
     assert (report.code, FROM_THE_FUTURE in report.err) == (3, True)
 

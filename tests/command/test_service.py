@@ -9,20 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support import constants
 from tests.support.commands import parser_and_commands
 from tests.support.systemd import exposure
 from tests.support.wording import says
 
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session
-from rsb_console.command import service
 from rsb_console.command.service import KEPT_VARIABLES, Service, ServiceText, unit_name
 
 
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    monkeypatch.setattr(service, "_SYSTEM_UNITS", tmp_path / "system")
+    constants.SYSTEM_UNITS.set(monkeypatch, tmp_path / "system")
     for name in (*KEPT_VARIABLES, "ROS_DISTRO"):
         monkeypatch.delenv(name, raising=False)
     return tmp_path
@@ -143,7 +143,7 @@ def test_a_setup_file_is_sourced_first(ran: Any, session: Path, tmp_path: Path) 
     (line,) = [line for line in out.splitlines() if line.startswith("ExecStart=")]
     assert line.startswith(f'ExecStart="/bin/bash" "-c" "source \\"$$0\\" && exec \\"$$@\\"" "{setup}" ')
     made = Service(session, ("/usr/bin/env",), system=False, user="", setup=setup)
-    words = made._command()[:4]
+    words = made.command()[:4]
     done = subprocess.run([*words, "/usr/bin/env"], capture_output=True, text=True, check=True)
     assert "FROM_SETUP=yes" in done.stdout.splitlines()
 

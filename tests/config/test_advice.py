@@ -4,6 +4,7 @@ import socket
 from typing import Any
 
 import pytest
+from tests.support import surroundings
 from tests.support.wording import says
 
 from rsb_bridge.config.advice import Advice, advise
@@ -129,7 +130,7 @@ def test_what_is_right_needs_no_advice(session: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("changes", [{"server_ip": MAC, "server_port": 3}, {"bluetooth_address": MAC}])
 def test_a_python_without_bluetooth_is_named(changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(socket, "AF_BLUETOOTH", 31, raising=False)
+    surroundings.offer_bluetooth(monkeypatch)
     session = Session(**{**CLIENT, **changes, "topics": (Topic("/a", "receive", protocol="bluetooth", port=4),)})
     assert list(advise(session, None)) == []
     monkeypatch.delattr(socket, "AF_BLUETOOTH")

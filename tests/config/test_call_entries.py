@@ -108,43 +108,101 @@ def test_what_is_saved_is_read_again_in_the_lists_of_each_kind() -> None:
 
 
 @pytest.mark.parametrize(
+    ("fields", "code", "parameters"),
+    [
+        ("kind: service", ForeignKey.KIND_OF_CALLED, {}),
+        ("qos: 5", ForeignKey.QOS_OF_CALLED, {}),
+        ("expected_rate: 5", ForeignKey.EXPECTED_RATE_OF_CALLED, {}),
+        ("stale_after: 5", ForeignKey.STALE_AFTER_OF_CALLED, {}),
+        ("direction: transmit", ForeignKey.DIRECTION_OF_CALLED, {}),
+        ("remote_topic: /d", ForeignKey.OTHER_REMOTE, {"key": "remote_service"}),
+        ("time_out: 1", ValueMistake.MISSPELT_KEY, {"hint": Hint.DID_YOU_MEAN(name="timeout")}),
+        ("timeout: 0", TopicMistake.OUT_OF_RANGE, {"value": 0.0, "range": RangeText.TIMEOUT(range=CALL_TIME)}),
+        ("timeout: 90000", TopicMistake.OUT_OF_RANGE, {"value": 90000.0}),
+        ("timeout: nan", ValueMistake.MISFIT, {"value": "'nan'", "expected": "a number"}),
+        ("protocol: udp", TopicMistake.CALL_NEEDS_RELIABLE, {"protocol": "udp"}),
+        ("protocol: bluetooth", TopicMistake.NEEDS_ADAPTER, {}),
+        ("port: 0", TopicMistake.INVALID_PORT, {"port": 0, "kind": "port"}),
+        ("max_rate: 0", TopicMistake.OUT_OF_RANGE, {"value": 0.0}),
+        ("deadman: 5", TopicMistake.DEADMAN_WITHOUT_ARM, {"kind": "a service"}),
+        (
+            "type: std_srvs/Trigger",
+            TopicMistake.NOT_A_TYPE,
+            {"folder": "srv", "hint": Hint.DID_YOU_MEAN(name="std_srvs/srv/Trigger")},
+        ),
+        (
+            "type: std_srvs/msg/Trigger",
+            TopicMistake.NOT_A_TYPE,
+            {"folder": "srv", "hint": Hint.DID_YOU_MEAN(name="std_srvs/srv/Trigger")},
+        ),
+        ("type: Trigger", TopicMistake.NOT_A_TYPE, {"name": "'Trigger'", "kind": "a service", "folder": "srv"}),
+        (f"type: a/srv/{'B' * 300}", TopicMistake.CALLED_TYPE_TOO_LONG, {}),
+        ("remote_service: dock", TopicMistake.NOT_ABSOLUTE, {"name": "'dock'", "noun": "service"}),
+        ("remote_service: /_rsb_bridge/x", TopicMistake.OF_THE_BRIDGE, {"name": "'/_rsb_bridge/x'"}),
+        ("remote_service: /a/_action/send_goal", TopicMistake.PART_OF_ACTION, {"action": "/a"}),
+        ("type: p/action/A", TopicMistake.TYPE_OF_OTHER_KIND, {"kind": "an action"}),
+    ],
+)
+def test_a_mistake_of_a_service_has_its_line_and_key(fields: str, code: Wording, parameters: dict[str, Any]) -> None:
+    (problem,) = problems(service(fields))
+    assert (problem.location, problem.line) == (f"services[0].{fields.partition(':')[0]}", 7)
+    assert says(problem.message, code, **parameters)
+
+
+@pytest.mark.parametrize(
+    ("kind", "fields", "key", "code", "parameters"),
+    [
+        ("services", "{service: /d}", "provider", ValueMistake.MISSING, {}),
+        ("services", "{service: /d, provider: robot}", "provider", ValueMistake.MISFIT, {"value": "'robot'"}),
+        ("services", "{provider: client}", "service", ValueMistake.MISSING, {"expected": "text"}),
+        (
+            "services",
+            "{service: /a/_action/get_result, provider: client}",
+            "service",
+            TopicMistake.PART_OF_ACTION,
+            {"action": "/a"},
+        ),
+        ("services", "{service: /_rsb_bridge/published, provider: client}", "service", TopicMistake.OF_THE_BRIDGE, {}),
+        ("services", "{topic: /d, provider: client, service: /d}", "topic", ForeignKey.LIST_UNDER, {"list": "topics"}),
+        (
+            "actions",
+            "{action: /a, provider: client, type: p/srv/A}",
+            "type",
+            TopicMistake.TYPE_OF_OTHER_KIND,
+            {"name": "'p/srv/A'"},
+        ),
+        (
+            "services",
+            "{service: /d/**x, provider: client}",
+            "service",
+            TopicMistake.NOT_A_PATTERN,
+            {"name": "'/d/**x'"},
+        ),
+        (
+            "parameters",
+            "{node: n, provider: client}",
+            "node",
+            TopicMistake.NOT_ABSOLUTE,
+            {"name": "'n'", "noun": "node"},
+        ),
+        ("parameters", "{node: /n, provider: client, type: x}", "type", ForeignKey.TYPE_OF_PARAMETERS, {}),
+        ("topics", "{topic: /a, direction: transmit, kind: service}", "kind", ForeignKey.KIND_OF_TOPIC, {}),
+        ("topics", "{topic: /a, direction: transmit, timeout: 3}", "timeout", ForeignKey.TIMEOUT_OF_TOPIC, {}),
+        ("topics", "{topic: /a, direction: transmit, provider: client}", "provider", ForeignKey.PROVIDER_OF_TOPIC, {}),
+        ("topics", "{topic: /a, direction: transmit, node: /n}", "node", ForeignKey.NOT_A_TOPIC, {}),
+    ],
+)
+def test_a_mistake_of_an_entry_has_its_line_and_key(
+    kind: str, fields: str, key: str, code: Wording, parameters: dict[str, Any]
+) -> None:
+    (problem,) = problems(entry(kind, fields))
+    assert (problem.location, problem.line) == (f"{kind}[0].{key}", 7)
+    assert says(problem.message, code, **parameters)
+
+
+@pytest.mark.parametrize(
     ("text", "line", "location", "code", "parameters"),
     [
-        (service("kind: service"), 7, "services[0].kind", ForeignKey.KIND_OF_CALLED, {}),
-        (service("qos: 5"), 7, "services[0].qos", ForeignKey.QOS_OF_CALLED, {}),
-        (service("expected_rate: 5"), 7, "services[0].expected_rate", ForeignKey.EXPECTED_RATE_OF_CALLED, {}),
-        (service("stale_after: 5"), 7, "services[0].stale_after", ForeignKey.STALE_AFTER_OF_CALLED, {}),
-        (service("direction: transmit"), 7, "services[0].direction", ForeignKey.DIRECTION_OF_CALLED, {}),
-        (
-            service("remote_topic: /d"),
-            7,
-            "services[0].remote_topic",
-            ForeignKey.OTHER_REMOTE,
-            {"key": "remote_service"},
-        ),
-        (
-            service("time_out: 1"),
-            7,
-            "services[0].time_out",
-            ValueMistake.MISSPELT_KEY,
-            {"hint": Hint.DID_YOU_MEAN(name="timeout")},
-        ),
-        (
-            service("timeout: 0"),
-            7,
-            "services[0].timeout",
-            TopicMistake.OUT_OF_RANGE,
-            {"value": 0.0, "range": RangeText.TIMEOUT(range=CALL_TIME)},
-        ),
-        (service("timeout: 90000"), 7, "services[0].timeout", TopicMistake.OUT_OF_RANGE, {"value": 90000.0}),
-        (
-            service("timeout: nan"),
-            7,
-            "services[0].timeout",
-            ValueMistake.MISFIT,
-            {"value": "'nan'", "expected": "a number"},
-        ),
-        (service("protocol: udp"), 7, "services[0].protocol", TopicMistake.CALL_NEEDS_RELIABLE, {"protocol": "udp"}),
         (
             service("protocol: udp", BLUETOOTH),
             7,
@@ -159,62 +217,6 @@ def test_what_is_saved_is_read_again_in_the_lists_of_each_kind() -> None:
             TopicMistake.NOT_ON_BLUETOOTH,
             {"protocol": "tcp"},
         ),
-        (service("protocol: bluetooth"), 7, "services[0].protocol", TopicMistake.NEEDS_ADAPTER, {}),
-        (service("port: 0"), 7, "services[0].port", TopicMistake.INVALID_PORT, {"port": 0, "kind": "port"}),
-        (service("max_rate: 0"), 7, "services[0].max_rate", TopicMistake.OUT_OF_RANGE, {"value": 0.0}),
-        (service("deadman: 5"), 7, "services[0].deadman", TopicMistake.DEADMAN_WITHOUT_ARM, {"kind": "a service"}),
-        (
-            service("type: std_srvs/Trigger"),
-            7,
-            "services[0].type",
-            TopicMistake.NOT_A_TYPE,
-            {"folder": "srv", "hint": Hint.DID_YOU_MEAN(name="std_srvs/srv/Trigger")},
-        ),
-        (
-            service("type: std_srvs/msg/Trigger"),
-            7,
-            "services[0].type",
-            TopicMistake.NOT_A_TYPE,
-            {"folder": "srv", "hint": Hint.DID_YOU_MEAN(name="std_srvs/srv/Trigger")},
-        ),
-        (
-            service("type: Trigger"),
-            7,
-            "services[0].type",
-            TopicMistake.NOT_A_TYPE,
-            {"name": "'Trigger'", "kind": "a service", "folder": "srv"},
-        ),
-        (service(f"type: a/srv/{'B' * 300}"), 7, "services[0].type", TopicMistake.CALLED_TYPE_TOO_LONG, {}),
-        (
-            service("remote_service: dock"),
-            7,
-            "services[0].remote_service",
-            TopicMistake.NOT_ABSOLUTE,
-            {"name": "'dock'", "noun": "service"},
-        ),
-        (
-            service("remote_service: /_rsb_bridge/x"),
-            7,
-            "services[0].remote_service",
-            TopicMistake.OF_THE_BRIDGE,
-            {"name": "'/_rsb_bridge/x'"},
-        ),
-        (
-            service("remote_service: /a/_action/send_goal"),
-            7,
-            "services[0].remote_service",
-            TopicMistake.PART_OF_ACTION,
-            {"action": "/a"},
-        ),
-        (entry("services", "{service: /d}"), 7, "services[0].provider", ValueMistake.MISSING, {}),
-        (
-            entry("services", "{service: /d, provider: robot}"),
-            7,
-            "services[0].provider",
-            ValueMistake.MISFIT,
-            {"value": "'robot'"},
-        ),
-        (entry("services", "{provider: client}"), 7, "services[0].service", ValueMistake.MISSING, {"expected": "text"}),
         (
             entry("services", "/d"),
             7,
@@ -229,84 +231,6 @@ def test_what_is_saved_is_read_again_in_the_lists_of_each_kind() -> None:
             "service",
             ValueMistake.MISSPELT_KEY,
             {"hint": Hint.DID_YOU_MEAN(name="services")},
-        ),
-        (
-            entry("services", "{service: /a/_action/get_result, provider: client}"),
-            7,
-            "services[0].service",
-            TopicMistake.PART_OF_ACTION,
-            {"action": "/a"},
-        ),
-        (
-            entry("services", "{service: /_rsb_bridge/published, provider: client}"),
-            7,
-            "services[0].service",
-            TopicMistake.OF_THE_BRIDGE,
-            {},
-        ),
-        (
-            entry("services", "{topic: /d, provider: client, service: /d}"),
-            7,
-            "services[0].topic",
-            ForeignKey.LIST_UNDER,
-            {"list": "topics"},
-        ),
-        (
-            entry("actions", "{action: /a, provider: client, type: p/srv/A}"),
-            7,
-            "actions[0].type",
-            TopicMistake.TYPE_OF_OTHER_KIND,
-            {"name": "'p/srv/A'"},
-        ),
-        (service("type: p/action/A"), 7, "services[0].type", TopicMistake.TYPE_OF_OTHER_KIND, {"kind": "an action"}),
-        (
-            entry("services", "{service: /d/**x, provider: client}"),
-            7,
-            "services[0].service",
-            TopicMistake.NOT_A_PATTERN,
-            {"name": "'/d/**x'"},
-        ),
-        (
-            entry("parameters", "{node: n, provider: client}"),
-            7,
-            "parameters[0].node",
-            TopicMistake.NOT_ABSOLUTE,
-            {"name": "'n'", "noun": "node"},
-        ),
-        (
-            entry("parameters", "{node: /n, provider: client, type: x}"),
-            7,
-            "parameters[0].type",
-            ForeignKey.TYPE_OF_PARAMETERS,
-            {},
-        ),
-        (
-            entry("topics", "{topic: /a, direction: transmit, kind: service}"),
-            7,
-            "topics[0].kind",
-            ForeignKey.KIND_OF_TOPIC,
-            {},
-        ),
-        (
-            entry("topics", "{topic: /a, direction: transmit, timeout: 3}"),
-            7,
-            "topics[0].timeout",
-            ForeignKey.TIMEOUT_OF_TOPIC,
-            {},
-        ),
-        (
-            entry("topics", "{topic: /a, direction: transmit, provider: client}"),
-            7,
-            "topics[0].provider",
-            ForeignKey.PROVIDER_OF_TOPIC,
-            {},
-        ),
-        (
-            entry("topics", "{topic: /a, direction: transmit, node: /n}"),
-            7,
-            "topics[0].node",
-            ForeignKey.NOT_A_TOPIC,
-            {},
         ),
         (
             SERVER + "services:\n  - {service: /d, provider: client}\n",

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from cryptography.fernet import Fernet
+from tests.support import surroundings
 from tests.support.wording import pattern, says
 
 from rsb_bridge.config.keys import (
@@ -120,7 +121,7 @@ def test_a_key_of_another_user_comes_with_a_warning(tmp_path: Path, monkeypatch:
     write_key(path)
     owner = path.stat().st_uid
     for user, warned in ((owner, False), (0, False), (owner + 1, owner != 0)):
-        monkeypatch.setattr(os, "geteuid", lambda user=user: user)
+        surroundings.set_user(monkeypatch, user)
         assert any(says(text, KeyWarning.OTHER_OWNER, uid=owner) for text in read_key(path).warnings) == warned
 
 

@@ -13,6 +13,7 @@ from tests.console.driving import WIDE, drive, empty_app, scripted_app, shown, t
 from tests.console.live import COMMAND, Pair, end, talker
 from tests.console.scripted import ScriptedEngine, route
 from tests.console.tmux import Tmux
+from tests.support import replaced
 from tests.support.control import Machine
 from tests.support.waiting import eventually
 from textual.pilot import Pilot
@@ -139,7 +140,7 @@ def test_a_session_that_runs_already_is_attached_to_instead(machine: Machine, en
 def test_the_welcome_screen_lists_what_runs_first(
     machine: Machine, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rsb_console.operations.session_operations.SessionOperations._running", _running(machine))
+    replaced.RUNNING_SESSION.set(monkeypatch, _running(machine))
     app = empty_app()
 
     async def steps(pilot: Pilot[None]) -> None:

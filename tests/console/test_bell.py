@@ -88,6 +88,10 @@ def test_it_does_not_ring_while_it_is_off() -> None:
     assert rung.sees(SLOW, seconds=60) == 0, "the fault was there before"
 
 
+def watches(app: ConsoleApp) -> bool:
+    return app.fault_bell._watch is not None
+
+
 @on_main()
 async def test_a_key_turns_it_on_and_off(app: ConsoleApp, pilot: Pilot[None]) -> None:
     rung: list[float] = []
@@ -96,11 +100,11 @@ async def test_a_key_turns_it_on_and_off(app: ConsoleApp, pilot: Pilot[None]) ->
     assert not app.fault_bell.is_on
     await pilot.press("exclamation_mark")
     await shown(pilot, "the bell rings")
-    await until(pilot, lambda: app.fault_bell._watch is not None, "it watches")
+    await until(pilot, lambda: watches(app), "it watches")
     put(app, SLOW)
     await until(pilot, lambda: len(rung) == 1, "it rings")
     await pilot.press("exclamation_mark")
-    await until(pilot, lambda: app.fault_bell._watch is None, "it watches no more")
+    await until(pilot, lambda: not watches(app), "it watches no more")
 
 
 @pytest.mark.parametrize(("kind", "rings"), [("begun", True), ("changed", False), ("over", False)])

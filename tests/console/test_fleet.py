@@ -16,6 +16,7 @@ from tests.console.driving import NARROW, NOWHERE, WIDE, ended, notices, settled
 from tests.console.scripted import NOW, SESSION, ScriptedEngine
 from tests.console.tmux import Tmux
 from tests.model.test_robot_summary import a, on_server
+from tests.support import surroundings
 from tests.support.fleet import ScriptedSource, ServerEngine, fleet_of, robot, topics
 from textual.pilot import Pilot
 from textual.widgets import Input
@@ -110,7 +111,7 @@ class Bed:
 @pytest.fixture(autouse=True)
 def _now(monkeypatch: pytest.MonkeyPatch) -> None:
     """The time of the script."""
-    monkeypatch.setattr("rsb_console.screens.fleet_screen.time.time", lambda: NOW)
+    surroundings.set_wall_clock(monkeypatch, lambda: NOW)
 
 
 @pytest.mark.parametrize("action", FLEET_ACTIONS, ids=lambda action: action.id)
@@ -349,12 +350,18 @@ def rollout(bed: Bed) -> RolloutScreen:
     return bed.app.screen
 
 
-async def planned(bed: Bed, change: str) -> RolloutScreen:
-    """Type a change, and wait for what it would be."""
+async def marked(bed: Bed) -> RolloutScreen:
+    """Open the dialog for the first two robots, whose faults need not last long."""
     await bed.press("space", "space", "e")
     await bed.until(lambda: isinstance(bed.app.screen, RolloutScreen), "the dialog")
     screen = rollout(bed)
     screen._settle = 0.05
+    return screen
+
+
+async def planned(bed: Bed, change: str) -> RolloutScreen:
+    """Type a change, and wait for what it would be."""
+    screen = await marked(bed)
     screen.query_one(Input).value = change
     await bed.press("enter")
     return screen
@@ -410,12 +417,24 @@ def with_different_cameras() -> Bed:
     return bed
 
 
+async def planned_for_the_worse(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> RolloutScreen:
+    """Type a change that makes each robot faulty, and wait for the question."""
+    screen = await planned(bed, "/camera max_rate=5")
+    await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
+    tell = screen._tell
+
+    def worse(step: Step, what: str) -> None:
+        tell(step, what)
+        if what == "settling":
+            bed.source.put(step.name, state=RobotState.FAULT, why="refused")
+
+    monkeypatch.setattr(screen, "_tell", worse)
+    return screen
+
+
 async def picking(bed: Bed) -> RolloutScreen:
     """Mark the first two robots, and wait for what can be picked."""
-    await bed.press("space", "space", "e")
-    await bed.until(lambda: isinstance(bed.app.screen, RolloutScreen), "the dialog")
-    screen = rollout(bed)
-    screen._settle = 0.05
+    screen = await marked(bed)
     await bed.until(lambda: "/scan" in change_of(screen).list.keys and not change_of(screen)._waiting, "all topics")
     return screen
 
@@ -513,14 +532,7 @@ def test_a_change_that_makes_it_worse_is_put_back(monkeypatch: pytest.MonkeyPatc
     bed = with_cameras("robot1", "robot2")
 
     async def steps(bed: Bed) -> None:
-        screen = await planned(bed, "/camera max_rate=5")
-        await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
-
-        def worse(step: Step, what: str) -> None:
-            if what == "settling":
-                bed.source.put(step.name, state=RobotState.FAULT, why="refused")
-
-        monkeypatch.setattr(screen, "_tell", worse)
+        screen = await planned_for_the_worse(bed, monkeypatch)
         await bed.press("y")
         await bed.until(lambda: screen.phase is Phase.ENDED, "the end")
         await bed.shown("stopped at robot1")
@@ -573,16 +585,7 @@ def test_a_change_that_is_put_back_is_shown_the_other_way_round(monkeypatch: pyt
     bed = with_cameras("robot1", "robot2")
 
     async def steps(bed: Bed) -> None:
-        screen = await planned(bed, "/camera max_rate=5")
-        await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
-        tell = screen._tell
-
-        def worse(step: Step, what: str) -> None:
-            tell(step, what)
-            if what == "settling":
-                bed.source.put(step.name, state=RobotState.FAULT, why="refused")
-
-        monkeypatch.setattr(screen, "_tell", worse)
+        screen = await planned_for_the_worse(bed, monkeypatch)
         await bed.press("y")
         await bed.until(lambda: screen.phase is Phase.ENDED and screen.outcome is not None, "the end")
         await bed.press("u")

@@ -8,13 +8,13 @@ import msgspec
 import pytest
 from tests.console.driving import NARROW, drive, engine_of, fill, form_of, gone, scripted_app, shown, text, until
 from tests.console.scripted import LINK, SESSION
+from tests.support import replaced
 from textual.pilot import Pilot
 
 from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Adapter, Device, Scan, Use, scan
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import State
-from rsb_console.screens import bluetooth_screen
 from rsb_console.screens.keys_screen import KeyText, key_files
 from rsb_console.screens.links_screen import LinkText
 from rsb_console.session.saving import PathProblem
@@ -228,7 +228,7 @@ def radio(monkeypatch: pytest.MonkeyPatch) -> list[object]:
         calls.append(own_channels)
         return found()
 
-    monkeypatch.setattr(bluetooth_screen, "scan", scan)
+    replaced.BLUETOOTH_SCAN.set(monkeypatch, scan)
     return calls
 
 
@@ -236,7 +236,7 @@ def test_before_anything_is_found_the_dialog_has_no_empty_lines(monkeypatch: pyt
     async def scan(own_channels: object) -> Scan:
         return Scan((), {}, (), ("no radio here",))
 
-    monkeypatch.setattr(bluetooth_screen, "scan", scan)
+    replaced.BLUETOOTH_SCAN.set(monkeypatch, scan)
     app = scripted_app()
 
     async def steps(pilot: Pilot[None]) -> None:

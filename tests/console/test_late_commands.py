@@ -7,6 +7,7 @@ from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import replaced
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.by_hand import OLD_AFTER, Published
@@ -26,7 +27,7 @@ class Slow:
     def __init__(self, seconds: float, monkeypatch: pytest.MonkeyPatch) -> None:
         self.published = 0
         self._now, self._seconds = 100.0, seconds
-        monkeypatch.setattr(Clock, "steady", staticmethod(lambda: self._now))
+        replaced.STEADY_CLOCK.set(monkeypatch, staticmethod(lambda: self._now))
 
     def publish(self, *_: object, ticket: int, **_end: object) -> Future[Published]:
         self._now += 0.0 if ticket else self._seconds

@@ -14,6 +14,7 @@ from tests.console.driving import (
     engine_as,
     engine_of,
     gone,
+    is_shown,
     notices,
     on_main,
     put,
@@ -475,8 +476,8 @@ def test_a_running_demo_is_not_replaced_by_itself(temporary: bool) -> None:
         await pilot.press("f4")
         await until(pilot, lambda: isinstance(app.screen, ConfirmScreen), "the question")
         assert isinstance(app.screen, ConfirmScreen)
-        assert ("instead" in app.screen._title) is not temporary
-        assert app.screen._yes == ("Start again" if temporary else "Run")
+        assert is_shown(app, "instead") is not temporary
+        assert is_shown(app, "Start again" if temporary else "Run")
         await pilot.press("n")
         assert app.engine is not None
 

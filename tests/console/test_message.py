@@ -23,6 +23,7 @@ from tests.console.driving import (
 from tests.console.live import COMMAND, Pair, running, talker
 from tests.console.scripted import NOW, ScriptedEngine, route
 from tests.console.tmux import Tmux
+from tests.support import replaced
 from tests.support.control import Machine
 from tests.support.wording import says
 from textual.pilot import Pilot
@@ -128,7 +129,7 @@ def test_keys_do_something_while_a_message_is_read(monkeypatch: pytest.MonkeyPat
         assert may_go_on.wait(30), "the screen waits for the message"
         return read_message(*arguments, **limits)
 
-    monkeypatch.setattr("rsb_console.screens.message_screen.read_message", slow)
+    replaced.READ_MESSAGE.set(monkeypatch, slow)
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from tests.console.driving import on_main, until
+from tests.support import replaced
 from textual.events import Resize
 from textual.geometry import Size
 
-from rsb_console.terminal import driver
 from rsb_console.terminal.input_queue import _is_idle
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ OLD, NOW = Size(80, 24), Size(120, 36)
 
 def test_sizes_in_flight_do_not_alternate_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     taken: list[Size] = []
-    take = driver._textual_on_resize
+    take = replaced.TEXTUAL_ON_RESIZE.value
 
     async def counted(screen: Any, event: Resize) -> None:
         taken.append(event.size)
@@ -30,7 +30,7 @@ def test_sizes_in_flight_do_not_alternate_for_ever(monkeypatch: pytest.MonkeyPat
 
     @on_main(size=(NOW.width, NOW.height))
     async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        monkeypatch.setattr(driver, "_textual_on_resize", counted)
+        replaced.TEXTUAL_ON_RESIZE.set(monkeypatch, counted)
         for size in (OLD, NOW):
             app.screen.post_message(Resize(size, size))
             app.screen.call_later(lambda: None)  # else the second one replaces the first

@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 from tests.console.driving import drive, engine_as, gone, scripted_app, shown, until
 from tests.console.scripted import ScriptedEngine
+from tests.support import constants
 from textual.pilot import Pilot
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import TopicInfo
-from rsb_console.screens import topic_form
 
 
 class SlowPeer(ScriptedEngine):
@@ -41,7 +41,7 @@ FAR = [TopicInfo("/far", "std_msgs/msg/String", "", None, 1, 0)]
 
 @pytest.fixture(autouse=True)
 def _look_often(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(topic_form, "LOOK_EVERY", 0.05)
+    constants.FORM_LOOK_EVERY.set(monkeypatch, 0.05)
 
 
 def test_an_answer_that_takes_many_looks_fills_the_list() -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.console.test_late_input import Time
+from tests.support import surroundings
 
 from rsb_console.terminal.pulse import ANSWERS_WITHIN, FRESH_FOR
 from rsb_console.terminal.typed_keys import TypedKeys
@@ -58,7 +59,7 @@ class Terminal:
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
     made = Terminal()
-    monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp())  # it is not this process's terminal
+    surroundings.set_foreground(monkeypatch, is_ours=True)  # it is not this process's terminal
     yield made
     made.close()
 
@@ -116,7 +117,7 @@ def test_a_terminal_that_never_answers_is_believed(terminal: Terminal) -> None:
 
 
 def test_in_the_background_the_terminal_is_left_alone(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp() + 1)
+    surroundings.set_foreground(monkeypatch, is_ours=False)
     with TypedKeys(terminal.here, {}, Time()) as keys:
         assert not keys.wait(0)
         assert terminal.is_plain

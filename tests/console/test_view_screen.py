@@ -28,6 +28,7 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import SUGGESTION, ScriptedEngine, answered, route
+from tests.support import constants, replaced
 from tests.support.control import Machine
 from tests.support.wording import says
 from textual.pilot import Pilot
@@ -41,7 +42,6 @@ from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
 from rsb_console.look.picture_rows import Row
 from rsb_console.look.plot_lines import AXIS
-from rsb_console.screens import view_screen
 from rsb_console.screens.drive_screen import DriveScreen
 from rsb_console.screens.message_screen import MessageScreen
 from rsb_console.screens.publish_screen import PublishScreen
@@ -122,6 +122,11 @@ def drawn(app: ConsoleApp) -> list[Row]:
 def placing(app: ConsoleApp) -> Goal | None:
     """Return the goal that the operator is placing."""
     return screen_of(app)._goal
+
+
+def problem(app: ConsoleApp) -> object:
+    """Return why there is no picture."""
+    return screen_of(app)._problem
 
 
 def title(app: ConsoleApp) -> str:
@@ -557,7 +562,7 @@ def test_the_robot_of_the_picture_is_driven(routes: tuple[RouteSnapshot, ...], t
             return
         await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
         assert isinstance(app.screen, DriveScreen)
-        assert app.screen._route.topic == topic
+        await shown(pilot, topic)
         await pilot.press("escape")
         await until(pilot, lambda: isinstance(app.screen, ViewScreen), "the picture")
 
@@ -637,7 +642,7 @@ def test_a_file_that_cannot_be_written_is_reported(folder: Path, monkeypatch: py
         await opened(pilot)
         await comes(pilot, viewed())
         await until(pilot, lambda: screen_of(app).has_content, "the picture")
-        monkeypatch.setattr(view_screen, "replace_file", fails)
+        replaced.VIEW_REPLACE_FILE.set(monkeypatch, fails)
         await pilot.press("p")
         await notified(pilot, ViewText.NOT_WRITTEN, error="no space")
 
@@ -651,7 +656,7 @@ def test_a_file_that_cannot_be_written_is_reported(folder: Path, monkeypatch: py
 def test_the_age_of_an_old_picture_grows(monkeypatch: pytest.MonkeyPatch) -> None:
     app = scripted_app()
     late = [0.0]
-    monkeypatch.setattr(view_screen, "time", _Clock(late))
+    replaced.VIEW_TIME.set(monkeypatch, _Clock(late))
 
     async def steps(pilot: Pilot[None]) -> None:
         await opened(pilot)
@@ -694,7 +699,7 @@ async def test_a_problem_instead_of_a_picture(app: ConsoleApp, pilot: Pilot[None
 
 
 def test_a_refusal_is_shown_and_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(view_screen, "_TRIED_AGAIN_AFTER", 0.0)
+    constants.VIEW_TRIED_AGAIN_AFTER.set(monkeypatch, 0.0)
     app = scripted_app()
 
     async def steps(pilot: Pilot[None]) -> None:
@@ -748,13 +753,13 @@ def test_no_text_of_a_picture_is_markup(wild: str) -> None:
 async def test_a_damaged_image_is_refused_in_words(app: ConsoleApp, pilot: Pilot[None]) -> None:
     before = title(app)
     await comes(pilot, viewed(Pixels(8, 8, b"RIFF\0\0\0\0WEBPxxxx", "webp")))
-    await until(pilot, lambda: title(app) != before and screen_of(app)._problem, "the reason")
+    await until(pilot, lambda: title(app) != before and problem(app), "the reason")
     assert drawn(app) == []
     await pilot.press("p")
     await notified(pilot, ViewText.NOT_WRITTEN)
     await comes(pilot, viewed())
     await shown(pilot, "the picture")
-    assert not screen_of(app)._problem
+    assert not problem(app)
 
 
 def _unfit() -> list[Picture]:

@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.console.scripted import EVENTS, ScriptedEngine, refused, route
+from tests.support import constants
+from tests.support.inside import attached_to, bytes_for, is_sending
 from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
-from rsb_bridge.control import attached_console, bridges, control_sockets, protocol, remote_engine
+from rsb_bridge.control import bridges, control_sockets, protocol
 from rsb_bridge.control.attached_console import RequestRefused
 from rsb_bridge.control.control_sockets import AttachProblem
 from rsb_bridge.control.protocol import VersionProblem
@@ -229,7 +231,7 @@ def test_a_command_that_fails_once_its_console_has_gone_is_no_internal_error(
 
 def consoles(machine: Machine) -> int:
     """How many are attached."""
-    return len(machine.served[-1]._consoles)
+    return len(attached_to(machine.served[-1]))
 
 
 def test_it_says_that_the_bridge_has_ended_and_attaches_to_the_next(machine: Machine) -> None:
@@ -274,7 +276,7 @@ def test_a_bridge_that_hangs_is_not_called_ok(machine: Machine, monkeypatch: pyt
     engine = Hanging()
     machine.serve(engine)
     remote = machine.attach()
-    monkeypatch.setattr(remote_engine, "ANSWERS_WITHIN", 0.5)
+    constants.ANSWERS_WITHIN.set(monkeypatch, 0.5)
     engine.goes_on.clear()
     eventually(lambda: not remote.snapshot().running)
     assert says(remote.unreachable, AttachProblem.SILENT_FOR)
@@ -325,7 +327,7 @@ def test_what_is_no_console_is_cut_off(machine: Machine, sent: bytes) -> None:
 
 
 def test_who_says_nothing_is_cut_off(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(attached_console, "_HELLO_WITHIN", 0.0)
+    constants.CONSOLE_HELLO_WITHIN.set(monkeypatch, 0.0)
     machine.serve()
     with control_sockets.connect(machine.folder / "robot1.sock", 60.0) as connection:
         assert connection.recv(1000) == b""
@@ -358,16 +360,16 @@ def test_a_stalled_console_skips_states_and_holds_up_nobody(machine: Machine) ->
     engine = Busy()
     machine.serve(engine)
     stalled = Stalled(machine)
-    (console,) = eventually(lambda: [each for each in machine.served[-1]._consoles if each._buffered])
-    eventually(lambda: not console._sending.locked(), what="one state, and no more")
-    held = console._buffered
+    (console,) = eventually(lambda: [each for each in attached_to(machine.served[-1]) if bytes_for(each)])
+    eventually(lambda: not is_sending(console), what="one state, and no more")
+    held = bytes_for(console)
     remote = machine.attach()
     seen = remote.snapshot().time
     eventually(lambda: remote.snapshot().time > seen)
     for number in range(5, 1000):
         engine.happened.append(Event(number, 0.0, Level.INFO, EventCode.LINK_UP, "x" * 200))
     eventually(lambda: len(remote.events()) == 999)
-    assert console._buffered == held, "nothing more waits for it"
+    assert bytes_for(console) == held, "nothing more waits for it"
     stalled.connection.close()
 
 
@@ -375,7 +377,7 @@ def test_a_console_that_takes_nothing_for_long_is_given_up(machine: Machine, mon
     machine.serve(Busy())
     with Stalled(machine).connection:
         eventually(lambda: consoles(machine) == 1)
-        monkeypatch.setattr(attached_console, "_STALLED_FOR", 0.5)
+        constants.CONSOLE_STALLED_FOR.set(monkeypatch, 0.5)
         eventually(lambda: consoles(machine) == 0)
 
 
@@ -421,7 +423,7 @@ def test_an_attachment_that_is_cancelled_leaves_no_socket_open(machine: Machine)
 
 
 def test_a_bridge_that_accepts_nobody_does_not_answer(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(remote_engine, "ANSWERS_WITHIN", 0.2)
+    constants.ANSWERS_WITHIN.set(monkeypatch, 0.2)
     machine.folder.mkdir(mode=0o700)
     with socket.socket(socket.AF_UNIX) as busy, contextlib.ExitStack() as waiting:
         busy.bind(str(machine.folder / "robot1.sock"))

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any, get_args
 import msgspec
 import pytest
 from tests.console.scripted import CALL_ROUTES, EVENTS, LINK, REMEMBERED, ROUTES, SESSION
+from tests.support import constants
 from tests.support.operators import BOB, Reachable, Stranger
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control import cleaning, protocol
+from rsb_bridge.control import protocol
 from rsb_bridge.control.cleaning import MOST_ITEMS, ROUTE_BYTES, TEXT, UntrustedMessages, check_routes, clean
 from rsb_bridge.control.protocol import BridgeInfo, ProtocolError, ToConsole
 from rsb_bridge.control.states import Receiver
@@ -138,7 +139,7 @@ def test_too_much_is_refused() -> None:
 
 
 def test_routes_that_are_never_listed_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cleaning, "MOST_ITEMS", 3000)
+    constants.CLEANED_ITEMS.set(monkeypatch, 3000)
     receiver = Receiver(BRIDGE, trusted=False)
     for first in range(0, 3000, 1000):
         assert not receiver.take(some_routes(first))

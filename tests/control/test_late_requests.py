@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.console.scripted import ScriptedEngine
+from tests.support import replaced
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
@@ -97,14 +98,15 @@ def test_a_refused_command_is_repeated_only_while_it_may_be_wanted(
     eventually(lambda: remote._ticket)
     stood = (TICKET_LIFE if rest else OLD_AFTER) + 0.1
     now = [Clock.steady()]
-    monkeypatch.setattr(Clock, "steady", staticmethod(lambda: now[0]))
-    again = remote._requests.again
+    replaced.STEADY_CLOCK.set(monkeypatch, staticmethod(lambda: now[0]))
+    requests = remote._requests
+    again = requests.again
 
     def stand_still(message: Any) -> Any:
         now[0] += stood
         return again(message)
 
-    monkeypatch.setattr(remote._requests, "again", stand_still)
+    monkeypatch.setattr(requests, "again", stand_still)
     slow_line(remote, monkeypatch, TICKET_LIFE + 0.5)
     with pytest.raises(EngineError, match=pattern(RequestProblem.TOO_LATE)):
         remote.do(Publish("/scan", "{}", rest=rest)).result(60)

@@ -17,13 +17,14 @@ def test_whoever_hears_of_the_loss_sees_it(machine: Machine, monkeypatch: pytest
     server = machine.serve()
     remote = machine.attach()
     seen: list[tuple[str, bool]] = []
-    add = remote._log.add
+    log = remote._log
+    add = log.add
 
     def look_and_add(level: Any, code: EventCode, text: str) -> None:
         seen.append((remote.unreachable, remote.snapshot().running))
         add(level, code, text)
 
-    monkeypatch.setattr(remote._log, "add", look_and_add)
+    monkeypatch.setattr(log, "add", look_and_add)
     server.close("the bridge was stopped")
     eventually(lambda: any(event.code == EventCode.ATTACH_LOST for event in remote.events()))
     assert seen == [("the bridge was stopped", False)]

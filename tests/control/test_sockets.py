@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import pytest
 from tests.console.scripted import SESSION, ScriptedEngine
+from tests.support import constants, replaced, surroundings
 from tests.support.wording import pattern
 
 from rsb_bridge.control import bridges, control_sockets
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be somebody else")
 NOBODY = 65534
-FALLBACK = control_sockets._fallback_folder
+FALLBACK = replaced.FALLBACK_FOLDER.value
 LISTENS = """
 import socket, sys
 listener = socket.socket(socket.AF_UNIX)
@@ -129,7 +130,7 @@ def test_roots_console_does_not_trust_another_users_process(monkeypatch: pytest.
         assert refused.value.uid == SOMEBODY
         with pytest.raises(StrangerError):
             RemoteEngine(path).start()
-        monkeypatch.setattr(control_sockets, "SERVICES", path.parent)
+        constants.SERVICES_SOCKETS.set(monkeypatch, path.parent)
         assert bridges.ask(path).info is not None
         os.chown(path.parent, NOBODY, NOBODY)
         with pytest.raises(StrangerError):
@@ -152,9 +153,9 @@ def test_root_does_not_look_into_a_folder_that_another_user_has_made(machine: Ma
 @as_root
 def test_a_console_does_not_trust_another_users_process(monkeypatch: pytest.MonkeyPatch, machine: Machine) -> None:
     machine.serve()
-    monkeypatch.setattr(control_sockets, "peer_of", lambda _: (1, NOBODY, NOBODY))
-    monkeypatch.setattr(os, "geteuid", lambda: 1234)
-    monkeypatch.setattr(control_sockets, "_folder_problem", lambda *_, **__: "")
+    replaced.PEER_OF.set(monkeypatch, lambda _: (1, NOBODY, NOBODY))
+    surroundings.set_user(monkeypatch, 1234)
+    replaced.FOLDER_PROBLEM.set(monkeypatch, lambda *_, **__: "")
     with pytest.raises(StrangerError):
         bridges.ask(machine.folder / "robot1.sock")
 
@@ -267,7 +268,7 @@ def test_any_name_of_a_session_makes_a_socket(machine: Machine, name: str) -> No
 
 
 def test_where_sockets_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(control_sockets, "_fallback_folder", FALLBACK)  # for the tests it is another
+    replaced.FALLBACK_FOLDER.set(monkeypatch, FALLBACK)  # for the tests it is another
     fallback = Path(f"/tmp/rsb-console-{os.geteuid()}")
     assert control_sockets.serving_folder({}) == fallback
     assert control_sockets.serving_folder({"XDG_RUNTIME_DIR": "/run/user/7"}) == Path("/run/user/7/rsb-console")

@@ -11,14 +11,14 @@ import weakref
 from typing import TYPE_CHECKING, get_args
 
 import pytest
+from tests.support import constants
 from tests.support.operators import ANNA, BOB, Reachable, Stranger, granted
 from tests.support.waiting import eventually
 from tests.wire.links import make_client
 
 from rsb_bridge.config.keys import Key
-from rsb_bridge.control import attached_console, sealed
+from rsb_bridge.control import sealed
 from rsb_bridge.control.protocol import CONSOLES, Failed, Hello, PollState, Refused, Request, encode
-from rsb_bridge.link import pending_connections
 from rsb_bridge.link.pending_connections import Stage
 from rsb_bridge.model import commands
 from rsb_bridge.model.benchmark import BenchmarkStep
@@ -111,7 +111,7 @@ def test_many_failures_are_answered_late(machine: Machine, monkeypatch: pytest.M
 
 
 def test_who_says_nothing_is_closed_in_time(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pending_connections, "_HANDSHAKE_WITHIN", 0.0)
+    constants.SERVER_HANDSHAKE_WITHIN.set(monkeypatch, 0.0)
     robot = Reachable(machine)
     with Stranger(robot.port) as silent:
         assert silent.is_closed()
@@ -119,7 +119,7 @@ def test_who_says_nothing_is_closed_in_time(machine: Machine, monkeypatch: pytes
 
 
 def test_who_has_no_confirmation_is_closed_in_time(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pending_connections, "_HANDSHAKE_WITHIN", 0.2)
+    constants.SERVER_HANDSHAKE_WITHIN.set(monkeypatch, 0.2)
     robot = Reachable(machine)
     with Stranger(robot.port) as recorded:
         recorded.send(recorded.console.start())
@@ -132,7 +132,7 @@ def test_many_who_say_nothing_keep_nobody_out(machine: Machine) -> None:
     robot = Reachable(machine)
     with contextlib.ExitStack() as silent:
         first = silent.enter_context(Stranger(robot.port))
-        for _ in range(sealed._LIMITS.total):
+        for _ in range(constants.CONSOLE_LIMITS.value.total):
             silent.enter_context(Stranger(robot.port))
         assert first.is_closed()
         robot.attach()
@@ -193,14 +193,14 @@ def test_who_hears_only_is_closed(machine: Machine) -> None:
 def test_operators_leave_places_to_this_machine_s_consoles(machine: Machine) -> None:
     robot = Reachable(machine)
     with contextlib.ExitStack() as attached:
-        for _ in range(sealed._PLACES):
+        for _ in range(constants.OPERATORS_PLACES.value):
             attached.enter_context(Stranger(robot.port)).attach()
         one_more = attached.enter_context(Stranger(robot.port))
         one_more.send(one_more.console.start())
         assert one_more.hear() == [events.Admitted()]
         one_more.say(Hello(1, "0.1.0"))
         assert isinstance(one_more.answer(), Refused)
-        for _ in range(CONSOLES - sealed._PLACES):
+        for _ in range(CONSOLES - constants.OPERATORS_PLACES.value):
             machine.attach()
 
 
@@ -211,11 +211,11 @@ def test_first_messages_that_are_played_again_leave_room_for_others(machine: Mac
         first = played.enter_context(Stranger(robot.port))
         first.send(first.console.start())
         eventually(lambda: [each for each in robot.acceptor.pending.present if each.stage is Stage.ACCEPTED])
-        for _ in range(sealed._LIMITS.accepted):
+        for _ in range(constants.CONSOLE_LIMITS.value.accepted):
             one = played.enter_context(Stranger(robot.port))
             one.send(one.console.start())
         assert first.is_closed()
-        assert len(robot.acceptor.pending.present) <= sealed._LIMITS.accepted
+        assert len(robot.acceptor.pending.present) <= constants.CONSOLE_LIMITS.value.accepted
         robot.attach("bob", BOB)
 
 
@@ -246,7 +246,7 @@ class Stalled:
 
 
 def test_an_operator_who_takes_nothing_is_given_up(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(attached_console, "_STALLED_FOR", 0.5)
+    constants.CONSOLE_STALLED_FOR.set(monkeypatch, 0.5)
     robot = Reachable(machine)
     stream, anna = Stalled(), Stranger(robot.port)
 
@@ -267,7 +267,7 @@ def test_an_operator_who_takes_nothing_is_given_up(machine: Machine, monkeypatch
 
 
 def test_a_refusal_that_nobody_takes_is_given_up(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sealed, "_TOLD_WITHIN", 0.1)
+    constants.REFUSAL_TOLD_WITHIN.set(monkeypatch, 0.1)
     robot = Reachable(machine)
     stream = Stalled()
 

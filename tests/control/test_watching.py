@@ -7,11 +7,12 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import constants
 from tests.support.operators import BOB, Reachable
 from tests.support.virtual_time import virtual_loop
 from tests.support.wording import pattern
 
-from rsb_bridge.control import protocol, summaries
+from rsb_bridge.control import protocol
 from rsb_bridge.control.attached_console import Console
 from rsb_bridge.control.connectors import UnixSocket
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError
@@ -103,7 +104,7 @@ def seen(way: Connector, count: int) -> list[bytes]:
 
 @pytest.mark.parametrize("by", ["socket", "network"])
 def test_figures_come_by_every_way(machine: Machine, monkeypatch: pytest.MonkeyPatch, by: str) -> None:
-    monkeypatch.setattr(protocol, "SUMMARY_EVERY", 0.0)
+    constants.SUMMARY_EVERY.set(monkeypatch, 0.0)
     robot = Reachable(machine)
     numbers = iter(range(1000))
     robot.server.summarize = lambda: str(next(numbers)).encode()
@@ -112,7 +113,7 @@ def test_figures_come_by_every_way(machine: Machine, monkeypatch: pytest.MonkeyP
 
 
 def test_a_bridge_that_makes_no_figures_does_not_answer(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(summaries, "_SILENT_FOR", 0.2)
+    constants.SUMMARY_SILENT_FOR.set(monkeypatch, 0.2)
     robot = Reachable(machine)
     with pytest.raises(ControlError, match=pattern(AttachProblem.SILENT)):
         seen(robot.way(), 1)

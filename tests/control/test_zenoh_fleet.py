@@ -7,6 +7,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import constants
 from tests.support.long import long
 from tests.support.operators import ANNA, BOB, granted
 from tests.support.waiting import eventually
@@ -206,7 +207,7 @@ def test_a_console_waits_for_the_first_word_of_each_engine_and_not_for_a_link(fl
 
 
 def test_robots_that_come_and_go_under_new_names_have_a_budget(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rsb_console.fleet.zenoh_source.MOST", 3)
+    constants.FLEET_MOST.set(monkeypatch, 3)
     fleet.add("robot1")
     seen = fleet.seen_by()
     eventually(lambda: has_spoken(seen, "robot1"))

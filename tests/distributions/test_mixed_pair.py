@@ -17,6 +17,7 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from tests.calls.ledgers import called
 from tests.engine.test_actions import FIBONACCI
+from tests.support import replaced
 from tests.support.bridge import carries, linked
 from tests.support.calls import CallNode
 from tests.support.fibonacci import FibonacciClient, FibonacciProcess
@@ -26,7 +27,6 @@ from tests.support.spun import Spun
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
-from rsb_bridge.ros import raw_types
 from rsb_bridge.ros.native.typesupport import installed_class
 
 if TYPE_CHECKING:
@@ -134,9 +134,7 @@ def test_messages_cross_and_come_back(
 ) -> None:
     """The type is installed on both sides, or hidden from the bridge of this one."""
     if not installed:
-        monkeypatch.setattr(
-            raw_types, "installed_class", lambda name: None if "Odom" in name else installed_class(name)
-        )
+        replaced.INSTALLED_CLASS.set(monkeypatch, lambda name: None if "Odom" in name else installed_class(name))
     start("tests/ros/stock_relay.py", str(robot.id))
     publisher, listener = pc.publisher("/odom_in", Odometry), pc.listener("/odom_out", Odometry)
     server = _link(bridge, robots_bridge, *TOPICS)

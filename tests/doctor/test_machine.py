@@ -14,6 +14,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import constants, replaced, surroundings
 
 from rsb_bridge.doctor import machine
 from rsb_bridge.doctor.finding import Check, Finding, Grade, examine, worst
@@ -36,7 +37,7 @@ def grades(findings: list[Finding]) -> list[tuple[str, Grade]]:
 
 @pytest.mark.parametrize(("given", "grade"), [(212_992, Grade.WARNING), (RECEIVE_BUFFER, Grade.OK)])
 def test_what_a_udp_socket_may_hold(given: int, grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine, "granted_receive_buffer", lambda _: given)
+    replaced.GRANTED_RECEIVE_BUFFER.set(monkeypatch, lambda _: given)
     (finding,) = found("udp_buffers", tmp_path)
     assert finding.grade == grade
     assert finding.facts["given"] == given
@@ -52,7 +53,7 @@ def test_how_the_process_that_draws_is_confined(
 ) -> None:
     facts = {"no_new_privileges": True, "no_capabilities": not rights, "landlock": landlock}
     ran = SimpleNamespace(stdout=json.dumps(facts))
-    monkeypatch.setattr("rsb_bridge.doctor.machine.subprocess.run", lambda *_, **__: ran)
+    replaced.DOCTOR_RUN.set(monkeypatch, lambda *_, **__: ran)
     (finding,) = found("pictures", tmp_path)
     assert (finding.grade, bool(finding.remedy), finding.facts) == (grade, grade != Grade.OK, facts)
 
@@ -79,9 +80,9 @@ def test_files_of_killed_programs_are_counted_and_those_of_running_ones_are_not(
     for name in ("fastrtps_0a", "fastdds_0b", "fastdds_port7411"):
         (folder / name).write_bytes(bytes(2 << 20))
         (folder / f"{name}_el").touch()
-    monkeypatch.setattr(machine, "_LITTLE_SHARED_MEMORY", 0)
+    constants.LITTLE_SHARED_MEMORY.set(monkeypatch, 0)
     assert grades(found("shared_memory", tmp_path)) == [("shared_memory", Grade.OK)]  # they are too new to tell
-    monkeypatch.setattr(machine, "_LOCKED_WITHIN", -1.0)
+    constants.DOCTOR_LOCKED_WITHIN.set(monkeypatch, -1.0)
     with (folder / "fastdds_0b_el").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         _, left = found("shared_memory", tmp_path)
@@ -92,13 +93,13 @@ def test_shared_memory_of_several_users(tmp_path: Path, monkeypatch: pytest.Monk
     """A stand-in for a node of another user, which only root could start."""
     folder = tmp_path / "dev/shm"
     folder.mkdir(parents=True)
-    monkeypatch.setattr(machine, "_LITTLE_SHARED_MEMORY", 0)
-    monkeypatch.setattr(machine, "_LOCKED_WITHIN", -1.0)
+    constants.LITTLE_SHARED_MEMORY.set(monkeypatch, 0)
+    constants.DOCTOR_LOCKED_WITHIN.set(monkeypatch, -1.0)
     own, other = os.geteuid(), 4_000_000_000
     with (folder / "fastdds_0a_el").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         assert grades(found("shared_memory", tmp_path)) == [("shared_memory", Grade.OK)]
-        monkeypatch.setattr(os, "geteuid", lambda: other)
+        surroundings.set_user(monkeypatch, other)
         _, several = found("shared_memory", tmp_path)
     assert (several.code, several.grade) == ("shared_memory_users", Grade.WARNING)
     assert several.facts["users"] == sorted((pwd.getpwuid(own).pw_name, str(other)))
@@ -106,7 +107,7 @@ def test_shared_memory_of_several_users(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_little_shared_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "dev/shm").mkdir(parents=True)
-    monkeypatch.setattr(machine, "_LITTLE_SHARED_MEMORY", 1 << 60)
+    constants.LITTLE_SHARED_MEMORY.set(monkeypatch, 1 << 60)
     assert grades(found("shared_memory", tmp_path)) == [("shared_memory", Grade.WARNING)]
     assert grades(found("shared_memory", tmp_path / "none")) == [("shared_memory", Grade.UNKNOWN)]
 
@@ -144,7 +145,7 @@ def rule(of: str, *expressions: dict[str, Any]) -> dict[str, Any]:
     ],
 )  # fmt: skip
 def test_chains_that_drop_packets_to_this_machine(rules: list[dict[str, Any]], chains: list[str]) -> None:
-    assert machine._dropping_chains(rules) == chains
+    assert machine.dropping_chains(rules) == chains
 
 
 @pytest.mark.parametrize(
@@ -163,14 +164,14 @@ def test_rules_that_drop_packets(
     program.write_text(f"#!/bin/sh\necho '{rules}'\nexit {code}\n")
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    monkeypatch.setattr(os, "geteuid", lambda: euid)
+    surroundings.set_user(monkeypatch, euid)
     (finding,) = found("firewall", tmp_path)
     assert finding.grade == grade
 
 
 @pytest.mark.parametrize(("names", "grade"), [(["hci0", "hci0:1"], Grade.OK), ([], Grade.NOTE)])
 def test_bluetooth_adapters(names: list[str], grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(socket, "AF_BLUETOOTH", 31, raising=False)
+    surroundings.offer_bluetooth(monkeypatch)
     for name in names:
         (tmp_path / "sys/class/bluetooth" / name).mkdir(parents=True)
     (finding,) = found("bluetooth", tmp_path)
@@ -196,7 +197,7 @@ def test_a_full_disk_and_a_foreign_folder(tmp_path: Path, monkeypatch: pytest.Mo
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 20))
     assert grades(found("disk", tmp_path)) == [("disk", Grade.WARNING)]
-    monkeypatch.setattr(os, "access", lambda *_: False)
+    surroundings.forbid_access(monkeypatch)
     (finding,) = found("disk", tmp_path)
     assert (finding.grade, str(tmp_path) in finding.remedy) == (Grade.WARNING, True)
 
@@ -205,7 +206,7 @@ def test_no_remedy_takes_a_folder_above_the_missing_one_from_its_owner(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A service's user may have a home that does not exist: the nearest folder that does is ``/``."""
-    monkeypatch.setattr(os, "access", lambda *_: False)
+    surroundings.forbid_access(monkeypatch)
     folder = tmp_path / "missing home" / "rsb-console"
     (finding,) = found("disk", tmp_path, {"STATE_DIRECTORY": str(folder)})
     command = shlex.split(finding.remedy, comments=True)
@@ -214,23 +215,23 @@ def test_no_remedy_takes_a_folder_above_the_missing_one_from_its_owner(
 
 
 def test_missing_extras_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine, "_EXTRAS", {"zenoh": "no_such_module", "metrics": "json"})
+    constants.DOCTORS_EXTRAS.set(monkeypatch, {"zenoh": "no_such_module", "metrics": "json"})
     (finding,) = found("extras", tmp_path)
     assert (finding.grade, finding.facts) == (Grade.NOTE, {"zenoh": False, "metrics": True})
     assert "[zenoh]" in finding.remedy
 
 
 def test_multicast_comes_back_without_leaving_the_machine() -> None:
-    assert machine._comes_back("127.0.0.1")
-    assert not machine._comes_back("192.0.2.1")  # this machine has no such address
+    assert machine.comes_back("127.0.0.1")
+    assert not machine.comes_back("192.0.2.1")  # this machine has no such address
 
 
 def test_multicast_by_interface(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flags = {"lo": 0x9, "up": 0x1001, "deaf": 0x1, "down": 0x1000}
     addresses = dict.fromkeys(flags, "127.0.0.1")
     monkeypatch.setattr(socket, "if_nameindex", lambda: list(enumerate(flags)))
-    monkeypatch.setattr(machine, "_flags", flags.get)
-    monkeypatch.setattr(machine, "_address", addresses.get)
+    replaced.INTERFACE_FLAGS.set(monkeypatch, flags.get)
+    replaced.INTERFACE_ADDRESS.set(monkeypatch, addresses.get)
     good, bad = found("multicast", tmp_path)
     assert [good.grade, bad.grade] == [Grade.OK, Grade.WARNING]
     assert good.facts == {"up": True, "deaf": False}

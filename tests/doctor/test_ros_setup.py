@@ -8,6 +8,7 @@ import sys
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import constants, surroundings
 from tests.support.wording import says
 
 from rsb_bridge.doctor import ros_setup
@@ -44,7 +45,7 @@ def test_the_real_self_test() -> None:
     ],
 )
 def test_what_ends_or_stops_the_self_test_is_found(program: str, within: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ros_setup, "_WITHIN", 0.5 if "sleep" in program else 20.0)
+    constants.ROS_SETUP_WITHIN.set(monkeypatch, 0.5 if "sleep" in program else 20.0)
     (finding,) = found("ros", program=program)
     assert finding.grade == Grade.ERROR
     assert within in finding.text
@@ -57,14 +58,13 @@ def test_what_is_lost_is_listed() -> None:
 
 
 def test_ros_without_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
-    found_spec = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "numpy" else found_spec(name))
+    surroundings.hide_modules(monkeypatch, "numpy")
     (works, lacks) = found("ros")
     assert (works.grade, lacks.code, lacks.grade) == (Grade.OK, "ros_numpy", Grade.WARNING)
 
 
 def test_without_ros(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    surroundings.hide_modules(monkeypatch, "rclpy")
     (finding,) = found("ros", program="raise SystemExit('not run')")
     assert finding.grade == Grade.ERROR
     assert "rsb-console[ros]" in finding.remedy
@@ -91,7 +91,7 @@ def found_in(root: Path) -> Finding:
 
 
 def test_ros_that_is_not_sourced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    surroundings.hide_modules(monkeypatch, "rclpy")
     opt_ros(tmp_path, "another", "3.1")
     assert (found_in(tmp_path).grade, found_in(tmp_path).facts.get("python")) == (Grade.ERROR, "3.1")
     opt_ros(tmp_path, "jazzy", OURS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import socket
 from dataclasses import replace
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.console.scripted import LINK, ScriptedEngine
+from tests.support import surroundings
 from tests.support.ports import free_port
 from tests.support.wording import says
 
@@ -124,14 +124,14 @@ def test_a_session_over_bluetooth_on_a_machine_without(
     changes: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     of = session(**changes)
-    monkeypatch.setattr(socket, "AF_BLUETOOTH", 31, raising=False)
+    surroundings.offer_bluetooth(monkeypatch)
     (no_adapter,) = found("session", of, tmp_path)
     monkeypatch.delattr(socket, "AF_BLUETOOTH")
     (no_sockets,) = found("session", of, tmp_path)
     assert no_adapter.text != no_sockets.text
     for finding in (no_adapter, no_sockets):
         assert (finding.grade, finding.facts, bool(finding.remedy)) == (Grade.ERROR, {"lacks": "bluetooth"}, True)
-    monkeypatch.setattr(socket, "AF_BLUETOOTH", 31, raising=False)
+    surroundings.offer_bluetooth(monkeypatch)
     (tmp_path / "sys/class/bluetooth/hci0").mkdir(parents=True)
     assert not found("session", of, tmp_path)
 
@@ -142,7 +142,7 @@ def test_a_session_with_zenoh_on_a_machine_without(
 ) -> None:
     """Without Zenoh, a link over IP only is not seen in its fleet."""
     of = session(server_ip=server_ip, zenoh=ZenohSettings())
-    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    surroundings.hide_modules(monkeypatch, "zenoh")
     (finding,) = found("session", of, tmp_path)
     assert (finding.grade, finding.facts, bool(finding.remedy)) == (grade, {"lacks": "zenoh"}, True)
 

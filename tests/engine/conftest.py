@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import constants
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,9 +18,9 @@ if TYPE_CHECKING:
 def _answers_take_their_time() -> Iterator[None]:
     """A slow machine may need more than the 5 s that an operator waits: no test here is about that deadline."""
     with pytest.MonkeyPatch.context() as patch:
-        for deadline in ("link.roles._RESTART_WITHIN", "link.questions._ANSWERED_WITHIN"):
-            patch.setattr(f"rsb_bridge.{deadline}", 60.0)
-        patch.setattr("rsb_bridge.route.arming.ANSWERED_WITHIN", 25.0)
+        constants.RESTART_WITHIN.set(patch, 60.0)
+        constants.QUESTION_ANSWERED_WITHIN.set(patch, 60.0)
+        constants.ARMING_ANSWERED_WITHIN.set(patch, 25.0)
         yield
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.serialization import serialize_message
+from tests.support import replaced
 from tests.support.bridge import carries, happened, heard, link, protocol_of, route, settled
 from tests.support.domain import text
 from tests.support.filled import filled
@@ -15,7 +16,6 @@ from tests.support.long import long
 from tests.support.participants import KnownNode
 from tests.support.waiting import eventually
 
-from rsb_bridge.link import roles as ends
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.qos import Qos
@@ -141,9 +141,9 @@ def test_chacha_where_one_side_has_no_aes(
     """A processor without AES instructions cannot be had here: what it would say of itself is put in its place."""
     there, out = pc.listener("/out"), robot.publisher("/out")
     suites = {"server": Suite.AESGCM, "client": Suite.AESGCM, slow_side: Suite.CHACHAPOLY}
-    monkeypatch.setattr(ends, "preferred_suite", lambda: suites["server"])
+    replaced.PREFERRED_SUITE.set(monkeypatch, lambda: suites["server"])
     server = bridge.server()
-    monkeypatch.setattr(ends, "preferred_suite", lambda: suites["client"])
+    replaced.PREFERRED_SUITE.set(monkeypatch, lambda: suites["client"])
     client = bridge.client(Topic("/out", "transmit"), Topic("/udp", "transmit", protocol="udp"))
     carries([out], server, ["/out"])
     out.publish(text("there"))

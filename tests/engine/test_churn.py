@@ -8,6 +8,7 @@ from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import constants
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -17,7 +18,6 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
 from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.wire import sealing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -101,7 +101,7 @@ def talk(ros: Ros, topic: str, ends: threading.Event) -> None:
 
 @pytest.mark.usefixtures("threads_change_often")
 def test_no_message_is_reordered_doubled_or_uncounted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sealing, "EPOCH_BITS", 8)  # new keys all the time
+    constants.EPOCH_BITS.set(monkeypatch, 8)  # new keys all the time
     write_key(tmp_path / "k.key")
     common: dict[str, Any] = {"server_ip": "127.0.0.1", "server_port": free_port(), "shutdown_topic": None}
     topics = [

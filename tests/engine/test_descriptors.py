@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import replaced
 from tests.support.bridge import happened, linked, now
 from tests.support.domain import text
 from tests.support.long import long
@@ -177,7 +178,7 @@ def test_a_client_opens_no_socket_for_datagrams_from_the_reserve(
     """A server may ask for many ports, and each takes one. It goes on once there are enough again."""
     out = robot.publisher("/scan")
     with monkeypatch.context() as short:
-        short.setattr("rsb_bridge.transport.descriptors.scarce", lambda: True)
+        replaced.DESCRIPTORS_SCARCE.set(short, lambda: True)
         _, client = bridge.both(Topic("/scan", "transmit", protocol="udp"))
         eventually(lambda: happened(client, EventCode.LINK_UDP_BLOCKED, Scarcity.ROUTE_WITHOUT_STREAM))
     eventually(out.get_subscription_count, what="subscribed")

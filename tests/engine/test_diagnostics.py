@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.serialization import deserialize_message
 from tests.engine.test_reloading import Edited
+from tests.support import constants
 from tests.support.bridge import carries, happened, link, linked
 from tests.support.waiting import eventually
 
@@ -82,7 +83,7 @@ def test_on_another_topic_and_on_none(bridge: Bridge, pc: Domain, tmp_path: Path
 
 
 def test_a_type_that_is_missing_ends_nothing_else(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rsb_bridge.engine.exporters._TYPE", "no_msgs/msg/None")
+    constants.DIAGNOSTICS_TYPE.set(monkeypatch, "no_msgs/msg/None")
     server, client = bridge.both()
     for engine in (server, client):
         assert happened(engine, EventCode.ENGINE_DIAGNOSTICS)

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 import pytest
 from tests.console.scripted import LINK, NOW, SESSION, route
+from tests.support import constants
 from tests.support.waiting import eventually
 
-from rsb_bridge.engine import fault_hook
 from rsb_bridge.engine.fault_hook import (
     EVERY,
     FOR_LINKS,
@@ -78,9 +78,14 @@ class Hooked:
             snapshot = Snapshot(NOW, "robot1", "client", "", 0, running=True, links=(LINK,), routes=routes)
             self.clock.skipped += skip
             self.hook.tick(snapshot)
-            runner = self.hook._runner
+            runner = self.runner
             assert runner is not None
             eventually(lambda runner=runner, snapshot=snapshot: runner._seen is snapshot)
+
+    @property
+    def runner(self) -> Any:
+        """What runs the command, on a thread of its own."""
+        return self.hook._runner
 
     @property
     def told(self) -> list[dict[str, Any]]:
@@ -134,7 +139,7 @@ def test_it_is_told_of_the_begin_another_cause_and_the_end(hooked: Hooked) -> No
 
 def test_without_a_command_there_is_no_thread(hooked: Hooked) -> None:
     hooked.names(None)
-    assert hooked.hook._runner is None
+    assert hooked.runner is None
     hooked.hook.tick(Snapshot(NOW, "robot1", "client", "", 0, running=True))
 
 
@@ -161,7 +166,7 @@ def test_nothing_of_a_peer_is_in_its_arguments(hooked: Hooked) -> None:
 
 
 def test_one_runs_at_a_time_and_what_waits_is_merged(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fault_hook, "RUNS_FOR", 1e6)  # the clock is set forward
+    constants.FAULT_COMMAND_RUNS_FOR.set(monkeypatch, 1e6)  # the clock is set forward
     hooked.open("mkdir alone || echo twice >> told; cat >> told; while [ ! -e go ]; do sleep 0.05; done; rmdir alone")
     hooked.sees(SLOW)
     eventually(lambda: hooked.told)
@@ -180,8 +185,8 @@ def test_one_runs_at_a_time_and_what_waits_is_merged(hooked: Hooked, monkeypatch
 
 
 def test_one_that_takes_too_long_is_ended_with_its_children(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fault_hook, "RUNS_FOR", 0.5)
-    monkeypatch.setattr(fault_hook, "_ENDS_WITHIN", 0.3)
+    constants.FAULT_COMMAND_RUNS_FOR.set(monkeypatch, 0.5)
+    constants.FAULT_COMMAND_ENDS_WITHIN.set(monkeypatch, 0.3)
     hooked.open("trap '' TERM\nsleep 1000 & echo $! > child; echo $$ > parent; cat >> told; while :; do sleep 1; done")
     hooked.sees(SLOW)
     eventually(hooked.warnings)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
+from tests.support import replaced
 from tests.support.long import long_cases
 
 pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
@@ -17,7 +18,6 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.session import Topic
-from rsb_bridge.transport.tcp import Tcp
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -87,7 +87,7 @@ def test_a_goal_that_runs_is_cancelled_by_hand_where_nobody_was_ever_let_send_on
 
     Where routes share the link's own stream, as on Bluetooth, the status is sent as soon as the other side can take it.
     """
-    monkeypatch.setattr(Tcp, "multiplexed", shared)
+    replaced.TCP_MULTIPLEXED.set(monkeypatch, shared)
     local = FibonacciClient(robot.id)
     goal = local.send(5)
     goal.handle()

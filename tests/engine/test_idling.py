@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from tests.support.bridge import carries, happened, linked, route
 from tests.support.domain import text
-from tests.support.inside import inside
+from tests.support.inside import break_waiting, forget_events, role_of
 from tests.support.offline import loop, make_context
 from tests.support.participants import KnownNode
 from tests.support.waiting import eventually, holds
@@ -107,7 +107,7 @@ def test_snapshots_are_renewed_four_times_a_second_while_somebody_looks_often(
 
 def test_a_regular_task_that_fails_is_reported_and_goes_on(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     server, client = bridge.both()
-    role, failures = inside(client)._role, list[int]()
+    role, failures = role_of(client), list[int]()
 
     def tick() -> None:
         if not failures:
@@ -117,7 +117,7 @@ def test_a_regular_task_that_fails_is_reported_and_goes_on(bridge: Bridge, monke
     monkeypatch.setattr(role, "tick", tick)
     eventually(lambda: happened(client, EventCode.ENGINE_ERROR, "a mistake of ours"))
     holds(lambda: linked(client) and linked(server), 7.0)  # it pings on
-    client._events._events.clear()  # the error is what this test is about
+    forget_events(client)  # the error is what this test is about
 
 
 def test_the_engine_stops_when_its_ros_side_has_failed(
@@ -125,12 +125,6 @@ def test_the_engine_stops_when_its_ros_side_has_failed(
 ) -> None:
     node = RosNode(robot.id, "robot1")
     client = bridge.start(bridge.client_session(), node)
-
-    def broken(*_: object) -> None:
-        raise RuntimeError("the wait set is broken")
-
-    assert node._participant is not None
-    monkeypatch.setattr(node._participant, "wait", broken)
-    node._participant.wake()
+    break_waiting(node, monkeypatch)
     eventually(lambda: not client.snapshot().running)
     assert happened(client, EventCode.ENGINE_ROS_FAILED, "the wait set is broken: the engine stops")

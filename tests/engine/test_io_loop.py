@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 _OFTEN = 1e-6  # s: threads change at nearly every bytecode
 
 
+def wants_its_turn(loop: IoLoop) -> bool:
+    return loop._waits.over
+
+
 @pytest.fixture
 def loop() -> Iterator[IoLoop]:
     """One that runs on a thread of its own, with nothing to do."""
@@ -130,7 +134,7 @@ def test_the_loop_waits_for_a_visitor(loop: IoLoop) -> None:
 
     def work() -> None:
         loop.call_soon_threadsafe(ran.append, 1)
-        eventually(lambda: loop._waits.over, what="the loop wants its turn")
+        eventually(partial(wants_its_turn, loop), what="the loop wants its turn")
         assert not ran
 
     visit(loop, work)
@@ -243,7 +247,7 @@ def test_what_a_visitor_has_closed_is_not_heard_nor_a_new_socket_of_its_number_l
 
         def work() -> None:
             far.send(b"stale")
-            eventually(lambda: loop._waits.over, what="the loop has it from epoll, and wants its turn")
+            eventually(partial(wants_its_turn, loop), what="the loop has it from epoll, and wants its turn")
             loop.remove_reader(number)
             os.dup2(other.fileno(), number)
             loop.add_reader(number, lambda: received.append(os.read(number, 100)))

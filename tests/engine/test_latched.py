@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from tests.support import constants
 from tests.support.bridge import balance, connections, linked, listeners, route, settled
 from tests.support.domain import Domain, text
-from tests.support.inside import inside
+from tests.support.inside import inside, outputs_of
 from tests.support.long import long
 from tests.support.ports import free_port
 from tests.support.waiting import eventually, holds
@@ -74,7 +75,7 @@ def test_two_bridges_in_a_row(
     bridge: Bridge, robot: Domain, pc: Domain, third: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first one is restarted: the far end forgets what the old process brought, and keeps what the new one does."""
-    monkeypatch.setattr("rsb_bridge.route.loop_filter.EXPLAINED_WITHIN", 60.0)
+    constants.EXPLAINED_WITHIN.set(monkeypatch, 60.0)
     out = robot.publisher("/map", qos=latched(1))
     publish(out, "map", range(1))
 
@@ -126,7 +127,7 @@ def brought_by(receiver: Engine, sender: Engine) -> bool:
     """Whether all that an engine publishes has crossed another one's bridge."""
     node = inside(sender).context.ros.node_name
     routes = [route for link in inside(receiver).links() for route in tuple(link.routes.values())]
-    outputs = [output for route in routes for output in tuple(route._outputs._outputs)]  # type: ignore[attr-defined]
+    outputs = [output for route in routes for output in tuple(outputs_of(route)._outputs)]  # type: ignore[arg-type]
     return bool(outputs) and all(node in map(node_of, output.came_by) for output in outputs)
 
 
@@ -300,7 +301,7 @@ def test_a_newest_message_that_the_far_side_has_is_fine_after_a_reconnect(
 def test_a_publisher_that_is_gone_leaves_no_history(
     bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rsb_bridge.route.latched._GONE_AFTER", 1.0)
+    constants.LATCHED_GONE_AFTER.set(monkeypatch, 1.0)
     stays, goes = (robot.publisher("/tf_static", qos=latched(1)) for _ in range(2))
     kept = publish(stays, "stays", range(1)) + publish(goes, "goes", range(1))
     bridge.both(Topic("/tf_static", "transmit"))

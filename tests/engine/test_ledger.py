@@ -20,6 +20,7 @@ from tests.support.bridge import (
     settled,
 )
 from tests.support.domain import text
+from tests.support.inside import ledger_of
 from tests.support.relay import message_number
 from tests.support.waiting import eventually
 
@@ -139,7 +140,7 @@ def test_a_link_that_is_cut(bridge: Bridge, relay: Relay, robot: Domain, pc: Dom
         for there, count in zip(theres, before, strict=True):
             heard(there, count + 50)
         # What DDS still holds for the client when its subscription ends was never offered.
-        eventually(lambda taken=100 * number: [outgoing(client, n)._ledger.offered for n in names] == [taken, taken])
+        eventually(lambda taken=100 * number: [ledger_of(outgoing(client, n)).offered for n in names] == [taken, taken])
         made = connections(client)
         relay.cut()
         eventually(lambda made=made: connections(client) > made and linked(client) and linked(server))
@@ -163,7 +164,7 @@ def test_a_link_that_stalls_until_it_is_given_up(bridge: Bridge, relay: Relay, r
 
     def overflows() -> bool:
         nonlocal published
-        ledger = outgoing(client, "/count")._ledger  # a snapshot's would come too late
+        ledger = ledger_of(outgoing(client, "/count"))  # a snapshot's would come too late
         publish(out, range(5), size=500_000)
         published += 5
         eventually(lambda: ledger.offered == published, what="DDS has lost none")

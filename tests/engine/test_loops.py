@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pytest
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import String
+from tests.support import constants
 from tests.support.bridge import find, happened, linked, route
 from tests.support.domain import Domain, text
 from tests.support.inside import inside
@@ -40,7 +41,7 @@ _names = (f"robot{number}" for number in itertools.count(1))
 def patience(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bridges get as long as a slow machine takes to announce the origin of messages; strangers never do."""
     if request.function is not test_a_stranger_may_announce_what_it_likes:
-        monkeypatch.setattr("rsb_bridge.route.loop_filter.EXPLAINED_WITHIN", 30.0)
+        constants.EXPLAINED_WITHIN.set(monkeypatch, 30.0)
 
 
 @pytest.fixture

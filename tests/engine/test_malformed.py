@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
+from tests.support import constants
 
 pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
 
@@ -160,7 +161,7 @@ def test_a_hostile_peer_cannot_send_them_either(
     bridge: Bridge, victim: Victim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It has no ROS of its own; what it sends of a type that the node expects goes over the link as it is."""
-    monkeypatch.setattr("rsb_bridge.link.keepalive.DEAD_AFTER", 60.0)
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)
     server = bridge.server()
     kind: Any = installed_class("diagnostic_msgs/msg/DiagnosticArray")
     bad = array("a")[:12] + bytes(4) + FEWER[4:]

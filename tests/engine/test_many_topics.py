@@ -10,13 +10,13 @@ import time
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import constants, replaced
 from tests.support.bridge import happened, linked
-from tests.support.inside import inside
+from tests.support.inside import inside, role_of
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
-from rsb_bridge.link import client_link as link_client
 from rsb_bridge.link.pending_connections import Rejected
 from rsb_bridge.link.roles import ServerRole
 from rsb_bridge.model.codes import EventCode
@@ -40,9 +40,9 @@ STREAMS = 2
 @pytest.fixture
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """Engines wait as long as a slow machine takes, for handshakes and for a client that sends no pings."""
-    monkeypatch.setattr("rsb_bridge.link.keepalive.DEAD_AFTER", 60.0)
-    monkeypatch.setattr("rsb_bridge.link.pending_connections._HANDSHAKE_WITHIN", 60.0)
-    monkeypatch.setattr(link_client, "_HANDSHAKE_TIMEOUT", 60.0)
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)
+    constants.SERVER_HANDSHAKE_WITHIN.set(monkeypatch, 60.0)
+    constants.CLIENT_HANDSHAKE_TIMEOUT.set(monkeypatch, 60.0)
 
 
 def troubles(engine: Engine) -> list[str]:
@@ -78,7 +78,7 @@ def test_streams_go_where_the_control_connection_went(bridge: Bridge, monkeypatc
         asked.append(host)
         return await look_up(host, port, within)
 
-    monkeypatch.setattr(tcp, "look_up", counted)
+    replaced.TCP_LOOK_UP.set(monkeypatch, counted)
     bridge.server()
     topics = (Topic(f"/topic{number}", "transmit", type="std_msgs/msg/String", qos=1) for number in range(3))
     client = bridge.client(*topics, server_ip="localhost")
@@ -131,9 +131,9 @@ def propose(number: int, topic: str) -> Propose:
 
 def pending(server: Engine) -> int:
     """Return the number of a server's unauthenticated connections."""
-    role = inside(server)._role
+    role = role_of(server)
     assert isinstance(role, ServerRole)
-    return len(role._server._pending._present)
+    return len(role._server._pending.present)
 
 
 @pytest.mark.usefixtures("patience")

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from tests.support import constants
 from tests.support.bridge import carries, happened, heard, linked, route, settled
 from tests.support.domain import text
-from tests.support.inside import inside
+from tests.support.inside import inside, socket_of
 from tests.support.rogue import BLOB, Rogue
 from tests.support.stopping import stop
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
-from rsb_bridge.link import control_channel
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
@@ -64,7 +64,7 @@ def server(bridge: Bridge) -> Engine:
 @pytest.fixture
 def rogue(bridge: Bridge, server: Engine, monkeypatch: pytest.MonkeyPatch) -> Iterator[Rogue]:
     """It sends no pings: the server does not give it up for that, however long a slow machine takes."""
-    monkeypatch.setattr("rsb_bridge.link.keepalive.DEAD_AFTER", 60.0)
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)
     made = Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret)
     yield made
     made.close()
@@ -121,13 +121,12 @@ def test_on_datagrams(server: Engine, rogue: Rogue) -> None:
 
 def test_of_answers_that_are_not_taken(server: Engine, rogue: Rogue, monkeypatch: pytest.MonkeyPatch) -> None:
     """The limit is small here, and the kernel holds little and does not give up a peer that takes nothing."""
-    monkeypatch.setattr(control_channel, "_MOST_WAITING", 1 << 12)
+    constants.CONTROL_MOST_WAITING.set(monkeypatch, 1 << 12)
     eventually(lambda: linked(server))
     control = link_of(server).control
     assert control is not None
     control.stream.give_up_after(60.0)
-    assert control.stream._transport is not None
-    control.stream._transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1)
+    socket_of(control.stream).setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1)
     rogue.takes_little()
     numbers = itertools.count()
 

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from tests.engine.test_reloading import Edited
+from tests.support import constants
 from tests.support.bridge import carries, linked
 from tests.support.domain import text
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
-from rsb_bridge.engine import exporters
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Level
@@ -111,7 +111,7 @@ def test_another_address_and_none(bridge: Bridge, tmp_path: Path) -> None:
 
 
 def test_a_port_that_is_taken_ends_nothing_and_is_tried_again(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exporters, "_RETRIED_EVERY", 0.05)
+    constants.EXPORTERS_RETRIED_EVERY.set(monkeypatch, 0.05)
     where = address()
     with socket.create_server(("127.0.0.1", int(where.rpartition(":")[2]))):
         server, _ = bridge.both(ONE, metrics=where)  # each of which has only this address

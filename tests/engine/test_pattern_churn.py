@@ -8,6 +8,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from tests.engine.test_churn import Publisher, Subscription
+from tests.support import constants
 from tests.support.inside import inside
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -70,7 +71,7 @@ def counts() -> Counter[str]:
 
 
 def test_topics_that_come_and_go_by_a_pattern_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rsb_bridge.link.link_patterns.GONE_AFTER", 0.05)
+    constants.NAMES_GONE_AFTER.set(monkeypatch, 0.05)
     write_key(tmp_path / "k.key")
     common: dict[str, Any] = {"server_ip": "127.0.0.1", "server_port": free_port(), "shutdown_topic": None}
     here, there = Ros("00000001"), Ros("00000002")

@@ -11,6 +11,7 @@ import pytest
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
+from tests.support import constants, replaced
 from tests.support.bridge import STOPS_WITHIN, carries, linked, route, stage
 from tests.support.domain import LATCHED, text
 from tests.support.filled import filled
@@ -23,7 +24,6 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.link.errors import Denied
-from rsb_bridge.link.questions import TypeQuestions
 from rsb_bridge.model.commands import Peek
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PEEK_LIMIT
@@ -180,7 +180,7 @@ def test_nobody_waits_for_ever_nor_in_numbers(bridge: Bridge, monkeypatch: pytes
         client.peek(route_key).result(10)
     for future in waiting:
         future.cancel()
-    monkeypatch.setattr(peeking, "WAITS_AT_MOST", 0.2)
+    constants.PEEKING_WAITS_AT_MOST.set(monkeypatch, 0.2)
     last = eventually(lambda: _unless_refused(client.peek(route_key)), what="their places are free again")
     assert last == [None]
     running = inside(client)
@@ -239,7 +239,7 @@ def test_the_other_side_describes_a_type_that_is_not_installed_here(
     decoded = decode(description, seen(future).payload)
     assert decoded.problem == ""
     assert decoded.message["child_frame_id"] == "größer"
-    monkeypatch.setattr(TypeQuestions, "_ask", None)
+    replaced.ASK_FOR_TYPE.set(monkeypatch, None)
     assert described(server, "/odom"), "it is remembered"
 
 

@@ -13,6 +13,7 @@ from msgspec.structs import replace
 from rclpy.duration import Duration
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
+from tests.support import constants, replaced
 from tests.support.bridge import balance, carries, happened, now, route
 from tests.support.consoles import Consoles
 from tests.support.domain import BEST_EFFORT, LATCHED, RELIABLE, Domain, text
@@ -80,7 +81,7 @@ def of(engine: Engine, code: EventCode) -> list[tuple[str, str, str]]:
 @pytest.fixture
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A first message waits for nodes and routes as long as a busy machine takes, not 3 s."""
-    monkeypatch.setattr("rsb_bridge.engine.publishing.MATCHED_WITHIN", 100.0)
+    constants.PUBLISHING_MATCHED_WITHIN.set(monkeypatch, 100.0)
 
 
 @pytest.mark.usefixtures("patient")
@@ -146,7 +147,7 @@ def test_many_come_in_order_and_are_recorded_once(bridge: Bridge, pc: Domain) ->
 
 
 def test_a_publisher_that_is_not_used_is_closed(bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rsb_bridge.engine.publishing.ENDS_AFTER", ENDS_AFTER / 20)
+    constants.PUBLISHING_ENDS_AFTER.set(monkeypatch, ENDS_AFTER / 20)
     listener = robot.listener("/text")
     client = bridge.client()
     publish(client, "data: a", "/text")
@@ -376,7 +377,7 @@ def test_a_message_without_ticket_leaves_the_rest(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also if it needs another publisher."""
-    monkeypatch.setattr("rsb_bridge.engine.publishing._RESOLVE_EVERY", 0.0)
+    constants.PUBLISHING_RESOLVE_EVERY.set(monkeypatch, 0.0)
     motors = robot.listener("/cmd", Twist)
     server, _ = driven(bridge, pc, consoles)
     drive(server, 0.1)
@@ -515,7 +516,7 @@ def may_read(monkeypatch: pytest.MonkeyPatch) -> Iterator[Event]:
         assert len(text) < 5_000 or event.wait(60)
         return read_fields(text)
 
-    monkeypatch.setattr("rsb_bridge.engine.publishing.read_fields", reads)
+    replaced.PUBLISHING_READ_FIELDS.set(monkeypatch, reads)
     yield event
     event.set()
 

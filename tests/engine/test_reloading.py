@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
+from tests.support import replaced
 from tests.support.bridge import carries, find, happened, heard, link, linked, route
 from tests.support.domain import text
 from tests.support.waiting import eventually, holds
@@ -14,7 +15,6 @@ from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError, Unable
 from rsb_bridge.config.session_file import load, save
-from rsb_bridge.engine import engine as engine_module
 from rsb_bridge.link.reloading import ClientStep
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import OWN_CONSOLE, acting
@@ -308,7 +308,7 @@ def test_other_changes_wait_for_a_reload_that_runs(
         assert may_read.wait(30.0)
         return load(path)
 
-    monkeypatch.setattr(engine_module, "load", held)
+    replaced.ENGINE_LOAD.set(monkeypatch, held)
     reload = client.reload()
     assert reads.wait(30.0)
     others: tuple[Future[Any], ...] = (

@@ -11,6 +11,7 @@ import pytest
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
+from tests.support import constants
 from tests.support.bridge import balance, carries, connections, linked, now, outgoing, settled
 from tests.support.calls import CallNode
 from tests.support.domain import BEST_EFFORT, text
@@ -178,7 +179,7 @@ def test_latched_topic_keeps_its_promise(bridge: Bridge, robot: Domain, pc: Doma
 
 def test_side_that_knows_no_receipts(bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: Any) -> None:
     """An older one: messages cross as they always did."""
-    monkeypatch.setattr("rsb_bridge.link.roles.FEATURES", ("calls", "priority"))
+    constants.FEATURES.set(monkeypatch, ("calls", "priority"))
     out, there = robot.publisher("/tcp"), pc.listener("/tcp")
     server, client = bridge.both(Topic("/tcp", "transmit", qos={"depth": 1000}))
     carries([out], server, ["/tcp"])

@@ -6,6 +6,7 @@ import time
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import constants
 from tests.support.bridge import balance, carries, linked, settled
 from tests.support.domain import text
 from tests.support.waiting import eventually
@@ -26,8 +27,8 @@ def test_an_auto_topic_loses_nothing(
     size: int, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Messages of a reliable topic wait meanwhile, and arrive when the link goes on."""
-    monkeypatch.setattr("rsb_bridge.link.keepalive.DEAD_AFTER", 30.0)  # on a slow machine the stall is longer
-    monkeypatch.setattr("rsb_bridge.transport.tcp._GIVEN_UP_AFTER_MS", 30_000)
+    constants.DEAD_AFTER.set(monkeypatch, 30.0)  # on a slow machine the stall is longer
+    constants.TCP_GIVEN_UP_AFTER_MS.set(monkeypatch, 30_000)
     out, there = robot.publisher("/count"), pc.listener("/count")
     server, client = bridge.both(Topic("/count", "transmit"))
     carries([out], server, ["/count"])

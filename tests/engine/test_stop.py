@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.support.bridge import STOPS_WITHIN, carries, happened, link, linked, outgoing
 from tests.support.domain import text
+from tests.support.inside import ledger_of
 from tests.support.resources import resources
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
@@ -82,9 +83,10 @@ def test_a_peer_that_is_frozen(stopped: str, bridge: Bridge, programs: Programs,
     peer.signal(signal.SIGSTOP)
 
     def full() -> bool:
+        """Whether its queue is full: a snapshot's ledger may come after the link's end."""
         for _ in range(10):
             out.publish(text("x" * 500_000))
-        return "queue full" in outgoing(engine, "/chat")._ledger.dropped  # a snapshot's may come after the link's end
+        return "queue full" in ledger_of(outgoing(engine, "/chat")).dropped
 
     eventually(full)
     stops(engine)

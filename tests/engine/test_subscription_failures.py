@@ -6,6 +6,7 @@ import contextlib
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import constants
 from tests.support.bridge import carries, happened, heard, route, stage
 from tests.support.domain import text
 from tests.support.inside import inside
@@ -63,7 +64,7 @@ def look_down(*engines: Engine) -> None:
 def test_both_sides_say_so_until_it_is_there_again(
     bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rsb_bridge.ros.lasting_subscription._LONGEST_DELAY", 0.5)
+    constants.SUBSCRIBED_AGAIN_WITHIN.set(monkeypatch, 0.5)
     there, out = pc.listener("/chat"), robot.publisher("/chat")
     server, client = bridge.both(Topic("/chat", "transmit"))
     carries([out], server, ["/chat"])

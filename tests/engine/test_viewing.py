@@ -15,9 +15,10 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
+from tests.support import constants, replaced
 from tests.support.bridge import carries, linked, now
 from tests.support.domain import LATCHED
-from tests.support.inside import inside
+from tests.support.inside import inside, views_drawn_by
 from tests.support.waiting import eventually
 from tests.support.wording import has_text, pattern
 
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
 
     from rsb_bridge.engine import Engine
-    from rsb_bridge.link.link import Link
     from rsb_bridge.model.pictures import Viewed
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.view.worker import Task
@@ -95,9 +95,9 @@ def looked_while(talker: Talker, engine: Engine, topic: str, wish: Wish = WISH, 
         future = engine.look(about.get("viewer", "me"), (topic,), wish, about.get("link", ""))
 
 
-def drawing(link: Link) -> dict[Any, Any]:
-    """Return the views of a link that are being drawn."""
-    return link.views._drawing
+def feeds(view: TopicView) -> dict[str, Any]:
+    """Return the subscriptions of a view."""
+    return view._feeds
 
 
 def viewer(engine: Engine) -> Any:
@@ -192,10 +192,10 @@ def test_a_right_that_is_taken_away_ends_the_view(bridge: Bridge, robot: Domain)
     eventually(lambda: linked(client) and linked(server))
     looked_while(talker, server, "/pose")
     (link,), context = inside(client).links(), inside(client).context
-    assert drawing(link)
+    assert views_drawn_by(link)
     denied = msgspec.structs.replace(context.session, deny=(Grant("/pose", may="look"),))
     context.call(lambda: setattr(context, "session", denied))
-    eventually(lambda: not drawing(link))
+    eventually(lambda: not views_drawn_by(link))
 
     def refused() -> bool:
         try:
@@ -261,11 +261,11 @@ def test_a_peer_names_topics_as_rights_do(
     Talker(robot, "/pose")()
     server, client = bridge.server(), bridge.client(deny=("/pose",))
     eventually(lambda: linked(client) and linked(server))
-    monkeypatch.setattr("rsb_bridge.engine.viewing.check_names", lambda _: None)
+    replaced.CHECK_NAMES.set(monkeypatch, lambda _: None)
     with pytest.raises(EngineError, match=pattern(TopicMistake.NOT_ABSOLUTE)):
         server.look("me", (name,), WISH, "robot1").result(30)
     (link,) = inside(client).links()
-    assert not drawing(link)
+    assert not views_drawn_by(link)
 
 
 @pytest.mark.parametrize("name", NO_NAMES)
@@ -281,7 +281,7 @@ def test_a_view_that_cannot_be_opened_leaves_no_route(
     talker = Talker(robot, "/pose")
     server, _ = bridge.both()
     with monkeypatch.context() as patch:
-        patch.setattr("rsb_bridge.link.link_views.OPENED_WITHIN", -1.0)
+        constants.VIEW_OPENED_WITHIN.set(patch, -1.0)
         for _ in range(VIEWS_OF_PEER + 1):
             with pytest.raises(EngineError, match=pattern(ViewRefused.NOT_OPENED)):
                 server.look("me", ("/pose",), WISH, "robot1").result(30)
@@ -354,10 +354,10 @@ def test_a_view_goes_on_over_a_new_connection(bridge: Bridge, robot: Domain) -> 
     server, client = bridge.both()
     looked_while(talker, server, "/pose")
     (link,), context = inside(client).links(), inside(client).context
-    before = {view for view, _ in drawing(link).values()}
+    before = {view for view, _ in views_drawn_by(link).values()}
     assert before
     context.call(link.fail)
-    eventually(lambda: before.isdisjoint(view for view, _ in drawing(link).values()))
+    eventually(lambda: before.isdisjoint(view for view, _ in views_drawn_by(link).values()))
     eventually(lambda: linked(client) and linked(server))
 
     def looked_again() -> bool:
@@ -368,8 +368,8 @@ def test_a_view_goes_on_over_a_new_connection(bridge: Bridge, robot: Domain) -> 
         return True
 
     eventually(looked_again, 60)
-    assert len(views(server)) == len(views(client)) == len(drawing(link)) == 1
-    assert all(not view._feeds and view._is_closed for view in before)
+    assert len(views(server)) == len(views(client)) == len(views_drawn_by(link)) == 1
+    assert all(not feeds(view) and view._is_closed for view in before)
 
 
 def test_kept_messages_come_again_for_a_new_process_and_for_another_kind_of_picture(
@@ -393,11 +393,11 @@ def test_messages_are_counted_from_the_beginning_of_the_view(bridge: Bridge, pc:
     unreliable = pc.publisher("/pose", PoseStamped, qos=QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
     view = viewer(server).own
     assert view is not None
-    first = view._feeds["/pose"]
+    first = feeds(view)["/pose"]
 
     def resubscribed() -> bool:
         looked_while(talker, server, "/pose")
-        return view._feeds.get("/pose", first) is not first
+        return feeds(view).get("/pose", first) is not first
 
     eventually(resubscribed, 30)
     assert looked_while(talker, server, "/pose").picture.messages > before
@@ -414,7 +414,7 @@ def test_a_view_that_ends_before_it_begins_leaves_no_subscription(bridge: Bridge
     async def run() -> TopicView:
         view = TopicView(context, context.renderer, context.renderer.next_view(), ("/pose",), WISH, deliver)
         await view.check()
-        assert view._feeds
+        assert feeds(view)
         task = view.start(asyncio.get_running_loop().create_task)
         task.cancel()
         await asyncio.wait([task])
@@ -423,7 +423,7 @@ def test_a_view_that_ends_before_it_begins_leaves_no_subscription(bridge: Bridge
 
     eventually(partial(context.ros.publishers, "/pose"), 30)
     view = asyncio.run_coroutine_threadsafe(run(), context.loop).result(30)
-    assert not view._feeds
+    assert not feeds(view)
 
 
 def test_topics_that_change_while_a_view_looks_them_up(bridge: Bridge, pc: Domain) -> None:
@@ -452,7 +452,7 @@ def test_topics_that_change_while_a_view_looks_them_up(bridge: Bridge, pc: Domai
 
 
 def test_a_message_that_is_too_large_is_reported(bridge: Bridge, pc: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rsb_bridge.link.topic_view.MESSAGE_LIMIT", 100)
+    constants.VIEW_MESSAGE_LIMIT.set(monkeypatch, 100)
     publisher = pc.publisher("/text")
     server, _ = bridge.both()
 

@@ -6,6 +6,7 @@ import signal
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import replaced
 from tests.support.wording import says
 
 from rsb_bridge.transport.zenoh.endpoint import EndpointProblem
@@ -235,7 +236,7 @@ def test_datagrams_that_the_network_drops_are_in_the_ledger(
     qos = {"depth": 500, "reliability": "best_effort"}
     server, client = bridge.both(Topic("/drop", "transmit", qos=qos), **over(router))
     carries([out], server, ["/drop"])
-    take, count = endpoints.Endpoint._take_datagram, [0]
+    take, count = replaced.ZENOH_TAKE_DATAGRAM.value, [0]
 
     def lossy(self: endpoints.Endpoint, sender: str, payload: bytes) -> None:
         if self._service == "server" and len(payload) > 500:
@@ -244,7 +245,7 @@ def test_datagrams_that_the_network_drops_are_in_the_ledger(
                 return
         take(self, sender, payload)
 
-    monkeypatch.setattr(endpoints.Endpoint, "_take_datagram", lossy)
+    replaced.ZENOH_TAKE_DATAGRAM.set(monkeypatch, lossy)
     for number in range(301):
         out.publish(text(f"{number}" + " " * 800))
         eventually(lambda number=number: count[0] > number)  # one datagram each, so that the loss can be computed
@@ -261,7 +262,7 @@ def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
     there, out = pc.listener("/odom"), robot.publisher("/odom")
     server, client = bridge.both(Topic("/odom", "transmit", qos={"depth": 100}), **over(router))
     carries([out], server, ["/odom"])
-    take = endpoints.Endpoint._take
+    take = replaced.ZENOH_TAKE.value
     lost: list[str] = []
 
     def lossy(self: endpoints.Endpoint, sender: str, stream: str, attachment: bytes, payload: bytes) -> None:
@@ -270,7 +271,7 @@ def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
             return
         take(self, sender, stream, attachment, payload)
 
-    monkeypatch.setattr(endpoints.Endpoint, "_take", lossy)
+    replaced.ZENOH_TAKE.set(monkeypatch, lossy)
     for number in range(3):
         out.publish(text(str(number) * 60_000))
     eventually(lambda: lost)

@@ -10,6 +10,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import constants
 from tests.support.long import long
 
 pytest.importorskip("zenoh")  # an extra
@@ -142,7 +143,7 @@ def test_a_side_without_tags_links_and_carries(
     def begin(side: str) -> Engine:
         with monkeypatch.context() as patch:
             if side == older:
-                patch.setattr(roles, "FEATURES", known)
+                constants.FEATURES.set(patch, known)
             if side == "server":
                 return bridge.server(**over(router))
             return bridge.client(Topic("/odom", "transmit"), **over(router))

@@ -16,6 +16,7 @@ import msgspec
 import pytest
 import zstandard
 from tests.history.world import World, brief
+from tests.support import constants
 from tests.support.waiting import eventually
 
 from rsb_bridge.history import history_files
@@ -26,6 +27,13 @@ from rsb_bridge.model.snapshot import Event, Level, State
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+
+def crash(disk: Disk) -> None:
+    """Let go of the files as a process does that is killed."""
+    claim = disk._claim
+    assert claim is not None
+    claim.close()
 
 
 def disk_of(world: World, folder: Path) -> Disk:
@@ -97,7 +105,7 @@ def test_a_path_that_is_no_utf_8_ends_nothing(tmp_path: Path) -> None:
 
 
 def test_the_files_have_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(history_files, "FILE_BYTES", 2000)
+    constants.HISTORY_FILE_BYTES.set(monkeypatch, 2000)
     file = EventFile(tmp_path / "robot1.jsonl")
     for number in range(1000):
         file.write([Event(number, float(number), Level.INFO, "x.y", f"event {number}")])
@@ -251,8 +259,7 @@ def test_the_time_line_goes_on_in_the_next_process(tmp_path: Path) -> None:
     world.put("/scan", State.DOWN, "no publisher")
     world.go(60)
     disk.turn()
-    assert disk._claim is not None
-    disk._claim.close()
+    crash(disk)
     world.clock.go(60)
     again = World("/scan", clock=world.clock)
     disk_of(again, tmp_path).turn()
@@ -269,8 +276,7 @@ def test_the_last_events_of_a_killed_process_are_not_forgotten(tmp_path: Path) -
     say(world, "paused by anna", who="anna")
     disk.turn()
     assert history_files.read_history(tmp_path / "robot1.history").actions == (), "not saved yet"
-    assert disk._claim is not None
-    disk._claim.close()
+    crash(disk)
     world.clock.go(60)
     again = World("/scan", clock=world.clock)
     disk_of(again, tmp_path).turn()

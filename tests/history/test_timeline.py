@@ -9,6 +9,7 @@ import msgspec
 import pytest
 from tests.history.clocks import EPOCH, HandClock
 from tests.history.world import World, brief
+from tests.support import constants
 
 from rsb_bridge.history import timeline, track_record
 from rsb_bridge.history.timeline import Timeline
@@ -215,7 +216,7 @@ def test_a_day_is_kept_and_no_more() -> None:
         world.put("/scan", State.OK)
         world.go(HOUR - 60, step=5)
     assert len(world.outages(KEPT_FOR)) == 24
-    kept = world.timeline._records["robot1", "topic", "/scan", False]
+    kept = world.records["robot1", "topic", "/scan", False]
     assert len(kept.outages) <= 25
     assert len(kept.series) <= 1500
     track = world.track("/scan", KEPT_FOR)
@@ -243,7 +244,7 @@ def test_a_fifth_of_500_topics_takes_a_fifth_of_30_mb() -> None:
 
 
 def test_a_flapping_topic_displaces_nobodys_outages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(timeline, "OUTAGES", 120)
+    constants.OUTAGES_KEPT.set(monkeypatch, 120)
     world = World("/scan", "/map", "/odom")
     world.go(100)
     world.put("/map", State.DOWN, "no publisher")
@@ -267,20 +268,20 @@ def test_a_flapping_topic_displaces_nobodys_outages(monkeypatch: pytest.MonkeyPa
 
 
 def test_what_a_peer_can_name_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(timeline, "MOST_TRACKS", 20)
+    constants.MOST_TRACKS.set(monkeypatch, 20)
     world = World()
     for number in range(100):
         world.routes = World(f"/t{number}", clock=world.clock).routes
         world.go(1)
-    assert len(world.timeline._records) == 11
+    assert len(world.records) == 11
     world.routes = World(*(f"/more{number}" for number in range(50)), clock=world.clock).routes
     world.go(1)
-    assert len(world.timeline._records) == 11
+    assert len(world.records) == 11
 
 
 def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest.MonkeyPatch) -> None:
     """A robot's history stays, and its next topic is recorded, in spite of another client's many names."""
-    monkeypatch.setattr(timeline, "MOST_TRACKS", 20)
+    constants.MOST_TRACKS.set(monkeypatch, 20)
     world = World("/scan", "/gone")
     world.go(1)
     robot = {"/scan": world.routes["/scan"]}
@@ -290,14 +291,14 @@ def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest
         world.go(1)
     world.routes |= World("/map", clock=world.clock).routes
     world.go(1)
-    known = world.timeline._records
+    known = world.records
     assert {topic for link, _, topic, _ in known if link != "rogue" and topic} == {"/scan", "/gone", "/map"}
     assert len(known) <= 20
 
 
 def test_what_finds_no_room_costs_one_walk_a_look(monkeypatch: pytest.MonkeyPatch) -> None:
     """One walk for all of them: thousands of topics may exceed the kept ones."""
-    monkeypatch.setattr(timeline, "MOST_TRACKS", 20)
+    constants.MOST_TRACKS.set(monkeypatch, 20)
     walks = []
 
     def items(self: timeline.TrackRecords) -> object:
@@ -310,7 +311,7 @@ def test_what_finds_no_room_costs_one_walk_a_look(monkeypatch: pytest.MonkeyPatc
     walks.clear()
     world.go(3)
     assert len(walks) <= 3
-    assert len(world.timeline._records) <= 20
+    assert len(world.records) <= 20
 
 
 def test_operators_actions_are_remembered() -> None:

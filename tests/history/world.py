@@ -15,7 +15,7 @@ from rsb_bridge.telemetry.event_log import EventLog
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.history.timeline import Timeline
+    from rsb_bridge.history.timeline import Timeline, TrackRecords
     from rsb_bridge.model.history import HistoryReport, Outage, Track
 
 
@@ -44,6 +44,11 @@ class World:
     def timeline(self) -> Timeline:
         """The recorder's time line."""
         return self.recorder._timeline
+
+    @property
+    def records(self) -> TrackRecords:
+        """The tracks that the time line keeps."""
+        return self.timeline._records
 
     def _renew(self) -> None:
         self.snapshot = Snapshot(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import msgspec
 import pytest
+from tests.support import constants
 from tests.support.bridge import carries, find, happened, heard, linked, now, protocol_of, route, stage
 from tests.support.domain import text
 from tests.support.rogue import Rogue
@@ -13,7 +14,6 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.config.session_file import load_file, save
-from rsb_bridge.link import proposals
 from rsb_bridge.link.errors import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
@@ -161,7 +161,7 @@ def test_a_client_is_held_to_direction_and_transport(bridge: Bridge) -> None:
 
 def test_a_server_has_a_client_keep_so_many_topics(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     """The client's own topics are not counted, and kept ones are proposed again after a reconnect."""
-    monkeypatch.setattr(proposals, "ROUTES_PROPOSED_BY_SERVER", 2)
+    constants.ROUTES_PROPOSED_BY_SERVER.set(monkeypatch, 2)
     topics = tuple(Topic(f"/t{number}", "transmit") for number in range(3))
     server = bridge.server(clients=(Client("robot1", topics=topics),))
     client = bridge.client(Topic("/own", "transmit"), Topic("/own2", "transmit"))

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 import msgspec
 import pytest
 from msgspec import inspect
+from tests.support import constants
 from tests.support.bridge import linked
 from tests.support.rogue import Rogue
 from tests.support.slices import Handlers
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
-from rsb_bridge.link import control_channel
 from rsb_bridge.link.control_channel import BYTES, ENTRIES, ControlChannel, in_slices
 from rsb_bridge.link.route_reports import RouteReports
 from rsb_bridge.model.codes import EventCode
@@ -150,7 +150,7 @@ def test_messages_that_are_long_or_make_many_publishers_take_a_turn_each() -> No
     for message in (Describe(1, "a/msg/B", "", Qos(depth=1), sources), Ping(1, 0)):
         peer = Peer([Received(message)] * 100, entries_of)
         peer.run(100)
-        assert peer.most <= (1 if isinstance(message, Describe) else control_channel._AT_ONCE)
+        assert peer.most <= (1 if isinstance(message, Describe) else constants.CONTROL_AT_ONCE.value)
     report = encode(Report(sent=(SentReport(route=1, dropped=DROPPED),) * 18, received=()))
     assert WHOLE - 1000 < len(report) <= WHOLE
     peer = Peer([Undecoded(report)] * 20, entries_of)
@@ -179,7 +179,7 @@ def test_entries_come_no_faster_than_a_thousand_routes_report(loop: Any, entries
         return counts[0], counts[1] - counts[0]
 
     first, then = loop.run_until_complete(main())
-    burst, rate = control_channel._ENTRIES, control_channel._ENTRIES_A_SECOND
+    burst, rate = constants.CONTROL_ENTRIES.value, constants.CONTROL_ENTRIES_A_SECOND.value
     assert first <= burst + 10 * rate + 3 * ENTRIES
     assert then <= 10 * rate + 3 * ENTRIES
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
+from tests.support.held import held_by
+
 from rsb_bridge.link.refused_clients import DUPLICATES_KEPT, DuplicateClients
 from rsb_bridge.link.roles import ClientRole
 from rsb_bridge.model.codes import EventCode
@@ -35,7 +37,7 @@ def test_of_many_a_few_are_kept() -> None:
     for number in range(1000):
         clients.tried("10.0.0.9", f"host{number}", 0.001 * number, 1000.0)
     assert clients.news(1.0) == Duplicate("10.0.0.9", "host999", DUPLICATES_KEPT - 1)
-    assert len(clients._tried) == DUPLICATES_KEPT
+    assert held_by(clients) == DUPLICATES_KEPT
 
 
 def test_the_one_that_came_last_is_named_and_the_others_are_counted() -> None:

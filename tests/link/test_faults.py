@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 from unittest.mock import MagicMock
 
 import pytest
+from tests.support import constants
 from tests.support.bridge import happened, link, linked, now
 from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.config.keys import fingerprint, read_key
-from rsb_bridge.link import server_link
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import REMEDY, SameName
 from rsb_bridge.model.codes import EventCode
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 @pytest.fixture
 def heard_of(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a busy machine, too, the first client counts as one that is there."""
-    monkeypatch.setattr(server_link, "_SILENT", 60.0)
+    constants.SERVER_SILENT.set(monkeypatch, 60.0)
 
 
 def as_json(engine: Engine, name: str = "robot1") -> tuple[str, str, str]:

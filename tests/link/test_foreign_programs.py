@@ -9,6 +9,7 @@ import threading
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import constants
 from tests.support.bridge import link, linked, now
 from tests.support.waiting import eventually
 
@@ -155,7 +156,7 @@ def test_another_program_that_connects_to_the_server(
     sent: bytes, cause: LinkCause, bridge: Bridge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One line reports it, however often it connects."""
-    monkeypatch.setattr("rsb_bridge.link.pending_connections._HANDSHAKE_WITHIN", 0.3)
+    constants.SERVER_HANDSHAKE_WITHIN.set(monkeypatch, 0.3)
     server = bridge.server()
     for _ in range(4):
         with socket.create_connection(("127.0.0.1", bridge.port), timeout=60) as stranger:

@@ -13,6 +13,7 @@ import weakref
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import replaced
 from tests.support.bridge import happened, link, linked
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -193,7 +194,7 @@ def test_a_connection_that_is_reset_before_it_is_served_still_has_an_address() -
 def test_a_spent_budget_closes_the_oldest_and_keeps_no_client_out(
     bridge: Bridge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rsb_bridge.transport.registry.Strangers", functools.partial(Strangers, 5 * CONNECTION))
+    replaced.STRANGERS.set(monkeypatch, functools.partial(Strangers, 5 * CONNECTION))
     server = bridge.server()
     with contextlib.ExitStack() as silent:
         first = silent.enter_context(socket.create_connection(("127.0.0.1", bridge.port)))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import zstandard
+from tests.support import constants
 from tests.support.slices import take
 from tests.support.wording import pattern
 
@@ -21,10 +22,8 @@ from rsb_bridge.cdr.description import (
 )
 from rsb_bridge.cdr.description import text_of as text_of_description
 from rsb_bridge.cdr.type_difference import difference_of_texts
-from rsb_bridge.link import questions
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.questions import TypeQuestions, description_in
-from rsb_bridge.ros import type_descriptions
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.ros.type_descriptions import TypeDescriptions
@@ -67,8 +66,8 @@ class Route:
 class Side:
     """One side's questions and answers, on a clock of its own."""
 
-    def __init__(self) -> None:
-        self.ros, self.time = Ros(), 0.0
+    def __init__(self, ros: Ros | None = None) -> None:
+        self.ros, self.time = ros or Ros(), 0.0
         self.sent: list[Any] = []
         self.known = TypeDescriptions(self.ros, lambda: self.time)
         self.tasks: list[asyncio.Task[None]] = []
@@ -155,7 +154,7 @@ def test_nodes_that_know_nothing_are_asked_again_after_a_while() -> None:
 
 
 def test_what_is_kept_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(type_descriptions, "_KEPT", 3 * len(TEXT))
+    constants.DESCRIPTIONS_KEPT.set(monkeypatch, 3 * len(TEXT))
     known = TypeDescriptions(Ros(), lambda: 0.0)
     texts = [TEXT.replace('"x"', f'"{letter}"') for letter in "abcde"]
     hashes = [hash_of_text(text) for text in texts]
@@ -201,10 +200,7 @@ HERE = described("a_msgs/srv/A_Request", "z"), described("a_msgs/srv/A_Response"
 
 async def asked_by_a_caller(answering: Side) -> tuple[str, str]:
     """Have a side with other versions ask: the texts of the answer, and the difference that it tells."""
-    asking, told = Side(), asyncio.get_running_loop().create_future()
-    asking.ros = Installed(*HERE)
-    asking.known = TypeDescriptions(asking.ros, lambda: 0.0)
-    asking.questions._known = asking.known
+    asking, told = Side(Installed(*HERE)), asyncio.get_running_loop().create_future()
     asking.questions.compare(3, versions(REQUEST, RESPONSE), told.set_result)
     await asking.has_sent.wait()
     take(answering.questions, *asking.sent)
@@ -215,10 +211,9 @@ async def asked_by_a_caller(answering: Side) -> tuple[str, str]:
 
 @pytest.mark.parametrize("most", [DESCRIPTION_LIMIT, len(REQUEST), 0])
 def test_one_answer_has_all_types_of_a_service_that_fit(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(questions, "DESCRIPTION_LIMIT", max(most, 1))
+    constants.DESCRIPTION_LIMIT.set(monkeypatch, max(most, 1))
     monkeypatch.setattr(Route, "message_types", versions(REQUEST, RESPONSE, REQUEST))
-    answering = Side()
-    answering.known._ros = Installed(REQUEST, RESPONSE)
+    answering = Side(Installed(REQUEST, RESPONSE))
     texts, difference = asyncio.run(asked_by_a_caller(answering))
     fit = [text for text, size in ((REQUEST, len(REQUEST)), (RESPONSE, DESCRIPTION_LIMIT)) if size <= most]
     assert texts == "\n".join(fit)

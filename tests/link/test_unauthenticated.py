@@ -12,6 +12,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import constants
 from tests.support.bridge import carries, happened, heard, link, linked, now, settled
 from tests.support.domain import text
 from tests.support.inside import inside
@@ -128,7 +129,7 @@ def test_a_name_that_differs_from_the_servers(bridge: Bridge) -> None:
 
 def test_a_refused_client_is_shown_for_as_long_as_it_tries(friend: Any, bridge: Bridge, monkeypatch: Any) -> None:
     """An unknown name, and another key under the name of a robot that is linked."""
-    monkeypatch.setattr("rsb_bridge.link.refused_clients.FORGOTTEN_AFTER", 15.0)
+    constants.REFUSED_FORGOTTEN_AFTER.set(monkeypatch, 15.0)
     server, *_ = friend
     unknown = bridge.client(name="robot9")
     wrong_key = bridge.client(name="robot1", key_file="other.key")

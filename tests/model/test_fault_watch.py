@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from tests.console.scripted import LINK, NOW, route
+from tests.support.held import held_by
 
 from rsb_bridge.model.faults import LASTS, ChangeKind, FaultWatch
 from rsb_bridge.model.session import Topic
@@ -159,4 +160,4 @@ def test_nothing_is_kept_of_what_has_gone() -> None:
         watched.sees(route(f"/topic{number}", State.SLOW), seconds=4)
     watched.sees(FINE, seconds=4)
     assert watched.watch.ongoing == 0
-    assert len(watched.watch._watched) == 0
+    assert held_by(watched.watch) == 2, "the link and the topic that are there"

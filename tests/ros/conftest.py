@@ -8,8 +8,8 @@ import threading
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import replaced
 
-from rsb_bridge.ros import raw_types
 from rsb_bridge.ros.self_test import findings
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"  # read by each context that joins a domain
@@ -67,7 +67,7 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     name: str = request.param
     if name == "typed":
         found = findings()._replace(no_calls="this is another middleware")
-        monkeypatch.setattr(raw_types, "findings", lambda: found)
+        replaced.FINDINGS.set(monkeypatch, lambda: found)
     return name
 
 

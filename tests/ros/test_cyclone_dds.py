@@ -6,6 +6,7 @@ import ctypes
 import sys
 
 import pytest
+from tests.support import constants, replaced
 
 from rsb_bridge.ros.native import cyclone_dds
 
@@ -43,9 +44,9 @@ def told(handle: int) -> bytes:
 @pytest.fixture
 def library(monkeypatch: pytest.MonkeyPatch) -> Library:
     library = Library()
-    monkeypatch.setattr(cyclone_dds, "_library", lambda: library)
-    monkeypatch.setattr(cyclone_dds, "_entity", lambda _: 1)
-    monkeypatch.setattr(cyclone_dds, "rmw_subscription", lambda _: 1)
+    replaced.CYCLONE_LIBRARY.set(monkeypatch, lambda: library)
+    replaced.CYCLONE_ENTITY.set(monkeypatch, lambda _: 1)
+    replaced.CYCLONE_SUBSCRIPTION.set(monkeypatch, lambda _: 1)
     return library
 
 
@@ -64,7 +65,7 @@ def test_a_publisher_that_has_gone_keeps_what_its_message_tells(library: Library
 
 
 def test_the_oldest_of_many_publishers_is_forgotten(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cyclone_dds, "_PUBLISHERS_REMEMBERED", 2)
+    constants.PUBLISHERS_REMEMBERED.set(monkeypatch, 2)
     publishers = cyclone_dds.Publishers(1)
     for handle in (1, 2, 3, 2, 1):
         publishers.guid_of(told(handle))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from std_msgs.msg import String
+from tests.support.inside import break_waiting
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RosProblem
@@ -117,11 +118,5 @@ def test_a_thread_that_ends_by_itself_says_so(
 ) -> None:
     node = open_node()
     watcher = Watcher(node)
-    assert node._participant is not None
-
-    def broken(*_: object) -> None:
-        raise RuntimeError("the wait set is broken")
-
-    monkeypatch.setattr(node._participant, "wait", broken)
-    node._participant.wake()
+    break_waiting(node, monkeypatch)
     eventually(lambda: watcher.failures == [RosProblem.THREAD_FAILED(error="the wait set is broken")])

@@ -10,9 +10,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from std_srvs.srv import SetBool
+from tests.support import replaced
 from tests.support.wording import pattern
 
-from rsb_bridge.ros import service_endpoints
 from rsb_bridge.ros.native import librcl
 from rsb_bridge.ros.ros_interface import RosError, RosProblem
 from rsb_bridge.ros.service_endpoints import LateAnswers
@@ -37,7 +37,7 @@ class Callers:
         self.broken: set[bytes] = set()
         self.tried = 0
         self.answered: list[tuple[bytes, int]] = []
-        monkeypatch.setattr("rsb_bridge.ros.service_endpoints.time", SimpleNamespace(monotonic=lambda: self.now))
+        replaced.SERVICE_TIME.set(monkeypatch, SimpleNamespace(monotonic=lambda: self.now))
 
     def send(self, caller: bytes, number: int, _: bytes) -> bool:
         """Send an answer as `Server` does."""
@@ -135,7 +135,7 @@ def test_a_caller_that_dds_will_never_match_holds_up_nobody(
         sent.append(caller)
         return int(send_response(address, caller, message))
 
-    monkeypatch.setattr(service_endpoints, "send_response", recording)
+    replaced.SEND_RESPONSE.set(monkeypatch, recording)
     ours = open_node()
     requests: list[Any] = []
     server = ours.serve("/set", SET, "", requests.extend)

@@ -73,7 +73,7 @@ def test_five_hundred_services_and_clients_leave_nothing(
     def rounds(count: int) -> Any:
         for number in range(count * ROUND):
             once(number)
-        eventually(lambda: not (near._retired or far._retired))
+        eventually(lambda: not any(each._retired for each in (near, far)))
         eventually(lambda: not named_services.used)
         eventually(lambda: not (near.services().keys() | far.services().keys()) & {f"/set{n}" for n in range(NAMES)})
         gc.collect()

@@ -8,6 +8,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tests.support import constants, replaced
 from tests.support.resources import resources
 
 from rsb_bridge.ros import memory
@@ -65,7 +66,7 @@ def test_children_inherit_no_profile() -> None:
 
 
 def test_free_memory_goes_back_to_the_kernel(monkeypatch: pytest.MonkeyPatch, eventually: Callable[..., Any]) -> None:
-    monkeypatch.setattr(memory, "_HEAP_TRIMMED_EVERY", 0.05)
+    constants.HEAP_TRIMMED_EVERY.set(monkeypatch, 0.05)
     threads = threading.active_count()
     with memory.large_blocks_kept():
         blocks = [b"x" * (6 << 20) for _ in range(8)]
@@ -76,7 +77,7 @@ def test_free_memory_goes_back_to_the_kernel(monkeypatch: pytest.MonkeyPatch, ev
 
 
 def test_another_c_library_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rsb_bridge.ros.memory.ctypes.CDLL", lambda _: object())
+    replaced.MEMORY_LIBRARY.set(monkeypatch, lambda _: object())
     before = threading.active_count()
     with memory.large_blocks_kept():
         assert threading.active_count() <= before

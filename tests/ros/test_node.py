@@ -11,6 +11,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from tests.ros.domains import ANOTHER
+from tests.support import constants
 
 from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.ros.node import RosNode
@@ -394,7 +395,7 @@ def test_what_dds_drops_of_a_newcomer_is_counted_from_its_first_message(
     open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For an earlier publisher, nobody knows which messages the subscription should have had."""
-    monkeypatch.setattr("rsb_bridge.ros.topic_endpoints._DISCOVERED_WITHIN", -1.0)
+    constants.DISCOVERED_WITHIN.set(monkeypatch, -1.0)
     node, other = open_node(), open_node(name="other")
     before = other.advertise("/fast", STRING, "", DEEP, "link")
     for _ in range(50):
@@ -419,7 +420,7 @@ def test_what_dds_drops_of_a_newcomer_is_counted_from_its_first_message(
 def test_a_history_that_begins_late_is_no_loss(
     open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rsb_bridge.ros.topic_endpoints._DISCOVERED_WITHIN", -1.0)
+    constants.DISCOVERED_WITHIN.set(monkeypatch, -1.0)
     node, other = open_node(), open_node(name="other")
     received = Received()
     latched = Qos(durability="transient_local", history="keep_all")

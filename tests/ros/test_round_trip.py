@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from tests.ros.domains import DOMAIN
+from tests.support import replaced
 from tests.support.filled import filled
 from tests.support.wording import pattern
 
@@ -130,7 +131,7 @@ def test_a_bare_name_and_hash_speak_with_the_real_type_of_another_process(
     """The type is hidden from us, not from the other process; nav_msgs takes the part of a package that we lack."""
     odometry = INSTALLED[ODOMETRY]
     found = installed_class
-    monkeypatch.setattr(raw_types, "installed_class", lambda name: None if name == ODOMETRY else found(name))
+    replaced.INSTALLED_CLASS.set(monkeypatch, lambda name: None if name == ODOMETRY else found(name))
     node = open_node()
     received: list[bytes] = []
     node.subscribe(
@@ -169,9 +170,9 @@ def test_a_made_type_is_asked_by_none_but_the_thread_that_creates_endpoints(
 
         return wrap
 
-    monkeypatch.setattr(named_types, "FIND", recording(typesupport.FIND))
-    monkeypatch.setattr(named_types, "GET_HASH", recording(typesupport.GET_HASH))
-    monkeypatch.setattr(raw_types, "named_types", named_types.NamedTypes())
+    replaced.FIND_TYPE.set(monkeypatch, recording(typesupport.FIND))
+    replaced.GET_TYPE_HASH.set(monkeypatch, recording(typesupport.GET_HASH))
+    replaced.NAMED_TYPES.set(monkeypatch, named_types.NamedTypes())
     one, other = open_node(), open_node(name="other")
     received: list[Any] = []
     one.subscribe("/asked", "asked_msgs/msg/A", MADE_UP_HASH, Qos(), received.extend, "link")
@@ -211,7 +212,7 @@ def test_months_of_reconnects_with_other_types_make_none(
 ) -> None:
     """Each connection brings types that were never seen before; all that they leave is used again, and works."""
     types = named_types.NamedTypes()
-    monkeypatch.setattr(raw_types, "named_types", types)
+    replaced.NAMED_TYPES.set(monkeypatch, types)
     here, there = open_node(), open_node(name="other")
     for connection in range(5):
         received: list[Any] = []
@@ -235,7 +236,7 @@ def test_an_endpoint_that_cannot_be_made_keeps_no_type(
     open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     types = named_types.NamedTypes()
-    monkeypatch.setattr(raw_types, "named_types", types)
+    replaced.NAMED_TYPES.set(monkeypatch, types)
     with pytest.raises(RosError, match=pattern(RosProblem.INVALID_NAME, name="/no topic")):
         open_node().advertise("/no topic", "made_up_msgs/msg/A", MADE_UP_HASH, Qos(), "link")
     assert types.used == 0
@@ -258,9 +259,9 @@ def test_types_that_will_not_do(type_name: str, type_hash: str, code: Wording, p
 def test_another_middleware_needs_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     """A stand-in for its name: no other middleware comes as a wheel."""
     name = "rmw_zenoh_cpp"
-    monkeypatch.setattr(self_test, "get_rmw_implementation_identifier", lambda: name)
+    replaced.MIDDLEWARE.set(monkeypatch, lambda: name)
     found = self_test.test()
-    monkeypatch.setattr(raw_types, "findings", lambda: found)
+    replaced.FINDINGS.set(monkeypatch, lambda: found)
     assert found.no_messages == Shortfall.ANOTHER_MIDDLEWARE(middleware=name)
     assert found.no_calls == Shortfall.NO_CALLS(middleware=name)
     needed = pattern(

@@ -11,10 +11,11 @@ import threading
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import replaced
 from tests.support.wording import pattern
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros import participant, raw_types, self_test, topic_endpoints
+from rsb_bridge.ros import participant, raw_types, self_test
 from rsb_bridge.ros.distribution import described, package_of
 from rsb_bridge.ros.known_messages import STRING, stamped_string
 from rsb_bridge.ros.native import extension, librcl
@@ -52,9 +53,9 @@ def test_other_arguments_lead_to_the_public_classes(
     refusing: str, monkeypatch: pytest.MonkeyPatch, open_node: Callable[..., RosNode], eventually: Callable[..., Any]
 ) -> None:
     if refusing == "node":
-        monkeypatch.setattr(extension, "_node", _refuses)
+        replaced.EXTENSION_NODE.set(monkeypatch, _refuses)
     else:
-        monkeypatch.setitem(extension._CLASSES, refusing, _refuses)
+        monkeypatch.setitem(replaced.EXTENSION_CLASSES.value, refusing, _refuses)
     found = found_anew(monkeypatch)
     assert found.node is extension.PublicNode
     assert found.public_only == Shortfall.PUBLIC_CLASSES(
@@ -83,7 +84,7 @@ def test_another_layout_of_what_a_message_tells_is_refused_in_words(
     layout: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without a message's publisher, a bridge would take its own messages for others'."""
-    monkeypatch.setattr(topic_endpoints, "MESSAGE_INFO", struct.Struct(layout))
+    replaced.MESSAGE_INFO.set(monkeypatch, struct.Struct(layout))
     with pytest.raises(RosError, match=pattern(RosProblem.LACKS, name="rmw_message_info_t")):
         self_test.test()
 
@@ -91,7 +92,7 @@ def test_another_layout_of_what_a_message_tells_is_refused_in_words(
 def test_calls_that_do_not_cross_leave_messages_alone(
     monkeypatch: pytest.MonkeyPatch, open_node: Callable[..., RosNode]
 ) -> None:
-    monkeypatch.setattr(self_test, "copies_calls", lambda: False)
+    replaced.COPIES_CALLS.set(monkeypatch, lambda: False)
     found = found_anew(monkeypatch)
     assert not found.no_messages
     assert found.shortfalls == (Shortfall.CALLS(distribution=described(), error="Fast CDR"),)
@@ -103,7 +104,7 @@ def test_calls_that_do_not_cross_leave_messages_alone(
 def test_without_std_msgs_installed_types_cross(
     monkeypatch: pytest.MonkeyPatch, open_node: Callable[..., RosNode]
 ) -> None:
-    monkeypatch.setattr(self_test, "installed_class", lambda _: None)
+    replaced.SELF_TEST_INSTALLED_CLASS.set(monkeypatch, lambda _: None)
     found = found_anew(monkeypatch)
     assert found.shortfalls == (RosProblem.NO_STRINGS(package=package_of("std_msgs")),)
     open_node().advertise("/chatter", STRING, "", Qos(), "link")
@@ -111,7 +112,7 @@ def test_without_std_msgs_installed_types_cross(
 
 def test_nodes_that_start_at_once_leave_the_environment_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setattr(self_test, "_findings", self_test.test)
+    replaced.SELF_TEST_FINDINGS.set(monkeypatch, self_test.test)
     starting = [threading.Thread(target=findings) for _ in range(4)]
     for each in starting:
         each.start()
@@ -121,11 +122,11 @@ def test_nodes_that_start_at_once_leave_the_environment_alone(monkeypatch: pytes
 
 
 def test_a_missing_function_is_named() -> None:
-    function = librcl._function("rcl_no_such_function")
+    function = librcl.function("rcl_no_such_function")
     with pytest.raises(RosError, match=pattern(RosProblem.LACKS, name="rcl_no_such_function")):
         function(1, 2)
     with pytest.raises(RosError, match=pattern(RosProblem.LACKS, name="rclpy's NoSuchClass")):
-        extension._named("NoSuchClass")(1)
+        extension.named("NoSuchClass")(1)
 
 
 def test_the_environment_is_as_before(monkeypatch: pytest.MonkeyPatch) -> None:

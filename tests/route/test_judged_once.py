@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from tests.support import replaced
 from tests.support.offline import FakePeer
 
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
-from rsb_bridge.route import topic_route as module
 from rsb_bridge.route.blocking_rules import ACCEPTED
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
@@ -36,7 +36,7 @@ def test_snapshots_take_the_last_tick_s_verdict_until_somebody_changes_the_route
         judged.append(facts)
         return judge(facts)
 
-    monkeypatch.setattr(module, "judge", counted)
+    replaced.JUDGE.set(monkeypatch, counted)
     proposal = Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True)
     route = OutgoingRoute(make_context(), FakePeer(), Topic("/scan", "transmit"), proposal, proposed_here=True)
     route.open(1)

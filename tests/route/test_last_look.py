@@ -8,6 +8,7 @@ import pytest
 from tests.route.calls.test_held import GOAL, providing
 from tests.route.test_unpacking import OnePublisher, Published, opened
 from tests.route.test_volatile import unwanted
+from tests.support.inside import outputs_of, provide, refusal_of
 from tests.support.offline import FakePeer
 
 from rsb_bridge.model.calls import SEND_GOAL, Refused
@@ -75,9 +76,9 @@ def _stands_in_the_check(route: IncomingRoute, _: OnePublisher, loop: VirtualLoo
 
 
 def _stands_in_dds(route: IncomingRoute, ros: OnePublisher, loop: VirtualLoop, seconds: float) -> None:
-    route._outputs.close()
+    outputs_of(route).close()
     ros.published = _Asked(loop, seconds)
-    route._outputs.sinks.append(VolatileTopic(ros.published, 10, route.peer.budget.unacknowledged, loop.time))
+    outputs_of(route).sinks.append(VolatileTopic(ros.published, 10, route.peer.budget.unacknowledged, loop.time))
 
 
 @pytest.mark.parametrize("stand", [_stands_in_the_check, _stands_in_dds])
@@ -96,7 +97,8 @@ def test_nothing_is_published_that_became_old_on_the_way_to_dds(
     stand(route, ros, loop, seconds)
     route.deliver([(with_number(number, LONG), context.stamps.now(), LEASED)])
     assert len(ros.published.sizes) == count
-    report = route._received_report()
+    report = route.news()
+    assert report is not None
     assert (report.received, report.delivered, report.dropped.get("disarmed", 0)) == (1, count, 1 - count)
 
 
@@ -106,7 +108,7 @@ def test_no_goal_begins_that_became_old_on_the_way_to_dds(
 ) -> None:
     context = make_context()
     route = providing(context)
-    route._last_sent = Provide(route=1, lanes=(LaneEntry("a/action/B_SendGoal", "h", 1),))
+    provide(route, Provide(route=1, lanes=(LaneEntry("a/action/B_SendGoal", "h", 1),)))
     number = _arm(route, context)
 
     def slow(frame: CallFrame, part: str) -> Refused | None:
@@ -114,7 +116,7 @@ def test_no_goal_begins_that_became_old_on_the_way_to_dds(
         return None
 
     route._malformed = slow  # type: ignore[method-assign]
-    assert route._refusal(CallFrame(What.CALL, SEND_GOAL, 1, 0, GOAL, number)) is why
+    assert refusal_of(route, CallFrame(What.CALL, SEND_GOAL, 1, 0, GOAL, number)) is why
 
 
 def test_a_message_that_is_not_wanted_any_more_counts_as_no_more_memory(loop: VirtualLoop) -> None:

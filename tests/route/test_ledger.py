@@ -8,17 +8,19 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.route.test_unpacking import OnePublisher
 from tests.support.offline import FakePeer
 
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.ledger import MissedWhileDown, RouteLedger, reported_drops, reported_ledger
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.wire.codec import decode, encode
-from rsb_bridge.wire.messages import Report
-from rsb_bridge.wire.records import ReceivedReport, SentReport, VerdictRecord
+from rsb_bridge.wire.messages import Describe, Ready, Report
+from rsb_bridge.wire.records import ReceivedReport, SentReport, Source, VerdictRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -264,20 +266,26 @@ def topic() -> Topic:
 def test_a_receiver_tells_what_it_counted_only_to_the_process_that_sent_it(
     make_context: Callable[..., Context], topic: Topic
 ) -> None:
-    context, peer = make_context(role="server"), FakePeer()
+    context, peer = make_context(role="server", ros=OnePublisher()), FakePeer()
     proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
     route = IncomingRoute(context, peer, topic, proposal, proposed_here=False)
-    route.open(1)
-    route._received = route._delivered = 131
-    route.close("the link was lost")
-    route.open(3)
-    before = route._counted_before()
+
+    def counted_before(number: int) -> ReceivedReport | None:
+        """Open the route anew; return what it then tells of the opening before."""
+        if route.id:
+            route.close("the link was lost")
+        route.open(number)
+        route.on_accepted()
+        route.described(Describe(number, "std_msgs/msg/String", "RIHS01_" + "0" * 64, Qos(), (Source(("there",)),)))
+        return next(each for each in reversed(peer.sent) if isinstance(each, Ready)).before
+
+    assert counted_before(1) is None
+    route.deliver([(b"\0\1\0\0\2\0\0\0x\0", 0, 0)] * 131)
+    before = counted_before(3)
     assert before is not None
     assert (before.route, before.delivered) == (1, 131)
-    route.close("the link was lost")
     peer.instance = "second"
-    route.open(1)
-    assert route._counted_before() is None
+    assert counted_before(5) is None
 
 
 def test_an_impossible_report_is_said_once_and_ends_nothing(make_context: Callable[..., Context], topic: Topic) -> None:

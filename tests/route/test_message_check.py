@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
+from tests.support import constants
+from tests.support.held import held_by
 
 from rsb_bridge.cdr.checker import STEPS, MalformedError, TooComplexError
 from rsb_bridge.cdr.description import Field, FieldType, MessageType, TypeDescription, hash_of_text, text_of
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session
-from rsb_bridge.ros import type_descriptions
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.ros.type_descriptions import TypeCheckers, TypeDescriptions
@@ -99,6 +100,13 @@ def test_an_installed_type_is_checked_from_the_first_message() -> None:
     run(work)
 
 
+async def looked(check: MessageCheck) -> bool:
+    """Wait until a check has asked for its type; return False if it does not ask."""
+    if (asks := check._looking) is not None:
+        await asks
+    return asks is not None
+
+
 def test_a_type_that_is_not_installed_is_described_by_its_subscribers() -> None:
     """The checker goes by the subscribers' hash, not by the peer's."""
 
@@ -108,8 +116,7 @@ def test_a_type_that_is_not_installed_is_described_by_its_subscribers() -> None:
         bed.look()
         assert bed.check.checker is None
         bed.look(HASH)
-        assert bed.check._looking is not None
-        await bed.check._looking
+        assert await looked(bed.check)
         assert bed.ros.asked == [HASH]
         with pytest.raises(MalformedError):
             bed.check.check(names(3)[:-1])
@@ -123,8 +130,7 @@ def test_nodes_that_describe_nothing_are_asked_again_only_later() -> None:
         bed.check.begin(NAMES)
         for expected in (1, 1, 2):
             bed.look(HASH)
-            if bed.check._looking is not None:
-                await bed.check._looking
+            await looked(bed.check)
             assert len(bed.ros.asked) == expected
             bed.check.check(b"anything")
             if expected == 1 and bed.time == 0.0:
@@ -158,7 +164,7 @@ def test_a_link_s_messages_take_a_bounded_part_of_the_time() -> None:
 
 
 def test_checkers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(type_descriptions, "KEPT", 2)
+    constants.CHECKERS_KEPT.set(monkeypatch, 2)
 
     async def work() -> None:
         texts = {f"t/msg/T{n}": text_of(_described(f"t/msg/T{n}")) for n in range(4)}
@@ -167,7 +173,7 @@ def test_checkers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         assert all(kept)
         assert bed.context.checkers.installed("t/msg/T3") is kept[3]
         assert bed.context.checkers.installed("t/msg/T0") is not kept[0]
-        assert len(bed.context.checkers._kept) == 2
+        assert held_by(bed.context.checkers) == 2
 
     run(work)
 

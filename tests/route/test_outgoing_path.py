@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import pytest
 import zstandard
 from tests.route.test_loop_filter import FIRST, World, world
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.route.lease import Lease
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
+
+if TYPE_CHECKING:
+    from rsb_bridge.route.sending import Outbox, OutgoingPath
 
 __all__ = ["world"]
 BEST_EFFORT = Qos(reliability="best_effort")
@@ -24,6 +30,15 @@ def publish(world: World, count: int, rate: int = 100, size: int = 100) -> int:
     return len(world.sent) - before
 
 
+def steps(path: OutgoingPath) -> tuple[object, ...]:
+    """Return what a message goes through for a feature that is switched on."""
+    return path._steps
+
+
+def outbox(world: World) -> Outbox:
+    return world.path._outbox
+
+
 def limited(world: World) -> None:
     world.route.limit.set_max_rate(10.0)
 
@@ -34,16 +49,16 @@ def unlimited(world: World) -> None:
 
 def test_a_step_is_on_the_path_while_it_is_on(world: World) -> None:
     path, ledger = world.path, world.ledger
-    assert path._steps == ()
+    assert not steps(path)
     publish(world, 10)
     limited(world)
-    assert len(path._steps) == 1
+    assert len(steps(path)) == 1
     sent = publish(world, 50)
     assert 0 < sent < 10
     assert ledger.throttled == 50 - sent
     assert world.route.traffic.offered == 10 + sent  # a topic asks the link for no more than its own limit
     unlimited(world)
-    assert path._steps == ()
+    assert not steps(path)
     assert publish(world, 10) == 10
     assert ledger.offered == 70 == ledger.sent_now + ledger.throttled
 
@@ -78,18 +93,17 @@ def test_age_is_asked_again_when_a_message_leaves_the_queue(world: World) -> Non
 
 def test_what_comes_after_its_opening_is_lost_with_the_link(world: World) -> None:
     """It may be older than what arms the next opening."""
-    subscription, ledger = world.route._subscription, world.ledger
-    assert subscription is not None
-    receiver = subscription._receiver
+    ledger = world.ledger
+    world.graph.sink([RawMessage(b"late", 0, FIRST)])
     world.route.close("over")
-    receiver.offer([RawMessage(b"late", 0, FIRST)])
+    world.wait(0.1)
     assert (ledger.offered, ledger.dropped["link lost"]) == (1, 1)
     assert not world.sent
 
 
 def test_messages_that_the_transport_does_not_carry_ask_nothing_of_the_link(world: World) -> None:
     path, ledger = world.path, world.ledger
-    path._outbox.largest = 50
+    outbox(world).largest = 50
     path.offer([RawMessage(bytes(size), 1, FIRST) for size in (10, 60, 20, 70)])
     assert world.sent == [bytes(10), bytes(20)]
     assert (ledger.offered, ledger.dropped["too large"], world.route.traffic.offered) == (4, 2, 2)
@@ -108,11 +122,10 @@ def test_a_message_is_not_too_large_for_the_receiver_alone(world: World) -> None
 
 @pytest.mark.parametrize(("largest", "remedy"), [(8 << 20, "use tcp"), (MESSAGE_LIMIT, "publish smaller ones")])
 def test_the_remedy_for_a_message_that_no_transport_carries(largest: int, remedy: str, world: World) -> None:
-    outbox = world.path._outbox
-    said: list[str] = []
-    outbox.largest, outbox._failed = largest, lambda _, text: said.append(text)
-    assert not outbox.fitting([(bytes(MESSAGE_LIMIT + 1), 1, 0)])
-    assert said[0].endswith(remedy)
+    outbox(world).largest = largest
+    assert not outbox(world).fitting([(bytes(MESSAGE_LIMIT + 1), 1, 0)])
+    (said,) = [each.text for each in world.context.events.after(0) if each.code == EventCode.ROUTE_TOO_LARGE]
+    assert said.endswith(remedy)
 
 
 def test_a_message_without_a_channel_is_lost(world: World) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import zstandard
+from tests.support import constants
 from tests.support.offline import FakePeer
 from tests.support.virtual_time import T, Ts, VirtualLoop
 
@@ -155,7 +156,7 @@ def test_long_messages_are_unpacked_off_the_loop_in_order(loop: HeldLoop, make_c
 def test_a_backlog_is_bounded(
     loop: HeldLoop, make_context: Callable[..., Context], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rsb_bridge.route.message_check.BACKLOG_LIMIT", 100_000)
+    constants.CHECK_BACKLOG_LIMIT.set(monkeypatch, 100_000)
     route = opened(make_context(ros=OnePublisher()), FakePeer(), "/one")
     route.deliver([grown(LARGE)])
     route.deliver([(bytes(90_000), 0, 0)])

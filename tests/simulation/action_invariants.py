@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import contextlib
 from typing import TYPE_CHECKING, Any
-from unittest.mock import patch
+
+from tests.support import replaced
+from tests.support.held import held_by
+from tests.support.inside import kept_answers, numbers_of, pending_calls, timer_of, waiting_frames
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.route.calls.calling import CallingRoute
@@ -117,13 +120,13 @@ class ActionInvariants:
     @contextlib.contextmanager
     def tapped(self) -> Iterator[None]:
         """Watch the messages that reach the servers' engines over the links."""
-        take = ProvidingRoute._take
+        take = replaced.PROVIDER_TAKE.value
 
         def tap(route: ProvidingRoute, frame: CallFrame, *, readable: bool = True) -> None:
             self._came(route, frame)
             take(route, frame, readable=readable)
 
-        with patch.object(ProvidingRoute, "_take", tap):
+        with replaced.PROVIDER_TAKE.during(tap):
             yield
 
     def _came(self, route: ProvidingRoute, frame: CallFrame) -> None:
@@ -175,36 +178,26 @@ def _offered(run: Run, action: ActionFlow) -> bool:
     return any(each.node == node for each in servers[action.near_services[0]])
 
 
-def pending(route: CallsRoute) -> Any:
-    """Return the table of a half's calls in flight."""
-    return route._pending  # type: ignore[attr-defined]
-
-
-def queued(route: CallsRoute) -> list[CallFrame]:
-    """Return the frames of a half that wait for its channel."""
-    return list(route._outbox._frames.values())
-
-
 def in_flight(route: CallsRoute) -> int:
     """The calls of a half for which anybody waits."""
     action = route.action if isinstance(route, CallingRoute) else None
     waiting = len(action.waiting) if action is not None else 0
-    return len(pending(route)) + waiting
+    return len(pending_calls(route)) + waiting
 
 
 def left_of_ended_calls(route: CallsRoute) -> list[str]:
     """Return tables of a half that still hold ended calls."""
-    calls = pending(route)
+    calls = pending_calls(route)
     found = [
         f"{frame.what.name} {frame.call} in the outbox"
-        for frame in queued(route)
+        for frame in waiting_frames(route)
         if frame.call and frame.what.name != "REFUSED" and frame.call not in calls
     ]
     if isinstance(route, ProvidingRoute):
-        found += [f"number {number}" for number, call in route._by_number.items() if call not in calls]
-        kept = route.action.answers._kept.items() if route.action is not None else ()
+        found += [f"number {number}" for number, call in numbers_of(route).items() if call not in calls]
+        kept = kept_answers(route.action.answers).items() if route.action is not None else ()
         found += [f"{each} of {what}" for what, one in kept for each in one.calls if each not in calls]
-    if not len(calls) and calls._timer is not None and not calls._deadlines:
+    if not len(calls) and timer_of(calls) is not None and not held_by(calls):
         found.append("a timer")
     return found
 
@@ -214,13 +207,13 @@ def left_at_rest(route: CallsRoute) -> list[str]:
     found = left_of_ended_calls(route)
     tables: dict[str, object] = {
         "calls in flight": route.calls.in_flight,
-        "calls under way": len(pending(route)),
-        "frames": len(queued(route)),
+        "calls under way": len(pending_calls(route)),
+        "frames": len(waiting_frames(route)),
     }
     if isinstance(route, CallingRoute) and (caller := route.action) is not None:
         tables |= {"waiting calls": len(caller.waiting), "running goals": len(caller.goals.running())}
     if isinstance(route, ProvidingRoute) and (provider := route.action) is not None:
-        tables |= {"kept answers": len(provider.answers._kept), "numbers": len(provider.answers._by_number)}
+        tables |= {"kept answers": len(kept_answers(provider.answers)), "numbers": len(numbers_of(provider.answers))}
         tables |= {"running goals": len(provider.goals.running())}
     budget = route.peer.budget
     tables |= {"held of the budget": max((budget.asked if isinstance(route, CallingRoute) else budget.provided).held)}

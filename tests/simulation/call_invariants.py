@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from tests.simulation.action_invariants import in_flight, left_of_ended_calls, pending
+from tests.simulation.action_invariants import in_flight, left_of_ended_calls
+from tests.support.inside import pending_calls
 
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.calls_route import CallsRoute
@@ -49,7 +50,7 @@ class CallInvariants:
             under_way: Counter[bool] = Counter()
             for route in link.routes.values():
                 if isinstance(route, CallsRoute):
-                    calls, held = route.calls, len(pending(route))
+                    calls, held = route.calls, len(pending_calls(route))
                     if calls.in_flight != in_flight(route):
                         self._world.wrong(
                             f"{run.host.name}: {route.key} counts {calls.in_flight} calls in flight, and has "

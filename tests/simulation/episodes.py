@@ -5,16 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from typing import TYPE_CHECKING
-from unittest.mock import patch
 
-from tests.simulation import engine_host
 from tests.simulation.action_server import Plan
+from tests.support import constants
 
-from rsb_bridge.engine import bridge
-from rsb_bridge.link import graph_watch, keepalive
 from rsb_bridge.link.refused_clients import ASKED_EVERY
 from rsb_bridge.model.commands import Pause, Retry, ShutDown
-from rsb_bridge.route import route
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -270,13 +266,13 @@ def slow_motion(tick: float) -> Iterator[None]:
     A month of pings, answers, reports and refusals alone would take ten minutes, and is none of what a month is about.
     """
     slower = {
-        (bridge, "_TICK"): tick,
-        (engine_host, "_SNAPSHOT_EVERY"): tick,
-        (graph_watch, "_ALWAYS_AFTER"): tick,
-        (keepalive, "DEAD_AFTER"): 5 * tick,
-        (route, "_LONGEST_PAUSE"): tick,
+        constants.TICK: tick,
+        constants.SIMULATED_SNAPSHOT_EVERY: tick,
+        constants.GRAPH_ALWAYS_AFTER: tick,
+        constants.DEAD_AFTER: 5 * tick,
+        constants.ROUTE_LONGEST_PAUSE: tick,
     }
     with contextlib.ExitStack() as stack:
-        for (module, name), seconds in slower.items():
-            stack.enter_context(patch.object(module, name, seconds))
+        for constant, seconds in slower.items():
+            stack.enter_context(constant.during(seconds))
         yield

@@ -21,6 +21,7 @@ from tests.simulation.episodes import (
     tunnelled,
     type_differs_for,
 )
+from tests.support import replaced
 
 from rsb_bridge.channel.data_stream import DataStream
 from rsb_bridge.channel.udp_channel import UdpChannel
@@ -168,7 +169,7 @@ _keep = KeptCalls.keep
 _end = PendingCalls.end
 _settle = RouteLedger.settle
 _took = Window.acknowledge
-_propose = RouteTable._propose
+_propose = replaced.PROPOSE_ROUTE.value
 
 
 _no_limit = property(lambda _: 1 << 60, lambda *_: None)

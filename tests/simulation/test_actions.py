@@ -10,18 +10,18 @@ from unittest.mock import patch
 
 import msgspec
 import pytest
-from tests.simulation import action_invariants, faults
+from tests.simulation import faults
 from tests.simulation.action_invariants import halves_of, left_at_rest, said
 from tests.simulation.action_server import Plan
 from tests.simulation.conditions import STILL
 from tests.simulation.services import Server
 from tests.simulation.world import World
+from tests.support import constants, replaced
 from tests.support.long import long
 
 from rsb_bridge.model.commands import ArmTopic, DisarmTopic
 from rsb_bridge.model.session import Topic
-from rsb_bridge.route.calls import calling, kept_calls, providing
-from rsb_bridge.route.lease import Lease
+from rsb_bridge.route.calls import kept_calls
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator
@@ -101,9 +101,9 @@ async def until(condition: Callable[[], object], within: float) -> None:
 def short_interruptions() -> Iterator[None]:
     """Shorten the hour for which goals outlive an interruption to minutes."""
     with contextlib.ExitStack() as stack:
-        for module in (kept_calls, calling, providing):
-            stack.enter_context(patch.object(module, "INTERRUPTION", _HOUR))
-        stack.enter_context(patch.object(action_invariants, "_MUCH_LATER", 0.9 * _HOUR))
+        for constant in constants.INTERRUPTION:
+            stack.enter_context(constant.during(_HOUR))
+        stack.enter_context(constants.SIMULATED_MUCH_LATER.during(0.9 * _HOUR))
         yield
 
 
@@ -342,7 +342,7 @@ def test_a_goal_right_after_arming_is_accepted(mistaken: bool, play: Play) -> No
 
     with contextlib.ExitStack() as stack:
         if mistaken:
-            stack.enter_context(patch.object(Lease, "begun", property(lambda lease: lease._answered)))
+            stack.enter_context(replaced.LEASE_BEGUN.during(property(lambda lease: lease._answered)))
         play(court.world, 60.0, troubled())
     assert len(told) == 6
     assert (False in told) == mistaken

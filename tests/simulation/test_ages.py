@@ -11,6 +11,7 @@ from tests.simulation.conditions import STILL
 from tests.simulation.episodes import aged, linked_by_a_slow_way
 from tests.simulation.mutations import Mutation
 from tests.simulation.world import Violation, World
+from tests.support import constants
 from tests.support.long import long
 
 from rsb_bridge.channel.stream_channel import StreamSender
@@ -118,7 +119,7 @@ def test_an_older_receiver_gets_nothing_that_is_old_when_it_is_sent(
     play: Play, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The sender holds to it alone: messages that wait in its queue or are taken late expire there."""
-    monkeypatch.setattr(roles, "FEATURES", tuple(each for each in roles.FEATURES if each != MAX_AGE_FEATURE))
+    constants.FEATURES.set(monkeypatch, tuple(each for each in roles.FEATURES if each != MAX_AGE_FEATURE))
     monkeypatch.setattr(MessageAge, "why_old", _any_age)
     world, flow = aging_world(3)
     flow.max_age = float("inf")

@@ -6,14 +6,14 @@ import asyncio
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
-from tests.simulation.action_invariants import queued
 from tests.simulation.call_harness import CallHarness
 from tests.simulation.test_calls import lived, until
+from tests.support import constants
 from tests.support.goals import cancel_request, goal, goal_request
+from tests.support.inside import clients_of, offers_of, waiting_frames
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, LANES, STATUS, Refused
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.route.calls import kept_calls
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.providing import ProvidingRoute
 from rsb_bridge.wire.headers import CallFrame, What
@@ -77,12 +77,12 @@ def test_endpoints_that_fail_are_replaced_while_goals_run(play: Play) -> None:
         near, far = harness.halves()
         assert isinstance(near, CallingRoute)
         assert isinstance(far, ProvidingRoute)
-        far._clients.clients[CANCEL_GOAL].fail()  # type: ignore[attr-defined]
-        await until(lambda: not harness.counted()[1].in_flight and far._clients.ready, 15.0)
+        clients_of(far).clients[CANCEL_GOAL].fail()
+        await until(lambda: not harness.counted()[1].in_flight and clients_of(far).ready, 15.0)
         await harness.ready(client)
-        near._offers.servers[GET_RESULT].fail()  # type: ignore[attr-defined]
+        offers_of(near).servers[GET_RESULT].fail()
         await asyncio.sleep(1.0)
-        await until(lambda: bool(near._offers), 15.0)
+        await until(lambda: bool(offers_of(near)), 15.0)
         await harness.ready(client)
         await until(
             lambda: len(servers[GET_RESULT].asked) == 2, 15.0
@@ -135,13 +135,13 @@ def test_calls_that_expire_while_nothing_gets_through_hold_nothing(play: Play, m
                 server.answer()
                 await asyncio.sleep(5.0)
                 assert harness.counted()[answers].expired == 100
-                assert not queued(half)
+                assert not waiting_frames(half)
 
     lived(play, harness, live())
 
 
 def test_more_goals_run_than_answers_are_kept(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept_calls, "MOST_KEPT", 8)
+    constants.ANSWERS_KEPT.set(monkeypatch, 8)
     harness = CallHarness(kind="action")
 
     async def live() -> None:

@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 import asyncio
-from contextlib import contextmanager
 from random import Random
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 import pytest
-from tests.simulation.action_invariants import pending
 from tests.simulation.call_harness import SETTLED, TYPE, CallHarness
 from tests.simulation.ros import hash_of
+from tests.support import constants, replaced
+from tests.support.inside import pending_calls
 
-from rsb_bridge.link import roles
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.link_arming import LinkArming
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import ArmTopic, DisarmTopic, Pause
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.calling import CallingRoute
-from rsb_bridge.route.lease import Lease
-from rsb_bridge.transport.tcp import Tcp
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine, Iterator
+    from collections.abc import Callable, Coroutine
 
     from tests.simulation.conftest import Play
+    from tests.support.places import Place
 
     from rsb_bridge.route.calls.calls_route import CallsRoute
     from rsb_bridge.route.calls.pending_calls import Call
@@ -64,7 +61,7 @@ async def until(condition: Callable[[], object], within: float) -> None:
 
 def under_way(route: CallsRoute) -> list[Call]:
     """The calls of a half."""
-    return list(pending(route)._calls.values())
+    return [call for _, call in pending_calls(route).items()]
 
 
 def say(harness: CallHarness) -> tuple[tuple[State, str], tuple[State, str]]:
@@ -310,7 +307,7 @@ def test_a_call_right_after_arming_is_answered(provider: str, play: Play) -> Non
 def test_it_has_to_be_offered_only_once_the_lease_has_begun(play: Play) -> None:
     harness = CallHarness(arm=True, deadman=0.0, max_age=0.0)
     begun = property(lambda _: True)
-    with patch.object(Lease, "begun", begun), pytest.raises(AssertionError, match="'link silent': 1"):
+    with replaced.LEASE_BEGUN.during(begun), pytest.raises(AssertionError, match="'link silent': 1"):
         lived(play, harness, _called_at_once(harness))
 
 
@@ -334,7 +331,7 @@ def test_it_is_offered_once_the_two_sides_hear_each_other(play: Play) -> None:
 
 def test_it_has_to_be_opened_when_the_lease_begins(play: Play) -> None:
     harness = CallHarness(arm=True, deadman=0.0)
-    with patch.object(LinkArming, "_lease_lives", _forgotten), pytest.raises(TimeoutError):
+    with replaced.LEASE_LIVES.during(_forgotten), pytest.raises(TimeoutError):
         lived(play, harness, _offered_soon(harness))
     assert not harness.offered
 
@@ -486,23 +483,16 @@ def test_a_server_on_the_callers_side_is_named_and_nothing_is_offered_beside_it(
     lived(play, harness, live())
 
 
-@contextmanager
-def bounds(**limits: Any) -> Iterator[None]:
-    """Other bounds than the usual ones."""
-    with patch.multiple("rsb_bridge.route.peer", **limits):
-        yield
-
-
 @pytest.mark.parametrize(
-    ("limits", "cause", "passing"),
+    ("limit", "most", "cause", "passing"),
     [
-        ({"CALLS_UNDER_WAY": 10}, "calls under way", 10),
-        ({"BYTES_UNDER_WAY": 10_000}, "bytes under way", 9),
-        ({"CALLS_A_SECOND": 20.0}, "calls a second", 20),
+        (constants.CALLS_UNDER_WAY, 10, "calls under way", 10),
+        (constants.BYTES_UNDER_WAY, 10_000, "bytes under way", 9),
+        (constants.CALLS_A_SECOND, 20.0, "calls a second", 20),
     ],
 )
 def test_beyond_its_bounds_a_call_is_refused_and_counted(
-    limits: dict[str, Any], cause: str, passing: int, play: Play
+    limit: Place, most: float, cause: str, passing: int, play: Play
 ) -> None:
     harness = CallHarness(timeout=2.0)
 
@@ -523,7 +513,7 @@ def test_beyond_its_bounds_a_call_is_refused_and_counted(
         client.ask(bytes(1000))  # the held bytes are free again
         await until(lambda: len(server.asked) == passing + 1, 2.0)
 
-    with bounds(**limits):
+    with limit.during(most):
         lived(play, harness, live())
 
 
@@ -546,7 +536,7 @@ def test_the_providing_side_enforces_its_bounds(play: Play) -> None:
         near.peer.budget.asked._calls.held = calls.in_flight  # as if it had kept to them
         near.peer.budget.asked._bytes.held = sum(call.size for call in under_way(near))
 
-    with bounds(CALLS_UNDER_WAY=10):
+    with constants.CALLS_UNDER_WAY.during(10):
         lived(play, harness, live())
 
 
@@ -588,7 +578,7 @@ def test_over_one_stream_that_all_routes_share(provider: str, play: Play) -> Non
             assert half.channel is not None
             assert half.channel.carrier is link.control.stream
 
-    with patch.object(Tcp, "multiplexed", True):
+    with replaced.TCP_MULTIPLEXED.during(True):
         lived(play, harness, live())
 
 
@@ -622,5 +612,5 @@ def test_an_older_peer_is_told_of_no_calls(play: Play) -> None:
         assert "update" in route.snapshot().reason
         assert len([event for event in near.events.after(0) if event.code == EventCode.ROUTE_REFUSED]) == 1
 
-    with patch.object(roles, "FEATURES", ()):
+    with constants.FEATURES.during(()):
         lived(play, harness, live())

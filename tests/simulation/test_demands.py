@@ -16,6 +16,7 @@ import msgspec
 import pytest
 from tests.simulation.ros import STRING, Reader, Writer, hash_of
 from tests.simulation.test_patterns import Yard, lived
+from tests.support import replaced
 from tests.support.long import long
 
 from rsb_bridge.api import EngineError
@@ -184,10 +185,10 @@ def _of_the_entry(self: LinkArming, route: Route) -> Demand:
 
 def _first(self: Demands, kind: object, name: str) -> Iterator[object]:
     """Replace the check by its old form, which asks only the first pattern that matches."""
-    yield from (each for each in list(_matching(self, kind, name))[:1] if not each.is_pattern)  # type: ignore[arg-type]
+    yield from (each for each in list(_matching(self, kind, name))[:1] if not each.is_pattern)
 
 
-_matching = Demands._matching
+_matching = replaced.DEMANDS_MATCHING.value
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from tests.simulation.conditions import STILL
 from tests.simulation.invariants import route_of
 from tests.simulation.mutations import Mutation
 from tests.simulation.world import Violation, World
+from tests.support import replaced
 from tests.support.long import long_cases
 
 from rsb_bridge.api import EngineError
@@ -64,7 +65,7 @@ class Heartbeats:
     @contextlib.contextmanager
     def tapped(self, now: Callable[[], float]) -> Iterator[None]:
         """Note them while this lasts."""
-        send, handle = LinkLease._send, LinkLease.handle
+        send, handle = replaced.LEASE_SEND.value, LinkLease.handle
 
         def sends(lease: LinkLease) -> None:
             send(lease)
@@ -75,7 +76,7 @@ class Heartbeats:
             self._answered[lease.state] = max(self._answered.get(lease.state, 0.0), sent)
             handle(lease, message)
 
-        with patch.object(LinkLease, "_send", sends), patch.object(LinkLease, "handle", handles):
+        with replaced.LEASE_SEND.during(sends), patch.object(LinkLease, "handle", handles):
             yield
 
     def answered_at(self, lease: Lease | None) -> float:
@@ -552,7 +553,7 @@ def _nothing(*_: Any) -> None:
     """Do nothing, in place of the work that a mutation leaves out."""
 
 
-_look = Lease._look
+_look = replaced.LEASE_LOOK.value
 _marked = Marker.marked
 _ALIVE = property(lambda self: self._on)
 

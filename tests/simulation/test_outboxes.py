@@ -6,9 +6,9 @@ import asyncio
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.simulation.action_invariants import queued
 from tests.simulation.call_harness import CallHarness
 from tests.simulation.test_calls import lived, until
+from tests.support.inside import waiting_frames
 
 if TYPE_CHECKING:
     from tests.simulation.conftest import Play
@@ -34,16 +34,16 @@ def test_nothing_waits_of_calls_that_have_expired(provider: str, play: Play) -> 
             for _ in range(100):
                 client.ask(random.randbytes(20_000))
             await asyncio.sleep(1.0)
-            assert queued(near)
-            assert queued(far)
+            assert waiting_frames(near)
+            assert waiting_frames(far)
 
             def over() -> bool:
                 server.answer()  # the requests that were on their way when the link got narrow
                 return [calls.in_flight for calls in harness.counted()] == [0, 0]
 
             await until(over, 15.0)
-            assert not queued(near)
-            assert not queued(far)
+            assert not waiting_frames(near)
+            assert not waiting_frames(far)
             assert "did not answer" not in far.calls.last_failure, "the node did, and the link is at fault"
 
     lived(play, harness, live())

@@ -13,10 +13,10 @@ from tests.simulation.conditions import STILL
 from tests.simulation.ros import STRING, Writer, hash_of
 from tests.simulation.test_calls import until
 from tests.simulation.world import World
+from tests.support import constants, replaced
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.link import link_patterns, roles
-from rsb_bridge.link.name_watch import NameWatch
+from rsb_bridge.link import roles
 from rsb_bridge.model import patterns
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import RemoveTopic
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from tests.simulation.engine_host import EngineHost
 
     from rsb_bridge.link.link import Link
+    from rsb_bridge.link.name_watch import NameWatch
     from rsb_bridge.route.route import Route
 
 _OTHER = "std_msgs/msg/Int32"
@@ -195,7 +196,7 @@ def test_a_peer_that_cannot_be_followed_is_named(play: Play) -> None:
         assert "update" in yard.patterns()[0].reason
 
     older = tuple(each for each in roles.FEATURES if each != patterns.FEATURE)
-    with patch.object(roles, "FEATURES", older):
+    with constants.FEATURES.during(older):
         lived(play, yard, live(), 60.0)
 
 
@@ -213,7 +214,7 @@ def test_what_the_other_side_does_not_tell_is_forgotten_with_the_connection(play
             yard.server.start()
         await until(lambda: yard.patterns()[0].beyond == 1, 60.0)
 
-    with patch.object(link_patterns, "NAMES_FOLLOWED", 2):
+    with constants.NAMES_FOLLOWED.during(2):
         lived(play, yard, live(), 180.0)
 
 
@@ -227,7 +228,7 @@ def test_a_type_is_told_anew_though_no_more_names_have_room(play: Play) -> None:
         Writer(yard.server.domain, "/another", name, _OTHER, hash_of(_OTHER), Qos())
         await until(lambda: yard.link().patterns.there == {("topic", name): ""}, 2 * _SEEN)
 
-    with patch.object(link_patterns, "NAMES_FOLLOWED", 1):
+    with constants.NAMES_FOLLOWED.during(1):
         lived(play, yard, live(), 60.0)
 
 
@@ -296,7 +297,7 @@ def test_many_patterns_cost_nothing_while_nothing_changes(play: Play) -> None:
     yard.publish(*(f"/group{n % 20}/t{n}" for n in range(500)))
     matched: list[str] = []
     looks: list[float] = []
-    match, look = Pattern.match, NameWatch._look
+    match, look = Pattern.match, replaced.NAMES_LOOK.value
 
     def note_match(self: Pattern, name: str) -> tuple[str, ...] | None:
         matched.append(name)
@@ -318,5 +319,5 @@ def test_many_patterns_cost_nothing_while_nothing_changes(play: Play) -> None:
         await until(lambda: yard.patterns()[-1].routes == 26, _SEEN)
         assert set(matched) == {"/group0/new", "/another"}
 
-    with patch.object(Pattern, "match", note_match), patch.object(NameWatch, "_look", note_look):
+    with patch.object(Pattern, "match", note_match), replaced.NAMES_LOOK.during(note_look):
         lived(play, yard, live(), 800.0)

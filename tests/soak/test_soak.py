@@ -7,7 +7,7 @@ from random import Random
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.soak import processes, worlds
+from tests.soak import worlds
 from tests.soak.faults import Fault
 from tests.soak.ledgers import Book
 from tests.soak.measures import Life, Sample
@@ -15,6 +15,7 @@ from tests.soak.processes import spawn
 from tests.soak.report import broken, leaks, of_processes
 from tests.soak.run import play
 from tests.soak.stage import Stage
+from tests.support import constants, replaced
 from tests.support.waiting import eventually
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def test_a_world_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is reported with the command that plays it again, and the next one is played."""
     line = {"days": 0.5, "faults": {"cut": 2}, "failed": "two are one", "again": "python -m tests.simulation 1"}
     script = f"print({json.dumps(line)!r}); raise SystemExit(1)"
-    monkeypatch.setattr(worlds, "spawn", lambda _: spawn(("-c", script)))
+    replaced.SOAK_SPAWN.set(monkeypatch, lambda _: spawn(("-c", script)))
     soak = worlds.Worlds(Random(1))
     soak.start()
     eventually(lambda: len(soak.failures) > 1)
@@ -42,7 +43,7 @@ def test_a_world_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_world_that_ends_without_a_word(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its output is reported."""
-    monkeypatch.setattr(worlds, "spawn", lambda _: spawn(("-c", "raise SystemExit('a mistake')")))
+    replaced.SOAK_SPAWN.set(monkeypatch, lambda _: spawn(("-c", "raise SystemExit('a mistake')")))
     soak = worlds.Worlds(Random(1))
     soak.start()
     eventually(lambda: soak.failures)
@@ -79,7 +80,7 @@ def test_a_ledger_that_does_not_balance() -> None:
 
 
 def test_one_kill_and_one_cut(tmp_path: Path, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, "STOPS_WITHIN", _RECOVERY)
+    constants.SOAK_STOPS_WITHIN.set(monkeypatch, _RECOVERY)
     stage = Stage(tmp_path, (pc.id, robot.id))
     told: list[str] = []
     try:

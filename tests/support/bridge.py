@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakSet
 
-from tests.support.inside import inside, renew_snapshot
+from tests.support.inside import inside, is_running, offers_of, outputs_of, renew_snapshot
 from tests.support.participants import KnownNode, agree
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -242,7 +242,7 @@ def opened(receiver: Engine) -> set[str]:
 
 def _senders(receiver: Engine, name: str, route: IncomingRoute) -> list[OutgoingRoute]:
     """Return a route's other half, or None if it is in another process."""
-    bridges = [each._bridge for each in Bridge.started if each is not receiver and each._bridge is not None]
+    bridges = [inside(each) for each in Bridge.started if each is not receiver and is_running(each)]
     links = [link for bridge in bridges for link in bridge.links() if link.name == name]
     return [
         each
@@ -255,13 +255,13 @@ def _senders(receiver: Engine, name: str, route: IncomingRoute) -> list[Outgoing
 def listened_to(engine: Engine) -> set[str]:
     """The topics that an engine publishes to somebody, asked of the publishers: the snapshot may be 1 s behind."""
     incoming = [route for route in _routes(engine) if isinstance(route, IncomingRoute)]
-    return {route.remote_topic for route in incoming if route._outputs.subscriber_count}
+    return {route.remote_topic for route in incoming if outputs_of(route).subscriber_count}
 
 
 def listeners(engine: Engine, topic: str) -> int:
     """How many subscriptions get what an engine publishes: a subscription may know of the publisher before that."""
     return sum(
-        route._outputs.subscriber_count
+        outputs_of(route).subscriber_count
         for route in _routes(engine)
         if isinstance(route, IncomingRoute) and route.remote_topic == topic
     )
@@ -270,7 +270,7 @@ def listeners(engine: Engine, topic: str) -> int:
 def feedback_listeners(engine: Engine) -> int:
     """Return the number of listeners to the feedback of the only action that an engine offers."""
     (found,) = (route for route in _routes(engine) if isinstance(route, CallingRoute) and route.action is not None)
-    offered = found._offers.publishers.get(FEEDBACK)
+    offered = offers_of(found).publishers.get(FEEDBACK)
     return offered.subscriber_count if offered else 0
 
 

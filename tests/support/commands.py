@@ -11,9 +11,10 @@ from functools import cache
 from typing import Any
 
 import pytest
+from tests.support import replaced
 
 from rsb_console import cli
-from rsb_console.command import arguments, local_commands
+from rsb_console.command import arguments
 
 parser_and_commands = cache(arguments.parser_and_commands)
 
@@ -52,9 +53,9 @@ def rsb_console(*words: str, may_crash: bool = False) -> subprocess.CompletedPro
     out, err = (io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2))
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        patch.setattr(local_commands, "allow_many_descriptors", lambda: None)  # of the test's process
+        replaced.ALLOW_MANY_DESCRIPTORS.set(patch, lambda: None)  # of the test's process
         if not may_crash:
-            patch.setattr(cli, "_unexpected", raise_again)
+            replaced.UNEXPECTED.set(patch, raise_again)
             patch.setattr(arguments, "parser_and_commands", parser_and_commands)
         try:
             code = cli.main(words)

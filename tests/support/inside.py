@@ -1,18 +1,41 @@
-"""Tests' way into a running engine."""
+"""Tests' way to private parts of the program: each is named here only."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import asyncio
+    import socket
+
+    import pytest
+
+    from rsb_bridge.control.attached_console import Console
+    from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.engine import Engine
     from rsb_bridge.engine.bridge import Bridge
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.model.calls import Refused
+    from rsb_bridge.ros.node import RosNode
+    from rsb_bridge.ros.participant import Participant
+    from rsb_bridge.route.calls.calls_route import CallsRoute
+    from rsb_bridge.route.calls.kept_calls import KeptAnswers
+    from rsb_bridge.route.calls.pending_calls import PendingCalls
+    from rsb_bridge.route.calls.providing import ProvidingRoute
+    from rsb_bridge.route.incoming import IncomingRoute
+    from rsb_bridge.route.ledger import RouteLedger
+    from rsb_bridge.route.outgoing import OutgoingRoute
+    from rsb_bridge.route.source_publishers import SourcePublishers
+    from rsb_bridge.transport.streams import Stream
+    from rsb_bridge.wire.headers import CallFrame
+    from rsb_bridge.wire.messages import Provide
 
 
 def inside(engine: Engine) -> Bridge:
     """Return the parts of a running engine, which belong to its loop."""
-    assert engine._bridge is not None
-    return engine._bridge
+    bridge = engine._bridge
+    assert bridge is not None
+    return bridge
 
 
 def renew_snapshot(engine: Engine) -> None:
@@ -26,3 +49,117 @@ def renew_snapshot(engine: Engine) -> None:
             bridge._snapshots.refresh_now(bridge._role)
 
     bridge.context.call(renew)
+
+
+def is_running(engine: Engine) -> bool:
+    return engine._bridge is not None
+
+
+def role_of(engine: Engine) -> Any:
+    return inside(engine)._role
+
+
+def forget_events(engine: Engine) -> None:
+    """Forget the events of a test that is about an error, which the end of each other test would find."""
+    engine._events._events.clear()
+
+
+def participant_of(node: RosNode) -> Participant:
+    participant = node._participant
+    assert participant is not None
+    return participant
+
+
+def break_waiting(node: RosNode, patch: pytest.MonkeyPatch) -> None:
+    """Let a node's thread fail when it next waits for DDS."""
+
+    def broken(*_: object) -> None:
+        raise RuntimeError("the wait set is broken")
+
+    patch.setattr(participant_of(node), "wait", broken)
+    participant_of(node).wake()
+
+
+def socket_of(stream: Stream) -> socket.socket:
+    transport = stream._transport
+    assert transport is not None
+    found: socket.socket = transport.get_extra_info("socket")
+    return found
+
+
+# --- topics
+
+
+def ledger_of(route: OutgoingRoute) -> RouteLedger:
+    """Return a route's own counts, which a snapshot has up to a second later."""
+    return route._ledger
+
+
+def outputs_of(route: IncomingRoute) -> SourcePublishers:
+    return route._outputs
+
+
+def views_drawn_by(link: Link) -> dict[Any, Any]:
+    return link.views._drawing
+
+
+# --- calls
+
+
+def pending_calls(route: CallsRoute) -> Any:
+    """Return the table of a half's calls in flight."""
+    return route._pending  # type: ignore[attr-defined]
+
+
+def waiting_frames(route: CallsRoute) -> list[Any]:
+    """Return the frames of a half that wait for its channel."""
+    return list(route._outbox._frames.values())
+
+
+def timer_of(calls: PendingCalls[Any]) -> asyncio.TimerHandle | None:
+    return calls._timer
+
+
+def kept_answers(answers: KeptAnswers) -> dict[Any, Any]:
+    return answers._kept
+
+
+def numbers_of(thing: ProvidingRoute | KeptAnswers) -> dict[Any, Any]:
+    """Return what is known by the number of a call."""
+    return thing._by_number
+
+
+def refusal_of(route: ProvidingRoute, frame: CallFrame) -> Refused | None:
+    """Return why a half refuses a call that comes, or None."""
+    return route._refusal(frame)
+
+
+def provide(route: ProvidingRoute, message: Provide) -> None:
+    """Let a half have told the other one what is provided."""
+    route._last_sent = message
+
+
+def offers_of(route: CallsRoute) -> Any:
+    """Return the endpoints of the callers' half."""
+    return route._offers  # type: ignore[attr-defined]
+
+
+def clients_of(route: CallsRoute) -> Any:
+    """Return the endpoints of the provider's half."""
+    return route._clients  # type: ignore[attr-defined]
+
+
+# --- attached consoles
+
+
+def attached_to(server: ControlServer) -> set[Console]:
+    return server._consoles
+
+
+def bytes_for(console: Console) -> int:
+    """Return how many bytes wait until a console takes them."""
+    return console._buffered
+
+
+def is_sending(console: Console) -> bool:
+    return console._sending.locked()

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from tests.support.inside import participant_of
 from tests.support.waiting import pauses
 
 from rsb_bridge.ros.memory import profile_variable
@@ -131,19 +132,18 @@ class KnownNode(RosNode):
 
     def __init__(self, domain_id: int, name: str) -> None:
         super().__init__(domain_id, name)
-        self._session_name = name
+        self._entered = domain_id, name
 
     def start(self) -> None:
         def enter() -> Any:
             super(KnownNode, self).start()
-            assert self._participant is not None
-            return self._participant._node.handle
+            return participant_of(self)._node.handle
 
         def leave() -> None:
             self.stop()
-            RosNode.__init__(self, self._domain_id, self._session_name)  # a node is started once
+            RosNode.__init__(self, *self._entered)  # a node is started once
 
-        join(self._domain_id, enter, leave)
+        join(self._entered[0], enter, leave)
 
 
 def _know_each_other(node: Any, others: list[Any]) -> bool:

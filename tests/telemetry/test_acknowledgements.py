@@ -7,6 +7,7 @@ from unittest.mock import Mock
 
 import pytest
 from tests.console.scripted import LINK, ScriptedEngine, route
+from tests.support.held import held_by
 
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
@@ -96,7 +97,7 @@ def test_what_has_not_changed_stays_the_same_object(table: Table) -> None:
 
 def test_what_is_gone_is_forgotten(table: Table) -> None:
     assert table.mark() == [False]
-    assert table.known._known == {}
+    assert not held_by(table.known)
     assert table.mark(SCAN) == [False, False]
 
 

@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import constants, replaced
+from tests.support.inside import socket_of
 from tests.support.wording import pattern, says
 
-from rsb_bridge.transport import streams, tcp
+from rsb_bridge.transport import streams
 from rsb_bridge.transport.streams import Stream, StreamHandler, StreamProblem, os_error_message
 from rsb_bridge.transport.tcp import LookUpProblem, Tcp, TcpStream
 
@@ -62,7 +64,7 @@ def resolves(monkeypatch: pytest.MonkeyPatch, port: int) -> list[str]:
     async def look_up(host: str, number: int, within: float) -> list[tuple[object, ...]]:
         return [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (address, number)) for address in addresses]
 
-    monkeypatch.setattr(tcp, "look_up", look_up)
+    replaced.TCP_LOOK_UP.set(monkeypatch, look_up)
     return addresses
 
 
@@ -79,7 +81,7 @@ def test_an_address_that_is_silent_does_not_hold_up_the_next(
     monkeypatch: pytest.MonkeyPatch, port: int, resolves: list[str]
 ) -> None:
     """A name may have an IPv6 address whose packets are dropped on the way."""
-    monkeypatch.setattr(tcp, "CONNECT_TIMEOUT", 120.0)
+    constants.TCP_CONNECT_TIMEOUT.set(monkeypatch, 120.0)
     resolves += [_SILENT, _LIVE]
 
     async def main() -> None:
@@ -92,7 +94,7 @@ def test_an_address_that_is_silent_does_not_hold_up_the_next(
 
 
 def test_all_that_are_silent_time_out(monkeypatch: pytest.MonkeyPatch, port: int, resolves: list[str]) -> None:
-    monkeypatch.setattr(tcp, "CONNECT_TIMEOUT", 0.5)
+    constants.TCP_CONNECT_TIMEOUT.set(monkeypatch, 0.5)
     resolves += [_SILENT, _SILENT]
     before = _open_sockets()
 
@@ -131,7 +133,7 @@ def test_a_name_without_an_address(port: int, resolves: list[str]) -> None:
 def test_cancelled_at_whatever_moment_it_leaves_no_socket(
     addresses: list[str], monkeypatch: pytest.MonkeyPatch, port: int, resolves: list[str]
 ) -> None:
-    monkeypatch.setattr(tcp, "_NEXT_ADDRESS_AFTER", 1e-6)
+    constants.TCP_NEXT_ADDRESS_AFTER.set(monkeypatch, 1e-6)
     resolves += addresses
     before = _open_sockets()
 
@@ -203,8 +205,7 @@ def test_a_slow_path_is_no_reason_to_send_again() -> None:
 
     async def main() -> None:
         async with _connected() as (near, _, _, _):
-            assert near._transport is not None
-            sock = near._transport.get_extra_info("socket")
+            sock = socket_of(near)
             waits: list[float] = []
             for round_trip in (0.03, 1.7, 90.0, 0.03):
                 near.round_trip_is(round_trip)
@@ -222,7 +223,7 @@ def test_a_slow_path_is_no_reason_to_send_again() -> None:
 @pytest.mark.parametrize("size", [4, 10_000_000], ids=["sent", "waiting"])
 def test_last_words_arrive_though_the_peer_was_sending(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each side had not read what the other had sent. A reset would have made the peer's next write fail."""
-    monkeypatch.setattr(streams, "_LINGER", 120.0)
+    constants.STREAM_LINGER.set(monkeypatch, 120.0)
 
     async def main() -> None:
         async with _connected() as (near, near_kept, far, far_kept):
@@ -249,7 +250,7 @@ def test_last_words_arrive_though_the_peer_was_sending(size: int, monkeypatch: p
 @pytest.mark.parametrize("sends", [True, False])
 def test_a_peer_that_never_closes_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, sends: bool) -> None:
     """One that floods is cut off at a number of bytes, before any time is up."""
-    monkeypatch.setattr(streams, "_LINGER", 120.0 if sends else 0.1)
+    constants.STREAM_LINGER.set(monkeypatch, 120.0 if sends else 0.1)
 
     async def main() -> None:
         async with _connected() as (near, near_kept, far, _):

@@ -9,6 +9,8 @@ from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import replaced
+from tests.support.held import held_by
 
 from rsb_bridge.transport import udp_segments
 from rsb_bridge.transport.streams import StreamHandler
@@ -91,7 +93,7 @@ def test_a_peer_that_roams_does_not_make_the_table_of_sizes_grow() -> None:
         async with pair("127.0.0.1") as (sock, _, _):
             for number in range(1000):
                 assert sock.datagram_size((f"127.0.{number // 250}.{number % 250 + 1}", 1000)) > 1000
-            assert len(sock._sizes) <= 256
+            assert held_by(sock) <= 256
 
     asyncio.run(main())
 
@@ -101,8 +103,8 @@ def test_a_peer_that_roams_does_not_make_the_table_of_sizes_grow() -> None:
 def test_datagrams_arrive_as_they_were_sent(host: str, with_segments: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Datagrams of one size and of several, both ways, with the kernel's help and without."""
     if not with_segments:
-        monkeypatch.setattr(udp_segments, "can_segment", lambda _: False)
-        monkeypatch.setattr(udp_segments, "coalesce", lambda _: False)
+        replaced.CAN_SEGMENT.set(monkeypatch, lambda _: False)
+        replaced.COALESCE.set(monkeypatch, lambda _: False)
     sizes = [1200] * 150 + [700] + [1200] * 3 + [1, 2, 0, 5] + [60_000, 60_000, 9000]
     datagrams = [bytes([index % 251]) * size for index, size in enumerate(sizes)]
 
@@ -134,6 +136,11 @@ def test_datagrams_of_one_size_go_in_one_call(host: str) -> None:
     asyncio.run(main())
 
 
+def has_read(sock: UdpSocket, at: float) -> None:
+    """Let its last read have been at a moment."""
+    sock._read_at = at
+
+
 @pytest.mark.parametrize(("read_at", "datagrams", "reads"), [(float("-inf"), 1, 1), (float("inf"), 3, 4)])
 def test_a_wake_up_reads_once_unless_they_follow_one_another(read_at: float, datagrams: int, reads: int) -> None:
     """A read that finds nothing costs as much as half a message; in a flood, one of many."""
@@ -144,7 +151,7 @@ def test_a_wake_up_reads_once_unless_they_follow_one_another(read_at: float, dat
             asyncio.get_running_loop().remove_reader(server._sock)
             for number in range(3):
                 client.send([bytes([number])], None)
-            server._read_at = read_at
+            has_read(server, read_at)
             server._read()
             assert len(came) == datagrams
             assert watched.reads == reads
@@ -155,7 +162,7 @@ def test_a_wake_up_reads_once_unless_they_follow_one_another(read_at: float, dat
 def test_what_was_not_read_at_once_comes_next() -> None:
     async def main() -> None:
         async with pair("127.0.0.1") as (server, client, came):
-            server._read_at = float("-inf")
+            has_read(server, float("-inf"))
             client.send([b"a"], None)
             client.send([b"bc"], None)
             await until(lambda: len(came) == 2)
@@ -202,10 +209,11 @@ def test_what_the_kernel_does_not_cut_goes_one_by_one_for_a_while(number: int) -
     asyncio.run(main())
 
 
-def test_a_datagram_that_fails_alone_is_lost_and_no_other() -> None:
+def test_a_datagram_that_fails_alone_is_lost_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    replaced.CAN_SEGMENT.set(monkeypatch, lambda _: False)
+
     async def main() -> None:
         async with pair("127.0.0.1") as (_, client, came):
-            client._segments = False
             watch(client).failures = [None, OSError(errno.EMSGSIZE, "")]
             client.send([b"a", b"b", b"c"], None)
             await until(lambda: len(came) == 2)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import constants, replaced
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
@@ -31,7 +32,7 @@ zenoh = pytest.importorskip("zenoh")
 from tests.support.zenoh_router import Announced, Router, stranger  # noqa: E402 (it needs the package)
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Iterator
+    from collections.abc import AsyncIterator, Callable, Iterator, Sized
 
     from rsb_bridge.transport.zenoh.endpoint import Endpoint
 
@@ -81,6 +82,11 @@ def waiting_bytes(endpoint: Endpoint) -> int:
 def budget_of(endpoint: Endpoint) -> Strangers:
     """Return the endpoint's budget for strangers."""
     return endpoint._strangers
+
+
+def of_strangers(endpoint: Endpoint) -> Sized:
+    """Return the samples of strangers that wait for the endpoint's loop."""
+    return endpoint._of_strangers
 
 
 def soon(endpoint: Endpoint, work: Callable[[], object]) -> None:
@@ -218,16 +224,16 @@ def test_samples_of_a_stream_that_is_over_are_answered_and_begin_nothing(router:
 
 
 def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(endpoints, "RECEIVE_BUFFER", 100_000)
+    constants.ZENOH_RECEIVE_BUFFER.set(monkeypatch, 100_000)
     counted: list[int] = []
-    within = endpoints.Endpoint._within_budget
+    within = replaced.ZENOH_WITHIN_BUDGET.value
 
     def count(self: Endpoint, length: int, work: Callable[[], None]) -> None:
         within(self, length, work)
         if length == 1000:
             counted.append(length)
 
-    monkeypatch.setattr(endpoints.Endpoint, "_within_budget", count)
+    replaced.ZENOH_WITHIN_BUDGET.set(monkeypatch, count)
 
     async def test() -> None:
         async with in_network(router) as server:
@@ -241,7 +247,7 @@ def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: pytest.
             eventually(lambda: len(counted) == 500)  # the loop has had no turn
             other.close()
             await until(lambda: waiting_bytes(server) == 0)
-            assert len(came) == 100_000 // (1000 + endpoints._OVERHEAD)
+            assert len(came) == 100_000 // (1000 + constants.ZENOH_OVERHEAD.value)
 
     asyncio.run(test())
 
@@ -336,7 +342,7 @@ def test_what_strangers_send_takes_no_room_from_peers(router: Router) -> None:
             eventually(lambda: waiting_bytes(server))  # the loop has had no turn
             await until(lambda: peer.came)
             assert budget_of(server).used == 0
-            assert len(asked) == 100_000 // (1000 + endpoints._OVERHEAD)
+            assert len(asked) == 100_000 // (1000 + constants.ZENOH_OVERHEAD.value)
             assert budget_of(server).turned_away == 500 - len(asked)
             other.close()
 
@@ -362,9 +368,9 @@ def test_few_first_samples_of_strangers_wait(router: Router) -> None:
                 other.put(f"{at}/{number:016x}/{NOBODY}", b"x", **settings)
             other.put(f"{at}/{NOBODY}/{NOBODY}", b"x", **settings)
             eventually(lambda: waiting_bytes(server))  # the loop has had no turn
-            await until(lambda: before and not server._of_strangers)
-            assert before[0] <= endpoints._STRANGERS_AT_A_TIME
-            assert len(asked) == endpoints._STRANGERS_WAIT
+            await until(lambda: before and not of_strangers(server))
+            assert before[0] <= constants.ZENOH_STRANGERS_AT_A_TIME.value
+            assert len(asked) == constants.ZENOH_STRANGERS_WAIT.value
             other.close()
 
     asyncio.run(test())
@@ -392,7 +398,7 @@ def test_what_comes_while_a_stream_is_proven_stays_in_order(router: Router) -> N
             server.add(NOBODY, NOBODY, end)
             for number in range(5):
                 put(number)
-            eventually(lambda: len(server._of_strangers) == 5)  # the loop has had no turn
+            eventually(lambda: len(of_strangers(server)) == 5)  # the loop has had no turn
             await until(lambda: len(end.came) == 6)
             assert [header.number for header, _ in end.came] == [*range(6)]
             other.close()
@@ -426,13 +432,15 @@ def test_a_flood_does_not_keep_the_loop_from_its_other_work() -> None:
         try:
             async with in_network(router) as server:
                 turns: list[int] = []
-                for number in range(5 * endpoints._AT_A_TIME):
+                for number in range(5 * constants.ZENOH_AT_A_TIME.value):
                     soon(server, lambda number=number: turns.append(number))  # type: ignore[misc]
                 seen_at: list[int] = []
-                while len(turns) < 5 * endpoints._AT_A_TIME:
+                while len(turns) < 5 * constants.ZENOH_AT_A_TIME.value:
                     await asyncio.sleep(0)
                     seen_at.append(len(turns))
-                assert max(b - a for a, b in zip([0, *seen_at], seen_at, strict=False)) <= endpoints._AT_A_TIME
+                assert (
+                    max(b - a for a, b in zip([0, *seen_at], seen_at, strict=False)) <= constants.ZENOH_AT_A_TIME.value
+                )
         finally:
             router.close()
 
@@ -452,7 +460,7 @@ def test_one_arrival_that_fails_does_not_hold_up_the_next(router: Router) -> Non
 
 
 def test_announcements_are_limited_in_number_and_harmless(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(endpoints, "MOST_SEEN", 5)
+    constants.ZENOH_MOST_SEEN.set(monkeypatch, 5)
 
     async def test() -> None:
         async with in_network(router, "server", "client") as server:
@@ -470,7 +478,7 @@ def test_announcements_are_limited_in_number_and_harmless(router: Router, monkey
             heard: list[Any] = []
             other.declare_subscriber(f"{ROOT}/fleet/at/{'f' * 16}/*/*", heard.append)
             await until(lambda: len(server.seen) == 5)
-            assert all(endpoints._ADDRESS.fullmatch(each) for each in server.seen)
+            assert all(constants.ZENOH_ADDRESS.value.fullmatch(each) for each in server.seen)
             for token in [*tokens, last]:
                 token.undeclare()
             await until(lambda: not server.seen)
@@ -480,7 +488,7 @@ def test_announcements_are_limited_in_number_and_harmless(router: Router, monkey
 
 
 def test_many_announcements_hide_no_new_one(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(endpoints, "MOST_SEEN", 5)
+    constants.ZENOH_MOST_SEEN.set(monkeypatch, 5)
 
     async def test() -> None:
         async with in_network(router, "server", "client") as server:
@@ -501,7 +509,7 @@ def test_many_announcements_hide_no_new_one(router: Router, monkeypatch: pytest.
 
 def test_who_leaves_while_an_endpoint_is_made_is_forgotten(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else a fleet would have two servers for good, and nobody would link."""
-    monkeypatch.setattr(endpoints, "_CONFIRMED", 1.0)
+    constants.ZENOH_CONFIRMED.set(monkeypatch, 1.0)
     ghost, ask = Seen("server", NOBODY, "gone"), endpoints.Endpoint.ask
 
     async def ask_too_early(self: Endpoint, service: str) -> list[Seen]:

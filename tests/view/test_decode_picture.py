@@ -8,6 +8,7 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support import replaced
 
 from rsb_bridge.model.pictures import (
     LONGEST_SIDE,
@@ -134,7 +135,7 @@ def test_control_characters_of_a_row_are_replaced() -> None:
 
 
 def test_bytes_that_are_too_many_are_refused_before_they_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rsb_bridge.model.pictures._decoder", None)
+    replaced.PICTURE_DECODER.set(monkeypatch, None)
     with pytest.raises(PictureError):
         decode_picture(bytes(PICTURE_LIMIT + 1))
 

@@ -11,11 +11,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image as Pillow
 from sensor_msgs.msg import CompressedImage, Image
+from tests.support import surroundings
 from tests.support.wording import has_text
 from tests.view.samples import drawn
 
 from rsb_bridge.model.pictures import LONGEST_SIDE, Picture, Pixels, Wish
-from rsb_bridge.view import images
 from rsb_bridge.view.images import _BAYER, _DEPTHS, _YUV, ENCODINGS, ImageProblem
 from rsb_console.look.picture_rows import rgb_of
 
@@ -185,5 +185,5 @@ def test_terminals_that_show_pixels_get_more_of_them() -> None:
 
 def test_detail_needs_webp(monkeypatch: pytest.MonkeyPatch) -> None:
     assert _sizes(640, 480, detail=6) == (8, 6)
-    monkeypatch.setattr(images, "find_spec", lambda _: None)
+    surroundings.hide_modules(monkeypatch, "PIL")
     assert _sizes(640, 480, webp=True, detail=6) == (8, 6)

@@ -8,6 +8,7 @@ import pytest
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Float64, String
+from tests.support.held import held_by
 from tests.support.wording import has_text
 from tests.view.samples import drawn, task
 
@@ -75,7 +76,7 @@ def test_memory_is_bounded() -> None:
 
     for at in range(2 * VALUES):
         view.take(Received("/t", "std_msgs/msg/Float64", {"data": float(at)}, at * 1e-3))
-    assert max(len(track.values) for track in view._tracks.values()) <= 1.25 * VALUES + 1
+    assert held_by(view) <= 1 + 2 * (1.25 * VALUES + 1), "a topic, and the time and the number of each value"
 
 
 WAVE = tuple(math.sin(at / 5) for at in range(40))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from geometry_msgs.msg import Vector3
+from tests.support import constants
 from tests.support.stopping import stop
 from tests.support.waiting import eventually
 from tests.view.samples import task
@@ -45,7 +46,7 @@ def test_a_view_never_gets_the_picture_of_one_that_ended_while_it_was_drawn(rend
 
 
 def test_a_hung_process_is_replaced(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rsb_bridge.view.renderer.SECONDS", 0.2)
+    constants.DRAWING_WITHIN.set(monkeypatch, 0.2)
 
     async def run() -> tuple[str, str]:
         await renderer.draw(tree(1))
@@ -59,8 +60,8 @@ def test_a_hung_process_is_replaced(renderer: Renderer, monkeypatch: pytest.Monk
 
 
 def test_a_slow_view_leaves_time_to_the_others(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rsb_bridge.view.renderer.SECONDS", 0.2)
-    monkeypatch.setattr("rsb_bridge.view.renderer._SLOW", 0.19)
+    constants.DRAWING_WITHIN.set(monkeypatch, 0.2)
+    constants.DRAWING_SLOW.set(monkeypatch, 0.19)
 
     async def run() -> list[float]:
         await renderer.draw(tree(1))

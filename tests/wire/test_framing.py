@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.frames import StreamedReader, write_chunks
+from tests.support.held import held_by
 from tests.support.wording import pattern, says
 
 from rsb_bridge.wire.framing import (
@@ -58,30 +59,32 @@ def data_ends(
 
 @given(st.data(), st.lists(st.binary(max_size=50), max_size=8))
 def test_frames_come_out_as_they_went_in_however_the_stream_is_cut(data: st.DataObject, frames: list[bytes]) -> None:
-    reader = FrameReader(50)
+    budget = Budget(1 << 20)
+    reader = FrameReader(50, budget)
     stream = b"".join(pack_frame(frame) for frame in frames)
     out = [bytes(frame) for piece in data.draw(pieces(stream)) for frame in reader.feed(piece)]
     assert out == frames
-    assert reader._budget.held == 0
+    assert budget.held == 0
 
 
 @given(st.data(), st.binary(max_size=200))
 def test_garbage_gives_frames_or_words_and_keeps_no_more_than_a_frame(data: st.DataObject, garbage: bytes) -> None:
-    reader = FrameReader(50)
+    budget = Budget(1 << 20)
+    reader = FrameReader(50, budget)
     whole, words = 0, ""
     try:
         for piece in data.draw(pieces(garbage)):
             for frame in reader.feed(piece):
                 assert len(frame) <= 50
                 whole += 4 + len(frame)
-            assert len(reader._tail) < 54
+            assert budget.held < 54
     except ProtocolError as error:
         words = str(error)
     if words:
         # Frames before it in the same piece are not handed out, so the length it names may be further on.
         assert says(words, Broken.FRAME_TOO_LONG, limit=50)
     else:
-        assert whole + len(reader._tail) == len(garbage)
+        assert whole + budget.held == len(garbage)
 
 
 def test_a_length_is_refused_before_its_content_comes() -> None:
@@ -174,7 +177,7 @@ def test_what_is_held_is_what_has_come_of_the_unfinished(
     stream = b"".join(frame for message in sent for frame in write_chunks(writer, *message, chunk_size))
     for piece in data.draw(pieces(stream))[: data.draw(st.integers(0, 10))]:
         reader.receive_data(piece)
-        assert budget.held == len(reader.frames._tail) + reader._chunks.held
+        assert budget.held == held_by(reader.frames) + reader._chunks.held
     reader.close()
     assert budget.held == 0
 

@@ -25,6 +25,7 @@ from rsb_bridge.wire.operator_connection import (
 from rsb_bridge.wire.preamble import Kind, Refusal, parse_control, parse_preamble, preamble_frame, refuse_frame
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 from rsb_bridge.wire.sealed_stream import Credential
+from rsb_bridge.wire.sealing import Sealer
 
 VERSION = 7
 TAG = SUITE.tag_length
@@ -204,13 +205,19 @@ def test_a_replay_that_is_answered_confirms_nothing() -> None:
     the(Failed, restarted.receive_data(confirmation))
 
 
+def sealer_of(console: OperatorConsole) -> Sealer:
+    """Return what seals records, for a console that keeps to no rule."""
+    sealer = console._sealer
+    assert sealer is not None
+    return sealer
+
+
 def test_a_confirmation_with_content_is_none() -> None:
     console, engine = make_console(), make_engine()
     engine.receive_data(console.start())
     console.receive_data(engine.data_to_send())
     console.data_to_send()
-    assert console._sealer is not None
-    console._sealer.sequence = 0
+    sealer_of(console).sequence = 0
     the(Failed, engine.receive_data(console.send(b"not empty")))
 
 
@@ -347,8 +354,7 @@ def test_what_was_changed_on_the_way_ends_it(change: object, from_console: bool)
 
 def test_a_sealed_record_without_content_is_refused() -> None:
     console, engine = attached()
-    assert console._sealer is not None
-    the(Failed, engine.receive_data(pack_frame(console._sealer.seal(b"", b""))))
+    the(Failed, engine.receive_data(pack_frame(sealer_of(console).seal(b"", b""))))
 
 
 def test_what_one_side_sealed_is_not_taken_for_the_other_s() -> None:

@@ -280,7 +280,7 @@ def _clock() -> Iterator[Finding]:
 def _multicast() -> Iterator[Finding]:
     names = [name for _, name in socket.if_nameindex() if _flags(name) & _IFF_UP]
     outward = [name for name in names if not _flags(name) & _IFF_LOOPBACK and _address(name)]
-    works = {name: bool(_flags(name) & _IFF_MULTICAST) and _comes_back(_address(name)) for name in outward}
+    works = {name: bool(_flags(name) & _IFF_MULTICAST) and comes_back(_address(name)) for name in outward}
     good, bad = ([name for name, comes in works.items() if comes == wanted] for wanted in (True, False))
     if not outward:
         yield Finding("multicast", Grade.NOTE, "multicast", MachineText.NO_INTERFACE(), facts=works)
@@ -313,7 +313,7 @@ def _address(name: str) -> str:
         return ""
 
 
-def _comes_back(address: str) -> bool:
+def comes_back(address: str) -> bool:
     """Whether a datagram to the group comes back over an interface, without leaving the machine."""
     interface = socket.inet_aton(address)
     with (
@@ -345,7 +345,7 @@ def _firewall() -> Iterator[Finding]:
         ).stdout
     except subprocess.SubprocessError as error:
         raise OSError(str(error)) from error
-    chains = _dropping_chains(json.loads(listed).get("nftables", []))
+    chains = dropping_chains(json.loads(listed).get("nftables", []))
     facts = {"drops": bool(chains), "chains": chains}
     if chains:
         text, remedy = MachineText.FIREWALL(chains=", ".join(chains)), MachineText.FIREWALL_REMEDY()
@@ -354,7 +354,7 @@ def _firewall() -> Iterator[Finding]:
         yield Finding("firewall", Grade.OK, "firewall", MachineText.NO_FIREWALL(), facts=facts)
 
 
-def _dropping_chains(listed: list[dict[str, Any]]) -> list[str]:
+def dropping_chains(listed: list[dict[str, Any]]) -> list[str]:
     """Return the chains that packets to this machine come through and that drop some: ``ip filter INPUT``.
 
     Docker's drops stand in chains of the hook ``forward``, which such packets do not come through.

@@ -46,7 +46,7 @@ def main() -> None:
     rclpy.init(context=context, domain_id=int(domain), signal_handler_options=SignalHandlerOptions.NO)
     node = Node(f"bench_{part}", context=context, enable_rosout=False, start_parameter_services=False)
     if part == "talk":
-        _talk(node, topics)
+        talk(node, topics)
     elif part == "many":
         prefix, count, *suffix = topics
         _publish_many(node, [f"{prefix}{number:03d}{''.join(suffix)}" for number in range(int(count))])
@@ -64,7 +64,7 @@ def _parsed(topic: str) -> tuple[str, QoSProfile]:
     return name, QoSProfile(depth=int(depth or DEPTH))
 
 
-def _talk(node: Node, topics: Sequence[str]) -> None:
+def talk(node: Node, topics: Sequence[str]) -> None:
     publishers = [node.create_publisher(String, *_parsed(topic)) for topic in topics]
     for line in sys.stdin:
         command, *numbers = line.split()

@@ -204,7 +204,7 @@ def _fleet_headless(running: Simulated, signals: Signals, seconds: float | None)
     with seen(running) as shown:
         troubled = trouble(running, lambda: bool(signals.caught) or (ends is not None and time.monotonic() >= ends))
         engines = len(running.names) + (running.file is not None)
-        _print_summary(_heard(shown, engines, lambda: troubled or bool(signals.caught)))
+        _print_summary(heard(shown, engines, lambda: troubled or bool(signals.caught)))
     return HUNG_UP if signals.hung_up else OK
 
 
@@ -244,7 +244,7 @@ def trouble(running: Simulated, over: Callable[[], bool]) -> bool:
     return troubled
 
 
-def _heard(shown: Fleet, engines: int, as_they_are: Callable[[], bool]) -> list[Robot]:
+def heard(shown: Fleet, engines: int, as_they_are: Callable[[], bool]) -> list[Robot]:
     """Wait until each engine has reported, and return the robots.
 
     A busy machine keeps robots from publishing, or from answering, for some seconds. So if nothing is meant to be

@@ -60,7 +60,7 @@ def protocol_of_terminal() -> Protocol:
     """Ask the terminal for the way in which it shows images. Call this before anything else reads standard input."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         return "blocks"
-    answer = _asked(sys.stdin.fileno(), sys.stdout.fileno())
+    answer = asked(sys.stdin.fileno(), sys.stdout.fileno())
     if b"_Gi=31;OK" in answer:
         return "kitty"
     device = _DEVICE.search(answer)
@@ -68,7 +68,7 @@ def protocol_of_terminal() -> Protocol:
     return "sixel" if has_sixel and not why_not("sixel") else "blocks"
 
 
-def _asked(read_from: int, write_to: int) -> bytes:
+def asked(read_from: int, write_to: int) -> bytes:
     """Return what a terminal answers to `_QUESTION`, without the keys typed before."""
     before = termios.tcgetattr(read_from)
     answer, deadline = b"", time.monotonic() + _ANSWERS_WITHIN

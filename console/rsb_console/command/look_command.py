@@ -81,7 +81,7 @@ def _look(arguments: Namespace) -> int:
     viewer = secrets.token_hex(8)
     with attached(arguments, read_only=True) as engine:
         try:
-            return (_one if once else _many)(engine, viewer, arguments)
+            return (_one if once else many)(engine, viewer, arguments)
         finally:
             _end(engine, viewer)
 
@@ -174,7 +174,7 @@ def _print(viewed: Viewed, wish: Wish, arguments: Namespace) -> None:
     print_line(_status(viewed))
 
 
-def _many(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
+def many(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
     """Draw pictures until an interrupt."""
     console = _console(arguments)
     printer = None if arguments.graphics == "blocks" else ImagePrinter(arguments.graphics)

@@ -115,7 +115,7 @@ class Service:
             "# The bridge reports that it works; systemd restarts one that hangs.",
             "WatchdogSec=30",
             *(f"Environment={_quoted(f'{name}={value}')}" for name, value in self.environment.items()),
-            f"ExecStart={' '.join(_quoted(word, command=True) for word in self._command())}",
+            f"ExecStart={' '.join(_quoted(word, command=True) for word in self.command())}",
             "# Reads the session file again, and changes only what differs.",
             "ExecReload=/bin/kill -HUP $MAINPID",
             "Restart=on-failure",
@@ -144,7 +144,7 @@ class Service:
             *CONFINED,
         ]
 
-    def _command(self) -> list[str]:
+    def command(self) -> list[str]:
         run = [*self.program, "run", "--no-ui", "--log-format", "json", str(self.session)]
         return run if self.setup is None else ["/bin/bash", "-c", _SOURCING, str(self.setup), *run]
 

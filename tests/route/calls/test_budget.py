@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from tests.support import constants
 
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.route import peer as module
@@ -11,9 +12,9 @@ from rsb_bridge.route.peer import CallBudget
 
 @pytest.fixture
 def budget(monkeypatch: pytest.MonkeyPatch) -> CallBudget:
-    monkeypatch.setattr(module, "CALLS_UNDER_WAY", 3)
-    monkeypatch.setattr(module, "BYTES_UNDER_WAY", 1000)
-    monkeypatch.setattr(module, "CALLS_A_SECOND", 10.0)
+    constants.CALLS_UNDER_WAY.set(monkeypatch, 3)
+    constants.BYTES_UNDER_WAY.set(monkeypatch, 1000)
+    constants.CALLS_A_SECOND.set(monkeypatch, 10.0)
     return CallBudget(0.0)
 
 
@@ -58,6 +59,7 @@ def test_what_expired_counts_on_for_as_long_as_dds_may_hold_it(budget: CallBudge
     assert budget.take(1000, 23.0) is None
 
 
-def test_the_peer_may_have_a_little_more() -> None:
-    ours, theirs = CallBudget(0.0), CallBudget(0.0, module.PEERS_SHARE)
-    assert theirs._bytes.limit > ours._bytes.limit
+def test_the_peer_may_have_a_little_more(budget: CallBudget) -> None:
+    theirs = CallBudget(0.0, module.PEERS_SHARE)
+    assert budget.take(1001, 0.0) is Refused.BYTES_UNDER_WAY
+    assert theirs.take(1001, 0.0) is None

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import zstandard
+from tests.support import constants
 
 from rsb_bridge.model.calls import FEEDBACK, LANES, SEND_GOAL, STATUS
-from rsb_bridge.route.calls import calls_outbox as module
 from rsb_bridge.route.calls.calls_outbox import CallsOutbox
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.framing import ZSTD
@@ -95,7 +95,6 @@ def test_nothing_waits_of_a_call_that_is_over(outbox: CallsOutbox) -> None:
         outbox.put(message(FEEDBACK, b"%d" % number))
     for number in (1, 3, 9):
         outbox.forget(number)
-    assert len(outbox._frames) == 4
     channel = FakeChannel()
     outbox.flush(channel)  # type: ignore[arg-type]
     assert [each.content for each in channel.frames()] == [b"1", b"request 2", b"2", b"3"]
@@ -113,7 +112,7 @@ def test_a_lane_keeps_as_many_messages_as_its_depth_and_the_oldest_go(outbox: Ca
 
 
 def test_messages_that_wait_are_bounded_in_bytes(outbox: CallsOutbox, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_MESSAGE_BYTES", 100)
+    constants.OUTBOX_MESSAGE_BYTES.set(monkeypatch, 100)
     for _ in range(10):
         outbox.put(message(FEEDBACK, bytes(40)))
     channel = FakeChannel()
@@ -122,7 +121,7 @@ def test_messages_that_wait_are_bounded_in_bytes(outbox: CallsOutbox, monkeypatc
 
 
 def test_a_large_message_has_as_many_go_as_it_takes(outbox: CallsOutbox, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_MESSAGE_BYTES", 100)
+    constants.OUTBOX_MESSAGE_BYTES.set(monkeypatch, 100)
     for size in (10, 10, 10, 90):
         outbox.put(message(FEEDBACK, bytes(size)))
     channel = FakeChannel()
@@ -131,7 +130,7 @@ def test_a_large_message_has_as_many_go_as_it_takes(outbox: CallsOutbox, monkeyp
 
 
 def test_refusals_that_wait_are_bounded(outbox: CallsOutbox, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_MOST_REFUSALS", 5)
+    constants.OUTBOX_MOST_REFUSALS.set(monkeypatch, 5)
     for number in range(1, 20):
         outbox.put(CallFrame(What.REFUSED, SEND_GOAL, number, 0, b"paused"))
     channel = FakeChannel()

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.route.calls.test_held import providing
 from tests.support.goals import cancel_request, cancel_response, goal, goal_response, statuses
+from tests.support.inside import clients_of
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, STATUS
 from rsb_bridge.model.demands import Demands, sources_of_names
@@ -53,21 +54,27 @@ def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingR
         route = providing(context, arm=True)
         route.arming.own = context.demands.of("action", "/dock") or route.arming.own
         route.arming.peer_on_end = there
-        route._clients.clients = {lane: Client() for lane in (SEND_GOAL, CANCEL_GOAL, GET_RESULT)}
+        clients_of(route).clients = {lane: Client() for lane in (SEND_GOAL, CANCEL_GOAL, GET_RESULT)}
         action: Any = route.action
         for number in (1, 3):
             action.goals.asked(goal(number))
             action.answers.asked(Question(SEND_GOAL, goal(number)), number, frozenset())
         route.arming.take("anna", context.now())
-        route._keep_answer(action, SEND_GOAL, Response(goal_response(True), 1, 0))
+        accept(route, 1)
         action.published(STATUS, [RawMessage(statuses((goal(1), "executing"), (goal(2), "executing")), 0)])
         return route
 
     return make
 
 
+def accept(route: ProvidingRoute, number: int) -> None:
+    """Let the server accept a goal."""
+    action: Any = route.action
+    route._keep_answer(action, SEND_GOAL, Response(goal_response(True), number, 0))
+
+
 def cancels(route: ProvidingRoute) -> list[bytes]:
-    client: Any = route._clients.clients[CANCEL_GOAL]
+    client: Any = clients_of(route).clients[CANCEL_GOAL]
     return list(client.calls)
 
 
@@ -84,8 +91,7 @@ def test_an_end_of_the_arming_cancels_this_links_goals(make_route: Callable[...,
 def test_a_goal_that_is_accepted_later_is_cancelled_then(make_route: Callable[..., ProvidingRoute]) -> None:
     route = make_route()
     route.disarm(Disarmed.OPERATOR)
-    action: Any = route.action
-    route._keep_answer(action, SEND_GOAL, Response(goal_response(True), 3, 0))
+    accept(route, 3)
     assert cancels(route) == [cancel_request(goal(1)), cancel_request(goal(3))]
 
 

@@ -43,6 +43,13 @@ def _providing(ros: _Graph, make_context: Callable[..., Context]) -> ProvidingRo
     return ProvidingRoute(context, FakePeer(), spec, proposal, proposed_here=False)
 
 
+def looks(route: ProvidingRoute) -> Cause | None:
+    """Look at the graph again; return why nobody can be called, or None."""
+    route._look()
+    trouble = route._unavailable
+    return trouble.cause if trouble is not None else None
+
+
 def test_a_server_that_is_not_known_yet_has_not_gone(make_context: Callable[..., Context]) -> None:
     """DDS may tell of its node a moment after its endpoints."""
     ros = _Graph()
@@ -50,10 +57,9 @@ def test_a_server_that_is_not_known_yet_has_not_gone(make_context: Callable[...,
     causes = []
     for found in ([], [LAMP], [], [LAMP._replace(node="")], []):
         ros.found = found
-        route._look()
-        causes.append(route._unavailable.cause if route._unavailable is not None else None)
+        causes.append(looks(route))
     assert causes == [Cause.NO_SERVER, None, Cause.SERVER_GONE, Cause.NO_SERVER, Cause.SERVER_GONE]
-    route._withdraw()
+    route.close("over")
 
 
 def test_a_call_may_have_reached_a_server_that_was_not_seen_yet(make_context: Callable[..., Context]) -> None:
@@ -63,9 +69,9 @@ def test_a_call_may_have_reached_a_server_that_was_not_seen_yet(make_context: Ca
     orphaned = []
     for gid in (b"first", b"second", b"third"):
         ros.found = [LAMP._replace(gid=gid)]
-        route._look()
+        looks(route)
         if gid == b"first":
             call = PeersCall(0, 10, 0.0, 1, route._present)
         orphaned.append(route._is_orphan(call))
     assert orphaned == [False, False, True]
-    route._withdraw()
+    route.close("over")

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support.goals import cancel_request, goal, goal_request
+from tests.support.inside import offers_of, provide, refusal_of
 from tests.support.offline import FakePeer
 
 from rsb_bridge.link.proposals import proposal_of
@@ -51,7 +52,7 @@ def test_only_what_could_begin_a_goal_is_held_up(
     what: What, lane: int, content: bytes, held: bool, how: str, why: Refused, make_context: Callable[..., Context]
 ) -> None:
     route = providing(make_context(), **{how: True})
-    refusal = route._refusal(CallFrame(what, lane, 1, 0, content))
+    refusal = refusal_of(route, CallFrame(what, lane, 1, 0, content))
     assert refusal is (why if held else Refused.PROVIDER_GONE)
 
 
@@ -61,8 +62,8 @@ def test_a_goal_that_is_only_asked_about_is_within_no_limit(
 ) -> None:
     route = providing(make_context())
     route.limit.allow_here(1.0)
-    route._last_sent = Provide(route=1, lanes=(LaneEntry("a/action/B_SendGoal", "h", 1),))
-    refusals = {route._refusal(CallFrame(what, SEND_GOAL, n, 0, goal_request(goal(n)))) for n in range(1, 50)}
+    provide(route, Provide(route=1, lanes=(LaneEntry("a/action/B_SendGoal", "h", 1),)))
+    refusals = {refusal_of(route, CallFrame(what, SEND_GOAL, n, 0, goal_request(goal(n)))) for n in range(1, 50)}
     assert refusals == ({None, Refused.CALLS_A_SECOND} if limited else {None})
 
 
@@ -93,7 +94,7 @@ def test_a_goal_that_may_have_begun_is_not_said_to_be_rejected(
     spec = Topic("/dock", "receive", kind="action")
     proposal = proposal_of(spec, context.transports["tcp"], client_name="robot1", use_name=False)
     route, server = CallingRoute(context, FakePeer(), spec, proposal, proposed_here=False), Answers()
-    route._offers.servers[SEND_GOAL] = server
+    offers_of(route).servers[SEND_GOAL] = server
     assert route.action is not None
     route.action.goals.asked(goal(1))
     kept = KeptCall(SEND_GOAL, b"caller", GOAL, 0.0, again=again)
@@ -110,7 +111,7 @@ def test_an_old_goal_is_refused_however_it_was_held_up(make_context: Callable[..
     lease.begin()
 
     def refusal(number: int) -> Refused | None:
-        return route._refusal(CallFrame(What.CALL, SEND_GOAL, 1, 0, GOAL, number))
+        return refusal_of(route, CallFrame(What.CALL, SEND_GOAL, 1, 0, GOAL, number))
 
     before, _ = lease.beat()
     lease.hear(1, 0)

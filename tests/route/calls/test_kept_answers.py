@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import pytest
+from tests.support import constants
 from tests.support.goals import cancel_request, cancel_response, goal, goal_request, goal_response, result_response
+from tests.support.held import held_by
+from tests.support.inside import numbers_of
 
 from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT, SEND_GOAL
-from rsb_bridge.route.calls import kept_calls
 from rsb_bridge.route.calls.kept_calls import (
     INTERRUPTION,
     SENT_KEPT,
@@ -164,7 +166,7 @@ def test_nothing_is_kept_of_calls_that_are_over() -> None:
         answers.gave_up(lane, 7, 100.0)
     answers.expire(100.0 + SENT_KEPT)
     assert [asks(lane) in answers for lane in (SEND_GOAL, CANCEL_GOAL, GET_RESULT)] == [False, False, True]
-    assert not answers._by_number.keys() - {(GET_RESULT, 7)}
+    assert not numbers_of(answers).keys() - {(GET_RESULT, 7)}
 
 
 @pytest.mark.parametrize("lane", [SEND_GOAL, CANCEL_GOAL])
@@ -182,11 +184,11 @@ def test_a_question_that_calls_asked_about_again_in_vain_is_forgotten(lane: int)
     answers.expire(200.0 + SENT_KEPT)
     assert asks(lane) not in answers
     assert not answers.under_way
-    assert not answers._by_number
+    assert not held_by(answers)
 
 
 def test_those_with_answers_are_forgotten_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept_calls, "MOST_KEPT", 3)
+    constants.ANSWERS_KEPT.set(monkeypatch, 3)
     answers = KeptAnswers()
     for number in range(1, 4):
         answers.asked(asks(GET_RESULT, number), number, SERVERS)
@@ -200,7 +202,7 @@ def test_those_with_answers_are_forgotten_first(monkeypatch: pytest.MonkeyPatch)
 
 def test_what_calls_wait_for_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else a result would not reach who waits for it, though nothing was interrupted."""
-    monkeypatch.setattr(kept_calls, "MOST_KEPT", 3)
+    constants.ANSWERS_KEPT.set(monkeypatch, 3)
     answers = KeptAnswers()
     for number in range(1, 11):
         answers.asked(asks(GET_RESULT, number), number, SERVERS, number)
@@ -211,7 +213,7 @@ def test_what_calls_wait_for_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_their_bytes_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept_calls, "MOST_ANSWER_BYTES", 2 * len(RESULT))
+    constants.ANSWER_BYTES_KEPT.set(monkeypatch, 2 * len(RESULT))
     answers = KeptAnswers()
     for number in range(1, 4):
         answers.asked(asks(GET_RESULT, number), number, SERVERS)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 from unittest.mock import Mock, patch
 
 import pytest
+from tests.support.held import held_by
+from tests.support.inside import timer_of
 
 from rsb_bridge.route.calls.pending_calls import Call, PendingCalls
 from rsb_bridge.route.peer import CallBudget
@@ -71,8 +73,8 @@ def test_no_timer_is_left_once_all_are_given_up(held: Held) -> None:
     assert [number for number, _ in held.calls.clear()] == [1, 2]
     assert held.ended == [1, 2]
     assert held.budget.held == (0, 0)
-    assert held.calls._timer is None
-    assert not held.calls._deadlines
+    assert not timer_of(held.calls)
+    assert not held_by(held.calls)
 
 
 def test_no_timer_is_left_after_the_time_of_the_last_call(held: Held) -> None:
@@ -80,8 +82,8 @@ def test_no_timer_is_left_after_the_time_of_the_last_call(held: Held) -> None:
     held.calls.end(1)
     held.pass_time(1001.0)
     assert not held.expired
-    assert held.calls._timer is None
-    assert not held.calls._deadlines
+    assert not timer_of(held.calls)
+    assert not held_by(held.calls)
 
 
 def test_calls_one_after_another_set_one_timer(held: Held) -> None:
@@ -135,4 +137,4 @@ def test_what_is_kept_of_ended_calls_does_not_grow(held: Held) -> None:
             held.calls.end(waiting.pop(random.randrange(len(waiting))))
         held.pass_time(0.001)
     assert len(held.calls) == 100
-    assert len(held.calls._deadlines) <= 2 * 101 + 64
+    assert held_by(held.calls) <= 100 + 2 * 101 + 64

@@ -37,7 +37,7 @@ def reason_of(error: Exception) -> str:
     return str(error).partition(", at ")[0]
 
 
-def _named(name: str) -> Any:
+def named(name: str) -> Any:
     """Return a member of the extension module, or a function that raises if it is missing."""
 
     def missing(*_arguments: object) -> None:
@@ -46,13 +46,13 @@ def _named(name: str) -> Any:
     return getattr(_rclpy, name, missing)
 
 
-TOPICS: Final[Question] = _named("rclpy_get_topic_names_and_types")
-SERVICES: Final[Question] = _named("rclpy_get_service_names_and_types")
-PUBLISHERS: Final[Question] = _named("rclpy_get_publishers_info_by_topic")
-SUBSCRIPTIONS: Final[Question] = _named("rclpy_get_subscriptions_info_by_topic")
+TOPICS: Final[Question] = named("rclpy_get_topic_names_and_types")
+SERVICES: Final[Question] = named("rclpy_get_service_names_and_types")
+PUBLISHERS: Final[Question] = named("rclpy_get_publishers_info_by_topic")
+SUBSCRIPTIONS: Final[Question] = named("rclpy_get_subscriptions_info_by_topic")
 
-_CLASSES = {kind: _named(kind.capitalize()) for kind in ("subscription", "publisher", "service", "client")}
-_node, _wait_set, _guard_condition = _named("Node"), _named("WaitSet"), _named("GuardCondition")
+_CLASSES = {kind: named(kind.capitalize()) for kind in ("subscription", "publisher", "service", "client")}
+_node, _wait_set, _guard_condition = named("Node"), named("WaitSet"), named("GuardCondition")
 
 
 def ask(question: Question, *arguments: object) -> Any:

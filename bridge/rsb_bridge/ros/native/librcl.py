@@ -25,7 +25,7 @@ _librcl_without_gil = ctypes.CDLL("librcl.so")
 """For long calls, such as copies of large messages: other threads run meanwhile."""
 
 
-def _function(name: str, *arguments: Any, returns: Any = ctypes.c_int, library: ctypes.CDLL = _librcl) -> Any:
+def function(name: str, *arguments: Any, returns: Any = ctypes.c_int, library: ctypes.CDLL = _librcl) -> Any:
     """Return a function of rcl or of a library that it depends on, or a function that raises if it is missing."""
     try:
         function = library[name]
@@ -40,7 +40,7 @@ def _function(name: str, *arguments: Any, returns: Any = ctypes.c_int, library: 
 
 
 _POINTER = ctypes.c_void_p
-reset_error = _function("rcutils_reset_error", returns=None)
+reset_error = function("rcutils_reset_error", returns=None)
 
 
 class _Allocator(ctypes.Structure):
@@ -72,12 +72,10 @@ class Buffer(Serialized):
         _buffer_fini(self)
 
 
-_default_allocator = _function("rcutils_get_default_allocator", returns=_Allocator)
-_buffer_init = _function(
-    "rcutils_uint8_array_init", ctypes.POINTER(Buffer), ctypes.c_size_t, ctypes.POINTER(_Allocator)
-)
-_buffer_fini = _function("rcutils_uint8_array_fini", ctypes.POINTER(Buffer))
-_serialize = _function("rmw_serialize", _POINTER, _POINTER, ctypes.POINTER(Buffer))
+_default_allocator = function("rcutils_get_default_allocator", returns=_Allocator)
+_buffer_init = function("rcutils_uint8_array_init", ctypes.POINTER(Buffer), ctypes.c_size_t, ctypes.POINTER(_Allocator))
+_buffer_fini = function("rcutils_uint8_array_fini", ctypes.POINTER(Buffer))
+_serialize = function("rmw_serialize", _POINTER, _POINTER, ctypes.POINTER(Buffer))
 
 _CREATE = ctypes.PYFUNCTYPE(ctypes.c_void_p)
 _CONVERT = ctypes.PYFUNCTYPE(ctypes.c_bool, ctypes.py_object, ctypes.c_void_p)
@@ -199,12 +197,12 @@ class WaitSetHead(ctypes.Structure):
     )
 
 
-graph_guard_condition = _function("rcl_node_get_graph_guard_condition", _POINTER, returns=_POINTER)
-add_guard_condition = _function("rcl_wait_set_add_guard_condition", _POINTER, _POINTER, ctypes.POINTER(ctypes.c_size_t))
+graph_guard_condition = function("rcl_node_get_graph_guard_condition", _POINTER, returns=_POINTER)
+add_guard_condition = function("rcl_wait_set_add_guard_condition", _POINTER, _POINTER, ctypes.POINTER(ctypes.c_size_t))
 
 # --- messages
 
-feature_supported = _function("rmw_feature_supported", ctypes.c_int, returns=ctypes.c_bool)
+feature_supported = function("rmw_feature_supported", ctypes.c_int, returns=ctypes.c_bool)
 PUBLICATION_NUMBERS: Final = 0
 """RMW_FEATURE_MESSAGE_INFO_PUBLICATION_SEQUENCE_NUMBER: messages have their publisher's number."""
 TAKE_FAILED: Final = 401
@@ -224,12 +222,12 @@ class Gid(ctypes.Structure):
 
 _TAKE = "rcl_take_serialized_message", _POINTER, _POINTER, _POINTER, _POINTER
 _PUBLISH = "rcl_publish_serialized_message", _POINTER, _POINTER, _POINTER
-take_message, take_long_message = _function(*_TAKE), _function(*_TAKE, library=_librcl_without_gil)
-publish_message, publish_long_message = _function(*_PUBLISH), _function(*_PUBLISH, library=_librcl_without_gil)
-wait_for_all_acked = _function("rcl_publisher_wait_for_all_acked", _POINTER, ctypes.c_int64)
-rmw_publisher = _function("rcl_publisher_get_rmw_handle", _POINTER, returns=_POINTER)
-rmw_subscription = _function("rcl_subscription_get_rmw_handle", _POINTER, returns=_POINTER)
-_gid_of_publisher = _function("rmw_get_gid_for_publisher", _POINTER, ctypes.POINTER(Gid))
+take_message, take_long_message = function(*_TAKE), function(*_TAKE, library=_librcl_without_gil)
+publish_message, publish_long_message = function(*_PUBLISH), function(*_PUBLISH, library=_librcl_without_gil)
+wait_for_all_acked = function("rcl_publisher_wait_for_all_acked", _POINTER, ctypes.c_int64)
+rmw_publisher = function("rcl_publisher_get_rmw_handle", _POINTER, returns=_POINTER)
+rmw_subscription = function("rcl_subscription_get_rmw_handle", _POINTER, returns=_POINTER)
+_gid_of_publisher = function("rmw_get_gid_for_publisher", _POINTER, ctypes.POINTER(Gid))
 
 
 def gid_of(publisher: int) -> bytes:
@@ -252,7 +250,7 @@ CALLER: Final = struct.Struct("@16sq")
 CALL_INFO: Final = struct.Struct("@qq16sq")
 """A rmw_service_info_t: source and reception time in ns, and whose call it is."""
 
-take_request = _function("rcl_take_request_with_info", _POINTER, _POINTER, _POINTER)
-take_response = _function("rcl_take_response_with_info", _POINTER, _POINTER, _POINTER)
-send_request = _function("rcl_send_request", _POINTER, _POINTER, ctypes.POINTER(ctypes.c_int64))
-send_response = _function("rcl_send_response", _POINTER, _POINTER, _POINTER)
+take_request = function("rcl_take_request_with_info", _POINTER, _POINTER, _POINTER)
+take_response = function("rcl_take_response_with_info", _POINTER, _POINTER, _POINTER)
+send_request = function("rcl_send_request", _POINTER, _POINTER, ctypes.POINTER(ctypes.c_int64))
+send_response = function("rcl_send_response", _POINTER, _POINTER, _POINTER)
