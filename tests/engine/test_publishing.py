@@ -14,7 +14,7 @@ from rclpy.duration import Duration
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from tests.support import constants, replaced
-from tests.support.bridge import balance, carries, happened, now, route
+from tests.support.bridge import balance, carries, happened, is_accepted, now, route
 from tests.support.consoles import Consoles
 from tests.support.domain import BEST_EFFORT, LATCHED, RELIABLE, Domain, text
 from tests.support.waiting import eventually, holds
@@ -68,7 +68,7 @@ def armed(engine: Engine) -> bool:
 
 
 def can_be_armed(*engines: Engine) -> bool:
-    return all(route(engine, "/cmd").state == "disarmed" for engine in engines)
+    return all(route(engine, "/cmd").state == "disarmed" and is_accepted(engine, "/cmd") for engine in engines)
 
 
 def of(engine: Engine, code: EventCode) -> list[tuple[str, str, str]]:
@@ -488,6 +488,7 @@ def test_all_robots_of_a_name_have_to_be_driven(bridge: Bridge, robot: Domain, p
     eventually(lambda: {each.state for each in now(server).routes} == {"disarmed", "waiting"})
     eventually(lambda: all(each.qos for each in now(server).routes))
     (needs_arming,) = (each for each in now(server).routes if each.arming is not None)
+    eventually(lambda: is_accepted(server, "/cmd"))
     server.arm(needs_arming.key).result(30)
     with pytest.raises(EngineError, match=pattern(PublishProblem.NO_DEADMAN)):
         drive(server, 0.1)

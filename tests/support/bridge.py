@@ -169,6 +169,12 @@ def _routes(engine: Engine) -> list[Route]:
     return [route for link in inside(engine).links() for route in tuple(link.routes.values())]
 
 
+def is_accepted(engine: Engine, topic: str) -> bool:
+    """Whether both sides have agreed on all routes of a topic; one to be armed is disarmed before that, too."""
+    found = [route for route in _routes(engine) if route.local_topic == topic]
+    return bool(found) and all(route.accepted for route in found)
+
+
 def outgoing(engine: Engine, topic: str) -> OutgoingRoute:
     """Return a topic's sending route, whose counts are newer than the snapshot's."""
     return next(route for route in _routes(engine) if isinstance(route, OutgoingRoute) and route.topic == topic)

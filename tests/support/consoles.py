@@ -5,7 +5,8 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
-from tests.support.bridge import route
+from tests.support.bridge import is_accepted, route
+from tests.support.waiting import eventually
 
 if TYPE_CHECKING:
     from rsb_bridge.engine import Engine
@@ -23,6 +24,7 @@ class Consoles:
     def arm(self, engine: Engine, topic: str = "/cmd", *, shared: bool = False) -> None:
         """Arm a topic on an engine's console."""
         self._engines.add(engine)
+        eventually(lambda: is_accepted(engine, topic))
         engine.arm(route(engine, topic).key, shared=shared).result(30)
 
     def _run(self) -> None:
