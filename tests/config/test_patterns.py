@@ -102,7 +102,7 @@ def test_one_pattern_is_listed_once_and_too_many_are_refused() -> None:
     assert [problem.location for problem in caught.value.problems] == [f"topics[{PATTERNS_PER_LINK}]"]
 
 
-@pytest.mark.parametrize("key", ["shutdown_topic", "diagnostics_topic"])
+@pytest.mark.parametrize("key", ["shutdown_topic", "diagnostics_topic", "driver_topic"])
 def test_a_single_topic_is_no_pattern(key: str) -> None:
     with pytest.raises(SessionError) as caught:
         read(f"{key}: /a/*\n")

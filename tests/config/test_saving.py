@@ -515,6 +515,7 @@ fields_of_a_session = {
     "stale_after": st.sampled_from([15.0, 0.0, 7.5]),
     "shutdown_topic": st.sampled_from(["/shutdown", None, "/stop"]),
     "diagnostics_topic": st.sampled_from(["/diagnostics", None, "/health"]),
+    "driver_topic": st.sampled_from([None, "/rsb/driver"]),
     "metrics": st.sampled_from([None, "127.0.0.1:9464", "[::1]:9464"]),
 }
 clients_sessions = st.builds(

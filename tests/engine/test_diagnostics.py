@@ -2,27 +2,40 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING
 
+import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
 from tests.engine.test_reloading import Edited
 from tests.support import constants
-from tests.support.bridge import carries, happened, link, linked
+from tests.support.bridge import carries, happened, link, linked, route
+from tests.support.consoles import Consoles
+from tests.support.domain import LATCHED
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.command_origin import acting
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
-    import pytest
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain, Listener
 
 LINK, SENT, TAKEN = "rsb robot1: link robot1", "rsb robot1: /chat to robot1", "rsb robot1: /chat from robot1"
 OK, ERROR = DiagnosticStatus.OK, DiagnosticStatus.ERROR
+
+
+@pytest.fixture
+def consoles() -> Iterator[Consoles]:
+    made = Consoles()
+    yield made
+    made.close()
 
 
 def _status(listener: Listener, name: str) -> DiagnosticStatus | None:
@@ -87,3 +100,44 @@ def test_a_type_that_is_missing_ends_nothing_else(bridge: Bridge, monkeypatch: p
     server, client = bridge.both()
     for engine in (server, client):
         assert happened(engine, EventCode.ENGINE_DIAGNOSTICS)
+
+
+def _held(listener: Listener) -> list[dict[str, object]] | None:
+    """What the newest message says of who holds what."""
+    if not (payloads := listener.payloads):
+        return None
+    found: list[dict[str, object]] = json.loads(deserialize_message(payloads[-1], String).data)
+    return found
+
+
+def test_nodes_hear_who_holds_which_topic_when_it_changes(
+    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
+) -> None:
+    """On both sides; latched, for those that come later."""
+    here, there = robot.listener("/rsb/driver", qos=LATCHED), pc.listener("/rsb/driver", qos=LATCHED)
+    server, client = bridge.both(Topic("/cmd", "receive", arm=True, deadman=0.0), driver_topic="/rsb/driver")
+    eventually(lambda: (_held(here), _held(there)) == ([], []))
+    eventually(lambda: route(server, "/cmd").state == route(client, "/cmd").state == "disarmed")
+    with acting("anna"):
+        consoles.arm(server)
+    holds_it = {"topic": "/cmd", "link": "robot1", "holder": "anna", "here": True}
+    eventually(lambda: _held(there) == [holds_it])
+    eventually(lambda: _held(here) == [holds_it | {"holder": "server says: anna", "here": False}])
+    late = pc.listener("/rsb/driver", qos=LATCHED)
+    eventually(lambda: _held(late) == [holds_it])
+    server.disarm(route(server, "/cmd").key).result(30)
+    eventually(lambda: (_held(here), _held(there)) == ([], []))
+    assert len(there.payloads) == 3
+
+
+def test_no_session_has_a_topic_of_holders_by_itself_and_a_reload_begins_one(
+    bridge: Bridge, pc: Domain, tmp_path: Path
+) -> None:
+    listener = pc.listener("/held", qos=LATCHED)
+    server = bridge.server()
+    assert server.session.driver_topic is None
+    file = Edited(server, tmp_path / "server.yaml")
+    assert file.reload(driver_topic="/held").changed == ("driver_topic none → /held",)
+    eventually(lambda: _held(listener) == [])
+    assert file.reload(driver_topic=None).changed == ("driver_topic /held → none",)
+    eventually(lambda: not listener.matched)

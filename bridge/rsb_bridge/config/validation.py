@@ -391,6 +391,8 @@ def _session(session: Session) -> Iterator[Problem]:
         yield from name_problems(session.shutdown_topic, "shutdown_topic")
     if session.diagnostics_topic is not None:
         yield from name_problems(session.diagnostics_topic, "diagnostics_topic")
+    if session.driver_topic is not None:
+        yield from name_problems(session.driver_topic, "driver_topic")
     if session.metrics is not None:
         yield from _metrics(session.metrics)
     if session.on_fault is not None:

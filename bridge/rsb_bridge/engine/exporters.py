@@ -1,7 +1,8 @@
-"""Shows an engine on ``/diagnostics`` and to Prometheus, and reports its faults to the session's command."""
+"""Shows an engine on topics of its domain and to Prometheus, and reports its faults to the session's command."""
 
 from __future__ import annotations
 
+import json
 import threading
 from typing import TYPE_CHECKING
 
@@ -93,53 +94,72 @@ def _status(name: str, session: str, severity: int, message: str, values: Iterab
 
 _TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 _QOS = Qos()  # as diagnostic_updater
+_DRIVER_TYPE = "std_msgs/msg/String"
+_LATCHED = Qos(durability="transient_local", depth=1)
 _RETRIED_EVERY = 10.0
 _ENDS_WITHIN = 2.0
 
 
-class DiagnosticsExporter:
-    """The bridge's publisher on the session's `diagnostics_topic`. It belongs to the I/O thread."""
+class _SessionTopic:
+    """The bridge's publisher on a topic that a key of the session names. It belongs to the I/O thread.
 
-    def __init__(self, context: Context) -> None:
+    Args:
+        key: of the session.
+        qos: of the publisher.
+    """
+
+    def __init__(self, context: Context, key: str, type_name: str, qos: Qos) -> None:
         self._context = context
+        self._key, self._type, self._qos = key, type_name, qos
         self._publisher: Publisher | None = None
+
+    @property
+    def name(self) -> str | None:
+        """The topic that the session names now, or None."""
+        topic: str | None = getattr(self._context.session, self._key)
+        return topic
 
     def open(self) -> None:
         """Publish from now on, on the topic that the session names now. What does not work ends nothing else."""
         self.close()
-        topic = self._context.session.diagnostics_topic
+        topic = self.name
         if topic is None:
             return
         ros = self._context.ros
-        type_hash = ros.installed_hash(_TYPE)
+        type_hash = ros.installed_hash(self._type)
         if type_hash is None:
-            self._failed(f"{_TYPE} is not installed here", Level.INFO)
+            self._failed(f"{self._type} is not installed here", Level.INFO)
             return
         try:
-            self._publisher = ros.advertise(topic, _TYPE, type_hash, _QOS, self)
-            endpoint = Endpoint(f"/{ros.node_name}", _TYPE, type_hash, _QOS, self._publisher.gid)
+            self._publisher = ros.advertise(topic, self._type, type_hash, self._qos, self)
+            endpoint = Endpoint(f"/{ros.node_name}", self._type, type_hash, self._qos, self._publisher.gid)
             self._context.announcements.announce(topic, self, endpoint, Origin(()))
         except RosError as error:
             self._failed(str(error))
 
-    def tick(self, snapshot: Snapshot) -> None:
-        """Publish how everything is, if anybody listens; to be called once a second."""
-        if self._publisher is None or not (self._publisher.subscriber_count or self._bridged(snapshot)):
+    @property
+    def is_open(self) -> bool:
+        """Whether something can be published."""
+        return self._publisher is not None
+
+    def is_heard(self, snapshot: Snapshot) -> bool:
+        """Whether anybody listens: a node, or this bridge itself, which takes the topic to another domain."""
+        if self._publisher is None:
+            return False
+        bridged = (route.outgoing and route.topic == self.name for route in snapshot.routes)
+        return bool(self._publisher.subscriber_count) or any(bridged)
+
+    def publish(self, fields: Fields) -> None:
+        """Publish a message; a failure ends this."""
+        if self._publisher is None:
             return
         try:
-            ros, now = self._context.ros, self._context.wall_ns()
-            self._publisher.publish(ros.serialize(_TYPE, diagnostics(snapshot), now))
+            self._publisher.publish(self._context.ros.serialize(self._type, fields, self._context.wall_ns()))
         except (RosError, FieldError) as error:
             self._failed(str(error))
 
-    def _bridged(self, snapshot: Snapshot) -> bool:
-        """Whether this bridge itself takes the topic to another domain."""
-        topic = self._context.session.diagnostics_topic
-        return any(route.outgoing and route.topic == topic for route in snapshot.routes)
-
     def _failed(self, why: str, level: Level = Level.WARNING) -> None:
-        text = f"nothing is published on {self._context.session.diagnostics_topic}: {why}"
-        self._context.log(level, EventCode.ENGINE_DIAGNOSTICS, text)
+        self._context.log(level, EventCode.ENGINE_DIAGNOSTICS, f"nothing is published on {self.name}: {why}")
         self.close()
 
     def close(self) -> None:
@@ -148,6 +168,48 @@ class DiagnosticsExporter:
             self._context.announcements.withdraw(self._publisher.gid)
             self._publisher.close()
             self._publisher = None
+
+
+class DiagnosticsExporter:
+    """Publishes how everything is, on the session's `diagnostics_topic`, once a second while anybody listens."""
+
+    def __init__(self, context: Context) -> None:
+        self._topic = _SessionTopic(context, "diagnostics_topic", _TYPE, _QOS)
+        self.open, self.close = self._topic.open, self._topic.close
+
+    def tick(self, snapshot: Snapshot) -> None:
+        """Publish, if anybody listens; to be called once a second."""
+        if self._topic.is_heard(snapshot):
+            self._topic.publish(diagnostics(snapshot))
+
+
+class DriverExporter:
+    """Publishes who holds which topic, on the session's `driver_topic`: latched, and when it changes."""
+
+    def __init__(self, context: Context) -> None:
+        self._topic = _SessionTopic(context, "driver_topic", _DRIVER_TYPE, _LATCHED)
+        self._said = ""
+        self.close = self._topic.close
+
+    def open(self) -> None:
+        """Publish from now on, on the topic that the session names now."""
+        self._said = ""
+        self._topic.open()
+
+    def tick(self, snapshot: Snapshot) -> None:
+        """Publish if it is something new; to be called once a second."""
+        if self._topic.is_open and (text := holders(snapshot)) != self._said:
+            self._said = text
+            self._topic.publish({"data": text})
+
+
+def holders(snapshot: Snapshot) -> str:
+    """Return who has armed what, as a JSON list."""
+    armed = ((route, route.arming) for route in snapshot.routes if route.arming is not None and route.arming.armed)
+    return json.dumps(
+        [{"topic": route.topic, "link": route.link, "holder": each.by, "here": each.here} for route, each in armed],
+        ensure_ascii=False,
+    )
 
 
 class MetricsExporter:
@@ -250,10 +312,12 @@ class Exporters:
 
     def __init__(self, context: Context, look: Callable[[], Snapshot], folder: Callable[[], Path]) -> None:
         self._diagnostics = DiagnosticsExporter(context)
+        self._driver = DriverExporter(context)
         self._metrics = MetricsExporter(context, look)
         self._fault_hook = FaultHook(context, folder)
         self.by_key: tuple[tuple[tuple[str], Callable[[], None]], ...] = (
             (("diagnostics_topic",), self._diagnostics.open),
+            (("driver_topic",), self._driver.open),
             (("metrics",), self._metrics.open),
             (("on_fault",), self._fault_hook.open),
         )
@@ -266,11 +330,13 @@ class Exporters:
     def tick(self, snapshot: Snapshot) -> None:
         """To be called once a second, with the newest snapshot."""
         self._diagnostics.tick(snapshot)
+        self._driver.tick(snapshot)
         self._fault_hook.tick(snapshot)
 
     def close(self) -> None:
         """Show nothing more. May be called twice."""
         self._diagnostics.close()
+        self._driver.close()
         self._fault_hook.close()
         self._metrics.close()
 

@@ -404,7 +404,7 @@ class LinkPatterns(Extension):
     def _wanted(self) -> dict[Identity, tuple[PatternEntry, Topic]]:
         """Return the matching topics, each with its winning pattern, in the order of patterns and names."""
         session, rights = self._context.session, as_if_listed(self._link.rights)
-        own = {session.shutdown_topic, session.diagnostics_topic} - {None}  # as most topics have no remote_topic
+        own = set(session.own_topics) - {None}  # as most topics have no remote_topic
         found: list[tuple[int, str, Topic]] = []
         before, self._known = self._known, {}  # names that are gone are forgotten
         for local, names in ((True, self._here), (False, self.there)):

@@ -115,7 +115,7 @@ class NameWatch:
         """Return what matches. Runs on another thread."""
         ros, session = self._context.ros, self._context.session
         before, self._known = self._known, {}  # which names match; those that are gone are forgotten
-        own = (session.shutdown_topic, session.diagnostics_topic)
+        own = session.own_topics
         topics = ros.topics() if "topic" in self._patterns else ()
         found = [
             _Found(("topic", name), agreed_type(publishers)[0], publishers)

@@ -318,6 +318,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         check_messages: whether what peers send is checked against its type before ROS gets it.
         shutdown_topic: "shutdown" as ``std_msgs/String`` on it closes the sockets on both sides; or None.
         diagnostics_topic: the topic of the state of links and routes, as ``diagnostic_msgs/DiagnosticArray``; or None.
+        driver_topic: the topic of who holds which armed topic, as ``std_msgs/String`` with a JSON list; or None.
         metrics: the address on which Prometheus finds the metrics, ``127.0.0.1:9464``; or None.
         on_fault: the command to run when a fault begins, changes or is over, or None. It is a list of words, or a text
             that `rsb_bridge.config.validation` splits into words as a shell would.
@@ -353,6 +354,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     check_messages: bool = True
     shutdown_topic: str | None = "/shutdown"
     diagnostics_topic: str | None = "/diagnostics"
+    driver_topic: str | None = None
     metrics: str | None = None
     on_fault: str | tuple[str, ...] | None = None
     topics: tuple[Topic, ...] = ()
@@ -367,6 +369,11 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     zenoh: ZenohSettings | None = None
     operators: tuple[Operator, ...] = ()
     group: str | None = None
+
+    @property
+    def own_topics(self) -> tuple[str | None, ...]:
+        """The topics of the bridge itself, or None for one that the session does without; patterns leave them out."""
+        return self.shutdown_topic, self.diagnostics_topic, self.driver_topic
 
     @property
     def is_bluetooth(self) -> bool:
