@@ -192,7 +192,7 @@ class Operator(Pilot[None]):
         def has_finished() -> bool:
             if app._exit or app._exception is not None or not app.screen_stack:
                 return True
-            handles_none = queue._task is None and all(map(_is_idle, (app, *app.screen.walk_children(with_self=True))))
+            handles_none = not queue.delivers and all(map(_is_idle, (app, *app.screen.walk_children(with_self=True))))
             return handles_none and app._message_queue.empty()
 
         await until(self, has_finished, "the console has finished with it")

@@ -144,7 +144,7 @@ def test_a_new_session_is_filled_in_at_once(how: str, typed: str, expected: dict
             send(app, Paste(typed))
         form = form_of(app)
         await until(pilot, lambda: form.values.items() >= expected.items(), "all values")
-        await until(pilot, lambda: app.input_queue._task is None and not app.input_queue._waiting, "all of it")
+        await until(pilot, lambda: not app.input_queue.delivers, "all of it")
         assert form.values.items() >= expected.items()
 
     drive(app, steps)

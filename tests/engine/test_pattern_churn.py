@@ -115,7 +115,8 @@ def test_topics_that_come_and_go_by_a_pattern_leave_nothing(tmp_path: Path, monk
         bridge = inside(engines[1])
         (link,) = bridge.links()
         # Plain values are not among the objects that are counted.
-        eventually(lambda: seen(lambda: not link.patterns._known and not bridge._names._known), what="names are gone")
+        tables = link.patterns, bridge._names
+        eventually(lambda: seen(lambda: not any(each._known for each in tables)), what="names are gone")
     except AssertionError as error:
         raise AssertionError(f"{error}: {counts() - before}") from None
     finally:

@@ -1,4 +1,7 @@
-"""Both sides' verdicts, in snapshots and as JSON, for each cause that keeps messages from being heard."""
+"""Both sides' verdicts, in snapshots and as JSON, as nodes come and go.
+
+`tests.console.test_both_screens` has each cause once, with both sides' words.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,8 @@ from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.bridge import carries, happened, now, route, stage
-from tests.support.domain import BEST_EFFORT, LATCHED, text
+from tests.support.bridge import carries, happened, now, route
+from tests.support.domain import BEST_EFFORT, text
 from tests.support.relay import message_number
 from tests.support.waiting import eventually, holds
 
@@ -190,25 +193,6 @@ def logged(engine: Engine, cause: Cause) -> str:
     return eventually(warning, what=f"{cause} in the log")
 
 
-def test_publishers_that_offer_less_than_the_route_asks(
-    bridge: Bridge, robot: Domain, pc: Domain, beat: Callable[..., Beat]
-) -> None:
-    lidar, map_ = robot.publisher("/lidar", qos=BEST_EFFORT), robot.publisher("/map")
-    pc.listener("/lidar"), pc.listener("/map", qos=LATCHED)
-    server, client = bridge.both(Topic("/lidar", "transmit", qos="default"), Topic("/map", "transmit", qos="latched"))
-    beat(lidar), beat(map_)
-    for topic, offer, asked in (("/lidar", "best_effort", "reliable"), ("/map", "volatile", "transient_local")):
-        here, there = agree(client, server, topic, State.DOWN, Cause.QOS_INCOMPATIBLE)
-        words(here.reason, f"/stock offers {offer}", f"asks for {asked}", "qos: auto")
-        assert there.reason == f"robot1: {here.reason}"
-        assert (here.from_peer, there.from_peer) == (False, True)
-        assert here.publishers == there.publishers == ("/stock",)
-        for engine in (client, server):
-            eventually(lambda engine=engine, topic=topic: stage(engine, topic, "QoS compatible") is False)
-    words(logged(client, Cause.QOS_INCOMPATIBLE), "offers")
-    words(logged(server, Cause.QOS_INCOMPATIBLE), "robot1: ", "offers")
-
-
 def test_a_subscriber_that_hears_nothing(
     bridge: Bridge, robot: Domain, pc: Domain, odd: Callable[[Domain], Odd], beat: Callable[..., Beat]
 ) -> None:
@@ -302,19 +286,6 @@ def test_a_topic_that_is_published_on_now_and_then_is_not_stale(bridge: Bridge, 
     assert [happened(engine, EventCode.ROUTE_STALE) for engine in (client, server)] == [None, None]
 
 
-def test_a_name_that_is_typed_wrong(bridge: Bridge, robot: Domain) -> None:
-    robot.publisher("/w_typo")
-    server, client = bridge.both(Topic("/w_tpyo", "transmit"))
-    here, there = agree(client, server, "/w_tpyo", State.WAITING, Cause.SIMILAR_NAME)
-    for _ in eventually(lambda: [1] * ("did you mean" in route(server, "/w_tpyo").reason)):
-        here, there = route(client, "/w_tpyo"), route(server, "/w_tpyo")
-    assert here.reason == f"no publisher of /w_tpyo in domain {robot.id}; did you mean /w_typo?"
-    assert there.reason == f"robot1: {here.reason}"
-    for engine, reason in ((client, here.reason), (server, there.reason)):
-        event = eventually(lambda engine=engine: happened(engine, EventCode.ROUTE_WAITING))
-        assert (event.text, event.cause) == (f"/w_tpyo: WAITING: {reason}", Cause.SIMILAR_NAME)
-
-
 def test_two_types_on_one_topic(
     bridge: Bridge, robot: Domain, pc: Domain, odd: Callable[[Domain], Odd], beat: Callable[..., Beat]
 ) -> None:
@@ -357,17 +328,6 @@ def test_a_topic_that_is_throttled_on_purpose_is_fine(
         ledger = shown.ledger
         assert ledger.throttled > 0
         assert ledger.delivered + ledger.in_flight == ledger.offered - ledger.throttled
-
-
-def test_messages_too_large_for_udp(bridge: Bridge, robot: Domain, pc: Domain, beat: Callable[..., Beat]) -> None:
-    pc.listener("/picture")
-    out = robot.publisher("/picture")
-    server, client = bridge.both(Topic("/picture", "transmit", protocol="udp"))
-    carries([out], server, ["/picture"])
-    beat(out, 1.0, text("x" * (9 << 20)))
-    here, there = agree(client, server, "/picture", State.DOWN, Cause.TOO_LARGE)
-    words(here.reason, "none of the last", "protocol: tcp")
-    words(there.reason, "robot1: none of the last", "protocol: tcp")
 
 
 def test_half_of_the_messages_lost_on_the_way(

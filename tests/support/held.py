@@ -1,4 +1,4 @@
-"""How much an object keeps, whatever it calls its tables."""
+"""Counts the entries of an object's tables, without their names."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ _CONTAINERS = (Mapping, Set, list, deque, bytearray)
 
 
 def held_by(thing: object) -> int:
-    """Return how many entries all tables of a thing have, and how many bytes its buffers.
+    """Return the number of entries in all tables of an object, plus the bytes in its buffers.
 
-    Its parts count too, if their classes are of the same module as its own.
+    Parts of the object count if their classes come from its own class's module.
     """
     return sum(map(len, _containers(thing, type(thing).__module__, set())))
 

@@ -1,4 +1,4 @@
-"""Tests' way to private parts of the program: each is named here only."""
+"""Functions that reach into private parts of the program. A part has one here, and no test names it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a test pretends about the machine that the program runs on."""
+"""Pretends things about the machine that the program runs on."""
 
 from __future__ import annotations
 

@@ -71,11 +71,16 @@ class InputQueue:
         if event is self._next:
             self._next = None
             return False
-        if self._task is None and self._app._pending_message is None and self._has_settled():
+        if not self.delivers and self._app._pending_message is None and self._has_settled():
             return False
         self._waiting.append(event)
         self._begin()
         return True
+
+    @property
+    def delivers(self) -> bool:
+        """Whether input waits, or the app has not finished with the last."""
+        return self._task is not None
 
     def insert(self, inputs: Iterable[Message]) -> None:
         """Handle `inputs` before all waiting input."""
@@ -83,7 +88,7 @@ class InputQueue:
         self._begin()
 
     def _begin(self) -> None:
-        if self._task is None and self._waiting:
+        if not self.delivers and self._waiting:
             self._task = asyncio.create_task(self._deliver())
 
     def waits_for(self, dialog: Screen[Any]) -> None:
