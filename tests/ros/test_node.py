@@ -17,7 +17,7 @@ from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.ros.node import RosNode
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Mapping
+    from collections.abc import Callable, Hashable
 
     from rclpy.node import Node
 
@@ -432,7 +432,7 @@ def test_a_history_that_begins_late_is_no_loss(
     assert subscription.lost == 0
 
 
-def own(node: RosNode) -> Mapping[tuple[str, Hashable], set[bytes]]:
+def own(node: RosNode) -> dict[tuple[str, Hashable], set[bytes]]:
     """Return the publishers that the node's own subscriptions take nothing of, by topic and origin."""
     return node._own
 
