@@ -18,6 +18,7 @@ from tests.console.scripted import route
 from tests.console.side import every_so_often
 from tests.console.tmux import Tmux
 from tests.support.long import long
+from tests.support.waiting import eventually
 from tests.support.wording import says
 
 from rsb_bridge.control.protocol import RequestProblem
@@ -395,7 +396,7 @@ def test_the_command_says_who_has_disarmed_it(robot: Robot) -> None:
         robot.ask("disarm", CHATTER)
         (ended,) = map(json.loads, arming.stdout)
         assert arming.wait(60) == 1
-    (event,) = robot.events("operator.disarmed")
+    (event,) = eventually(lambda: robot.events("operator.disarmed"))
     assert event["who"]
     assert (ended["ok"], ended["cause"]) == (False, "operator")
     assert event["who"] in ended["error"]
