@@ -43,13 +43,18 @@ _MATCHES_WITHIN = 30.0
 
 
 class Spoken(NamedTuple):
-    """A topic of the robot."""
+    """A topic of the robot.
+
+    Attributes:
+        transport: that it always uses, or an empty string for the column's.
+    """
 
     name: str
     rate: float
     size: int
     priority: str = "normal"
     reliability: str = "reliable"
+    transport: str = ""
 
     @property
     def is_large(self) -> bool:
@@ -94,6 +99,30 @@ LINKS = {
             Spoken("/low", 10, 500, "low", "best_effort"),
         ),
     ),
+    "mixed": Link(
+        "5 0 0 40000 10000 0 0",
+        (
+            Spoken("/odom", 20, 700, transport="tcp"),
+            Spoken("/scan", 15, 1_000, reliability="best_effort", transport="udp"),
+            Spoken("/joy", 10, 50, transport="tcp"),
+        ),
+    ),
+    "high-udp": Link(
+        "5 0 0 40000 10000 0 0",
+        (
+            Spoken("/odom", 20, 700, transport="tcp"),
+            Spoken("/scan", 15, 1_000, "high", "best_effort", transport="udp"),
+        ),
+    ),
+    "whole": Link("5 0 0 40000 10000 0 0", (Spoken("/cloud", 1, 20_000, "normal", "best_effort", transport="udp"),)),
+    "lossy": Link(
+        "20 0 30 20000000 400000 0 0",
+        (
+            Spoken("/scan", 50, 1_000, reliability="best_effort", transport="udp"),
+            Spoken("/slow", 2, 200, reliability="best_effort", transport="udp"),
+            Spoken("/odom", 10, 100, transport="tcp"),
+        ),
+    ),
 }
 
 
@@ -107,6 +136,7 @@ class Run:
         gaps: when (s) gaps began and ended.
         bytes: that crossed to the PC.
         cpu: s of both sides' processors.
+        lost: how often the link was lost.
     """
 
     made: dict[str, list[int]]
@@ -114,6 +144,7 @@ class Run:
     gaps: list[tuple[float, float]]
     bytes: int
     cpu: float
+    lost: int
 
     def cell(self, topic: str) -> tuple[float, float, float]:
         """Return p50 and p99 (ms) and the part that arrived."""
@@ -128,7 +159,7 @@ class Run:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--links", default=",".join(LINKS))
+    parser.add_argument("--links", default="wifi,tunnel", help=", ".join(LINKS))
     parser.add_argument("--transports", default="tcp,udp,zenoh")
     parser.add_argument("--priorities", default="with,without")
     parser.add_argument("--seconds", type=float, default=68.0)
@@ -246,7 +277,8 @@ def _run(folder: Path, program: Path, link: Link, transport: str, priorities: st
         crossed = [int(words[1]) for words in said if words[0] == "bytes"]
         turns = [float(words[2]) for words in said if words[0] == "gap"]
         gaps = list(zip(turns[::2], [*turns[1::2], float("inf")], strict=False))
-        return Run(made, heard, gaps, crossed[1] - crossed[0], cpu)
+        lost = (folder / "client.log").read_text().count("link.lost")
+        return Run(made, heard, gaps, crossed[1] - crossed[0], cpu, lost)
 
 
 def _wait_until_matched(mouths: Sequence[_Child], folder: Path) -> None:
@@ -271,7 +303,8 @@ def _write_sessions(folder: Path, topics: Sequence[Spoken], transport: str, *, w
         connects = f"server_ip: zenoh\nzenoh: {{connect: [tcp/{_PC}:{_PORT}]}}\n"
         listens = connects.replace("connect:", "listen:")
     entries = [
-        f"  - {{topic: {each.name}, direction: transmit{', protocol: udp' if transport == 'udp' else ''}"
+        f"  - {{topic: {each.name}, direction: transmit"
+        f"{', protocol: udp' if (each.transport or transport) == 'udp' else ''}"
         f"{f', priority: {each.priority}' if with_priorities else ''}}}"
         for each in topics
     ]
@@ -294,6 +327,7 @@ def _print(link: str, topics: Sequence[Spoken], runs: dict[tuple[str, str], list
         print(" | ".join([f"{topic.name} {topic.rate:g} Hz × {topic.size:,}", *cells]))
     print(" | ".join(["MB", *(f"{statistics.median(run.bytes for run in each) / 1e6:.1f}" for each in runs.values())]))
     print(" | ".join(["CPU, s", *(f"{statistics.median(run.cpu for run in each):.1f}" for each in runs.values())]))
+    print(" | ".join(["link lost", *(str(sum(run.lost for run in each)) for each in runs.values())]))
     sys.stdout.flush()
 
 

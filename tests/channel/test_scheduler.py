@@ -82,6 +82,31 @@ def test_a_late_comer_does_not_make_up_for_its_silence() -> None:
     simulate(scene)
 
 
+@pytest.mark.parametrize("two", [False, True])
+def test_what_was_sent_while_nothing_waited_is_not_paid_for_later(two: bool) -> None:
+    """A topic that has flowed for minutes goes on beside a new one that floods the link."""
+    early, late = Route(1, outgoing=True), Route(2, outgoing=True)
+
+    async def talk(near: Side, far: Side, seconds: int) -> None:
+        for step in range(20 * seconds):
+            early.send(bytes(1_000))
+            await asyncio.sleep(0.05)
+            if step % 20 == 0:
+                near.tick()
+                far.tick()
+
+    async def scene() -> None:
+        async with connected(early, late, two=two, open_streams=Radio(_PACE).open) as (near, far):
+            await talk(near, far, 120)
+            late.always = 5_000
+            late.flush()
+            before = len(far.routes[1].arrived)
+            await talk(near, far, 10)
+            assert len(far.routes[1].arrived) - before > 180
+
+    simulate(scene)
+
+
 @pytest.mark.parametrize("tunnel", [0, 200_000])
 def test_shares_follow_priorities_and_nobody_starves(tunnel: int) -> None:
     """Through a tunnel, too, that takes more than it carries."""

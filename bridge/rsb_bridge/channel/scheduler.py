@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import asyncio
 import heapq
+import math
 from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.model.session import weight_of
@@ -167,7 +168,9 @@ class Scheduler:
         """Queue a route's end for a turn; one that had nothing to send does not make up for that."""
         if end.queued:
             return
-        end.start = max(end.start, end.via.time)
+        # What waits on a congested stream is behind the link's time, and so is what joins it.
+        via = end.via
+        end.start = max(end.start, via.time if via.congested else self._time - via.behind)
         self._push(end)
 
     def _push(self, end: Turns) -> None:
@@ -187,8 +190,15 @@ class Scheduler:
                 self.busy_since = None
 
     def charge(self, end: Turns, size: int) -> None:
-        """Move the start of a route's next turn by `size` bytes that it has sent."""
-        end.start = max(end.start, end.via.time) + size * _UNIT // weight_of(end.rank)
+        """Move the start of a route's next turn by `size` bytes that it sends without waiting, as nothing waits.
+
+        The link's time moves, too: else the route would pay for these bytes once others wait.
+        """
+        via = end.via
+        start = max(end.start, self._time - via.behind)
+        via.time = start
+        self._time = start + via.behind
+        end.start = start + size * _UNIT // weight_of(end.rank)
 
     def write(self, carrier: Carrier, data: bytes | memoryview) -> None:
         """Send bytes on a stream."""
@@ -208,8 +218,8 @@ class Scheduler:
         self._passing = True
         left = _A_PASS
         try:
-            while left > 0 and (carrier := self._next()) is not None:
-                left -= self._give_turns(carrier)
+            while left > 0 and (found := self._next()) is not None:
+                left -= self._give_turns(*found)
         finally:
             self._passing = False
         if left <= 0 and self._waiting:
@@ -219,11 +229,16 @@ class Scheduler:
         self._next_pass = None
         self.run()
 
-    def _next(self) -> Carrier | None:
-        """Return the stream with the earliest turn, or None if no stream with turns takes bytes."""
+    def _next(self) -> tuple[Carrier, float] | None:
+        """Return the stream with the earliest turn, and when another one's comes, in the first one's virtual time.
+
+        Returns:
+            None if no stream with turns takes bytes.
+        """
         if not self._waiting or self.sent >= self._window.limit:
             return None
         first: tuple[int, Carrier] | None = None
+        second = math.inf
         for carrier in self._carriers:
             queue = carrier.queue
             while queue and not queue[0][2].queued:
@@ -233,20 +248,24 @@ class Scheduler:
                 if start < self._time:  # it was congested, and does not make up for that
                     carrier.behind += self._time - start
                     start = self._time
-                if first is None or start < first[0]:
+                if first is None:
                     first = start, carrier
+                elif start < first[0]:
+                    first, second = (start, carrier), first[0]
+                else:
+                    second = min(second, start)
         if first is None:
             return None
-        self._time = first[0]
-        return first[1]
+        self._time, carrier = first
+        return carrier, second - carrier.behind
 
-    def _give_turns(self, carrier: Carrier) -> int:
-        """Give turns on one stream until they are worth a write; return the bytes, at least 1."""
+    def _give_turns(self, carrier: Carrier, until: float) -> int:
+        """Give turns on one stream until they are worth a write, or others come first; return the bytes, at least 1."""
         queue = carrier.queue
         most = min(self._write, self._window.limit - self.sent)
         parts: list[bytes] = []
         size = 0
-        while queue and size < most:
+        while queue and size < most and (queue[0][0] <= until or not size):
             start, _, end = heapq.heappop(queue)
             if not end.queued:
                 continue
@@ -254,7 +273,7 @@ class Scheduler:
             self.leave(end)
             data = end.take_turn(self.chunk)
             size += len(data)
-            self.charge(end, len(data))
+            end.start = start + len(data) * _UNIT // weight_of(end.rank)
             if end.waits and end.via is carrier:
                 self._push(end)
             elif end.waits:
