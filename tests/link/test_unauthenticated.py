@@ -17,12 +17,14 @@ from tests.support.bridge import carries, happened, heard, link, linked, now, se
 from tests.support.domain import text
 from tests.support.inside import inside
 from tests.support.relay import message_number
+from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 from tests.support.wording import has_text
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.link.pending_connections import Rejected
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.wire.connection import ClientConnection
@@ -393,6 +395,17 @@ def test_a_replayed_connection(bridge: Bridge, relay: Relay, robot: Domain, pc: 
     assert (link(server).peer, linked(server)) == (peer, True)
     out.publish(text("twice"))
     assert heard(there, 2) == [text("once"), text("twice")]
+
+
+def test_streams_arrive_in_any_order_and_each_number_counts_once(bridge: Bridge) -> None:
+    """A client opens the streams of several ports at once. One that came late was refused, and its topics ended."""
+    bridge.server()
+    with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as client:
+        client.route("/beat", "tcp", Qos())
+        assert client.open_stream(large=True, number=2000)
+        assert not client.open_stream(large=False, number=2000)
+        assert not client.open_stream(large=False, number=2000 - 1024), "so old numbers are forgotten"
+        assert client.open_stream(large=False, number=1999)
 
 
 def test_noise_on_every_port_at_full_speed(friend: Any, bridge: Bridge) -> None:

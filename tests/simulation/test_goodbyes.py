@@ -23,7 +23,7 @@ _CONDITIONS = replace(STILL, topics=(8,), periods=(0.5, 2.0))
 
 
 @pytest.mark.parametrize("restarts", [client_restarts, *long(server_restarts)])
-@pytest.mark.parametrize("seed", [1, *long(2, 3)])
+@pytest.mark.parametrize("seed", [3, *long(1, 2)])
 def test_a_goodbye_ends_the_topics_streams_without_an_error(
     seed: int, restarts: Callable[[World, int], Coroutine[None, None, None]], play: Play
 ) -> None:

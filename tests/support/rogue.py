@@ -126,11 +126,11 @@ class Rogue:
         """Whether the server lets both data streams in; they are opened once."""
         return len(self.streams) == 2 or all(self.open_stream(large=large) for large in (False, True))
 
-    def open_stream(self, *, large: bool, port: int = 0) -> bool:
-        """Open a further data stream, and return whether the server lets it in."""
+    def open_stream(self, *, large: bool, port: int = 0, number: int = 0) -> bool:
+        """Open a further data stream with the next number, or a given one; return whether the server lets it in."""
         stream = socket.create_connection((self._address[0], port or self._address[1]), timeout=self._timeout)
         self.streams.append(stream)
-        data = DataConnection(self.keys, StreamName(len(self.streams), port, large))
+        data = DataConnection(self.keys, StreamName(number or len(self.streams), port, large))
         stream.sendall(data.start())
         return data.receive_data(stream.recv(4096)) == [Accepted()]
 

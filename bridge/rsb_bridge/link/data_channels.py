@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 _PROBE_EVERY, _QUICK_PROBES = 0.25, 8
 CONTROL_NUMBER = 0
 """The number of the control connection where it is a data stream, too."""
+_OUT_OF_ORDER = 1024
+"""How far below the newest a stream's number may be: a client opens those of several ports at once, and they arrive in
+any order. Older numbers need not be remembered."""
 
 
 class UdpChannels:
@@ -141,6 +144,7 @@ class DataChannels:
         self._book: ReceiptBook | None = None
         self._pairs: dict[tuple[str, int], StreamPair] = {}
         self._newest = 0
+        self._taken: set[int] = set()
         self._unfinished = unfinished
         self._loop = loop
         self._send_receipts = send_receipts
@@ -155,6 +159,7 @@ class DataChannels:
         self.keys = DataKeys(keys, role, self._unfinished, meter_of=self._meter_of)
         self.probe = PathProbe(self.keys)
         self._newest = 0
+        self._taken.clear()
 
     def disconnected(self) -> None:
         """Forget the connection, which is over. Call it when no route uses a channel any more."""
@@ -181,8 +186,8 @@ class DataChannels:
         return StreamName(self._newest, port, large)
 
     def is_new(self, name: StreamName) -> bool:
-        """Whether a client may open a stream of that name now: it is newer than all before."""
-        return name.number > self._newest
+        """Whether a client may open a stream of that name now: none has had its number."""
+        return max(0, self._newest - _OUT_OF_ORDER) < name.number and name.number not in self._taken
 
     def pair_of(self, transport: str, port: int) -> StreamPair | None:
         """Return the streams for routes with that port, or None if they are not both open."""
@@ -204,6 +209,9 @@ class DataChannels:
             beginning: bytes that arrived after the stream's preamble.
         """
         self._newest = max(self._newest, name.number)
+        self._taken.add(name.number)
+        if len(self._taken) > 2 * _OUT_OF_ORDER:
+            self._taken = {each for each in self._taken if each > self._newest - _OUT_OF_ORDER}
         pair = self._pair(transport.name, port)
         if (old := pair.large if name.large else pair.small) is not None:
             pair.lost(old, "replaced by a newer data connection")
