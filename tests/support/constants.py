@@ -53,6 +53,7 @@ DISCOVERED_WITHIN = Place("rsb_bridge.ros.topic_endpoints", "_DISCOVERED_WITHIN"
 CHECKERS_KEPT = Place("rsb_bridge.ros.type_descriptions", "KEPT")
 DESCRIPTIONS_KEPT = Place("rsb_bridge.ros.type_descriptions", "_KEPT")
 ARMING_ANSWERED_WITHIN = Place("rsb_bridge.route.arming", "ANSWERED_WITHIN")
+LEASE_GIVEN_UP_AFTER = Place("rsb_bridge.route.lease", "GIVEN_UP_AFTER")
 OUTBOX_MESSAGE_BYTES = Place("rsb_bridge.route.calls.calls_outbox", "_MESSAGE_BYTES")
 OUTBOX_MOST_REFUSALS = Place("rsb_bridge.route.calls.calls_outbox", "_MOST_REFUSALS")
 ANSWER_BYTES_KEPT = Place("rsb_bridge.route.calls.kept_calls", "MOST_ANSWER_BYTES")
