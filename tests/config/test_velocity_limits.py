@@ -104,7 +104,8 @@ def test_check_shows_them_on_a_server_without_routes_of_its_own(tmp_path: Path) 
     """There, no entry has the name; its clients' files do."""
     path = tmp_path / "pc.yaml"
     path.write_text(
-        "name: pc\nrole: server\nserver_ip: 10.0.0.1\nserver_port: 5\nuse_encryption: false\nclients: [{name: r}]\narmed:\n"
+        "name: pc\nrole: server\nserver_ip: 10.0.0.1\nserver_port: 5\nuse_encryption: false\n"
+        "clients: [{name: r}]\narmed:\n"
         "  - {name: /cmd_vel, type: Twist, limits: {linear: 0.3}}\n"
         "  - {name: /helm, on_end: none}\n"
         "  - {name: /dock, kind: action, on_end: cancel}\n"
