@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 import msgspec
 import pytest
 from tests.console.scripted import EVENTS, ROUTES, SESSION, ScriptedEngine, route
-from tests.support import replaced
+from tests.support import constants, replaced
 from tests.support.commands import Ran
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -24,6 +24,7 @@ from tests.support.wording import says
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.control.bridges import SessionRuns, running_bridges
+from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.snapshot import (
     Acknowledgement,
@@ -608,11 +609,13 @@ class Keys:
         engine: of the bridge.
         questions: printed so far.
         keeps: whether the operator answers.
+        patch: of the test.
     """
 
     engine: ScriptedEngine
     questions: list[str]
     keeps: bool
+    patch: pytest.MonkeyPatch
 
     def __init__(self, *_: object) -> None:
         self._answers = 0
@@ -624,6 +627,7 @@ class Keys:
         pass
 
     def wait(self, seconds: float) -> bool:
+        constants.OLD_AFTER.set(self.patch, 50.0)
         time.sleep(seconds)  # in which the bridge's states come
         if not self.questions:
             self._becomes(ArmingSnapshot(armed=True, asked_by="bert", goes_in=9.0))
@@ -641,9 +645,13 @@ class Keys:
 def test_who_holds_a_topic_in_a_shell_is_asked_for_it_and_enter_keeps_it(
     keeps: bool, ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An Enter from before the question is no answer."""
+    """An Enter from before the question is no answer. The command itself is old by then, its answer is not."""
     Keys.engine, Keys.questions, Keys.keeps = engine, [], keeps
     engine.now = replace(engine.now, routes=(replace(SCAN, arming=ArmingSnapshot(armed=True)),))
+    engine.holds = ("/scan",)
+    Keys.patch = monkeypatch
+    replaced.COMMAND_GIVEN_AT.set(monkeypatch, lambda _: Clock.steady() - 100.0)
+    constants.OLD_AFTER.set(monkeypatch, 200.0)
     monkeypatch.setattr("rsb_console.command.remote.TypedKeys", Keys)
     monkeypatch.setattr("rsb_console.command.remote.print_error", Keys.questions.append)
     ran("arm", "/scan")
@@ -652,3 +660,39 @@ def test_who_holds_a_topic_in_a_shell_is_asked_for_it_and_enter_keeps_it(
     assert "bert" in question
     answers = [each for each in engine.commands if each[0] == "answer_asker"]
     assert answers == ([("answer_asker", "/scan", False)] if keeps else [])
+
+
+class Holding:
+    """Stands for the terminal of `arm`, while another operator takes the topic and holds it."""
+
+    engine: ScriptedEngine
+
+    def __init__(self, *_: object) -> None:
+        pass
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def wait(self, seconds: float) -> bool:
+        time.sleep(seconds)
+        arming = ArmingSnapshot(armed=True, by="bert\x1b[2J", here=True, asked_by="carl", goes_in=9.0)
+        self.engine.now = replace(self.engine.now, routes=(replace(SCAN, arming=arming),))
+        self.engine.holds = ()
+        return False
+
+
+def test_arm_ends_once_another_operator_holds_the_topic(
+    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Questions to the new holder are not for this command's operator."""
+    Holding.engine = engine
+    engine.holds = ("/scan",)
+    engine.now = replace(engine.now, routes=(replace(SCAN, arming=ArmingSnapshot(armed=True, here=True)),))
+    monkeypatch.setattr("rsb_console.command.remote.TypedKeys", Holding)
+    result = ran("arm", "/scan")
+    assert result.code == 1
+    assert says(result.err, RemoteProblem.HELD_BY_ANOTHER, topic="/scan", who="bert\\x1b[2J")
+    assert not says(result.err, RemoteProblem.ASKED_FOR)

@@ -100,6 +100,22 @@ def test_check_shows_the_smallest_with_their_lines(path: Path) -> None:
     assert CheckText.LIMITED_PATTERN(limits=VelocityLimits(2.0)) in pattern
 
 
+def test_check_shows_them_on_a_server_without_routes_of_its_own(tmp_path: Path) -> None:
+    """There, no entry has the name; its clients' files do."""
+    path = tmp_path / "pc.yaml"
+    path.write_text(
+        "name: pc\nrole: server\nserver_ip: 10.0.0.1\nserver_port: 5\nuse_encryption: false\n"
+        "clients: [{name: r}]\narmed:\n"
+        "  - {name: /cmd_vel, type: Twist, limits: {linear: 0.3}}\n"
+        "  - {name: /helm, on_end: none}\n"
+        "  - {name: /dock, kind: action, on_end: cancel}\n"
+    )
+    shown = "\n".join(summary(load_file(path).session, demand_places(path)))
+    assert f"/cmd_vel, {CheckText.LIMITED_PATTERN(limits=VelocityLimits(0.3))} (pc.yaml:8)" in shown
+    assert f"/helm{CheckText.ENDS_WITH(message='none', line='pc.yaml:9')}" in shown
+    assert f"/dock{CheckText.CANCELS(line='pc.yaml:10')}" in shown
+
+
 def test_they_belong_to_the_name_and_its_type(path: Path) -> None:
     demands = Demands(sources_of(load_file(path).session))
 

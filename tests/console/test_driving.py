@@ -603,6 +603,20 @@ def test_the_holder_sees_the_question_while_driving_and_answers(clock: Clock, ke
     driving(ARMED, steps)
 
 
+def test_a_refusal_is_gone_once_another_operator_holds_the_topic(clock: Clock) -> None:
+    """It names the holder of before, and this console may be the holder now."""
+
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        engine_of(app).published = [EngineError("no luck")] * 200
+        await pressed(pilot, clock, "up")
+        await shown(pilot, "no luck")
+        await rests(app, pilot, clock)
+        put(app, ARMED)
+        await gone(pilot, "no luck")
+
+    driving(ELSEWHERE, steps)
+
+
 # -- limits
 
 LIMITED = replace(ARMED, limits=VelocityLimits(0.1, 0.3), limited_by=("robot.yaml:14",))

@@ -8,14 +8,18 @@ from typing import TYPE_CHECKING
 import pytest
 from msgspec.structs import replace
 from std_srvs.srv import SetBool
+from tests.engine.test_publishing import publish
+from tests.support import constants
 from tests.support.bridge import balance, carries, happened, heard, linked, route
 from tests.support.consoles import Consoles
 from tests.support.domain import LATCHED, RELIABLE, text
 from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
+from tests.support.wording import says
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import save
+from rsb_bridge.engine.publishing import PublishProblem
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.node import RosNode
@@ -203,6 +207,27 @@ def test_a_link_that_drops_disarms_and_comes_back_disarmed(both_armed: tuple[Eng
         assert event.cause in (Disarmed.LINK_LOST, Disarmed.CHANNEL_LOST)
     eventually(lambda: linked(client) and is_set_up(server, client))
     holds(lambda: armed(server, client) == [False, False], 0.5)
+
+
+def test_while_the_other_side_is_not_heard_nobody_is_told_to_arm_what_is_armed(
+    both_armed: tuple[Engine, Engine], relay: Relay, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    constants.LEASE_GIVEN_UP_AFTER.set(monkeypatch, 60.0)
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)
+    server, client = both_armed
+    relay.stall()
+
+    def refused() -> str:
+        try:
+            publish(server, "data: held up")
+        except EngineError as error:
+            return str(error)
+        return ""
+
+    assert says(eventually(refused), PublishProblem.NOT_HEARD, topic="/cmd")
+    assert armed(server, client) == [True, True]
+    relay.stall(False)
+    eventually(lambda: not refused())
 
 
 def test_a_restart_and_a_reload_disarm(both_armed: tuple[Engine, Engine], bridge: Bridge, consoles: Consoles) -> None:

@@ -87,6 +87,7 @@ class PublishProblem(Wording):
     OTHER_TYPE = "{topic} has the type {actual}, not {wanted}"
     OTHER_VERSION = "{type_name} is installed here in another version than {topic} has: install that one"
     NOT_ARMED = "{topic} has to be armed{reason}: arm it first"
+    NOT_HEARD = "{topic} is armed, but the other side has not answered for 1 s: nothing passes until it does"
     ENDING = "{topic} is about to be disarmed, or the bridge to stop: nothing more is published by hand"
     ANOTHER_DRIVES = "{topic} is armed by {who}, whose messages by hand pass alone: ask for it (arm --ask)"
     NO_ROUTE_TO_ARM = "{topic} has to be armed, and no route of it is open: nothing can arm it"
@@ -311,6 +312,8 @@ class Publishing:
         requiring = [route for route in routes if route.arming.required]
         armed = [route for route in requiring if route.arming.passes(now)]
         if not armed and requiring:
+            if any(route.arming.stands(now) for route in requiring):
+                raise LinkError(PublishProblem.NOT_HEARD(topic=topic))
             reason = next((each.reason for route in requiring if (each := route.arming.snapshot(now)) is not None), "")
             raise LinkError(PublishProblem.NOT_ARMED(topic=topic, reason=f" ({reason})" if reason else ""))
         if armed and (self._ending[topic] or self._ending[_EVERY_TOPIC]):

@@ -155,8 +155,13 @@ def _end_of(demand: Demand, topic: Topic, places: Mapping[SourceKey, str]) -> st
 def _demanded(source: Source, places: Mapping[SourceKey, str]) -> str:
     kind = f"{source.kind} " if source.kind not in (None, "topic") else ""
     excepts = f", not {join_first(source.excepts, _NAMED)}" if source.excepts else ""
+    limits = "" if source.limits is None else f", {CheckText.LIMITED_PATTERN(limits=source.limits)}"
+    if source.on_end:
+        line = describe(source, places)
+        ends = CheckText.CANCELS if source.on_end == CANCEL else CheckText.ENDS_WITH
+        return f"{kind}{source.name}{excepts}{limits}{ends(message=source.on_end, line=line)}"
     place = f" ({places[source.key]})" if source.key in places else ""
-    return f"{kind}{source.name}{excepts}{place}"
+    return f"{kind}{source.name}{excepts}{limits}{place}"
 
 
 def _where(session: Session) -> str:

@@ -69,6 +69,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, TopicInfo
 
 _LOOK_EVERY = 0.1
+_SHOWN_WITHIN = 1.0
+"""s from the end of an arming until the bridge's state, which comes four times a second, surely shows it."""
 _EVENTS_WITHIN = 10.0
 _DIRECTIONS = ("transmit", "receive")
 """As the client sees it."""
@@ -108,6 +110,7 @@ class RemoteProblem(Wording):
         "example: rsb-console add {topic} --kind {kind} --provider client"
     )
     DISARMED = "{topic} is no longer armed: {reason}"
+    HELD_BY_ANOTHER = "{topic} has gone over to {who}"
     ASKED_FOR = "{who} asks for {topic}: Enter keeps it; without an answer it goes over in {seconds:g} s"
     NO_MORE_MESSAGES = "no more messages of {topic} within {seconds:g} s{reason}"
     NOTHING_TO_REPORT = "no bridge runs here, and there is no history file that you may read"
@@ -486,9 +489,10 @@ def _arm(arguments: Namespace) -> int:
         route = chosen_route(engine, arguments)
         arm = engine.take_arming if arguments.take else engine.ask_holder if arguments.ask else engine.arm
         result(arm(route.key, shared=True))  # for `rsb-console pub` in another shell
+        engine.given_at = None  # what follows is given by young keys, however long ago this process started
         _say_armed(arguments, route)
-        why, cause = _hold(engine, route.key, keys)
-    return failed(arguments, RemoteProblem.DISARMED(topic=route.topic, reason=why), FAILURE, cause=cause)
+        why, cause = _hold(engine, route, keys)
+    return failed(arguments, why, FAILURE, cause=cause)
 
 
 def _say_armed(arguments: Namespace, route: RouteSnapshot) -> None:
@@ -501,28 +505,37 @@ def _say_armed(arguments: Namespace, route: RouteSnapshot) -> None:
     sys.stdout.flush()
 
 
-def _hold(engine: RemoteEngine, key: str, keys: TypedKeys) -> tuple[str, str]:
-    """Keep a topic armed; once it is disarmed, return the reason in words and as a cause."""
-    asked_by = ""
+def _hold(engine: RemoteEngine, route: RouteSnapshot, keys: TypedKeys) -> tuple[str, str]:
+    """Keep a topic armed; once this process holds it no longer, return that with the reason, and the cause."""
+    topic, asked_by, held_at = route.topic, "", time.monotonic()
     while True:
         pressed = keys.wait(ASKED_EVERY)
-        result(engine.keep_armed(pressed=pressed))
+        holds = route.key in result(engine.keep_armed(pressed=pressed)).keys
+        held_at = time.monotonic() if holds else held_at
         if pressed and asked_by:  # whoever presses Enter drives
             with contextlib.suppress(EngineError):  # it is over
-                result(engine.answer_asker(key, gives=False))
-        if engine.unreachable:
-            return engine.unreachable, ""
-        route = next((each for each in engine.snapshot().routes if each.key == key), None)
-        if route is None:
-            return "it is not bridged any more", "removed"
-        if route.arming is None:
-            return "arming is not required any more", ""
-        if not route.arming.armed:
-            return route.arming.reason or route.reason, route.arming.why
-        if route.arming.asked_by != asked_by:
-            asked_by = route.arming.asked_by
+                result(engine.answer_asker(route.key, gives=False))
+        now = next((each for each in engine.snapshot().routes if each.key == route.key), None)
+        if now is None or now.arming is None or not now.arming.armed or engine.unreachable:
+            reason, cause = _why_disarmed(engine, now)
+            return RemoteProblem.DISARMED(topic=topic, reason=reason), cause
+        if time.monotonic() - held_at > _SHOWN_WITHIN:
+            return RemoteProblem.HELD_BY_ANOTHER(topic=topic, who=escape_text(now.arming.by)), "held_by_another"
+        if holds and now.arming.asked_by != asked_by:
+            asked_by = now.arming.asked_by
             if asked_by:
-                print_error(RemoteProblem.ASKED_FOR(who=escape_text(asked_by), topic=route.topic, seconds=ASKED_FOR))
+                print_error(RemoteProblem.ASKED_FOR(who=escape_text(asked_by), topic=topic, seconds=ASKED_FOR))
+
+
+def _why_disarmed(engine: RemoteEngine, route: RouteSnapshot | None) -> tuple[str, str]:
+    """Return why a topic is no longer armed, in words and as a cause."""
+    if engine.unreachable:
+        return engine.unreachable, ""
+    if route is None:
+        return "it is not bridged any more", "removed"
+    if route.arming is None:
+        return "arming is not required any more", ""
+    return route.arming.reason or route.reason, route.arming.why
 
 
 def _disarm(arguments: Namespace) -> int:

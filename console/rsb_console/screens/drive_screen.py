@@ -282,6 +282,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         self._reports = ""
         self._steering = Steering(self._is_relayed)
         self._problem = ""
+        self._held_by: tuple[str, bool] | None = None
         self._ticket = self._refusals = 0
         self._pane = Static(id="drive", classes="dialog", markup=False)
 
@@ -438,11 +439,19 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
             moves = DriveText.NOT_WHILE_DISARMED()
         else:
             moves = DriveText.MOVES(forward=forward, turn=turn) if forward or turn else DriveText.STANDS()
+        self._forget_refusal(route)
         speed = DriveText.SPEED(speed=self._steering.speed, turn=self._steering.turn)
         problem = DriveText.LATE() if self._steering.came_late(now) else self._problem
         lines = (f"{moves}   ({speed})", self._moved(), in_hand(self._route, self.console.snapshot()), problem)
         first, *others = map(escape_text, lines)
         self._pane.update(Content("\n".join((first, self._state(), *self._limited(), *others))))
+
+    def _forget_refusal(self, route: RouteSnapshot | None) -> None:
+        """Show a refusal no longer than the topic is held by the same operator: it names who held it then."""
+        arming = None if route is None else route.arming
+        held_by = None if arming is None or not arming.armed else (arming.by, self._is_holder)
+        if held_by != self._held_by:
+            self._held_by, self._problem = held_by, ""
 
     def _asked(self, now: float) -> tuple[float, float]:
         """Return the velocity that the keys ask at `now` (s), within the limits, to which the bridge reduces it too."""
