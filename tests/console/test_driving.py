@@ -435,6 +435,20 @@ async def test_another_driver_is_named(app: ConsoleApp, pilot: Pilot[None], cloc
     await shown(pilot, DriveText.ARMED_BY, who="robot1 says: bert")
 
 
+@driven
+async def test_what_was_armed_before_the_bridge_was_lost_is_not_shown_as_armed(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock
+) -> None:
+    put(app, replace(ARMED, arming=replace(arming(), velocity=(0.2, 0.0))))
+    await shown(pilot, DriveText.MOVING, forward=0.2)
+    engine_of(app).unreachable = "no router answers"
+    await shown(pilot, DriveText.DETACHED, reason="no router answers")
+    assert is_shown(app, DriveText.NOT_WHILE_DETACHED)
+    assert not is_shown(app, DriveText.MOVING, forward=0.2)
+    engine_of(app).unreachable = ""
+    await shown(pilot, DriveText.MOVING, forward=0.2)
+
+
 def test_no_velocity_is_shown_while_disarmed(clock: Clock) -> None:
     async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
         await shown(pilot, DriveText.NOT_WHILE_DISARMED)

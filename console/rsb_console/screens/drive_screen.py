@@ -97,6 +97,8 @@ class DriveText(Wording):
     ASKS = "{who} asks for it: y gives it, n keeps it; without an answer it goes over in {seconds:.0f} s"
     LEFT = ", for {seconds:.0f} s without a key"
     NOT_WHILE_DISARMED = "keys do nothing while it is disarmed"
+    NOT_WHILE_DETACHED = "keys do nothing while this console is not attached"
+    DETACHED = "not attached, so what it has armed disarms by itself: {reason}"
     MOVED = "moves {robots}{round_trip}"
     LANDED = "{moved}   {reports}"
     IN_HAND = "{link} now: {motion}"
@@ -435,14 +437,17 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         now = time.monotonic()
         forward, turn = self._asked(now)
         route = self._current()
-        if route is None or route.arming is None or not route.arming.armed:
+        if self._detached:
+            moves = DriveText.NOT_WHILE_DETACHED()
+        elif route is None or route.arming is None or not route.arming.armed:
             moves = DriveText.NOT_WHILE_DISARMED()
         else:
             moves = DriveText.MOVES(forward=forward, turn=turn) if forward or turn else DriveText.STANDS()
         self._forget_refusal(route)
         speed = DriveText.SPEED(speed=self._steering.speed, turn=self._steering.turn)
         problem = DriveText.LATE() if self._steering.came_late(now) else self._problem
-        lines = (f"{moves}   ({speed})", self._moved(), in_hand(self._route, self.console.snapshot()), problem)
+        motion = "" if self._detached else in_hand(self._route, self.console.snapshot())
+        lines = (f"{moves}   ({speed})", self._moved(), motion, "" if self._detached else problem)
         first, *others = map(escape_text, lines)
         self._pane.update(Content("\n".join((first, self._state(), *self._limited(), *others))))
 
@@ -480,8 +485,15 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
             self._landed_at, self._landing = now, Landing(self._route.topic, snapshot)
         return DriveText.LANDED(moved=moved, reports=self._reports) if self._reports else moved
 
+    @property
+    def _detached(self) -> str:
+        """Return why the console is not attached, so that the snapshot is an old one, or an empty string."""
+        return "" if self.console.engine is None else self.console.engine.unreachable
+
     def _state(self) -> str:
         route = self._current()
+        if self._detached:
+            return DriveText.DETACHED(reason=escape_text(self._detached))
         if route is None or route.arming is None:
             return DriveText.GONE()
         if not route.arming.armed:
