@@ -51,8 +51,8 @@ class Side:
         return next((each for each in self.status()["routes"] if each["topic"] == topic), {})
 
     def events(self) -> list[dict[str, Any]]:
-        """Return the output of `events --json`."""
-        return self._asked("events")
+        """Return the output of `events --json`; nothing if the bridge did not answer in time."""
+        return [each for each in self._asked("events") if "code" in each]
 
     def _asked(self, command: str) -> list[dict[str, Any]]:
         words = [str(COMMAND), command, "--json", "--control", self._control]
