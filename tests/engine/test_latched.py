@@ -14,6 +14,7 @@ from tests.support.domain import Domain, text
 from tests.support.inside import inside, outputs_of
 from tests.support.long import long
 from tests.support.ports import free_port
+from tests.support.relay import message_number
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.model.session import Topic
@@ -248,6 +249,26 @@ def test_a_second_bridge_has_what_the_first_one_brought(
         eventually(fine, 30.0, "fine again")
     holds(fine, 1.0)
     assert len(steady.payloads) == 1
+
+
+def test_a_message_that_comes_together_with_the_proof_of_its_datagrams_address(
+    bridge: Bridge, relay: Relay, robot: Domain, pc: Domain
+) -> None:
+    """The server let it fall, as its route took datagrams only in the loop's next turn; nothing else was published."""
+    publish(robot.publisher("/map", qos=latched(1)), "map", range(1))
+    heard = pc.listener("/map", qos=JOINS_LATE)
+    probes: list[bytes] = []
+
+    def together(datagram: bytes) -> list[bytes]:
+        if message_number(datagram) is None:
+            probes.append(datagram)
+            return [datagram] if len(probes) == 1 else []
+        passed, probes[1:] = [*probes[1:], datagram], []
+        return passed
+
+    relay.to_server = together
+    bridge.both(Topic("/map", "transmit", protocol="udp"))
+    eventually(lambda: heard.payloads, 60.0)
 
 
 @pytest.mark.parametrize(
