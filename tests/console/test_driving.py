@@ -233,6 +233,8 @@ def velocities(app: ConsoleApp) -> list[str]:
 
 
 async def pressed(pilot: Pilot[None], clock: Clock, *keys: str) -> None:
+    """Press keys, once no command has put the screen's clock ahead of the keys' own."""
+    await until(pilot, lambda: time.monotonic() >= clock.now, "the keys' clock")
     clock.now = time.monotonic()
     await pilot.press(*keys)
 
@@ -649,7 +651,9 @@ def test_what_is_asked_is_within_the_limits_and_their_line_is_shown(clock: Clock
             assert time.monotonic() < deadline
             await pressed(pilot, clock, "o")
         assert all(each.reduce for each in sent(app))
-        await pressed(pilot, clock, "minus", "minus", "minus", "minus", "minus", "space", "i")
+        await pressed(pilot, clock, "minus", "minus", "minus", "minus", "minus", "space")
+        await rests(app, pilot, clock)
+        await pressed(pilot, clock, "i")
         await until(pilot, lambda: velocity(TWIST, SPEED / 1.25**5, 0.0) in velocities(app), "a slower command")
 
     driving(LIMITED, steps)

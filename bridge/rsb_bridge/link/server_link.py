@@ -480,6 +480,6 @@ class ServerLink(Link):
             socket, stream.own_address, self.channels.probe, self.context.now, self.udp_ready
         )
         self.channels.udp.add(socket.port, udp_channel)
-        # The client may send messages together with its answer to the first challenge; by then routes have to take them.
+        # The client may send messages together with its answer to the first challenge: routes have to take them then.
         self.udp_ready()
         return udp_channel
