@@ -19,7 +19,10 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.datagram_channel import DatagramSender, datagram_channel
+from rsb_bridge.channel.receipts import ReceiptBook
+from rsb_bridge.channel.scheduler import Scheduler
 from rsb_bridge.channel.udp_channel import ClientUdpChannel, PathProbe, ServerUdpChannel, UdpDemultiplexer
+from rsb_bridge.channel.window import Window
 from rsb_bridge.route.sending import QueueLimits, SendQueue
 from rsb_bridge.transport import udp
 from rsb_bridge.transport.streams import StreamHandler
@@ -61,6 +64,8 @@ class Route:
     def flush(self) -> None:
         while self.queue and self.sender is not None and not self.sender.congested:
             self.sender.send(self.queue.take(16, self.sender.batch_bytes))
+        if self.queue and self.sender is not None:
+            self.sender.ask()
 
     def channel_lost(self, reason: str) -> None:
         raise SystemExit(reason)
@@ -95,7 +100,7 @@ async def _send(port: int, rate: int, size: int) -> tuple[float, int]:
     channel = ClientUdpChannel(udp.Udp(), (_HOST, port), PathProbe(keys), loop.time, ready.set)
     await ready.wait()
     route = Route(outgoing=True)
-    sender = datagram_channel(channel, route, keys)
+    sender = datagram_channel(channel, route, keys, _scheduler())
     assert isinstance(sender, DatagramSender)
     route.sender = sender
     content, before, began, due = os.urandom(size), _cpu(), time.monotonic(), 0
@@ -122,7 +127,7 @@ async def _receive(buffer: int) -> None:
 
     def new_channel(link_id: bytes, socket: DatagramSocket, _: Address) -> ServerUdpChannel:
         channel = ServerUdpChannel(socket, _HOST, probe, loop.time, lambda: None)
-        datagram_channel(channel, route, keys)
+        datagram_channel(channel, route, keys, _scheduler())
         return channel
 
     acceptor = Acceptor(StreamHandler, UdpDemultiplexer(new_channel).received, print)
@@ -135,6 +140,10 @@ async def _receive(buffer: int) -> None:
     p50, p99 = ordered[len(ordered) // 2], ordered[len(ordered) * 99 // 100]
     print(json.dumps({"count": len(route.latencies), "cpu": _cpu() - before, "p50": p50, "p99": p99}))
     bound.close()
+
+
+def _scheduler() -> Scheduler:
+    return Scheduler(ReceiptBook(asyncio.get_running_loop(), lambda _: None), Window(0))
 
 
 def _keys(role: Role) -> DataKeys:

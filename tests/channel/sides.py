@@ -24,7 +24,7 @@ from rsb_bridge.wire.framing import Budget
 from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
+    from collections.abc import AsyncIterator, Callable, Container, Coroutine, Iterable
 
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.messages import Receipts
@@ -133,6 +133,7 @@ class Side:
 
     def tick(self) -> None:
         self.scheduler.tick()
+        self.book.report()
         self.pair.tick()
 
 
@@ -146,8 +147,13 @@ async def connected(
     *routes: Route,
     two: bool = True,
     open_streams: Callable[..., Coroutine[Any, Any, tuple[Stream, Stream]]] | None = None,
+    elsewhere: Container[int] = (),
 ) -> AsyncIterator[tuple[Side, Side]]:
-    """Connect two sides by two streams, or by one for small and large messages; the routes send from the first side."""
+    """Connect two sides by two streams, or by one for small and large messages; the routes send from the first side.
+
+    Args:
+        elsewhere: ids of routes that get no stream.
+    """
     near, far = Side("client"), Side("server")
     near.other, far.other = far, near
     opening = open_streams or by_sockets
@@ -157,8 +163,8 @@ async def connected(
             stream.handler = side.pair.add(stream, number, small=number == 1, large=number == 2 or not two)
     near.routes = {route.id: route for route in routes}
     far.routes = {route.id: routes_of(route) for route in routes}
-    far.carry(*far.routes)
-    near.carry(*near.routes)
+    for side in (far, near):
+        side.carry(*(number for number in side.routes if number not in elsewhere))
     try:
         yield near, far
     finally:

@@ -1,48 +1,57 @@
-"""The times at which the receiver of datagrams sends receipts."""
+"""The times at which the receiver of datagrams sends receipts, and what is in them."""
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, cast
+from tests.channel.datagram_radio import datagrams_between, pass_time
+from tests.channel.sides import Radio, Route, connected, simulate
 
-from tests.support.session_keys import session_keys
+from rsb_bridge.transport.transport import RECEIVE_BUFFER
 
-from rsb_bridge.channel.datagram_channel import WINDOW, DatagramReceiver
-from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter
-from rsb_bridge.wire.sealing import Suite
+_SMALL = 200_000
 
-if TYPE_CHECKING:
-    from rsb_bridge.channel.channel import RouteSink
-    from rsb_bridge.channel.udp_channel import UdpChannel
-    from rsb_bridge.wire.datagram import Receipt
 
-_SMALL, _RAISED = 200_000, 4_000_000
+def test_a_link_with_room_has_few_receipts() -> None:
+    """One asked for every 0.25 s, and one a second for what came since, however many routes there are."""
+    routes = [Route(number, outgoing=True) for number in range(1, 8)]
+
+    async def scene() -> None:
+        radio = Radio(1e8, delay=0.001)
+        numbers = range(1, 8)
+        async with connected(*routes, open_streams=radio.open, elsewhere=numbers) as (near, far):
+            channel = datagrams_between(near, far, radio, *numbers, queue=1_000_000)
+            for _ in range(10):
+                for route in routes:
+                    route.send(bytes(100))
+                await pass_time(1.0, near, far, channel)
+            before = channel.air.far.air.sent
+            for _ in range(10):
+                for route in routes:
+                    route.send(bytes(100))
+                await pass_time(1.0, near, far, channel)
+            assert channel.air.far.air.sent - before <= 10 * 4
+            assert [len(route.arrived) for route in far.routes.values()] == [20] * 7
+            await pass_time(1.0, near, far, channel)
+            assert near.in_transit() == 0
+
+    simulate(scene)
 
 
 def test_a_sender_hears_soon_of_a_buffer_that_has_become_larger() -> None:
-    """Before it has sent as much as it may without a receipt, which is a part of the smaller one."""
-    keys = session_keys(Suite.PLAIN, None, bytes(8))
-    writer = DatagramWriter(keys.route_sealer(1, "client"), keys.link_id, 1)
-    receipts: list[Receipt] = []
-    carrier = SimpleNamespace(
-        socket=SimpleNamespace(receive_buffer=_SMALL),
-        add_receiver=lambda *_: None,
-        acknowledge=receipts.append,
-        shortages={},
-    )
-    route = SimpleNamespace(id=1, deliver=lambda _: None)
-    reader = DatagramReader(session_keys(Suite.PLAIN, None, bytes(8)).datagram_opener(1, "client"), 1)
-    receiver = DatagramReceiver(cast("UdpChannel", carrier), cast("RouteSink", route), reader)
+    route = Route(1, outgoing=True)
 
-    def come(size: int) -> None:
-        receiver.received(writer.write(bytes(size), 0, 0, 1400), 0.0)
+    async def scene() -> None:
+        radio = Radio(1e8, delay=0.001)
+        async with connected(route, open_streams=radio.open, elsewhere=(1,)) as (near, far):
+            channel = datagrams_between(near, far, radio, 1, queue=1_000_000)
+            there = channel.air.far
+            there.air.receive_buffer = there.receive_buffer = _SMALL
+            route.send(bytes(1000))
+            await pass_time(1.0, near, far, channel)
+            assert channel.sending(near.scheduler).window == _SMALL // 2
+            there.air.receive_buffer = RECEIVE_BUFFER
+            await pass_time(1.0, near, far, channel)
+            route.send(bytes(1000))
+            await pass_time(1.0, near, far, channel)
+            assert channel.sending(near.scheduler).window == RECEIVE_BUFFER // 2
 
-    come(1000)
-    assert [receipt.buffer for receipt in receipts] == [_SMALL]
-    carrier.socket.receive_buffer = _RAISED
-    receiver.expire(1.0)
-    come(_SMALL // WINDOW // 2)
-    assert [receipt.buffer for receipt in receipts] == [_SMALL, _RAISED]
-    receiver.expire(2.0)
-    come(1000)
-    assert len(receipts) == 2
+    simulate(scene)

@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.schedulers import lone_scheduler
 from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_keys import DataKeys
@@ -196,10 +197,10 @@ def test_datagrams_go_to_the_routes_of_the_connection_that_they_name() -> None:
                 arrived[link_id] = (up, down)
                 there = server.channels[link_id]
                 await ready(there)
-                datagram_channel(there, up, server.keys[link_id])
-                datagram_channel(client, down, keys)
+                datagram_channel(there, up, server.keys[link_id], lone_scheduler())
+                datagram_channel(client, down, keys, lone_scheduler())
                 for channel, number, codec in ((client, 1, keys), (there, 2, server.keys[link_id])):
-                    sender = datagram_channel(channel, Route(number, outgoing=True), codec)
+                    sender = datagram_channel(channel, Route(number, outgoing=True), codec, lone_scheduler())
                     assert isinstance(sender, DatagramSender)
                     sender.send([(link_id * (10 * number), 0, 0), (b"x" * 100_000, 0, 0)])
             await until(lambda: all(len(route.arrived) == 2 for pair in arrived.values() for route in pair))
@@ -270,7 +271,10 @@ def test_the_last_route_closes_it() -> None:
     async def main() -> None:
         async with serving() as server:
             client, keys = server.connect(b"link one")
-            routes = [datagram_channel(client, Route(number, outgoing=number == 1), keys) for number in (1, 2)]
+            routes = [
+                datagram_channel(client, Route(number, outgoing=number == 1), keys, lone_scheduler())
+                for number in (1, 2)
+            ]
             routes[0].close("removed")
             assert not client.over
             routes[1].close("removed")
@@ -287,7 +291,7 @@ def test_a_route_that_sends_takes_no_datagrams() -> None:
             await until(lambda: client.ready)
             there = server.channels[b"link one"]
             outgoing = Route(1, outgoing=True)
-            datagram_channel(there, outgoing, server.keys[b"link one"])
+            datagram_channel(there, outgoing, server.keys[b"link one"], lone_scheduler())
             client.send(DatagramWriter(keys.keys.route_sealer(1, "client"), b"link one", 1).write(b"hello", 0, 0, 1000))
             before = there.received_bytes
             client.tick()
@@ -328,8 +332,8 @@ def test_a_full_link_that_loses_probes_is_not_silent() -> None:
             client, keys = server.connect(b"link one")
             there = await settled(server, client)
             up = Route(1, outgoing=False)
-            datagram_channel(there, up, server.keys[b"link one"])
-            sender = datagram_channel(client, Route(1, outgoing=True), keys)
+            datagram_channel(there, up, server.keys[b"link one"], lone_scheduler())
+            sender = datagram_channel(client, Route(1, outgoing=True), keys, lone_scheduler())
             assert isinstance(sender, DatagramSender)
             for number in range(1, 4):
                 server.time += 5.0

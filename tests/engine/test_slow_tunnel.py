@@ -159,6 +159,29 @@ def test_topics_in_one_queue_and_pings_beside_them(bridge: Bridge, robot: Domain
             assert balance(ledger) == ledger.offered
 
 
+def test_udp_topic_takes_its_share_and_no_more(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """15 kB/s by UDP next to 14 kB/s by TCP, in one queue: both cross, equally fresh, and pings come back."""
+    scan, odom = robot.publisher("/scan", qos=BEST_EFFORT), robot.publisher("/odom")
+    theres = [pc.listener("/scan", qos=BEST_EFFORT), pc.listener("/odom")]
+    topics = (Topic("/scan", "transmit", protocol="udp"), Topic("/odom", "transmit"))
+    with through_tunnel(bridge, *topics, fifo=True) as (server, client, relay):
+        carries([scan, odom], server, ["/scan", "/odom"])
+        relay.rate = TUNNEL
+        with Publishing(scan, 15.0, 1000), Publishing(odom, 20.0, 700):
+            time.sleep(15.0)
+            crossed = [sum(len(payload) for payload in there.payloads[:]) for there in theres]
+            trip = now(client).links[0].rtt
+            looked = time.time_ns()
+            room = capacity(relay, 15.0)
+        found = [ages(there, relay) for there in theres]
+        assert min(crossed) > 0.25 * room, (crossed, room)
+        assert sum(crossed) > 0.6 * room
+        assert max(max(each) for each in found) < 4.0
+        assert trip is not None
+        assert trip - relay.paused(looked - int((trip + PINGED_EVERY) * 1e9), looked) < 3.0
+        assert connections(client) == 1
+
+
 def test_latched_topic_keeps_its_promise(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """All messages kept for late joiners cross, however late, next to a live topic that floods the tunnel."""
     kept = QoSProfile(depth=20, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)

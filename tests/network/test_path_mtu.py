@@ -48,8 +48,12 @@ def test_large_packets_that_vanish_without_a_word(
     for side, who in ((bridge.client, ""), (bridge.server, "robot1: ")):
         eventually(lambda side=side: side.link().get("cause") == LinkCause.LARGE_PACKETS, what="the link shows it")
         for topic in ("/scan", "/odom"):
-            reason = _remedied(side, topic, "down", Cause.NO_PATH, "MTU")
-            assert reason.startswith("robot1: ") is bool(who), reason
+            eventually(
+                lambda side=side, topic=topic, who=who: (
+                    _remedied(side, topic, "down", Cause.NO_PATH, "MTU").startswith("robot1: ") is bool(who)
+                ),
+                what=f"{topic}'s reason is of the side that sends",
+            )
         assert not side.happened(EventCode.LINK_LOST)
     with _consoles(bridge, tmp_path) as (client, server):
         for screen, who in ((client, ""), (server, "robot1: ")):

@@ -47,6 +47,16 @@ def test_stall_keeps_messages_for_seconds() -> None:
     assert len(box) == 40
 
 
+@pytest.mark.parametrize("pace", Pace)
+def test_live_topic_sends_nothing_old(pace: Pace) -> None:
+    """Whether the link is slow, stopped or has only begun."""
+    box = outbox()
+    flood(box, 10, pace, Qos(reliability="best_effort"))
+    assert box.waits(9.9) <= 1.0
+    flood(box := outbox(Qos(reliability="best_effort", depth=50)), 10, pace, Qos(reliability="best_effort", depth=50))
+    assert box.waits(9.9) > 4.0
+
+
 @pytest.mark.parametrize(
     ("own", "qos"),
     [

@@ -12,6 +12,7 @@ from tests.simulation.loop import SimulatedLoop
 from tests.simulation.machine import Machine, Process
 from tests.simulation.network import Network
 from tests.simulation.sockets import simulated
+from tests.support.schedulers import lone_scheduler
 from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_keys import DataKeys
@@ -58,6 +59,8 @@ class Route:
     def flush(self) -> None:
         while self.waiting and self.sender is not None and not self.sender.congested:
             self.sender.send([(self.waiting.pop(0), 0, 0)])
+        if self.waiting and self.sender is not None:
+            self.sender.ask()
 
     def channel_lost(self, reason: str) -> None:
         raise AssertionError(reason)
@@ -73,7 +76,7 @@ class Side:
         self.events: list[tuple[EventCode, str]] = []
         self.keys = DataKeys(session_keys(Suite.AESGCM, bytes(32), _LINK), role, Budget(1 << 28))
         self.probe = PathProbe(self.keys)
-        self.channels = UdpChannels(network.loop, self._log)
+        self.channels = UdpChannels(network.loop, self._log, lambda: None)
         self.route = Route(outgoing=role == "client")
 
     def _log(self, level: Level, code: EventCode, text: str) -> None:
@@ -105,7 +108,7 @@ class Link:
         side = self.server
         channel = ServerUdpChannel(socket, "10.0.0.1", side.probe, self.loop.time, lambda: None)
         side.channels.add(_PORT, channel)
-        receiver = datagram_channel(channel, side.route, side.keys)
+        receiver = datagram_channel(channel, side.route, side.keys, lone_scheduler())
         assert isinstance(receiver, DatagramReceiver)
         return channel
 
@@ -114,7 +117,7 @@ class Link:
         channel = ClientUdpChannel(Udp(), ("10.0.0.1", _PORT), side.probe, self.loop.time, ready.set)
         side.channels.open(_PORT, channel)
         await ready.wait()
-        sender = datagram_channel(channel, side.route, side.keys)
+        sender = datagram_channel(channel, side.route, side.keys, lone_scheduler())
         assert isinstance(sender, DatagramSender)
         side.route.sender = sender
 
@@ -170,7 +173,7 @@ def test_a_limit_that_is_raised_counts_at_once() -> None:
         await link.send(20, 1_000_000)
         assert link.server.route.arrived == [1_000_000] * 22
         assert link.client.route.sender is not None
-        assert link.client.route.sender._pacer.window > _DEBIAN
+        assert link.client.route.sender.via.window > _DEBIAN
 
     with simulated():
         link = Link(_DEBIAN)

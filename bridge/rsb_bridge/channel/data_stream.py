@@ -89,6 +89,7 @@ class DataStream(StreamHandler):
         self._pair = pair
         self._frames = FrameReader(CONTROL_LIMIT, pair.budget)
         self._counter = ReceiptCounter()
+        pair.book.add(number, self._counter)
         self._held: Sequence[memoryview] = ()
         self._asked = 0
 
@@ -174,12 +175,7 @@ class DataStream(StreamHandler):
         counter = self._counter
         counter.count += size
         if counter.count >= counter.due:
-            self.send_receipt()
-
-    def send_receipt(self) -> None:
-        """Send a receipt, if bytes came since the last one."""
-        if self._counter.has_news:
-            self._pair.book.acknowledge(self.number, self._counter.next_receipt())
+            self._pair.book.report()
 
     def set_interval(self, every: int) -> None:
         """Send a receipt after every `every` bytes from now on."""
@@ -293,9 +289,8 @@ class StreamPair:
             stream.resume()
 
     def tick(self) -> None:
-        """Send pending receipts, and try held frames again: their route may be closed. Called once a second."""
+        """Try held frames again: their route may be closed. Called once a second."""
         for stream in self.streams():
-            stream.send_receipt()
             stream.resume()
 
     def lost(self, stream: DataStream, reason: str) -> None:

@@ -7,149 +7,30 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.channel import Counts, Pace
+from rsb_bridge.channel.datagram_carrier import WINDOW
+from rsb_bridge.channel.sending_end import SendingEnd
 from rsb_bridge.channel.udp_channel import BufferShortage
-from rsb_bridge.transport.streams import BATCH_BYTES, PacketCounts
+from rsb_bridge.transport.streams import PacketCounts
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
-from rsb_bridge.wire.datagram import Receipt
+from rsb_bridge.wire.datagram import Arrived
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.channel.channel import RouteSink
     from rsb_bridge.channel.data_keys import DataKeys
+    from rsb_bridge.channel.datagram_carrier import DatagramCarrier
+    from rsb_bridge.channel.scheduler import Scheduler
     from rsb_bridge.channel.udp_channel import UdpChannel
-    from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter
+    from rsb_bridge.wire.datagram import Cut, DatagramReader, DatagramWriter
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.sealing import Buffer
-
-_PAUSE = 0.001
-"""s; what the I/O loop's timers resolve."""
-_FIRST_BURST = 128 * 1024
-_LEAST_BURST, _MOST_BURST = 32 * 1024, 4 * 1024 * 1024
-"""Bytes that go in each pause."""
-_GROWTH, _CAREFUL_GROWTH, _SHRINKING = 1.5, 0.05, 0.7
-WINDOW = 2
-"""The part of the receiver's buffer that one route may fill: its routes share it, and small datagrams cost more."""
-_MOST_ON_PATH = 16 * 1024 * 1024
-_FIRST_WAIT = 0.01
-"""s, at most, until the first receipt, which says how much the receiver's buffer takes."""
-_PATIENCE = 0.25
-"""Seconds without a receipt after which sent bytes count as arrived or lost."""
-_SPAN = 0.005
-"""s, at least, over which the path's rate is measured."""
-
-
-class Pacer:
-    """The pace of one route. It sends nothing itself; times are in s, on one clock.
-
-    Attributes:
-        window: bytes that may be in the receiver's buffer, or 0 if unknown.
-    """
-
-    def __init__(self) -> None:
-        self.window = 0
-        self._burst = float(_FIRST_BURST)
-        self._tokens = float(_FIRST_BURST)
-        self._filled_at = 0.0
-        self._limited = False
-        self._sent = 0
-        self._began = 0.0
-        self._arrived = 0
-        self._under_way: deque[tuple[int, int, float]] = deque()  # last sequence number, bytes sent with it, when
-        self._passed = (-1, 0)  # the last receipted sequence number, and bytes sent up to it
-        self._heard_at = 0.0
-        self._newest = -1
-        self._missing: int | None = None
-        self._most_missing = 0
-        self._lost_at: float | None = None
-        self._delay = float("inf")
-        self._rate = 0.0
-        self._on_path = 0
-        self._span = (0.0, 0)  # since when the rate is measured, and what had arrived then
-
-    def room(self, now: float) -> int:
-        """Return the bytes that may be sent now; none if it is 0 or less."""
-        burst = self._burst
-        tokens = self._tokens + (now - self._filled_at) * burst / _PAUSE
-        if tokens > 2 * burst:
-            tokens = 2 * burst
-        elif tokens <= 0:
-            self._limited = True
-        self._tokens = tokens
-        self._filled_at = now
-        if not self.window:
-            return 0 if self._sent >= _FIRST_BURST and now - self._began < _FIRST_WAIT else int(tokens)
-        left = self.window + self._on_path - (self._sent - self._arrived)
-        if left <= 0 and now - max(self._under_way[-1][2], self._heard_at) >= _PATIENCE:
-            self._arrived = self._sent
-            self._passed = self._under_way[-1][:2]
-            self._under_way.clear()
-            left = self.window
-        return int(tokens if tokens < left else left)
-
-    def pause(self) -> float:
-        """Time (s) until it is worth asking for room again, where no receipt comes before."""
-        return _PAUSE if self._tokens <= 0 or not self.window else _PATIENCE
-
-    def sent(self, size: int, sequence: int, now: float) -> None:
-        """Note that `size` bytes were sent; the last datagram had this sequence number."""
-        if not self._sent:
-            self._began = now
-        self._tokens -= size
-        self._sent += size
-        self._under_way.append((sequence, self._sent, now))
-        if not self.window and len(self._under_way) > 1 and now - self._under_way[0][2] > _PATIENCE:
-            self._passed = self._under_way.popleft()[:2]  # a peer that sends no receipts
-            self._arrived = self._passed[1]
-
-    def receipt(self, newest: int, opened: int, buffer: int, now: float) -> None:
-        """Take a receipt: the datagrams opened, up to a sequence number, and the bytes of the receiver's buffer."""
-        if newest <= self._newest:
-            return  # another one has overtaken it
-        self._newest = newest
-        self.window = max(buffer // WINDOW, 1)
-        while self._under_way and self._under_way[0][0] <= newest:
-            last, self._arrived, sent_at = self._under_way.popleft()
-            self._passed = last, self._arrived
-            self._delay = min(self._delay, now - sent_at)
-        if self._under_way:  # a part of the last burst has arrived
-            (begin, before), (last, after, _) = self._passed, self._under_way[0]
-            part = (newest - begin) / (last - begin)
-            self._arrived = max(self._arrived, before + int(part * (after - before)))
-        since, self._heard_at = now - self._heard_at, now
-        began, arrived = self._span
-        if now - began >= max(_SPAN, self._delay):
-            self._rate = max((self._arrived - arrived) / (now - began), 0.9 * self._rate)
-            self._span = now, self._arrived
-        self._on_path = min(int(self._rate * self._delay), _MOST_ON_PATH) if self._rate else 0
-        self._adapt(newest + 1 - opened, since)
-
-    def _adapt(self, missing: int, since: float) -> None:
-        """Adapt the rate; `missing` datagrams before the newest have not come, or not yet: some overtake others."""
-        before, self._missing = self._missing, missing
-        if before is None:
-            self._most_missing = missing
-            return
-        lost = min(before, missing)
-        if lost > self._most_missing:
-            self._most_missing = lost
-            self._lost_at = self._heard_at
-            self._burst = max(self._burst * _SHRINKING, _LEAST_BURST)
-        elif self._limited:
-            growth = _GROWTH
-            if self._lost_at is not None:
-                growth = min(1 + _CAREFUL_GROWTH * since * (1 + (self._heard_at - self._lost_at) ** 2), _GROWTH)
-            self._burst = min(self._burst * growth, _MOST_BURST)
-        self._limited = False
-
 
 _RATE_OVER, _RATE_LASTS = 1.0, 2.5
 """s between the receipts from which the rate of arrival is computed, and s for which it counts."""
 _MOST_RECEIPTS = 64
-_EXPIRE = 1.0
-"""s without a fragment of it, after which an incomplete message is given up."""
-_RECEIPTS_PER_BUFFER = 4 * WINDOW
-"""The receiver says what has come each time a quarter of the sender's window has."""
+_EXPIRE, _NEWEST_EXPIRES = 1.0, 5.0
+"""s without a fragment of it, after which an incomplete message is given up: the newest one's may wait for turns."""
 
 
 class _DatagramChannel:
@@ -171,20 +52,21 @@ class _DatagramChannel:
         self.carrier.remove(self._route_id)
 
 
-class DatagramSender(_DatagramChannel):
-    """The sending end. What the pace holds up waits here, sealed; nothing more is sealed meanwhile."""
+class DatagramSender(_DatagramChannel, SendingEnd):
+    """The sending end. A message that has begun is sent whole, unless its beginning was written off."""
 
-    batch_bytes = BATCH_BYTES
+    via: DatagramCarrier
     arrived_share: float | None = None
     """The share of the datagrams that arrives, by the last receipts, or None before the first."""
 
-    def __init__(self, udp_channel: UdpChannel, route: RouteSink, codec: DatagramWriter) -> None:
+    def __init__(self, udp_channel: UdpChannel, route: RouteSink, codec: DatagramWriter, scheduler: Scheduler) -> None:
         super().__init__(udp_channel, route)
+        SendingEnd.__init__(self, scheduler, route, udp_channel.sending(scheduler))
         self._codec = codec
         self._loop = asyncio.get_running_loop()
-        self._pacer = Pacer()
-        self._waiting: Sequence[bytes] = ()
-        self._timer: asyncio.TimerHandle | None = None
+        self._cut: Cut | None = None  # of a message that takes several turns
+        self._at = 0  # pieces of it that are sent
+        self._counted = self._missing = 0  # datagrams that are not in transit, and those of them that have not come
         self._receipted = (-1, 0)  # the newest datagram of the last receipt, and how many had arrived
         self._receipted_at = float("-inf")
         self._arrivals: deque[tuple[float, int]] = deque(maxlen=_MOST_RECEIPTS)  # time (s), arrivals by then
@@ -192,51 +74,103 @@ class DatagramSender(_DatagramChannel):
 
     @property
     def congested(self) -> bool:
-        return bool(self._waiting) or self.carrier.socket.congested
+        return self._cut is not None or super().congested
+
+    @property
+    def waits(self) -> bool:
+        return self._cut is not None or super().waits
 
     @property
     def pace(self) -> Pace:
-        return Pace.STOPPED if self.congested else Pace.FREE
-
-    def ask(self) -> None:
-        """Do nothing: the timer of what the pace holds up, or the socket, has the route's queue flushed."""
+        return Pace.FREE if self.via.is_new else super().pace
 
     def datagrams(self, size: int) -> int:
         """Return how many datagrams a message of `size` bytes takes now; only once it is ready."""
         return self._codec.datagrams(size, self.carrier.datagram_size())
 
     def send(self, batch: Sequence[Message]) -> None:
-        datagrams = self._codec.write_many(batch, self.carrier.datagram_size())
-        self._waiting = [*self._waiting, *datagrams] if self._waiting else datagrams
-        if self._timer is None:
-            self._send_waiting()
+        if self._in_turn:
+            self._messages += batch
+            return
+        size = sum([len(payload) for payload, _, _ in batch])
+        if size <= self._scheduler.chunk:
+            # Nothing waits, so there is no turn to wait for: the hot path.
+            self._scheduler.charge(self, self._send(batch, size))
+            return
+        self._wait(batch)
+
+    def take_turn(self, limit: int) -> int:
+        if self._cut is None and not self._messages and not self._fill():
+            return 0
+        limit = min(limit, self.via.room())
+        if self._cut is not None:
+            return self._go_on(self._cut, limit)
+        batch: list[Message] = []
+        size = 0
+        most = max(limit, self._codec.room(self.carrier.datagram_size()))
+        while self._messages and size < limit:
+            length = len(self._messages[0][0])
+            if length > most or (batch and size + length > limit):
+                break
+            batch.append(self._messages.popleft())
+            size += length
+        if batch:
+            return self._send(batch, size)
+        if not self._messages:
+            return 0
+        self._cut = self._codec.cut(self._messages.popleft(), self.carrier.datagram_size())
+        return self._go_on(self._cut, limit)
+
+    def _go_on(self, cut: Cut, limit: int) -> int:
+        """Send the next pieces of a message."""
+        begin, count = self._at, len(cut.pieces)
+        length = len(cut.pieces[begin])
+        end = min(begin + max(1, limit // length), count)
+        datagrams = self._codec.write_pieces(cut, begin, end, asks=self.via.asks((end - begin) * length))
+        self._cut, self._at = (cut, end) if end < count else (None, 0)
+        return self._pass(datagrams)
+
+    def _send(self, batch: Sequence[Message], size: int) -> int:
+        return self._pass(self._codec.write_many(batch, self.carrier.datagram_size(), asks=self.via.asks(size)))
+
+    def _pass(self, datagrams: Sequence[bytes]) -> int:
+        size = sum(map(len, datagrams))
+        self.via.send(datagrams, size)
+        return size
 
     def close(self, reason: str) -> None:
-        self._waiting = ()
-        if self._timer is not None:
-            self._timer.cancel()
+        self._cut, self._at = None, 0
+        self.leave()
+        self.written_off()
         super().close(reason)
 
-    def writable(self) -> None:
-        """See `DatagramSource.writable`."""
-        if self._timer is None:
-            self._go_on()
-
-    def receipt(self, receipt: Receipt) -> None:
+    def receipt(self, arrived: Arrived, buffer: int) -> None:
         """See `DatagramSource.receipt`."""
-        newest, opened = self._receipted
-        if receipt.newest > newest:
-            share = max(0.0, min((receipt.opened - opened) / (receipt.newest - newest), 1.0))
-            self.arrived_share = share if self.arrived_share is None else (share + self.arrived_share) / 2
-            self._receipted = receipt.newest, receipt.opened
-            self._receipted_at = self._loop.time()
-            self._note_arrivals(receipt.opened, self._loop.time())
-        self._pacer.receipt(receipt.newest, receipt.opened, receipt.buffer, self._loop.time())
-        if receipt.buffer < RECEIVE_BUFFER and self._codec.largest > self._pacer.window:
-            self.carrier.shortages[False] = BufferShortage(False, receipt.buffer, self._codec.largest)
-        if self._timer is not None:
-            self._timer.cancel()
-            self._go_on()
+        newest = min(arrived.newest, self._codec.sequence - 1)
+        opened = min(arrived.opened, newest + 1)
+        before, opened_before = self._receipted
+        if newest <= before:
+            return  # another one has overtaken it
+        share = max(0.0, min((opened - opened_before) / (newest - before), 1.0))
+        self.arrived_share = share if self.arrived_share is None else (share + self.arrived_share) / 2
+        self._receipted = newest, opened
+        self._receipted_at = self._loop.time()
+        self._note_arrivals(opened, self._receipted_at)
+        self._count(max(newest + 1, self._counted), newest + 1 - opened)
+        if buffer < RECEIVE_BUFFER and self._codec.largest > buffer // WINDOW:
+            self.carrier.shortages[False] = BufferShortage(False, buffer, self._codec.largest)
+
+    def _count(self, counted: int, missing: int) -> None:
+        self.via.count(counted - self._counted, missing - self._missing)
+        self._counted, self._missing = counted, missing
+
+    def written_off(self) -> None:
+        """See `DatagramSource.written_off`."""
+        self._count(self._codec.sequence, self._missing)
+
+    def given_up(self) -> None:
+        """See `DatagramSource.given_up`."""
+        self._cut, self._at = None, 0
 
     @property
     def unheard_for(self) -> float:
@@ -266,31 +200,6 @@ class DatagramSender(_DatagramChannel):
             return 0.0
         return max(0.0, (opened - before) / (at - began))
 
-    def _go_on(self) -> None:
-        self._timer = None
-        self._send_waiting()
-        if not self.congested:
-            self._route.flush()
-
-    def _send_waiting(self) -> None:
-        """Send as much as the pace allows, and set the timer for the rest; while the socket is congested it calls."""
-        while self._waiting and not self.carrier.socket.congested:
-            now = self._loop.time()
-            room = self._pacer.room(now)
-            if room <= 0:
-                self._timer = self._loop.call_later(self._pacer.pause(), self._go_on)
-                return
-            waiting, self._waiting = self._waiting, ()
-            size = sum(map(len, waiting))
-            if size > room:
-                size, count = 0, 0
-                while size < room:
-                    size += len(waiting[count])
-                    count += 1
-                waiting, self._waiting = waiting[:count], waiting[count:]
-            self.carrier.send(waiting)
-            self._pacer.sent(size, self._codec.sequence - len(self._waiting) - 1, now)
-
 
 class DatagramReceiver(_DatagramChannel):
     """The receiving end."""
@@ -298,9 +207,7 @@ class DatagramReceiver(_DatagramChannel):
     def __init__(self, udp_channel: UdpChannel, route: RouteSink, codec: DatagramReader) -> None:
         super().__init__(udp_channel, route)
         self._codec = codec
-        self._buffer = udp_channel.socket.receive_buffer
-        self._due = 1  # opened bytes at which the next receipt is due: the sender knows the buffer once anything comes
-        self._missing = 0  # datagrams, at the last receipt
+        self._told = 0  # opened datagrams, at the last receipt
         udp_channel.add_receiver(route.id, self)
 
     def counts(self) -> Counts | None:
@@ -318,40 +225,36 @@ class DatagramReceiver(_DatagramChannel):
             message = receive(datagram, now)
             if message is not None:
                 whole.append(message)
-        if self._codec.opened_bytes >= self._due:
-            self._acknowledge()
+        if self._codec.asked:
+            self._codec.asked = False
+            self.carrier.asked()
         if not whole:
             return False
-        if self._buffer < RECEIVE_BUFFER:
-            self._check_buffer(max(len(payload) for payload, _, _ in whole))
+        buffer = self.carrier.receive_buffer
+        if buffer < RECEIVE_BUFFER:
+            largest = max(len(payload) for payload, _, _ in whole)
+            if largest > buffer // WINDOW:
+                self.carrier.shortages[True] = BufferShortage(True, buffer, largest)
         self._route.deliver(whole)
         return True
 
-    def _acknowledge(self) -> None:
+    def news(self) -> Arrived | None:
+        """See `DatagramSink.news`."""
         codec = self._codec
-        self._due = codec.opened_bytes + self._buffer // _RECEIPTS_PER_BUFFER
-        self._missing = codec.newest_sequence + 1 - codec.opened
-        self.carrier.acknowledge(Receipt(self._route_id, codec.newest_sequence, codec.opened, self._buffer))
+        if codec.opened == self._told:
+            return None
+        self._told = codec.opened
+        return Arrived(self._route_id, codec.newest_sequence, codec.opened)
 
     def expire(self, now: float) -> None:
         """Give up messages whose fragments did not come in time."""
-        self._codec.expire(now, _EXPIRE)
-        missing = self._codec.newest_sequence + 1 - self._codec.opened
-        if missing > self._missing and self._codec.opened:
-            self._acknowledge()  # so the sender learns within a second how much is lost
-        if self._buffer < RECEIVE_BUFFER:  # its limit may have been raised
-            before, self._buffer = self._buffer, self.carrier.socket.receive_buffer
-            if self._buffer != before:
-                # At once: the sender, whose window is still the old one, would wait for a receipt each time.
-                self._due = 1
-
-    def _check_buffer(self, largest: int) -> None:
-        if largest > self._buffer // WINDOW:
-            self.carrier.shortages[True] = BufferShortage(True, self._buffer, largest)
+        self._codec.expire(now, _EXPIRE, _NEWEST_EXPIRES)
 
 
-def datagram_channel(udp_channel: UdpChannel, route: RouteSink, keys: DataKeys) -> DatagramSender | DatagramReceiver:
+def datagram_channel(
+    udp_channel: UdpChannel, route: RouteSink, keys: DataKeys, scheduler: Scheduler
+) -> DatagramSender | DatagramReceiver:
     """Return this side's end of a route's channel on a UDP channel."""
     if route.outgoing:
-        return DatagramSender(udp_channel, route, keys.datagram_writer(route.id))
+        return DatagramSender(udp_channel, route, keys.datagram_writer(route.id), scheduler)
     return DatagramReceiver(udp_channel, route, keys.datagram_reader(route.id))

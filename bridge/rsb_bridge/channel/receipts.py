@@ -10,12 +10,17 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable
 
+    from rsb_bridge.channel.window import ReceiptCounter
+
 _APART = 0.005
 """s between two messages with receipts."""
 
 
 class ReceiptBook:
-    """Collects a link's receipts, and sends them together.
+    """Collects a link's receipts, and sends them together: if one is due, those of all other streams go with it.
+
+    The window cannot tell bytes that nobody has acknowledged yet from bytes that wait on the way. On a slow link, a
+    stream with few bytes would keep them unacknowledged for a second.
 
     Args:
         loop: tells the time and sets the timer.
@@ -36,14 +41,19 @@ class ReceiptBook:
         self.ping = ping
         self._loop = loop
         self._send = send
+        self._counters: dict[int, ReceiptCounter] = {}
         self._received: dict[int, int] = {}
         self._every: dict[int, int] = {}
         self._sent_at = float("-inf")
         self._timer: asyncio.TimerHandle | None = None
 
-    def acknowledge(self, stream: int, received: int) -> None:
-        """Acknowledge the bytes received of a stream so far."""
-        self._received[stream] = received
+    def add(self, stream: int, counter: ReceiptCounter) -> None:
+        """Acknowledge the bytes of a stream from now on."""
+        self._counters[stream] = counter
+
+    def report(self) -> None:
+        """Send a receipt for all streams on which bytes came since their last one."""
+        self._received.update((stream, each.next_receipt()) for stream, each in self._counters.items() if each.has_news)
         self._soon()
 
     def ask(self, stream: int, every: int) -> None:
@@ -53,11 +63,13 @@ class ReceiptBook:
 
     def forget(self, stream: int) -> None:
         """Drop the entries of a stream that is over."""
+        self._counters.pop(stream, None)
         self._received.pop(stream, None)
         self._every.pop(stream, None)
 
     def close(self) -> None:
         """Drop all entries at the end of the connection."""
+        self._counters.clear()
         self._received.clear()
         self._every.clear()
         if self._timer is not None:

@@ -19,7 +19,7 @@ from __future__ import annotations
 import asyncio
 import heapq
 import math
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, cast
 
 from rsb_bridge.model.session import weight_of
 
@@ -66,13 +66,13 @@ class Turns(Protocol):
         """Whether it has more to send after a turn."""
         ...
 
-    def take_turn(self, limit: int) -> bytes | memoryview:
-        """Return at most about `limit` bytes to send now, or nothing."""
+    def take_turn(self, limit: int) -> bytes | memoryview | int:
+        """Return at most about `limit` bytes to send now, or nothing; or how many it has sent by itself."""
         ...
 
 
 class Carrier(Protocol):
-    """A stream that takes the bytes of turns.
+    """A stream or socket that takes the bytes of turns.
 
     Attributes:
         queue: its routes that wait for a turn: when it begins, in which order they came, and the route's end.
@@ -99,6 +99,10 @@ class Carrier(Protocol):
     def congested(self) -> bool:
         """Whether it takes nothing now."""
         ...
+
+
+class StreamCarrier(Carrier, Protocol):
+    """A stream, on which the bytes of several turns are joined."""
 
     def write(self, data: bytes | memoryview) -> None:
         """Send."""
@@ -144,9 +148,10 @@ class Scheduler:
             if end.queued:
                 self.leave(end)
         carrier.queue.clear()
-        self._write_off(carrier.in_transit)
+        self.written_off(carrier.in_transit)
 
-    def _write_off(self, size: int) -> None:
+    def written_off(self, size: int) -> None:
+        """Count bytes as arrived that no receipt will count."""
         self._acknowledged += size
         self._window.write_off(self._acknowledged, self.sent)
         self.run()
@@ -200,16 +205,20 @@ class Scheduler:
         self._time = start + via.behind
         end.start = start + size * _UNIT // weight_of(end.rank)
 
-    def write(self, carrier: Carrier, data: bytes | memoryview) -> None:
+    def write(self, carrier: StreamCarrier, data: bytes | memoryview) -> None:
         """Send bytes on a stream."""
+        self.count(carrier, len(data))
+        carrier.write(data)
+
+    def count(self, carrier: Carrier, size: int) -> None:
+        """Count bytes that are sent next."""
         if not self.sent:
             self._window.expect(self._book.ping())  # known by now: when the connection began, it was not
         now = self._now()
         if not carrier.in_transit:
             carrier.moved_at = now
         self._window.wrote(self.sent, now)
-        self.sent += len(data)
-        carrier.write(data)
+        self.sent += size
 
     def run(self) -> None:
         """Give turns while streams and window take bytes."""
@@ -272,8 +281,9 @@ class Scheduler:
             carrier.time = start
             self.leave(end)
             data = end.take_turn(self.chunk)
-            size += len(data)
-            end.start = start + len(data) * _UNIT // weight_of(end.rank)
+            taken = data if isinstance(data, int) else len(data)
+            size += taken
+            end.start = start + taken * _UNIT // weight_of(end.rank)
             if end.waits and end.via is carrier:
                 self._push(end)
             elif end.waits:
@@ -281,14 +291,17 @@ class Scheduler:
                 self.join(end)
             if isinstance(data, bytes):
                 parts.append(data)
-            else:  # memory that the next piece uses again
+            elif isinstance(data, memoryview):  # memory that the next piece uses again
+                stream = cast("StreamCarrier", carrier)
                 if parts:
-                    self.write(carrier, b"".join(parts))
+                    self.write(stream, b"".join(parts))
                     parts.clear()
-                self.write(carrier, data)
+                self.write(stream, data)
+                break
+            elif carrier.congested:
                 break
         if parts:
-            self.write(carrier, parts[0] if len(parts) == 1 else b"".join(parts))
+            self.write(cast("StreamCarrier", carrier), parts[0] if len(parts) == 1 else b"".join(parts))
         return max(1, size)
 
     # --- receipts
@@ -317,16 +330,31 @@ class Scheduler:
 
     def _pass_by_stuck_streams(self) -> None:
         """Write off the streams on which nothing gets through, if another one waits for the window that they fill."""
-        latest = self._now() - _STALLED - self._book.ping() - self._book.way_back()
+        latest = self._now() - self.stalls_after
         stuck = [each for each in self._carriers if each.in_transit and each.moved_at < latest]
         others = (each for each in self._carriers if each not in stuck)
         if stuck and any(end.queued for each in others for _, _, end in each.queue):
             for each in stuck:
                 size = each.in_transit
                 each.write_off()
-                self._write_off(size)
+                self.written_off(size)
 
     # --- figures
+
+    @property
+    def stalls_after(self) -> float:
+        """Seconds without a receipt after which a stream or socket delivers nothing."""
+        return _STALLED + self._book.ping() + self._book.way_back()
+
+    @property
+    def ping(self) -> float:
+        """Seconds of the connection's shortest ping, or 0 if it is unknown."""
+        return self._book.ping()
+
+    @property
+    def every(self) -> int:
+        """Bytes after which the next receipt is wanted."""
+        return self._window.every
 
     @property
     def acknowledged(self) -> int:

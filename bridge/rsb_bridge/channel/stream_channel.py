@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
 from typing import TYPE_CHECKING
 
-from rsb_bridge.channel.channel import Pace
+from rsb_bridge.channel.sending_end import SendingEnd
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.wire.framing import MOVED
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
@@ -67,65 +66,17 @@ class _StreamEnd:
         return stream is self._small
 
 
-class StreamSender(_StreamEnd):
-    """The sending end: it gives the scheduler what the route's queue holds, when its turn comes.
+class StreamSender(_StreamEnd, SendingEnd):
+    """The sending end: it gives the scheduler what the route's queue holds, when its turn comes."""
 
-    Attributes:
-        start: virtual time at which its next turn begins.
-        queued: whether it waits for a turn.
-        via: the stream that it sends on.
-    """
+    via: DataStream
 
     def __init__(self, pair: StreamPair, route: RouteSink, keys: DataKeys) -> None:
         super().__init__(pair, route, keys)
-        self.start = 0
-        self.queued = False
-        self.via: DataStream = self._small
-        self._scheduler = pair.scheduler
+        SendingEnd.__init__(self, pair.scheduler, route, self._small)
         self._writer = keys.stream_writer(route.id)
         self._scratch = keys.scratch
-        self._messages: deque[Message] = deque()  # of the present turn, or of a large message's further ones
-        self._at = 0  # bytes of the first that are sent
-        self._asked = False  # more waits in the route's queue
-        self._in_turn = False
-
-    @property
-    def rank(self) -> int:
-        return self._route.rank
-
-    @property
-    def congested(self) -> bool:
-        if self._in_turn:
-            return bool(self._messages)
-        return self.queued or bool(self._messages) or not self._scheduler.is_free(self.via)
-
-    @property
-    def batch_bytes(self) -> int:
-        return self._scheduler.chunk
-
-    @property
-    def waits(self) -> bool:
-        return self._asked or bool(self._messages)
-
-    @property
-    def pace(self) -> Pace:
-        scheduler = self._scheduler
-        if not self.congested:
-            return Pace.FREE
-        if scheduler.grows:  # what waits in the kernel alone is no sign of an overload: the path may have stalled
-            return Pace.STOPPED if self.via.congested else Pace.FREE
-        return Pace.SLOW if scheduler.moves else Pace.STOPPED
-
-    @property
-    def grows(self) -> bool:
-        """Whether the link's window still grows."""
-        return self._scheduler.grows
-
-    def ask(self) -> None:
-        self._asked = True
-        if not self._in_turn:
-            self._scheduler.join(self)
-            self._scheduler.run()
+        self._at = 0  # bytes of the first message that are sent
 
     def send(self, batch: Sequence[Message]) -> None:
         if self._in_turn:
@@ -138,20 +89,11 @@ class StreamSender(_StreamEnd):
             self._scheduler.charge(self, len(data))
             self._scheduler.write(self.via, data)
             return
-        self._messages += batch
-        self._scheduler.join(self)
-        self._scheduler.run()
+        self._wait(batch)
 
     def take_turn(self, limit: int) -> bytes | memoryview:
-        if not self._messages:
-            self._asked, self._in_turn = False, True
-            try:
-                self._route.flush()
-            finally:
-                self._in_turn = False
-            if not self._messages:
-                self._asked = False  # a route that asks and gives nothing would get turns without end
-                return b""
+        if not self._messages and not self._fill():
+            return b""
         payload = self._messages[0][0]
         if not self._at and self._must_move(len(payload)):
             moved = self._writer.write_moved()
@@ -186,9 +128,7 @@ class StreamSender(_StreamEnd):
         return piece[:used]
 
     def close(self, reason: str) -> None:
-        self._messages.clear()
-        self._asked = False
-        self._scheduler.leave(self)
+        self.leave()
         super().close(reason)
 
     def uses(self, stream: DataStream) -> bool:

@@ -9,8 +9,10 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from rsb_bridge.channel.datagram_carrier import DatagramCarrier
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.wire.datagram import Probe, Receipt, by_addressee, unpack_probe
+from rsb_bridge.transport.transport import RECEIVE_BUFFER
+from rsb_bridge.wire.datagram import MOST_ARRIVED, Probe, Receipt, by_addressee, unpack_probe
 from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import PROBE_ROUTE
 
@@ -18,8 +20,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rsb_bridge.channel.data_keys import DataKeys
+    from rsb_bridge.channel.scheduler import Scheduler
     from rsb_bridge.transport.streams import Address
     from rsb_bridge.transport.transport import Datagrams, DatagramSocket, DatagramTransport, SendPath
+    from rsb_bridge.wire.datagram import Arrived
     from rsb_bridge.wire.sealing import Buffer
 
 
@@ -91,12 +95,16 @@ class BufferShortage(NamedTuple):
 class DatagramSource(Protocol):
     """The sending end of a route's channel."""
 
-    def writable(self) -> None:
-        """Continue to send: the socket takes more again."""
+    def receipt(self, arrived: Arrived, buffer: int) -> None:
+        """Take the route's part of a receipt; the receiver's buffer has so many bytes."""
         ...
 
-    def receipt(self, receipt: Receipt) -> None:
-        """Take the peer's receipt."""
+    def written_off(self) -> None:
+        """Count all datagrams that were sent as no longer in transit."""
+        ...
+
+    def given_up(self) -> None:
+        """Drop the rest of a message whose beginning has probably not arrived."""
         ...
 
 
@@ -105,6 +113,10 @@ class DatagramSink(Protocol):
 
     def received(self, datagrams: Sequence[Buffer], now: float) -> bool:
         """Take datagrams of the route; return whether they completed a message, which is authentic then."""
+        ...
+
+    def news(self) -> Arrived | None:
+        """Return the route's part of a receipt, or None if nothing came since the last one."""
         ...
 
     def expire(self, now: float) -> None:
@@ -123,7 +135,9 @@ class UdpChannel:
         received_bytes: so far.
         sent_bytes: so far.
         on_close: called when it is over.
+        on_asked: called when the peer has asked for a receipt.
         shortages: shortages of receive buffers; the key is whether this side lacks the memory.
+        receive_buffer: bytes that the kernel grants of this socket's receive buffer, as of the last second.
     """
 
     def __init__(
@@ -142,6 +156,7 @@ class UdpChannel:
         self.received_bytes = 0
         self.sent_bytes = 0
         self.on_close: Callable[[], None] = _nothing
+        self.on_asked: Callable[[], None] = _nothing
         self.shortages: dict[bool, BufferShortage] = {}
         self._probe = probe
         self._now = now
@@ -150,13 +165,30 @@ class UdpChannel:
         self._path: SendPath | None = None
         self._began = self.received_at = now()
         self._heard: float | None = None
+        self.receive_buffer = socket.receive_buffer
+        self._carrier: DatagramCarrier | None = None
         self._senders: dict[int, DatagramSource] = {}
         self._receivers: dict[int, DatagramSink] = {}
 
+    def sending(self, scheduler: Scheduler) -> DatagramCarrier:
+        """Return the carrier of what is sent on this channel."""
+        if self._carrier is None:
+            self._carrier = DatagramCarrier(self, scheduler)
+            self.socket.when_writable.add(self._carrier.writable)
+        return self._carrier
+
     def add_sender(self, route_id: int, sender: DatagramSource) -> None:
-        """Tell a route what concerns its pace."""
+        """Give a route the receipts for its datagrams."""
         self._senders[route_id] = sender
-        self.socket.when_writable.add(sender.writable)
+
+    def written_off(self) -> None:
+        """See `rsb_bridge.channel.datagram_carrier.Datagrams`, and so for `given_up`."""
+        for sender in self._senders.values():
+            sender.written_off()
+
+    def given_up(self) -> None:
+        for sender in self._senders.values():
+            sender.given_up()
 
     def add_receiver(self, route_id: int, receiver: DatagramSink) -> None:
         """Give a route its datagrams."""
@@ -164,9 +196,7 @@ class UdpChannel:
 
     def remove(self, route_id: int) -> None:
         """Remove a route; the last one closes the UDP channel."""
-        sender = self._senders.pop(route_id, None)
-        if sender is not None:
-            self.socket.when_writable.discard(sender.writable)
+        self._senders.pop(route_id, None)
         self._receivers.pop(route_id, None)
         if not self._senders and not self._receivers:
             self.close()
@@ -182,9 +212,18 @@ class UdpChannel:
         assert self._peer is not None, "a UDP channel sends only once it is ready"
         return self.socket.datagram_size(self._peer)
 
-    def acknowledge(self, receipt: Receipt) -> None:
-        """Say what has come of a route."""
-        if self._peer is not None:
+    def asked(self) -> None:
+        """Send a receipt: the peer has asked for one."""
+        self.send_receipts()
+        self.on_asked()
+
+    def send_receipts(self) -> None:
+        """Say what has come of all routes since the last receipt."""
+        if self._peer is None:
+            return
+        news = [each for receiver in self._receivers.values() if (each := receiver.news()) is not None]
+        for first in range(0, len(news), MOST_ARRIVED):
+            receipt = Receipt(self.receive_buffer, tuple(news[first : first + MOST_ARRIVED]))
             self.send(self._probe.write(receipt, self.datagram_size()))
 
     def received(self, route_id: int, datagrams: Sequence[Buffer], address: Address) -> None:
@@ -218,9 +257,12 @@ class UdpChannel:
             self._heard = now
 
     def _receipted(self, receipt: Receipt) -> None:
-        sender = self._senders.get(receipt.route)
-        if sender is not None:
-            sender.receipt(receipt)
+        for each in receipt.arrived:
+            sender = self._senders.get(each.route)
+            if sender is not None:
+                sender.receipt(each, receipt.buffer)
+        if self._carrier is not None:
+            self._carrier.receipt(receipt.buffer)
 
     def _probed(self, probe: Probe, address: Address) -> bool:
         """Take an authentic probe; return whether it came from the peer's own address."""
@@ -231,8 +273,13 @@ class UdpChannel:
         now = self._now()
         quiet = now - (self._began if self._heard is None else self._heard)
         self.trouble = self._silence() if quiet > _SILENT else ""
+        if self.receive_buffer < RECEIVE_BUFFER:
+            self.receive_buffer = self.socket.receive_buffer  # its limit may have been raised
         for receiver in self._receivers.values():
             receiver.expire(now)
+        self.send_receipts()
+        if self._carrier is not None:
+            self._carrier.tick()
 
     def _silence(self) -> str:
         raise NotImplementedError
@@ -241,6 +288,9 @@ class UdpChannel:
         """Free what is its own. May be called twice."""
         if not self.over:
             self.over = True
+            if self._carrier is not None:
+                self.socket.when_writable.discard(self._carrier.writable)
+                self._carrier.close()
             self._free()
             self.on_close()
 

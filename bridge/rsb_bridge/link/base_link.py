@@ -491,7 +491,8 @@ class BaseLink(ABC):
         if isinstance(transport, StreamTransport):
             self._use_streams(route, transport, port)
         elif (udp_channel := self.channels.udp.get(port) or self._new_udp_channel(transport, port)) is not None:
-            route.channel = datagram_channel(udp_channel, route, self.channels.keys)
+            assert self.channels.scheduler is not None
+            route.channel = datagram_channel(udp_channel, route, self.channels.keys, self.channels.scheduler)
 
     def _use_streams(self, route: Route, transport: StreamTransport, port: int) -> None:
         pair = self.channels.pair_of(transport.name, port)

@@ -45,11 +45,18 @@ class UdpChannels:
 
     Args:
         log: adds an event about the link.
+        report: sends receipts of the link's streams.
     """
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, log: Callable[[Level, EventCode, str], None]) -> None:
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        log: Callable[[Level, EventCode, str], None],
+        report: Callable[[], None],
+    ) -> None:
         self._loop = loop
         self._log = log
+        self._report = report
         self._channels: dict[int, UdpChannel] = {}
         self._shortages_told: set[bool] = set()
 
@@ -61,6 +68,7 @@ class UdpChannels:
     def add(self, port: int, channel: UdpChannel) -> None:
         """Add a new channel."""
         self._channels[port] = channel
+        channel.on_asked = self._report
 
     def open(self, port: int, channel: UdpChannel) -> None:
         """Add a new channel, and probe its path."""
@@ -140,7 +148,7 @@ class DataChannels:
         self.keys: DataKeys | None = None
         self.scheduler: Scheduler | None = None
         self.probe: PathProbe | None = None
-        self.udp = UdpChannels(loop, log)
+        self.udp = UdpChannels(loop, log, self._report)
         self._book: ReceiptBook | None = None
         self._pairs: dict[tuple[str, int], StreamPair] = {}
         self._newest = 0
@@ -167,11 +175,11 @@ class DataChannels:
             if not pair.over:
                 pair.end("the link is over")
         self._pairs.clear()
+        self.udp.close()
         if self._book is not None and self.scheduler is not None:
             self._book.close()
             self.scheduler.close()
         self.keys = self.scheduler = self.probe = self._book = None
-        self.udp.close()
 
     # --- streams
 
@@ -258,11 +266,16 @@ class DataChannels:
         self.udp.tick()
         if self.scheduler is not None:
             self.scheduler.tick()
+        self._report()
         for key, pair in tuple(self._pairs.items()):
             if pair.over:
                 del self._pairs[key]
             else:
                 pair.tick()
+
+    def _report(self) -> None:
+        if self._book is not None:
+            self._book.report()
 
     def carriers(self, control: ControlChannel | None) -> set[Carrier]:
         """Return all streams and UDP channels, including the control connection's."""

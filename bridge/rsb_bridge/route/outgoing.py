@@ -13,7 +13,7 @@ import msgspec
 
 from rsb_bridge.channel.channel import SendingChannel
 from rsb_bridge.channel.datagram_channel import DatagramSender
-from rsb_bridge.channel.stream_channel import StreamSender
+from rsb_bridge.channel.sending_end import SendingEnd
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.ros.ros_interface import RosError
@@ -586,7 +586,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     @property
     def starts(self) -> bool:
         """Whether its channel does not yet send as fast as it can, so that messages wait though the link has room."""
-        return isinstance(self.channel, StreamSender) and self.channel.grows
+        return isinstance(self.channel, SendingEnd) and self.channel.grows
 
     @property
     def messages_by_datagrams(self) -> float:

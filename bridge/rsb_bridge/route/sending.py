@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from itertools import groupby
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
@@ -51,11 +52,13 @@ class QueueLimits(NamedTuple):
         depth: messages of one publisher (or of all where publishers are not distinguished), or 0 for any number.
         younger_than: s; younger messages may wait even beyond the depth.
         size: bytes.
+        older_than: s; older messages do not wait even within the depth.
     """
 
     depth: int
     younger_than: float
     size: int
+    older_than: float = math.inf
 
 
 class SendQueue:
@@ -99,7 +102,8 @@ class SendQueue:
                     break
                 self._forget(*self.waiting[index])
                 del self.waiting[index]
-        while self._size > limits.size and len(self.waiting) > 1:
+        latest = now - limits.older_than
+        while len(self.waiting) > 1 and (self._size > limits.size or self.waiting[0][2] < latest):
             self._forget(*self.waiting.popleft())
         return before - len(self.waiting)
 
@@ -282,14 +286,16 @@ class Outbox:
         size = _QUEUE_BYTES + self.largest
         if best_effort:
             size = profile.queue_bytes or (_SLOW_QUEUE_BYTES if self._transport.slow else size)
+        live = best_effort and self._automatic and qos is not None and not qos.latched
+        oldest = WAITS if live else math.inf
         if qos is None or qos.history == "keep_all" or pace is Pace.FREE:
-            return QueueLimits(0, 0.0, size)
+            return QueueLimits(0, 0.0, size, oldest)
         automatic = self._automatic and not best_effort
         if automatic and self._overload.lasts and not qos.latched:
             return QueueLimits(1, WAITS, size)
         most = qos.depth or (profile.depth if best_effort else _AUTO_DEPTH)
         kept_for = AUTO_SECONDS if profile.patience is None else profile.patience
-        return QueueLimits(max(depth, most), kept_for if automatic else 0.0, size)
+        return QueueLimits(max(depth, most), kept_for if automatic else 0.0, size, oldest)
 
     def _fits(self, size: int) -> bool:
         """Whether the transport carries a message of so many bytes; one that it does not is dropped."""

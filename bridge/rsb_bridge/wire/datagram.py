@@ -7,12 +7,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from rsb_bridge.wire.framing import (
-    HISTORY,
-    LEASED,
     MESSAGE_LIMIT,
-    SOURCE_FLAGS,
     UNFINISHED_LIMIT,
-    ZSTD,
     Budget,
     Message,
 )
@@ -32,9 +28,12 @@ _HEADER = struct.Struct(">BBHHI8sQIQ")
 _HEADER_SIZE = _HEADER.size
 _unpack_addressee = struct.Struct(">I8s").unpack_from
 _PROBE = struct.Struct(">?Q")
-_RECEIPT = struct.Struct(">BIQQI")
+_RECEIPT, _ARRIVED = struct.Struct(">BI"), struct.Struct(">IQQ")
 _RECEIPT_KIND = 2
-_UNKNOWN_FLAGS = 0xFF & ~(ZSTD | HISTORY | LEASED | SOURCE_FLAGS)
+MOST_ARRIVED = 50
+"""Routes of one receipt, which fits into a datagram of 1,200 bytes."""
+_ASKS = 2
+"""A datagram's flag: its sender wants a receipt now."""
 _FRAGMENT_COST = 400
 """Bytes of memory that a fragment takes beyond its content: many tiny ones must not take more than is counted."""
 
@@ -83,23 +82,33 @@ class Probe(NamedTuple):
         return cls._make(_PROBE.unpack(payload))
 
 
-class Receipt(NamedTuple):
-    """Another payload of `PROBE_ROUTE`'s messages: what a receiver has of a route, for its sender's pace.
+class Arrived(NamedTuple):
+    """The datagrams of one route that a receiver has.
 
     Attributes:
         newest: the highest sequence number opened.
         opened: datagrams opened so far.
-        buffer: bytes of the kernel's receive buffer on the receiver's side, at most 2**32 - 1.
     """
 
     route: int
     newest: int
     opened: int
+
+
+class Receipt(NamedTuple):
+    """Another payload of `PROBE_ROUTE`'s messages: what a receiver has of some routes, for their sender's pace.
+
+    Attributes:
+        buffer: bytes of the kernel's receive buffer on the receiver's side, at most 2**32 - 1.
+        arrived: of at most `MOST_ARRIVED` routes.
+    """
+
     buffer: int
+    arrived: tuple[Arrived, ...]
 
     def pack(self) -> bytes:
         """Return the receipt as a payload."""
-        return _RECEIPT.pack(_RECEIPT_KIND, *self)
+        return _RECEIPT.pack(_RECEIPT_KIND, self.buffer) + b"".join([_ARRIVED.pack(*each) for each in self.arrived])
 
 
 def unpack_probe(payload: bytes) -> Probe | Receipt:
@@ -108,12 +117,29 @@ def unpack_probe(payload: bytes) -> Probe | Receipt:
     Raises:
         ProtocolError: the payload is neither a probe nor a receipt.
     """
-    if len(payload) != _RECEIPT.size:
+    length = len(payload) - _RECEIPT.size
+    if length < 0 or length % _ARRIVED.size:
         return Probe.unpack(payload)
-    kind, *fields = _RECEIPT.unpack(payload)
+    kind, buffer = _RECEIPT.unpack_from(payload)
     if kind != _RECEIPT_KIND:
         raise ProtocolError(Broken.RECEIPT_UNKNOWN(kind=kind))
-    return Receipt._make(fields)
+    return Receipt(buffer, tuple(map(Arrived._make, _ARRIVED.iter_unpack(payload[_RECEIPT.size :]))))
+
+
+class Cut(NamedTuple):
+    """A message in pieces, each for a datagram.
+
+    Attributes:
+        number: of the message.
+        pieces: all but the last of one size.
+        stamp: ns since the epoch.
+        flags: as of `rsb_bridge.wire.framing.Message`.
+    """
+
+    number: int
+    pieces: Sequence[Buffer]
+    stamp: int
+    flags: int
 
 
 class DatagramWriter:
@@ -141,17 +167,24 @@ class DatagramWriter:
         """Return how many datagrams of at most `max_datagram` bytes a message of `size` bytes takes."""
         return max(-(-size // (max_datagram - self._overhead)), 1)
 
+    def room(self, max_datagram: int) -> int:
+        """Return the bytes of a message that one datagram of at most `max_datagram` bytes carries."""
+        return max_datagram - self._overhead
+
     def write(self, payload: Buffer, stamp: int, flags: int, max_datagram: int) -> list[bytes]:
         """Return one message as datagrams: see `write_many`."""
         return self.write_many(((payload, stamp, flags),), max_datagram)
 
-    def write_many(self, messages: Iterable[tuple[Buffer, int, int]], max_datagram: int) -> list[bytes]:
+    def write_many(
+        self, messages: Iterable[tuple[Buffer, int, int]], max_datagram: int, *, asks: bool = False
+    ) -> list[bytes]:
         """Return messages as datagrams, each message's of one size but the last: the kernel takes such at once.
 
         Args:
             messages: each the serialized message, its stamp (ns since the epoch), and its flags
                 (`rsb_bridge.wire.framing.ZSTD`, `rsb_bridge.wire.framing.HISTORY`).
             max_datagram: bytes that a datagram may have.
+            asks: whether the first datagram asks for a receipt.
 
         Raises:
             ValueError: a message needs more than `FRAGMENTS_LIMIT` datagrams; no datagram of it was written.
@@ -159,6 +192,7 @@ class DatagramWriter:
         pack, sealer, route, link_id = _HEADER.pack, self._sealer, self._route, self._link_id
         room = max_datagram - self._overhead
         datagrams: list[bytes] = []
+        asking = _ASKS if asks else 0
         for payload, stamp, flags in messages:
             length = len(payload)
             if length > self.largest:  # noqa: PLR1730 - max() takes three times as long
@@ -167,8 +201,34 @@ class DatagramWriter:
             self.number += 1
             number, count = self.number & 0xFFFFFFFF, len(pieces)
             for index, piece in enumerate(pieces):
-                header = pack(MAGIC, flags, index, count, route, link_id, sealer.sequence, number, stamp)
+                header = pack(MAGIC, flags | asking, index, count, route, link_id, sealer.sequence, number, stamp)
                 datagrams.append(header + sealer.seal(piece, header))
+                asking = 0
+        return datagrams
+
+    def cut(self, message: Message, max_datagram: int) -> Cut:
+        """Cut a message to write its datagrams little by little.
+
+        Raises:
+            ValueError: the message needs more than `FRAGMENTS_LIMIT` datagrams.
+        """
+        payload, stamp, flags = message
+        pieces = _cut(payload, max_datagram - self._overhead)
+        self.largest = max(self.largest, len(payload))
+        self.number += 1
+        return Cut(self.number & 0xFFFFFFFF, pieces, stamp, flags)
+
+    def write_pieces(self, cut: Cut, begin: int, end: int, *, asks: bool = False) -> list[bytes]:
+        """Return the datagrams of some pieces; `asks` as for `write_many`."""
+        number, pieces, stamp, flags = cut
+        sealer, count = self._sealer, len(pieces)
+        datagrams: list[bytes] = []
+        for index in range(begin, min(end, count)):
+            asking = _ASKS if asks and index == begin else 0
+            header = _HEADER.pack(
+                MAGIC, flags | asking, index, count, self._route, self._link_id, sealer.sequence, number, stamp
+            )
+            datagrams.append(header + sealer.seal(pieces[index], header))
         return datagrams
 
 
@@ -200,7 +260,7 @@ class DatagramReader:
         expired: messages given up incomplete.
         newest: the highest message number seen.
         opened: datagrams opened so far.
-        opened_bytes: bytes of them.
+        asked: whether one of them asked for a receipt; set back by who sends it.
     """
 
     def __init__(
@@ -220,7 +280,7 @@ class DatagramReader:
         self.expired = 0
         self.newest = 0
         self.opened = 0
-        self.opened_bytes = 0
+        self.asked = False
         self._opener = opener
         self._route = route
         self._budget = budget or Budget(UNFINISHED_LIMIT)
@@ -252,14 +312,16 @@ class DatagramReader:
         view = memoryview(datagram)
         header = view[:_HEADER_SIZE]
         magic, flags, index, count, route, _, sequence, number, stamp = _HEADER.unpack(header)
-        if magic != MAGIC or flags & _UNKNOWN_FLAGS or index >= count or route != self._route:
+        if magic != MAGIC or index >= count or route != self._route:
             return None
         try:
             content = self._opener.open(sequence, view[_HEADER_SIZE:], header)
         except SealError:
             return None
         self.opened += 1
-        self.opened_bytes += len(datagram)
+        if flags & _ASKS:
+            self.asked = True
+            flags ^= _ASKS
         # The full message number is the one nearest to the newest (RFC 1982).
         ahead = (number - self.newest) & 0xFFFFFFFF
         if ahead < 2**31:
@@ -271,11 +333,18 @@ class DatagramReader:
         whole = self._gather(number, index, count, content, now)
         return None if whole is None else (whole, stamp, flags)
 
-    def expire(self, now: float, older_than: float = 1.0) -> None:
-        """Give up the incomplete messages of which nothing has come for more than `older_than` s."""
+    def expire(self, now: float, older_than: float = 1.0, newest_older_than: float | None = None) -> None:
+        """Give up the incomplete messages of which nothing has come for more than `older_than` s.
+
+        Args:
+            newest_older_than: s for the newest message, whose next datagram may wait for its turn.
+        """
         while self._incomplete:
             number, oldest = next(iter(self._incomplete.items()))
-            if now - oldest.last_seen <= older_than:
+            patience = older_than
+            if newest_older_than is not None and number == self.newest:
+                patience = newest_older_than
+            if now - oldest.last_seen <= patience:
                 break
             self._give_up(number)
 

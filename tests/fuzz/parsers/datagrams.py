@@ -8,7 +8,16 @@ import struct
 from tests.fuzz.editing import behind, edit_bytes
 from tests.fuzz.parser import Parser
 
-from rsb_bridge.wire.datagram import MAGIC, DatagramReader, DatagramWriter, Probe, Receipt, by_addressee, unpack_probe
+from rsb_bridge.wire.datagram import (
+    MAGIC,
+    Arrived,
+    DatagramReader,
+    DatagramWriter,
+    Probe,
+    Receipt,
+    by_addressee,
+    unpack_probe,
+)
 from rsb_bridge.wire.framing import Budget
 from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import DatagramOpener, Sealer, SealError, Suite
@@ -105,6 +114,10 @@ PARSERS = (
             for suite in (Suite.PLAIN, Suite.CHACHAPOLY)
         ),
     ),
-    Parser("probe", _read_probe, (Probe(pong=True, opaque=2**64 - 1).pack(), Receipt(7, 2**40, 2**33, 1 << 23).pack())),
+    Parser(
+        "probe",
+        _read_probe,
+        (Probe(pong=True, opaque=2**64 - 1).pack(), Receipt(1 << 23, (Arrived(7, 2**40, 2**33),)).pack()),
+    ),
     Parser("datagram_round_trip", _round_trip, (b"\3any content", bytes(400)), behind(1, edit_bytes)),
 )

@@ -1,0 +1,14 @@
+"""The scheduler of a link without streams."""
+
+from __future__ import annotations
+
+import asyncio
+
+from rsb_bridge.channel.receipts import ReceiptBook
+from rsb_bridge.channel.scheduler import Scheduler
+from rsb_bridge.channel.window import Window
+
+
+def lone_scheduler() -> Scheduler:
+    """Return a scheduler on the running loop."""
+    return Scheduler(ReceiptBook(asyncio.get_running_loop(), lambda _: None), Window(0))
