@@ -155,12 +155,16 @@ def test_a_reliable_one_waits_in_its_queue(play: Play) -> None:
 
 
 def test_equals_share_equally(play: Play) -> None:
-    """A topic that asks for less than its share gets all of it, as fresh as on a fast link."""
+    """A topic that asks for less than its share gets all of it, and is never last in a queue of its own.
+
+    Its age is that of the path: the window lets the oldest byte get 0.8 s old before it shrinks, and a large message
+    of the other topic and the way back come on top. Of 12 seeds, the worst had 1.16 s.
+    """
     slow = Slow(1, [Asked("normal", 30.0, 8_000), Asked("normal", 20.0, 1_000)])
     play(slow.world, 120.0, slow.live())
     assert slow.rates[1] > 0.95 * 20.0
     assert slow.shown[1].latency_p99 is not None
-    assert slow.shown[1].latency_p99 < 1.0
+    assert slow.shown[1].latency_p99 < 1.3
     assert 6.0 < slow.rates[0] < 11.0
 
 
