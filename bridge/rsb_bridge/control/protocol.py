@@ -10,7 +10,6 @@ consoles of another one, with the words that tell which side to update.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Generic, TypeAlias, TypeVar, cast, get_args, get_origin
 
 import msgspec
@@ -32,7 +31,6 @@ from rsb_bridge.model.snapshot import (
     RouteSnapshot,
     TopicInfo,
 )
-from rsb_bridge.model.verdict import state_for_any, state_of
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -378,8 +376,6 @@ def result_of(command: Command[R], reply: Reply) -> R:
 
 def encode_route(route: RouteSnapshot) -> msgspec.Raw:
     """Return a route as bytes for a `State`."""
-    if (state := state_for_any(route.state)) is not route.state:  # an older console would refuse what it does not know
-        route = replace(route, state=state)
     return msgspec.Raw(_encoder.encode(route))
 
 
@@ -389,9 +385,7 @@ def decode_route(raw: msgspec.Raw) -> RouteSnapshot:
     Raises:
         ProtocolError: it is none.
     """
-    route = _decoded(_route, raw)
-    state = state_of(route.state, route.cause)
-    return route if state is route.state else replace(route, state=state)
+    return _decoded(_route, raw)
 
 
 class Frames(Generic[M]):
