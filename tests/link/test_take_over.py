@@ -10,7 +10,7 @@ from tests.link.test_route_table import Pair, Side, hear_all
 from tests.support.wording import says
 
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.holder_questions import _AT_ONCE, FEATURE, TakeOverText
+from rsb_bridge.link.holder_questions import _AT_ONCE, TakeOverText
 from rsb_bridge.model.by_hand import ASKED_FOR
 from rsb_bridge.model.command_origin import acting
 from rsb_bridge.route.arming import Disarmed
@@ -158,12 +158,6 @@ def test_one_asks_at_a_time_and_nobody_oneself(pair: Pair, loop: VirtualLoop) ->
     assert says(problem(ask(pair[0], loop)), TakeOverText.KEPT)
     first.cancel()
     turn(loop)
-
-
-def test_an_older_side_is_not_asked(pair: Pair, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pair[0], "features", tuple(each for each in pair[0].features if each != FEATURE))
-    assert says(problem(ask(pair[0], loop)), TakeOverText.PEER_TOO_OLD)
-    assert not shown(pair[1]).asked_by
 
 
 def test_a_side_that_asks_again_and_again_is_not_heard(pair: Pair, loop: VirtualLoop) -> None:

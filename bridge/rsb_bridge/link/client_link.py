@@ -21,7 +21,6 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, StreamProblem, os_error_message
-from rsb_bridge.wire import sealing
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.events import Accepted, Established, Event, RefusalCode
 from rsb_bridge.wire.messages import Duplicate, Shutdown, Welcome
@@ -91,10 +90,6 @@ class ClientLink(Link):
     @property
     def fingerprints(self) -> tuple[str, str]:
         return fingerprint(self.key) if self.key is not None else "", ""
-
-    @property
-    def sample_secret(self) -> bytes | None:
-        return super().sample_secret if sealing.FEATURE in self._hello.features else None
 
     def shared_port(self) -> int:
         return self.port

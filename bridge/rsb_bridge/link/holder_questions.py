@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.peer_operators import acting_operator
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import HolderMessage
 
-FEATURE: Final = "take_over"
-"""The feature by which a side asks the holders of its own consoles."""
 _AT_ONCE, _A_SECOND = 5.0, 1 / 30
 """Questions of one link's peer that holders see: further ones would only disturb those who drive."""
 
@@ -34,7 +32,6 @@ class TakeOverText(Wording):
     KEPT = "{topic} stays with its holder ({who})"
     HELD_HERE = "this console has armed {topic} already"
     ASKED_ALREADY = "{topic} is asked for already ({who}): wait for the answer"
-    PEER_TOO_OLD = "the other side's rsb-console is too old to ask the holder: disarm {topic}, then arm it"
     NOT_ASKED = "nobody asks for {topic} any more"
     NOT_YOURS = "{topic} was armed on another console, which answers for it"
 
@@ -68,8 +65,6 @@ class HolderQuestions:
         if (before := arming.question_at(self._context.now())) is not None:
             raise LinkError(TakeOverText.ASKED_ALREADY(who=before.who, topic=topic))
         holder, is_there = arming.by, arming.console is None
-        if is_there and FEATURE not in self._peer.features:
-            raise LinkError(TakeOverText.PEER_TOO_OLD(topic=topic))
         route_id, who = route.id, acting_operator()
         answer: asyncio.Future[bool | None] = self._context.loop.create_future()
         arming.question = question = Question(who, self._context.now() + ASKED_FOR, _once(answer))

@@ -164,8 +164,6 @@ class EventCode(StrEnum):
     ROUTE_CONNECTED = "route.connected"
     ROUTE_AMENDED = "route.amended"
     """The route goes on with another rate limit, expected rate or time until it is stale."""
-    ROUTE_MAX_AGE_ONE_SIDED = "route.max_age_one_sided"
-    """The other side is too old to drop messages for their age; this side does so alone."""
     ROUTE_PAUSED = "route.paused"
     ROUTE_RESUMED = "route.resumed"
     ROUTE_DISARMED = "route.disarmed"

@@ -277,7 +277,7 @@ class Topics(Command[tuple[TopicInfo, ...]], frozen=True, tag="topics"):
     """List the topics, services, actions and nodes that can be bridged.
 
     Attributes:
-        link: whose peer's graph to list, or None for the graph of this side. An older peer lists topics only.
+        link: whose peer's graph to list, or None for the graph of this side.
     """
 
     right = Right.LOOK

@@ -97,7 +97,7 @@ class CallsRoute(Route):
         self._said: dict[str, float] = {}
 
     def _stamp_now(self) -> int:
-        return shifted(self.context.clock.time_ns(), self.peer.stamp_shift)
+        return shifted(self.context.clock.time_ns(), self.context.stamps.shift)
 
     # --- what the halves do differently
 
