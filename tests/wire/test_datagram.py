@@ -295,7 +295,7 @@ def test_receipts_are_as_the_document_says(route: int, newest: int, opened: int,
     assert unpack_probe(receipt.pack()) == receipt
     with pytest.raises(ProtocolError, match=pattern(Broken.RECEIPT_UNKNOWN, kind=3)):
         unpack_probe(b"\3" + receipt.pack()[1:])
-    with pytest.raises(ProtocolError, match=pattern(Broken.PROBE_INVALID, length=25)):
+    with pytest.raises(ProtocolError, match=pattern(Broken.PROBE_INVALID, length=25)):  # what an older side makes of it
         Probe.unpack(receipt.pack())
 
 

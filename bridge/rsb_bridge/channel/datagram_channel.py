@@ -99,7 +99,7 @@ class Pacer:
         self._sent += size
         self._under_way.append((sequence, self._sent, now))
         if not self.window and len(self._under_way) > 1 and now - self._under_way[0][2] > _PATIENCE:
-            self._passed = self._under_way.popleft()[:2]  # the receipts may all have got lost
+            self._passed = self._under_way.popleft()[:2]  # a peer that sends no receipts
             self._arrived = self._passed[1]
 
     def receipt(self, newest: int, opened: int, buffer: int, now: float) -> None:
