@@ -592,8 +592,10 @@ def test_leaving_the_screen_asks_no_longer(clock: Clock) -> None:
         await shown(pilot, HandOverText.HELD, topic="/cmd_vel")
         await pilot.press("y")
         await until(pilot, lambda: asking, "the question")
-        put(app, replace(ELSEWHERE, arming=replace(QUESTION, by="bert on pts/2", asked_by="anna")))
+        engine.kept.clear()
+        put(app, replace(ELSEWHERE, arming=replace(QUESTION, by="bert on pts/2", here=False, asked_by="anna")))
         await shown(pilot, DriveText.ASKED, who="bert on pts/2", seconds=7.0)
+        await until(pilot, lambda: engine.kept, "a sign of life, without which the question ends")
         await pilot.press("escape")
         await until(pilot, asking[0].cancelled, "no question")
 
