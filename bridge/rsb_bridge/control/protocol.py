@@ -160,10 +160,12 @@ class Welcome(_Message, frozen=True, tag="welcome"):
     Attributes:
         bridge: the one that answers.
         read_only: whether the bridge refuses this console all changes.
+        may_take: whether this console may take an arming from its holder without asking.
     """
 
     bridge: BridgeInfo
     read_only: bool = False
+    may_take: bool = True
 
 
 class Refused(_Message, frozen=True, tag="refused"):

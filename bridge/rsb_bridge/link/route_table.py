@@ -43,13 +43,13 @@ from rsb_bridge.wire.messages import (
     Arm,
     Armed,
     ArmingMessage,
+    AskEnded,
     AskForArming,
     ByHand,
     Close,
     Describe,
     Disarm,
     HolderMessage,
-    HolderSays,
     Lease,
     LeaseMessage,
     Limit,
@@ -513,7 +513,7 @@ class RouteTable(Extension):
                 self._peer_operators.called(route, message)
             case Arm() | Armed() | Disarm():
                 self.arming.handle(route, message)
-            case AskForArming() | HolderSays():
+            case AskForArming() | AskEnded():
                 self.questions.handle(route, message)
 
     # --- time

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
@@ -483,30 +483,34 @@ ArmingMessage: TypeAlias = Arm | Armed | Disarm
 
 
 class AskForArming(ControlMessageBase, frozen=True):
-    """Either side: an operator asks the holder, an operator of the other side, for the arming of a route.
+    """Either side: an operator asks the holder, an operator of either side, for the arming of a route.
 
     Attributes:
         who: the operator who asks, in words.
-        withdrawn: whether that operator asks no longer.
     """
 
     route: RouteId
     who: Name = ""
-    withdrawn: bool = False
 
 
-class HolderSays(ControlMessageBase, frozen=True):
-    """The holder's answer to `AskForArming`. A side whose operator gets it disarms the route, then arms it.
+HowAsked: TypeAlias = Literal["kept", "given", "unanswered", "withdrawn"]
+
+
+class AskEnded(ControlMessageBase, frozen=True):
+    """Either side: a question for the arming of a route is over. The asker's side disarms it, then arms it.
 
     Attributes:
-        gives: whether the holder gives it.
+        how: the holder keeps or gives it, as the holder's side says, or has not answered in time; or the operator who
+            asked is gone, as that one's side says.
+        own: whether an operator of the side that sends this had asked.
     """
 
     route: RouteId
-    gives: bool
+    how: HowAsked
+    own: bool = False
 
 
-HolderMessage: TypeAlias = AskForArming | HolderSays
+HolderMessage: TypeAlias = AskForArming | AskEnded
 
 
 Size: TypeAlias = Annotated[int, Meta(ge=0, le=MOST_SIZE)]
@@ -712,7 +716,7 @@ ControlMessage: TypeAlias = (
     | Armed
     | Disarm
     | AskForArming
-    | HolderSays
+    | AskEnded
     | Settled
     | Lease
     | Ping
