@@ -39,8 +39,9 @@ class Heard(NamedTuple):
     """A command that reached the robot.
 
     Attributes:
-        at: s, when.
-        age: s.
+        at: s, when a bridge gave it to DDS. It may come later: a stop in the middle of a write to shared memory loses
+            it there, and Fast DDS holds what follows until its next heartbeat, for up to 3 s.
+        age: s, then.
     """
 
     at: float
@@ -58,9 +59,9 @@ class Motors:
         self._thread = threading.Thread(target=self._spin)
         self._thread.start()
 
-    def _take(self, message: String) -> None:
-        now = time.monotonic()
-        self.heard.append(Heard(now, now - float(message.data)))
+    def _take(self, message: String, about: dict[str, int]) -> None:
+        at = time.monotonic() - (time.time_ns() - about["source_timestamp"]) / 1e9
+        self.heard.append(Heard(at, at - float(message.data)))
 
     def _spin(self) -> None:
         with contextlib.suppress(ExternalShutdownException):
