@@ -366,7 +366,8 @@ class ClientLink(Link):
         assert self.control is not None
         if descriptors.scarce():
             return Failure(descriptors.scarcity_message("client"))
-        own = 0 if port == self.shared_port() else port
+        # Channel 11 is not port 11: the link's own streams are those of its own transport only.
+        own = 0 if transport is self.transport and port == self.shared_port() else port
         name = self.channels.next_name(own, large=large)
         connection = DataConnection(self.keys, name)
 
