@@ -41,14 +41,16 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--topic", dest="name", action="store_const", const=PLAIN, default=ROSOUT)
     parser.add_argument("--depth", type=int, default=_KEPT, help="of publishers of --topic")
+    parser.add_argument("--known", action="store_true", help="publish once DDS has found the bridge, and not at once")
     options = parser.parse_args()
     print("Hz | sent | heard | out of order | first s, near | p50 ms | max ms | late missing, more | ledger")
     for rate in map(float, options.rates.split(",")):
-        print(_measure(options.name, rate, options.seconds, options.publishers, options.depth), flush=True)
+        print(_measure(options, rate), flush=True)
 
 
-def _measure(name: str, rate: float, seconds: float, publishers: int, depth: int) -> str:
-    ends = [name, str(depth)]
+def _measure(options: argparse.Namespace, rate: float) -> str:
+    name = options.name
+    ends = [name, str(options.depth)]
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rsb-latched-")))
         listener = stack.enter_context(Process("-m", "bench.latched_ends", "listen", *ends))
@@ -59,9 +61,11 @@ def _measure(name: str, rate: float, seconds: float, publishers: int, depth: int
         while not listener.ask("matched")["matched"]:
             time.sleep(0.1)
         time.sleep(1)
-        talker = stack.enter_context(Process("-m", "bench.latched_ends", "talk", *ends, str(publishers)))
+        talker = stack.enter_context(
+            Process("-m", "bench.latched_ends", "talk", *ends, str(options.publishers), str(int(options.known)))
+        )
         talker.line()
-        count = max(1, int(rate * seconds))
+        count = max(1, int(rate * options.seconds))
         first = talker.ask(f"{rate} {count}")["first"]
         time.sleep(_SETTLES)
         heard: dict[str, Any] = listener.ask("report")

@@ -1,4 +1,4 @@
-"""The ends of `bench.latched`: ``talk TOPIC DEPTH PUBLISHERS`` and ``listen TOPIC DEPTH``, with stock rclpy nodes."""
+"""The ends of `bench.latched`, stock rclpy nodes: ``talk TOPIC DEPTH PUBLISHERS KNOWN`` and ``listen TOPIC DEPTH``."""
 
 from __future__ import annotations
 
@@ -40,18 +40,27 @@ def _say(**answer: Any) -> None:
     print(json.dumps(answer), flush=True)
 
 
-def talk(topic: str, depth: int, publishers: int) -> None:
-    """Publish ``RATE COUNT`` messages, in turn by each publisher."""
+def _is_known(node: Node, topic: str) -> bool:
+    """Whether it knows the bridge and the near listener as subscribers."""
+    return len({each.node_name for each in node.get_subscriptions_info_by_topic(topic)}) >= 2
+
+
+def talk(topic: str, depth: int, publishers: int, known: int) -> None:
+    """Publish ``RATE COUNT`` messages, in turn by each publisher; with `known`, once all know who subscribes."""
     _say(ready=True)
     for line in sys.stdin:
         rate, count = line.split()
         first = 0
         outs: list[Any] = []
+        nodes: list[Node] = []
         for number in range(publishers):
             logs = topic == _ROSOUT and publishers == 1  # rclpy has one node's logger publish
             node = _node(f"talker{number}", NEAR, rosout=logs)
+            nodes.append(node)
             kind, qos = (Log, _ROSOUT_QOS) if topic == _ROSOUT else (String, _latched(depth))
             outs.append(node.get_logger() if logs else node.create_publisher(kind, topic, qos))
+        while known and not all(_is_known(node, topic) for node in nodes):
+            time.sleep(0.05)
         due = time.monotonic()
         for number in range(int(count)):
             time.sleep(max(0.0, due - time.monotonic()))

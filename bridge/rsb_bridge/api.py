@@ -47,10 +47,12 @@ class EngineApi(ABC):
 
     Attributes:
         read_only: whether the engine refuses this console all changes.
+        may_take: whether this console may take an arming from its holder without asking.
         same_machine: whether the files that the engine names are on this machine.
     """
 
     read_only: bool = False
+    may_take: bool = True
     same_machine: bool = True
 
     @property

@@ -14,7 +14,7 @@ from tests.calls.ledgers import called, counts, nothing_left
 from tests.support import replaced
 from tests.support.bridge import happened, route
 from tests.support.waiting import eventually
-from tests.support.wording import pattern
+from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.engine.inspector import CALLS_AT_ONCE
@@ -23,6 +23,7 @@ from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import OWN_CONSOLE
 from rsb_bridge.model.session import Topic
+from rsb_bridge.route.calls.calling import CallingRoute, LandedText
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -105,7 +106,7 @@ def test_a_misspelt_field_is_the_requests_own_fault(bridge: Bridge, lamp: Lamp) 
 def test_both_sides_record_who_called_what(bridge: Bridge, lamp: Lamp) -> None:
     server, client = bridge.both(called("/set"))
     ready(client, "/set")
-    for engine, other, says in ((client, server, "robot1"), (server, client, "server")):
+    for engine, other, name in ((client, server, "robot1"), (server, client, "server")):
         by_hand(engine, "/set", "data:\n  true").result(60)
         mine = eventually(lambda engine=engine: happened(engine, EventCode.OPERATOR_CALLED))
         assert (mine.topic, mine.who, mine.new, mine.from_peer) == (
@@ -115,7 +116,7 @@ def test_both_sides_record_who_called_what(bridge: Bridge, lamp: Lamp) -> None:
             False,
         )
         theirs = eventually(lambda other=other: happened(other, EventCode.OPERATOR_CALLED, "says"))
-        assert theirs.who == f"{says} says: {OWN_CONSOLE}"
+        assert theirs.who == f"{name} says: {OWN_CONSOLE}"
         assert (theirs.topic, theirs.new, theirs.from_peer) == ("/set", "data: true", True)
 
 
@@ -260,13 +261,29 @@ def test_a_call_that_gets_no_answer_expires_on_either_side(bridge: Bridge, lamp:
     ready(client, "/set")
     lamp.goes_on.clear()
     for engine in (client, server):
-        with pytest.raises(EngineError, match=r"no answer within 3 s"):
+        with pytest.raises(EngineError, match=r"no answer within 3 s") as error:
             by_hand(engine, "/set", "data: true").result(60)
+        if engine is client:  # the callers' side
+            assert says(str(error.value).partition("; ")[2], LandedText.GIVEN)
     lamp.goes_on.set()
     eventually(lambda: counts(client, "/set").expired == 1)
     eventually(lambda: len(lamp.was) == 2)
     ready(client, "/set")
     assert yaml.safe_load(by_hand(client, "/set", "data: false").result(60))["success"]
+
+
+@pytest.mark.filterwarnings("ignore:failed to send response")
+def test_a_call_whose_landing_is_not_reported_is_not_said_to_have_landed(
+    bridge: Bridge, lamp: Lamp, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, client = bridge.both(called("/set", timeout=3.0))
+    ready(client, "/set")
+    monkeypatch.setattr(CallingRoute, "reported", lambda *_: None)  # as if the link hung
+    lamp.goes_on.clear()
+    with pytest.raises(EngineError) as error:
+        by_hand(client, "/set", "data: true").result(60)
+    lamp.goes_on.set()
+    assert says(str(error.value).partition("; ")[2], LandedText.UNREPORTED)
 
 
 def test_a_call_under_way_ends_with_the_link_and_with_its_pause(bridge: Bridge, lamp: Lamp) -> None:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -21,10 +22,12 @@ from tests.support.ports import free_port
 from tests.support.waiting import eventually
 from tests.support.wording import says
 
+from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.control.bridges import SessionRuns, running_bridges
 from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.commands import AskHolder, KeepArmed
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.snapshot import (
     Acknowledgement,
@@ -45,6 +48,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from tests.support.control import Machine
+
+    from rsb_bridge.model.commands import Command
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
 LINK = ScriptedEngine().now.links[0]
@@ -600,6 +605,32 @@ def test_what_another_holds_is_asked_for_or_taken(option: str, command: str, ran
     engine.now = replace(engine.now, routes=(SCAN,))
     ran("arm", "/scan", *filter(None, (option,)))
     assert engine.commands[0][:2] == (command, "/scan")
+
+
+def test_who_asks_in_a_shell_gives_signs_of_life(
+    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without them, the question ends."""
+    monkeypatch.setattr("rsb_console.command.remote._ALIVE_EVERY", 0.01)
+    asked: Future[None] = Future()
+    alive: list[bool] = []
+    execute = engine._execute
+
+    def executed(command: Command[Any], step: Any) -> Future[Any]:
+        match command:
+            case AskHolder():
+                return asked
+            case KeepArmed(pressed):
+                alive.append(pressed)
+                if len(alive) == 3:
+                    asked.set_exception(EngineError("kept"))
+        return execute(command, step)
+
+    monkeypatch.setattr(engine, "_execute", executed)
+    engine.now = replace(engine.now, routes=(SCAN,))
+    result = ran("arm", "/scan", "--ask")
+    assert "kept" in result.err
+    assert alive[:3] == [False] * 3
 
 
 class Keys:

@@ -251,6 +251,30 @@ def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, p
             TopicMistake.NOT_ABSOLUTE,
             {"name": "'shutdown'", "noun": "topic"},
         ),
+        *(
+            (
+                CLIENT + f"driver_topic: {name}\n{keys}",
+                6,
+                "driver_topic",
+                SessionMistake.DRIVER_TOPIC_TAKEN,
+                {"name": name, "use": use},
+            )
+            for name, keys, use in (
+                ("/cmd_vel", "topics: [{topic: /cmd_vel, direction: receive, arm: true}]\n", "bridged"),
+                ("/cmd_vel", "armed: [/cmd_vel]\n", "to be armed"),
+                ("/cmd_vel", "armed: [{name: /cmd_vel}]\n", "to be armed"),
+                ("/diagnostics", "", "the diagnostics_topic"),
+                ("/shutdown", "", "the shutdown_topic"),
+            )
+        ),
+        (
+            SERVER + "use_name: true\ndriver_topic: /robot1/cmd_vel\n"
+            "clients: [{name: robot1, topics: [{topic: /cmd_vel, direction: receive}]}]\n",
+            7,
+            "driver_topic",
+            SessionMistake.DRIVER_TOPIC_TAKEN,
+            {"name": "/robot1/cmd_vel", "use": "bridged"},
+        ),
         (CLIENT + "metrics: 9464\n", 6, "metrics", ValueMistake.MISFIT, {"value": 9464, "expected": "text"}),
         (CLIENT + "metrics: '9464'\n", 6, "metrics", AddressProblem.NOT_ADDRESS_AND_PORT, {"address": "9464"}),
         (CLIENT + "metrics: ':9464'\n", 6, "metrics", AddressProblem.NO_ADDRESS, {"address": ":9464", "port": 9464}),

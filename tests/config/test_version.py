@@ -7,6 +7,7 @@ import runpy
 import sys
 import tomllib
 import xml.etree.ElementTree as ET
+from html import unescape
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -46,6 +47,20 @@ def test_what_is_not_tagged_is_called_unreleased() -> None:
 def test_no_page_names_a_file_of_a_version() -> None:
     for page in PAGES:
         assert not re.search(r"rsb[-_]console[-_]v?\d", page.read_text(encoding="utf-8")), page
+
+
+def test_pictures_show_this_version() -> None:
+    shown = {
+        picture.name: re.findall(
+            r"rsb-console (\d[\w.]*)", unescape(picture.read_text(encoding="utf-8")).replace("\xa0", " ")
+        )
+        for picture in (ROOT / "docs/pictures").glob("*.svg")
+    }
+    assert shown["main.svg"]
+    assert shown["fleet.svg"]
+    for name, versions in shown.items():
+        current = {VERSION} if UNRELEASED else {NUMBER, f"{NUMBER}.dev0"}  # a release keeps those of the days before it
+        assert set(versions) <= current, f"{name}: make screenshots"
 
 
 def test_pages_name_the_size_that_the_installation_names() -> None:

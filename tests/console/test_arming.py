@@ -381,6 +381,36 @@ def test_the_command_holds_it_armed_while_it_runs(number: signal.Signals, robot:
     assert robot.why_disarmed() == "console_gone"
 
 
+def test_a_command_that_stands_still_gets_nothing_from_the_holder(robot: Robot) -> None:
+    """It got the topic after the countdown, though nobody was there who would have driven."""
+    with robot.arming() as (holder, first), contextlib.ExitStack() as at_end:
+        at_end.callback(holder.kill)
+        assert "ARMED" in first
+        processes: list[subprocess.Popen[bytes]] = []
+
+        def asked_by() -> list[dict[str, Any]]:
+            if not processes or processes[-1].poll() is not None:
+                processes.append(ask())  # the one before took more than 5 s to start
+            return robot.events("operator.asked")
+
+        def ask() -> subprocess.Popen[bytes]:
+            command = robot.command("arm", "--ask", CHATTER)
+            process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            at_end.enter_context(process)
+            at_end.callback(process.kill)
+            return process
+
+        (asked,) = every_so_often(asked_by, "asked")
+        asking = processes[-1]
+        asking.send_signal(signal.SIGSTOP)
+        (ended,) = every_so_often(lambda: robot.events("operator.withdrew"), "the end of the question")
+        asking.send_signal(signal.SIGCONT)
+        assert asking.wait(60) == 1
+        assert asked["who"] == ended["who"]
+        assert robot.topic()["arming"]["armed"]
+        assert not robot.events("operator.disarmed")
+
+
 def test_another_disarms_what_the_command_holds_armed(robot: Robot) -> None:
     with robot.arming() as (arming, first):
         assert "ARMED" in first

@@ -576,6 +576,24 @@ def test_what_another_console_holds_is_asked_for_taken_or_disarmed(clock: Clock,
     driving(ELSEWHERE, steps)
 
 
+def test_who_may_not_take_is_not_offered_it(clock: Clock) -> None:
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        engine_of(app).holds = ()
+        engine_of(app).may_take = False
+        await shown(pilot, DriveText.ARMED_BY, who="bert on pts/2")
+        await pilot.press("A")
+        await shown(pilot, "A disarm   n no")
+        question = app.screen
+        assert not question.query("#take")
+        assert HandOverText.TAKE_KEY().strip() not in text(app)
+        await pilot.press("t")
+        await pilot.press("n")
+        await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
+        assert engine_of(app).commands == []
+
+    driving(ELSEWHERE, steps)
+
+
 def test_leaving_the_screen_asks_no_longer(clock: Clock) -> None:
     asking: list[Future[None]] = []
 
@@ -592,8 +610,10 @@ def test_leaving_the_screen_asks_no_longer(clock: Clock) -> None:
         await shown(pilot, HandOverText.HELD, topic="/cmd_vel")
         await pilot.press("y")
         await until(pilot, lambda: asking, "the question")
-        put(app, replace(ELSEWHERE, arming=replace(QUESTION, by="bert on pts/2", asked_by="anna")))
+        engine.kept.clear()
+        put(app, replace(ELSEWHERE, arming=replace(QUESTION, by="bert on pts/2", here=False, asked_by="anna")))
         await shown(pilot, DriveText.ASKED, who="bert on pts/2", seconds=7.0)
+        await until(pilot, lambda: engine.kept, "a sign of life, without which the question ends")
         await pilot.press("escape")
         await until(pilot, asking[0].cancelled, "no question")
 

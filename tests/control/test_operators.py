@@ -53,6 +53,7 @@ def test_only_who_may_take_takes_an_arming_without_asking(machine: Machine) -> N
     robot = Reachable(machine)
     anna = robot.attach()
     anna.ask_holder("/cmd_vel").result(60)
+    assert not anna.may_take
     with pytest.raises(EngineError, match=pattern(RequestRefused.ASKS_FIRST)):
         anna.take_arming("/cmd_vel").result(60)
     with pytest.raises(EngineError, match=pattern(RequestRefused.READ_ONLY)):
@@ -61,6 +62,7 @@ def test_only_who_may_take_takes_an_arming_without_asking(machine: Machine) -> N
     anna.stop()
     anna = robot.attach()
     assert not anna.read_only
+    assert anna.may_take
     anna.take_arming("/cmd_vel").result(60)
     given = [command for command in robot.engine.commands if command != ("release",)]
     assert given == [("ask_holder", "/cmd_vel"), ("take_arming", "/cmd_vel")]

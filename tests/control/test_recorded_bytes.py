@@ -1,4 +1,4 @@
-"""The bytes of commands, recorded before commands became structs of the model. Older consoles send these."""
+"""The bytes of commands. Whatever changes them needs another `rsb_bridge.control.protocol.VERSION`."""
 
 from __future__ import annotations
 

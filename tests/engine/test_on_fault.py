@@ -19,6 +19,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.wire.messages import Follow, Followed
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -100,7 +101,8 @@ def test_a_pattern_that_the_other_side_cannot_follow_and_its_end(bridge: Bridge,
     pattern = Topic("/ch*", "transmit")
     robot = Client("robot1", key_file=bridge.key_file, topics=(pattern,))
     server = bridge.server(key_file=None, clients=(robot,), on_fault=str(told.program))
-    with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret, features=()):  # an older client
+    with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as client:
+        client.say(Followed(client.wait_for(Follow).request, more=1))  # more names than it can list
         eventually(lambda: told.about(pattern.topic) == [("begun", State.DOWN)])
         found = told.all()[-1]
         assert (found["what"], found["kind"], found["link"], found["outgoing"]) == ("pattern", "topic", "robot1", False)

@@ -11,7 +11,6 @@ import pytest
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
-from tests.support import constants
 from tests.support.bridge import balance, carries, connections, linked, now, outgoing, settled
 from tests.support.calls import CallNode
 from tests.support.domain import BEST_EFFORT, text
@@ -198,19 +197,6 @@ def test_latched_topic_keeps_its_promise(bridge: Bridge, robot: Domain, pc: Doma
             eventually(lambda: len(there.payloads) >= 20)
         assert there.payloads == sent
         assert max(ages(beside, relay)) < 4.0
-
-
-def test_side_that_knows_no_receipts(bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: Any) -> None:
-    """An older one: messages cross as they always did."""
-    constants.FEATURES.set(monkeypatch, ("calls", "priority"))
-    out, there = robot.publisher("/tcp"), pc.listener("/tcp")
-    server, client = bridge.both(Topic("/tcp", "transmit", qos={"depth": 1000}))
-    carries([out], server, ["/tcp"])
-    for number in range(500):
-        out.publish(text(stamped(number, 1000)))
-    ledger = settled(client, "/tcp", 500)
-    assert (ledger.delivered, ledger.dropped) == (500, {})
-    assert len(there.payloads) == 500
 
 
 def test_nothing_is_dropped_on_a_fast_link(bridge: Bridge, robot: Domain, pc: Domain) -> None:

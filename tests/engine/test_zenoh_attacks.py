@@ -10,7 +10,6 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support import constants
 from tests.support.long import long
 
 pytest.importorskip("zenoh")  # an extra
@@ -22,13 +21,11 @@ from tests.support.zenoh_attacker import Attacker, Stranger
 from tests.support.zenoh_router import Router
 from tests.support.zenoh_router import stranger as router_session
 
-from rsb_bridge.link import roles
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic, ZenohSettings
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.zenoh.endpoint import ROOT
-from rsb_bridge.wire import sealing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -131,30 +128,6 @@ def test_tokens_that_come_and_go_all_the_time_keep_no_client_out(bridge: Bridge,
     assert linked(client)
     for engine in (server, client):
         assert len(engine.events()) < 40
-
-
-@pytest.mark.parametrize("older", ["server", "client"])
-def test_a_side_without_tags_links_and_carries(
-    older: str, bridge: Bridge, router: Router, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    there, out = pc.listener("/odom"), robot.publisher("/odom")
-    known = tuple(each for each in roles.FEATURES if each != sealing.FEATURE)
-
-    def begin(side: str) -> Engine:
-        with monkeypatch.context() as patch:
-            if side == older:
-                constants.FEATURES.set(patch, known)
-            if side == "server":
-                return bridge.server(**over(router))
-            return bridge.client(Topic("/odom", "transmit"), **over(router))
-
-    server, client = begin("server"), begin("client")
-    eventually(lambda: linked(server) and linked(client), what="linked")
-    carries([out], server, ["/odom"])
-    out.publish(text("across"))
-    eventually(lambda: text("across") in there.payloads)
-    client.stop()
-    eventually(lambda: not linked(server))
 
 
 def test_a_second_client_of_a_name_hears_so_from_the_server(bridge: Bridge, router: Router) -> None:

@@ -308,8 +308,7 @@ def test_it_is_saved_soon_after_something_happened_else_seldom(tmp_path: Path) -
     [
         (b"nonsense", "damaged"),
         (zstandard.compress(b"nonsense"), "damaged"),
-        (zstandard.compress(msgspec.msgpack.encode({"version": 0})), "an older version"),
-        (zstandard.compress(msgspec.msgpack.encode({"version": 99})), "a newer version"),
+        (zstandard.compress(msgspec.msgpack.encode({"version": 99})), "another version"),
         (zstandard.compress(msgspec.msgpack.encode({"version": 1, "name": 3})), "damaged"),
         (zstandard.compress(b"\xa1\xa6"), "damaged"),
         (b"\x28\xb5\x2f\xfd\xe0" + (1 << 40).to_bytes(8, "little") + b"\1\0\0", "too large"),

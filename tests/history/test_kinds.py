@@ -8,8 +8,6 @@ import json
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import msgspec
-import zstandard
 from tests.console.scripted import route
 from tests.history.world import World
 
@@ -73,23 +71,6 @@ def test_they_are_told_apart_after_a_restart(tmp_path: Path) -> None:
             world.clock.wall, 3600.0, running=False
         )
     )
-
-
-def test_a_file_from_when_only_topics_crossed_still_opens(tmp_path: Path) -> None:
-    world = World("/scan")
-    world.go(100)
-    world.put("/scan", State.DOWN, "no publisher")
-    world.go(20)
-    saved = msgspec.to_builtins(world.recorder.save(), builtin_types=(bytes,))
-    older = {**saved, "subjects": [subject[:-1] for subject in saved["subjects"]]}
-    path = tmp_path / "robot1.history"
-    path.write_bytes(zstandard.ZstdCompressor().compress(msgspec.msgpack.encode(older)))
-    world.recorder.restore(history_files.read_history(path))
-    world.recorder.look()
-    world.go(100)
-    report = world.report()
-    assert [(each.kind, each.topic, each.outages) for each in report.tracks] == [("link", "", 0), ("topic", "/scan", 2)]
-    assert [each.seconds for each in report.outages] == [20, 100], "the first one ended with the process"
 
 
 def test_text_csv_json_and_the_time_line_say_which() -> None:

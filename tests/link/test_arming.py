@@ -13,7 +13,6 @@ from tests.route.test_unpacking import OnePublisher
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
-from rsb_bridge.model import calls
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting
 from rsb_bridge.model.demands import Source
@@ -475,24 +474,13 @@ def test_what_cannot_be_armed_says_why(
         arm(pc, loop, console="another").result()
 
 
-def test_a_peer_that_knows_no_lease_cannot_be_armed_nor_arm(pair: Pair, loop: VirtualLoop) -> None:
-    robot, pc = pair
-    pc.features = robot.features = (calls.FEATURE,)
-    with pytest.raises(LinkError, match=DISARM_TEXT[Disarmed.PEER_TOO_OLD]):
-        arm(pc, loop).result()
-    robot.table.handle(Arm(route(robot).id, "an older console"))
-    assert pc.inbox.popleft() == Disarm(route(robot).closed_ids[-1], Disarmed.PEER_TOO_OLD)
-    assert stands(*pair) == [False, False]
-    assert why(robot) == Disarmed.PEER_TOO_OLD
-
-
 def test_the_budget_of_armings_bounds_the_events_of_attempts(pair: Pair) -> None:
-    robot, pc = pair
-    pc.features = robot.features = (calls.FEATURE,)
+    robot, _ = pair
+    robot.table.pause(route(robot), paused=True)
     for _ in range(100):
-        robot.table.handle(Arm(route(robot).id, "an older console"))
+        robot.table.handle(Arm(route(robot).id, "a console"))
     found = [each.cause for each in events(robot, EventCode.ROUTE_DISARMED)]
-    assert set(found) == {Disarmed.PEER_TOO_OLD}
+    assert set(found) == {Disarmed.PAUSED}
     assert 1 < len(found) < 30
 
 
@@ -513,9 +501,9 @@ def test_what_cannot_be_armed_says_so_before_anybody_tries(pair: Pair) -> None:
     _, pc = pair
     pc.linked = True
     assert route(pc).status().can_be_armed
-    pc.features = (calls.FEATURE,)
+    route(pc).arming.end(Disarmed.LINK_SLOW)
     status = route(pc).status()
-    assert (status.can_be_armed, status.disarmed) == (False, DISARM_TEXT[Disarmed.PEER_TOO_OLD])
+    assert (status.can_be_armed, status.disarmed) == (False, DISARM_TEXT[Disarmed.LINK_SLOW])
     verdict = blocked(status)
     assert verdict is not None
     assert (verdict.state, verdict.cause, verdict.text) == (State.DISARMED, Cause.DISARMED, status.disarmed)

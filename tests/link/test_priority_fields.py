@@ -1,19 +1,21 @@
-"""Priorities are proposed and changed, also with a side that does not know them."""
+"""Priorities are proposed and changed."""
 
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
 
 from rsb_bridge.link.proposals import amended, amended_topic, amendment, proposal_of, same_route, topic_of
-from rsb_bridge.link.roles import FEATURES
-from rsb_bridge.model.session import PRIORITY_FEATURE, RANKS, Topic, priority_of, weight_of
+from rsb_bridge.model.session import RANKS, Topic, priority_of, weight_of
 from rsb_bridge.route.rate_limit import limits_changed
 from rsb_bridge.route.route import Route
 from rsb_bridge.transport.registry import default_transports
-from rsb_bridge.wire.messages import Amend, Propose
+
+if TYPE_CHECKING:
+    from rsb_bridge.wire.messages import Propose
 
 
 def proposal(topic: Topic) -> Propose:
@@ -36,15 +38,8 @@ def test_a_newer_side_s_ranks_count_as_the_nearest_word() -> None:
     assert ranks == [-1] * 100 + [0] + [1] * 100
 
 
-def test_an_older_side_proposes_none() -> None:
-    fields = msgspec.to_builtins(proposal(Topic("/scan", "transmit", priority="high")))
-    del fields["priority"]
-    assert topic_of(msgspec.convert(fields, Propose)).priority == "normal"
-
-
-def test_an_older_side_s_amend_keeps_it() -> None:
+def test_an_amend_changes_it() -> None:
     high = proposal(Topic("/scan", "transmit", priority="high"))
-    assert amended(high, Amend(route=1, max_rate=5.0)).priority == high.priority
     assert amended(high, amendment(proposal(Topic("/scan", "transmit")), 1)).priority == 0
 
 
@@ -58,4 +53,3 @@ def test_it_changes_while_the_route_is_open() -> None:
 def test_ranks_of_a_newer_side() -> None:
     assert [priority_of(rank) for rank in (-100, -1, 0, 1, 100)] == ["low", "low", "normal", "high", "high"]
     assert weight_of(-100) < weight_of(0) < weight_of(100)
-    assert PRIORITY_FEATURE in FEATURES

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import TYPE_CHECKING
+from unittest.mock import patch
 
 import pytest
-from tests.link.test_arming import COMMANDS, CONSOLE, arm, let_time_pass, propose, route, turn
+from tests.link.test_arming import COMMANDS, CONSOLE, arm, events, let_time_pass, propose, route, turn
 from tests.link.test_route_table import Pair, Side, hear_all
 from tests.support.wording import says
 
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.holder_questions import _AT_ONCE, FEATURE, TakeOverText
+from rsb_bridge.link.holder_questions import _AT_ONCE, ASKER_SILENT_AFTER, TakeOverText
 from rsb_bridge.model.by_hand import ASKED_FOR
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting
 from rsb_bridge.route.arming import Disarmed
+from rsb_bridge.wire.messages import AskEnded
 
 if TYPE_CHECKING:
-    import asyncio
     from collections.abc import Callable
 
     from tests.support.virtual_time import VirtualLoop
@@ -67,13 +70,13 @@ both = pytest.mark.parametrize("at", [0, 1], ids=["from the other side", "beside
 
 @both
 def test_the_holder_sees_who_asks_and_how_long_it_takes(at: int, pair: Pair, loop: VirtualLoop) -> None:
-    """So does whoever asks; the topic stays armed meanwhile."""
+    """So do both sides; the topic stays armed meanwhile."""
     task = ask(pair[at], loop)
-    for side in {pair[at], pair[1]}:
+    for side in pair:
         assert "bert" in shown(side).asked_by
         assert shown(side).goes_in == pytest.approx(ASKED_FOR, abs=0.1)
-    let_time_pass(pair, loop, 4.0)
-    assert shown(pair[1]).goes_in == pytest.approx(ASKED_FOR - 4.0, abs=0.3)
+    let_time_pass(pair, loop, 2.5)
+    assert shown(pair[1]).goes_in == pytest.approx(ASKED_FOR - 2.5, abs=0.3)
     assert all(shown(side).armed for side in pair)
     assert not task.done()
     task.cancel()
@@ -109,9 +112,95 @@ def test_without_an_answer_it_goes_over(at: int, pair: Pair, loop: VirtualLoop) 
     began = loop.time()
     while not task.done():
         pair[1].table.arming.seen(CONSOLE, pressed=True)
+        pair[at].table.questions.seen(OTHER)
         let_time_pass(pair, loop, 0.25)
     task.result()
     assert loop.time() - began == pytest.approx(ASKED_FOR, abs=0.5)
+
+
+@both
+@pytest.mark.parametrize("alive_for", [0.0, 8.5])
+def test_a_console_that_asked_and_is_silent_gets_nothing(
+    at: int, alive_for: float, pair: Pair, loop: VirtualLoop
+) -> None:
+    """It stood still: nobody is there who would drive. The question is gone, and the holder goes on."""
+    task = ask(pair[at], loop)
+    began = loop.time()
+    while not task.done():
+        pair[1].table.arming.seen(CONSOLE, pressed=True)
+        if loop.time() - began < alive_for:
+            pair[at].table.questions.seen(OTHER)
+        let_time_pass(pair, loop, 0.25)
+    assert says(problem(task), TakeOverText.ASKER_SILENT)
+    assert loop.time() - began == pytest.approx(alive_for + ASKER_SILENT_AFTER, abs=0.5)
+    assert all(shown(side).armed and not shown(side).asked_by for side in pair)
+
+
+@both
+def test_a_silent_console_does_not_get_what_was_disarmed_meanwhile(at: int, pair: Pair, loop: VirtualLoop) -> None:
+    """As after a machine slept: its operator asked before that."""
+    task = ask(pair[at], loop)
+    now = pair[at].context.now
+    with patch.object(pair[at].context, "now", lambda: now() + 60.0):
+        pair[1].table.arming.disarm(route(pair[1]), Disarmed.DEADMAN)
+        hear_all(pair)
+        turn(loop)
+        assert says(problem(task), TakeOverText.ASKER_SILENT)
+
+
+ENDS = {
+    "kept": (EventCode.OPERATOR_KEPT, "anna"),
+    "given": (EventCode.OPERATOR_GAVE, "anna"),
+    "not answered": (EventCode.OPERATOR_UNANSWERED, "bert"),
+    "withdrawn": (EventCode.OPERATOR_WITHDREW, "bert"),
+}
+
+
+@both
+@pytest.mark.parametrize("end", ENDS)
+def test_both_sides_record_who_asked_and_how_it_ended(end: str, at: int, pair: Pair, loop: VirtualLoop) -> None:
+    task = ask(pair[at], loop)
+    if end in ("kept", "given"):
+        pair[1].table.questions.answer(route(pair[1]), CONSOLE, gives=end == "given")
+    elif end == "withdrawn":
+        task.cancel()
+    until = loop.time() + ASKED_FOR + 1.0
+    while end == "not answered" and loop.time() < until:
+        pair[1].table.arming.seen(CONSOLE, pressed=True)
+        pair[at].table.questions.seen(OTHER)
+        let_time_pass(pair, loop, 0.25)
+    turn(loop)
+    hear_all(pair)
+    turn(loop)
+    code, who = ENDS[end]
+    for number, side in enumerate(pair):
+        asked, ended = events(side, EventCode.OPERATOR_ASKED, *(each for each, _ in ENDS.values()))
+        assert (asked.code, ended.code) == (EventCode.OPERATOR_ASKED, code)
+        assert "bert" in asked.who
+        assert who in ended.who
+        assert asked.from_peer is (number != at)
+        assert ended.from_peer is (number != (1 if who == "anna" else at))
+
+
+def test_an_answer_is_no_answer_to_another_question(pair: Pair, loop: VirtualLoop) -> None:
+    """One of the holder's own side was given it; of the other side, the holder does not know yet."""
+    task = ask(pair[0], loop)
+    pair[0].table.handle(AskEnded(route(pair[0]).id, "given", own=True))
+    turn(loop)
+    assert not task.done()
+    task.cancel()
+    turn(loop)
+
+
+def test_only_the_holders_side_answers(pair: Pair, loop: VirtualLoop) -> None:
+    """A peer cannot give what an operator of this side holds."""
+    task = ask(pair[1], loop)
+    for own in (False, True):
+        pair[1].table.handle(AskEnded(route(pair[1]).id, "given", own=own))
+        turn(loop)
+    assert not task.done()
+    task.cancel()
+    turn(loop)
 
 
 @both
@@ -155,15 +244,29 @@ def test_one_asks_at_a_time_and_nobody_oneself(pair: Pair, loop: VirtualLoop) ->
     assert says(problem(ask(pair[1], loop, CONSOLE)), TakeOverText.HELD_HERE)
     first = ask(pair[1], loop)
     assert says(problem(ask(pair[1], loop, "third")), TakeOverText.ASKED_ALREADY)
-    assert says(problem(ask(pair[0], loop)), TakeOverText.KEPT)
+    assert says(problem(ask(pair[0], loop)), TakeOverText.ASKED_ALREADY)
     first.cancel()
     turn(loop)
 
 
-def test_an_older_side_is_not_asked(pair: Pair, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pair[0], "features", tuple(each for each in pair[0].features if each != FEATURE))
-    assert says(problem(ask(pair[0], loop)), TakeOverText.PEER_TOO_OLD)
-    assert not shown(pair[1]).asked_by
+def test_of_two_questions_from_both_sides_the_holders_side_has_the_first(pair: Pair, loop: VirtualLoop) -> None:
+    """The other one is kept, though both were asked before either side heard of the other's."""
+
+    async def both() -> None:
+        here, there = (
+            asyncio.ensure_future(side.table.questions.ask(route(side), console))
+            for side, console in ((pair[1], OTHER), (pair[0], "third"))
+        )
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        hear_all(pair)
+        with pytest.raises(LinkError) as error:
+            await there
+        assert says(str(error.value), TakeOverText.KEPT)
+        pair[1].table.questions.answer(route(pair[1]), CONSOLE, gives=True)
+        await here
+
+    loop.run_until_complete(both())
 
 
 def test_a_side_that_asks_again_and_again_is_not_heard(pair: Pair, loop: VirtualLoop) -> None:

@@ -136,6 +136,11 @@ class Cable:
                 f"add rule netdev lose_{device} in {rule}"
             )
 
+    def lose_no_more(self) -> None:
+        """Carry all packets again."""
+        for host, device in self.ends:
+            host.nft(f"delete table netdev lose_{device}")
+
     def cut(self) -> None:
         """Carry nothing, and tell nobody: as a cable behind a switch, or a machine without power."""
         for host, device in self.ends:

@@ -56,7 +56,9 @@ class Node:
             stdout=subprocess.PIPE,
         )
 
-    def talk(self, topic: str, *, rate: float, size: int = 100, count: int | None = None) -> None:
+    def talk(
+        self, topic: str, *, rate: float, size: int = 100, count: int | None = None, latched: bool = False
+    ) -> None:
         """Publish, as soon as somebody listens.
 
         Args:
@@ -64,8 +66,9 @@ class Node:
             rate: Hz.
             size: bytes, about.
             count: how many, or None until `hush`.
+            latched: late joiners get the last one.
         """
-        self._ask(do="talk", topic=topic, rate=rate, size=size, count=count)
+        self._ask(do="talk", topic=topic, rate=rate, size=size, count=count, latched=latched)
 
     def said(self) -> dict[str, int]:
         """How many messages have been published, by topic."""
@@ -116,10 +119,12 @@ class Node:
 
 
 class _Talker:
-    def __init__(self, domain: Domain, topic: str, rate: float, size: int, count: int | None) -> None:
+    def __init__(self, domain: Domain, topic: str, rate: float, size: int, count: int | None, *, latched: bool) -> None:
+        from tests.support.domain import LATCHED, RELIABLE
+
         self.number = 0
         self.due = time.monotonic()
-        self._publisher = domain.publisher(topic)
+        self._publisher = domain.publisher(topic, qos=LATCHED if latched else RELIABLE)
         self._interval = 1 / rate
         self._size = size
         self._left = float("inf") if count is None else count

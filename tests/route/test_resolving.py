@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -97,3 +99,19 @@ def test_a_similar_name_is_suggested_if_the_topic_may_have_moved_there() -> None
     assert resolver.similar == "", "another node's topic"
     elsewhere.append(publisher(A, "1", "/talker"))
     assert resolver.similar == "/chart", "its publisher has another name for it now"
+
+
+def test_a_search_without_a_result_leaves_no_circle() -> None:
+    """A kept traceback leads back to the route, which then lasts until garbage is collected, with all that it has."""
+    ros = SimpleNamespace(publishers=lambda topic: [], installed_hash=lambda type_name: None)
+    context = cast("Any", SimpleNamespace(domain_id=3, similar_topics=SimpleNamespace(of=lambda topic: ""), ros=ros))
+    resolver = Resolver(context, Propose(route=1, topic="/chat", remote_topic="/chat", from_client=True))
+    gc.disable()
+    try:
+        assert resolver.resolve(UNUSED, cast("Any", None)) is None
+        assert resolver.why() == "no publisher of /chat in domain 3"
+        held = weakref.ref(resolver)
+        del resolver
+        assert held() is None
+    finally:
+        gc.enable()

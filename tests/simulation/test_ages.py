@@ -11,13 +11,10 @@ from tests.simulation.conditions import STILL
 from tests.simulation.episodes import aged, linked_by_a_slow_way
 from tests.simulation.mutations import Mutation
 from tests.simulation.world import Violation, World
-from tests.support import constants
 from tests.support.long import long
 
 from rsb_bridge.channel.stream_channel import StreamSender
-from rsb_bridge.link import roles
 from rsb_bridge.model.clock import StampClock
-from rsb_bridge.model.limits import MAX_AGE_FEATURE
 from rsb_bridge.route.age import MessageAge, PublisherClocks
 
 if TYPE_CHECKING:
@@ -115,11 +112,8 @@ def test_each_rule_is_needed(what: str, changes: Any, doing: Any, play: Play) ->
     assert found, what
 
 
-def test_an_older_receiver_gets_nothing_that_is_old_when_it_is_sent(
-    play: Play, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The sender holds to it alone: messages that wait in its queue or are taken late expire there."""
-    constants.FEATURES.set(monkeypatch, tuple(each for each in roles.FEATURES if each != MAX_AGE_FEATURE))
+def test_nothing_is_sent_that_is_old_when_it_is_sent(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Messages that wait in the sender's queue or are taken late expire there, whatever the receiver does."""
     monkeypatch.setattr(MessageAge, "why_old", _any_age)
     world, flow = aging_world(3)
     flow.max_age = float("inf")

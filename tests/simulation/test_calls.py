@@ -14,7 +14,6 @@ from tests.support import constants, replaced
 from tests.support.inside import pending_calls
 
 from rsb_bridge.link.link import Link
-from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import ArmTopic, DisarmTopic, Pause
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
@@ -597,20 +596,3 @@ def test_compression(play: Play) -> None:
         assert near.channel.carrier.sent_bytes < 100_000
 
     lived(play, harness, live())
-
-
-def test_an_older_peer_is_told_of_no_calls(play: Play) -> None:
-    harness = CallHarness()
-
-    async def live() -> None:
-        harness.server()
-        await asyncio.sleep(SETTLED)
-        near, _ = (each.run for each in (harness.near, harness.far))
-        assert near is not None
-        (route,) = near.links()[0].routes.values()
-        assert (route.snapshot().state, route.snapshot().cause) == (State.DOWN, Cause.REFUSED)
-        assert "update" in route.snapshot().reason
-        assert len([event for event in near.events.after(0) if event.code == EventCode.ROUTE_REFUSED]) == 1
-
-    with constants.FEATURES.during(()):
-        lived(play, harness, live())

@@ -16,8 +16,6 @@ from tests.simulation.world import World
 from tests.support import constants, replaced
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.link import roles
-from rsb_bridge.model import patterns
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import RemoveTopic
 from rsb_bridge.model.patterns import (
@@ -183,21 +181,6 @@ def test_a_pattern_ends_at_its_limit_and_says_so(play: Play) -> None:
         assert len(yard.routes()) == ROUTES_BY_PATTERNS
 
     lived(play, yard, live(), 120.0)
-
-
-def test_a_peer_that_cannot_be_followed_is_named(play: Play) -> None:
-    yard = Yard(Topic("/cmd/*", "receive"))
-
-    async def live() -> None:
-        yard.publish(f"/{yard.link().name}/cmd/vel", on_server=True)
-        await asyncio.sleep(_SEEN)
-        assert not yard.routes()
-        assert yard.patterns()[0].state is State.DOWN
-        assert "update" in yard.patterns()[0].reason
-
-    older = tuple(each for each in roles.FEATURES if each != patterns.FEATURE)
-    with constants.FEATURES.during(older):
-        lived(play, yard, live(), 60.0)
 
 
 def test_what_the_other_side_does_not_tell_is_forgotten_with_the_connection(play: Play) -> None:

@@ -44,7 +44,6 @@ SERVER_HANDSHAKE_WITHIN = Place("rsb_bridge.link.pending_connections", "_HANDSHA
 ROUTES_PROPOSED_BY_SERVER = Place("rsb_bridge.link.proposals", "ROUTES_PROPOSED_BY_SERVER")
 DESCRIPTION_LIMIT = Place("rsb_bridge.link.questions", "DESCRIPTION_LIMIT")
 REFUSED_FORGOTTEN_AFTER = Place("rsb_bridge.link.refused_clients", "FORGOTTEN_AFTER")
-FEATURES = Place("rsb_bridge.link.roles", "FEATURES")
 SERVER_SILENT = Place("rsb_bridge.link.server_link", "_SILENT")
 VIEW_MESSAGE_LIMIT = Place("rsb_bridge.link.topic_view", "MESSAGE_LIMIT")
 SUBSCRIBED_AGAIN_WITHIN = Place("rsb_bridge.ros.lasting_subscription", "_LONGEST_DELAY")

@@ -9,8 +9,6 @@ import pytest
 from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 
 from rsb_bridge.context import Context
-from rsb_bridge.link.holder_questions import FEATURE as ASKS_HOLDERS
-from rsb_bridge.model.calls import FEATURE
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.session import Session
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
@@ -20,7 +18,6 @@ from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.transport.registry import Transports, default_transports
-from rsb_bridge.wire.headers import LEASE_FEATURE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -70,14 +67,12 @@ class FakePeer:
     name = "robot1"
     is_client = True
     linked = True
-    stamp_shift = 0
     report_delay = 0.0
     ping_wait = 0.0
     full_out: Fullness | None = None
     fullness_undecided = False
     full_in: Fullness | None = None
     path_fault: PathFault | None = None
-    features: tuple[str, ...] = (FEATURE, LEASE_FEATURE, ASKS_HOLDERS)
     down_reason = ""
     connections = 1
 

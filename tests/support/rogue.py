@@ -9,7 +9,6 @@ import threading
 import time
 from typing import TYPE_CHECKING, Self, TypeVar
 
-from rsb_bridge.model.calls import FEATURE
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.datagram import DatagramWriter, Probe
 from rsb_bridge.wire.events import Accepted, Established, Received, StreamName
@@ -46,11 +45,10 @@ class Rogue:
         *,
         host: str = "127.0.0.1",
         timeout: float = 60.0,
-        features: tuple[str, ...] = (FEATURE,),
     ) -> None:
         self._address = (host, port)
         self._timeout = timeout
-        self._connection = ClientConnection(Hello("0.1.0", name, "rogue", 0, features), key, Suite.AESGCM)
+        self._connection = ClientConnection(Hello("0.1.0", name, "rogue", 0), key, Suite.AESGCM)
         self._control = socket.create_connection(self._address, timeout=timeout)
         self._control.sendall(self._connection.start())
         self._saying = threading.Lock()

@@ -704,7 +704,7 @@ def test_answers_of_strangers_are_bounded() -> None:
 
 
 def test_without_tags_an_end_is_believed_once_nothing_comes() -> None:
-    """An older peer sends none."""
+    """A link without encryption has none."""
 
     async def test() -> None:
         pair = Pair(authenticated=False)

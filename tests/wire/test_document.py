@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 import rsb_bridge
-from rsb_bridge.model.calls import FEATURE, LANES, MOST_LANES, Refused
+from rsb_bridge.model.calls import LANES, MOST_LANES, Refused
 from rsb_bridge.model.limits import DEPTH, QOS_TIME, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Kind
@@ -110,7 +110,3 @@ def test_the_lanes_of_every_kind_are_documented(kind: Kind) -> None:
             assert f"`{part}`" in text
         assert lane.type_name.startswith("rcl_interfaces/srv/") or lane.type_name in text
     assert len(LANES[kind]) <= MOST_LANES
-
-
-def test_the_feature_is_documented() -> None:
-    assert f'"{FEATURE}" (section 8)' in _section(3)

@@ -181,6 +181,7 @@ class SessionMistake(Wording):
         "names, and reload"
     )
     NEXT_KEY_ALONE = "key_file is missing, which this key would replace: give key_file too"
+    DRIVER_TOPIC_TAKEN = "{name} is {use} already: give a name of its own, as /rsb/driver"
     NEXT_KEY_IS_CURRENT = "{name} is the key_file already: give the new key's file"
 
 
@@ -393,6 +394,7 @@ def _session(session: Session) -> Iterator[Problem]:
         yield from name_problems(session.diagnostics_topic, "diagnostics_topic")
     if session.driver_topic is not None:
         yield from name_problems(session.driver_topic, "driver_topic")
+        yield from _taken(session, session.driver_topic)
     if session.metrics is not None:
         yield from _metrics(session.metrics)
     if session.on_fault is not None:
@@ -401,6 +403,28 @@ def _session(session: Session) -> Iterator[Problem]:
     yield from _topics(session.topics, "", session, client)
     yield from armed_problems(session.armed)
     yield from _clients(session)
+
+
+def _taken(session: Session, name: str) -> Iterator[Problem]:
+    """Whether something else has the driver topic's name: nodes would take its messages for commands, or not at all."""
+    on_server, use_name = session.role == "server", session.role == "server" and session.use_name
+    lists = [(session.name, session.topics), *((client.name, client.topics) for client in session.listed_clients)]
+    bridged = {
+        local_name(topic, client, on_server=on_server, use_name=use_name)
+        for client, topics in lists
+        for topic in topics
+        if topic.kind == "topic"
+    }
+    armed = {each if isinstance(each, str) else each.name for each in session.armed}
+    uses = (
+        ("the shutdown_topic", {session.shutdown_topic}),
+        ("the diagnostics_topic", {session.diagnostics_topic}),
+        ("bridged", bridged),
+        ("to be armed", armed),
+    )
+    use = next((use for use, names in uses if name in names), None)
+    if use is not None:
+        yield Problem("driver_topic", SessionMistake.DRIVER_TOPIC_TAKEN(name=name, use=use))
 
 
 def _metrics(address: str) -> Iterator[Problem]:

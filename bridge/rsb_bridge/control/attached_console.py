@@ -229,7 +229,7 @@ class Console:
         takes = changes or self._connection.never_takes_reason
         self._denied = {Right.MEASURE: read_only, Right.CHANGE: changes, Right.TAKE: takes}
         self._sender = Sender()
-        self.send(protocol.Welcome(info, bool(self._denied[Right.CHANGE])))
+        self.send(protocol.Welcome(info, bool(changes), may_take=not takes))
 
     def _request(self, request: protocol.Request) -> None:
         if reason := self._denied.get(request.command.right):

@@ -10,7 +10,6 @@ consoles of another one, with the words that tell which side to update.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Generic, TypeAlias, TypeVar, cast, get_args, get_origin
 
 import msgspec
@@ -32,7 +31,6 @@ from rsb_bridge.model.snapshot import (
     RouteSnapshot,
     TopicInfo,
 )
-from rsb_bridge.model.verdict import state_for_any, state_of
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -162,10 +160,12 @@ class Welcome(_Message, frozen=True, tag="welcome"):
     Attributes:
         bridge: the one that answers.
         read_only: whether the bridge refuses this console all changes.
+        may_take: whether this console may take an arming from its holder without asking.
     """
 
     bridge: BridgeInfo
     read_only: bool = False
+    may_take: bool = True
 
 
 class Refused(_Message, frozen=True, tag="refused"):
@@ -378,8 +378,6 @@ def result_of(command: Command[R], reply: Reply) -> R:
 
 def encode_route(route: RouteSnapshot) -> msgspec.Raw:
     """Return a route as bytes for a `State`."""
-    if (state := state_for_any(route.state)) is not route.state:  # an older console would refuse what it does not know
-        route = replace(route, state=state)
     return msgspec.Raw(_encoder.encode(route))
 
 
@@ -389,9 +387,7 @@ def decode_route(raw: msgspec.Raw) -> RouteSnapshot:
     Raises:
         ProtocolError: it is none.
     """
-    route = _decoded(_route, raw)
-    state = state_of(route.state, route.cause)
-    return route if state is route.state else replace(route, state=state)
+    return _decoded(_route, raw)
 
 
 class Frames(Generic[M]):

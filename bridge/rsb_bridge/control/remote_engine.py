@@ -68,6 +68,7 @@ class RemoteEngine(EngineApi):
             the time when it gets them.
         bridge: the description of its bridge, from `start` on.
         read_only: whether the bridge refuses all changes, from `start` on.
+        may_take: as of `EngineApi`, from `start` on.
         same_machine: whether the files that the bridge names are this machine's.
     """
 
@@ -241,7 +242,7 @@ class RemoteEngine(EngineApi):
         """Take a message; whether it completes a state."""
         match message:
             case protocol.Welcome():
-                self.read_only = message.read_only
+                self.read_only, self.may_take = message.read_only, message.may_take
                 self._welcome(message.bridge)
             case protocol.State():
                 if self._receiver is None:

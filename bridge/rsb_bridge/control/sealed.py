@@ -456,7 +456,7 @@ class _OperatorConnection(asyncio.Protocol):
         """Whether an answer proves the key; anybody in the network may answer, also in the engine's name."""
         machine = self._machine.fork()
         events = machine.receive_data(data)
-        if machine.proven and machine.at in ("", self._at):
+        if machine.proven and machine.at == self._at:
             transport.adopt()
             self._machine, self._trial = self._machine.fork(), None
             if machine.sample_secret is not None:

@@ -288,6 +288,7 @@ class ArmingCommands:
     async def keep(self, command: KeepArmed) -> Held:
         for link in self._links():
             link.table.arming.seen(console(), pressed=command.pressed)
+            link.table.questions.seen(console())
         routes = (route for link in self._links() for route in link.routes.values())
         held = (route.key for route in routes if route.arming.held and route.arming.console == console())
         return Held(tuple(held))

@@ -199,8 +199,7 @@ def read_history(path: Path) -> Saved:
         content = zstandard.ZstdDecompressor().decompress(packed, max_output_size=_BYTES)
         version = msgspec.msgpack.decode(content, type=_Versioned).version
         if version != VERSION:
-            age = "an older" if version < VERSION else "a newer"
-            raise HistoryFileError(f"it was written by {age} version of rsb-console")
+            raise HistoryFileError("it was written by another version of rsb-console")
         saved = msgspec.msgpack.decode(content, type=Saved)
     except (zstandard.ZstdError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise HistoryFileError(f"it is damaged ({error})") from None

@@ -82,11 +82,7 @@ class TrackRecords(dict[Key, TrackRecord]):
 
 
 class SavedTrack(msgspec.Struct, frozen=True, array_like=True):
-    """A `TrackRecord` as it is kept on disk: its name, its series, its outages.
-
-    Attributes:
-        kind: of what it is. A file from before anything but topics crossed says none.
-    """
+    """A `TrackRecord` as it is kept on disk: its name, its series, its outages."""
 
     link: str
     topic: str
@@ -97,7 +93,7 @@ class SavedTrack(msgspec.Struct, frozen=True, array_like=True):
     out: bytes
     waiting: bytes
     outages: tuple[Ended, ...]
-    kind: Kind | Literal["link"] = "topic"
+    kind: Kind | Literal["link"]
 
 
 class Saved(msgspec.Struct, frozen=True):

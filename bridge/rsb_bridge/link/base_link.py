@@ -16,7 +16,6 @@ from rsb_bridge.link.path_watch import STALLED, PathWatch, Pings
 from rsb_bridge.link.refused_clients import DuplicateClients
 from rsb_bridge.model import profiles
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.limits import MAX_AGE_FEATURE
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import LinkCause, clocks_differ
 from rsb_bridge.route.lifecycle import Revisions
@@ -24,7 +23,6 @@ from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks, in_slices
 from rsb_bridge.transport.streams import CLOSED_BY_PEER, Stream
 from rsb_bridge.transport.transport import StreamTransport
-from rsb_bridge.wire import sealing
 from rsb_bridge.wire.messages import Ping, Pong, Receipts
 
 if TYPE_CHECKING:
@@ -195,7 +193,6 @@ class BaseLink(ABC):
         peer: `Hello` or `Welcome` of the present or last peer, or None before the first connection.
         peer_name: name of the peer, for operators.
         instance: process of the present or last peer, or an empty string before the first connection.
-        features: features of the present or last peer, beyond version 2 of the wire format.
         clock: offset of the peer's clock, on the present or last connection.
         stamps: offset of the clock by which the peer stamps messages.
         connections: number of connections so far.
@@ -226,10 +223,8 @@ class BaseLink(ABC):
         self.keys: SessionKeys | None = None
         self.peer: Hello | Welcome | None = None
         self.instance = ""
-        self.features: tuple[str, ...] = ()
         self.encrypted = encrypted
         self._is_silent = False
-        self._shifts_stamps = False
         self._warned: tuple[LinkCause, float] = (LinkCause.NONE, 0.0)
         self.status = LinkStatus(context.wall())
         self.connections = 0
@@ -360,30 +355,22 @@ class BaseLink(ABC):
 
     @property
     def sample_secret(self) -> bytes | None:
-        """The secret of the sample tags of data streams, or None if the peer sends none."""
-        if self.keys is None or sealing.FEATURE not in self.features:
-            return None
-        return self.keys.sample_secret
+        """The secret of the sample tags of data streams, or None without a link or encryption."""
+        return None if self.keys is None else self.keys.sample_secret
 
     @property
     def peer_at(self) -> str:
         """The peer with its address, as the log names it."""
         return f"{self._peer_role} at {self.address}"
 
-    @property
-    def stamp_shift(self) -> int:
-        """Nanoseconds to add to a stamp of the wall clock before it is sent."""
-        return self.context.stamps.shift if self._shifts_stamps else 0
-
     def up(self, control: ControlChannel, peer: Hello | Welcome, keys: SessionKeys) -> None:
         """Begin a connection: the peer is authenticated."""
         self.control, self.peer, self.keys = control, peer, keys
-        self.instance, self.features = peer.instance, peer.features
+        self.instance = peer.instance
         self.channels.connected(keys, self.role)
         if self.transport.multiplexed:
             control.data = self.channels.use_control(control.stream, self.transport.name, self.shared_port())
         self._is_silent = False
-        self._shifts_stamps = MAX_AGE_FEATURE in peer.features
         self.connections += 1
         self.linked_at = self.context.now()
         self.keepalive = self.keepalive.next(self.profile.patience)
@@ -395,8 +382,7 @@ class BaseLink(ABC):
             f"linked with {self._peer_role} at {control.stream.peer}, {encryption}, rsb-console {peer.version} there"
         )
         self.log(Level.INFO, EventCode.LINK_UP, linked, link_status=True)
-        if self._shifts_stamps:
-            self.send(self.keepalive.ping())  # the age of messages is unknown until it is answered
+        self.send(self.keepalive.ping())  # the age of messages is unknown until it is answered
         for each in self._extensions:
             each.connected()
 

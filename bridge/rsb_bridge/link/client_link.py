@@ -21,7 +21,6 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, StreamProblem, os_error_message
-from rsb_bridge.wire import sealing
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.events import Accepted, Established, Event, RefusalCode
 from rsb_bridge.wire.messages import Duplicate, Shutdown, Welcome
@@ -91,10 +90,6 @@ class ClientLink(Link):
     @property
     def fingerprints(self) -> tuple[str, str]:
         return fingerprint(self.key) if self.key is not None else "", ""
-
-    @property
-    def sample_secret(self) -> bytes | None:
-        return super().sample_secret if sealing.FEATURE in self._hello.features else None
 
     def shared_port(self) -> int:
         return self.port
@@ -371,7 +366,8 @@ class ClientLink(Link):
         assert self.control is not None
         if descriptors.scarce():
             return Failure(descriptors.scarcity_message("client"))
-        own = 0 if port == self.shared_port() else port
+        # Channel 11 is not port 11: the link's own streams are those of its own transport only.
+        own = 0 if transport is self.transport and port == self.shared_port() else port
         name = self.channels.next_name(own, large=large)
         connection = DataConnection(self.keys, name)
 

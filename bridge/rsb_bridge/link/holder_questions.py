@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.by_hand import ASKED_FOR
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.arming import Question
-from rsb_bridge.wire.messages import AskForArming, HolderSays
+from rsb_bridge.wire.messages import AskEnded, AskForArming
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -20,12 +23,15 @@ if TYPE_CHECKING:
     from rsb_bridge.link.peer_operators import PeerOperators
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.messages import HolderMessage
+    from rsb_bridge.wire.messages import HolderMessage, HowAsked
 
-FEATURE: Final = "take_over"
-"""The feature by which a side asks the holders of its own consoles."""
 _AT_ONCE, _A_SECOND = 5.0, 1 / 30
 """Questions of one link's peer that holders see: further ones would only disturb those who drive."""
+ASKER_SILENT_AFTER: Final = 3.0
+"""s without a sign of life after which the console that asks counts as gone: it gives one at least every 2 s."""
+_LOOK_EVERY = 0.05
+_LATE = 0.001
+"""s by which a timer comes later than a moment that it must not come before: its clock is another one."""
 
 
 class TakeOverText(Wording):
@@ -34,13 +40,43 @@ class TakeOverText(Wording):
     KEPT = "{topic} stays with its holder ({who})"
     HELD_HERE = "this console has armed {topic} already"
     ASKED_ALREADY = "{topic} is asked for already ({who}): wait for the answer"
-    PEER_TOO_OLD = "the other side's rsb-console is too old to ask the holder: disarm {topic}, then arm it"
+    ASKER_SILENT = "this console stood still while it asked for {topic}: ask again"
     NOT_ASKED = "nobody asks for {topic} any more"
     NOT_YOURS = "{topic} was armed on another console, which answers for it"
 
 
+class QuestionText(Wording):
+    """Texts of the events of a question; each names an operator of either side first."""
+
+    ASKED = "{asker} asks {holder} for it"
+    KEPT = "{holder} keeps it, which {asker} asked for"
+    GIVEN = "{holder} gives it to {asker}"
+    UNANSWERED = "{asker} gets it, as {holder} has not answered within {seconds:g} s"
+    WITHDRAWN = "{asker} asks {holder} for it no longer, or stood still"
+
+
+_BY_HOLDER: Final = {
+    "kept": (EventCode.OPERATOR_KEPT, QuestionText.KEPT),
+    "given": (EventCode.OPERATOR_GAVE, QuestionText.GIVEN),
+}
+_BY_ASKER: Final = {
+    "unanswered": (EventCode.OPERATOR_UNANSWERED, QuestionText.UNANSWERED),
+    "withdrawn": (EventCode.OPERATOR_WITHDREW, QuestionText.WITHDRAWN),
+}
+
+
+@dataclass(slots=True)
+class _Asker:
+    """A console of this side that asks, and when (s) it gave its last sign of life."""
+
+    console: Hashable
+    seen_at: float
+
+
 class HolderQuestions:
     """Puts the questions of both sides' operators to the holders of a link's armings.
+
+    Both sides record each question and how it ended. A peer's budget of questions bounds these events.
 
     Args:
         peer_operators: names the other side's operators.
@@ -51,14 +87,15 @@ class HolderQuestions:
         self._peer = peer
         self._peer_operators = peer_operators
         self._budget = TokenBucket(_AT_ONCE, _A_SECOND, context.now())
+        self._askers: list[_Asker] = []
 
     async def ask(self, route: Route, console: Hashable) -> None:
         """Ask a route's holder for a console; return once this console may arm the route, after a disarm if need be.
 
-        A holder who does not answer within `ASKED_FOR` gives it.
+        A holder who does not answer within `ASKED_FOR` gives it, at the console's next sign of life.
 
         Raises:
-            LinkError: the holder keeps it, or cannot be asked.
+            LinkError: the holder keeps it, or cannot be asked; or the console is silent.
         """
         arming, topic = route.arming, route.local_topic
         if not arming.held:
@@ -67,28 +104,32 @@ class HolderQuestions:
             raise LinkError(TakeOverText.HELD_HERE(topic=topic))
         if (before := arming.question_at(self._context.now())) is not None:
             raise LinkError(TakeOverText.ASKED_ALREADY(who=before.who, topic=topic))
-        holder, is_there = arming.by, arming.console is None
-        if is_there and FEATURE not in self._peer.features:
-            raise LinkError(TakeOverText.PEER_TOO_OLD(topic=topic))
-        route_id, who = route.id, acting_operator()
-        answer: asyncio.Future[bool | None] = self._context.loop.create_future()
-        arming.question = question = Question(who, self._context.now() + ASKED_FOR, _once(answer))
-        if is_there:
-            self._peer.send(AskForArming(route_id, who))
+        holder = arming.by
+        now, answer = self._context.now(), self._context.loop.create_future()
+        question, asker = Question(acting_operator(), now + ASKED_FOR, _once(answer)), _Asker(console, now)
+        self._begin(route, question)
+        self._peer.send(AskForArming(route.id, question.who))
+        self._askers.append(asker)
         try:
-            async with asyncio.timeout(ASKED_FOR):
-                gives = await answer
-        except TimeoutError:
-            return
+            await self._answered(answer, asker, question.until)
         except asyncio.CancelledError:
-            if is_there and arming.question is question:
-                self._peer.send(AskForArming(route_id, who, withdrawn=True))
+            self._end(route, question, "withdrawn")
             raise
         finally:
-            if arming.question is question:
-                arming.question = None
-        if gives is False:
+            self._askers.remove(asker)
+        if self._context.now() - asker.seen_at >= ASKER_SILENT_AFTER:
+            self._end(route, question, "withdrawn")
+            raise LinkError(TakeOverText.ASKER_SILENT(topic=topic))
+        if not answer.done():
+            self._end(route, question, "unanswered")
+        elif answer.result() is False:
             raise LinkError(TakeOverText.KEPT(who=holder, topic=topic))
+
+    def seen(self, console: Hashable) -> None:
+        """Note a sign of life of a console of this side."""
+        for asker in self._askers:
+            if asker.console == console:
+                asker.seen_at = self._context.now()
 
     def answer(self, route: Route, console: Hashable, *, gives: bool) -> None:
         """Take the holder's answer.
@@ -102,32 +143,68 @@ class HolderQuestions:
             raise LinkError(TakeOverText.NOT_ASKED(topic=topic))
         if arming.console != console:
             raise LinkError(TakeOverText.NOT_YOURS(topic=topic))
-        arming.question = None
+        self._end(route, question, "given" if gives else "kept")
         question.answered(gives)
 
     def handle(self, route: Route, message: HolderMessage) -> None:
-        """Act on the peer's question or answer about an open route."""
+        """Act on the peer's question, or on the end of one, about an open route."""
         arming, now = route.arming, self._context.now()
+        question, is_here = arming.question, arming.console is not None
         match message:
-            case HolderSays():
-                if arming.question is not None and arming.console is None:
-                    arming.question.answered(message.gives)
-            case AskForArming(withdrawn=True):
-                if arming.question is not None and arming.question.from_peer:
-                    arming.question = None
             case AskForArming():
-                if not arming.held or arming.console is None:
+                if not arming.held:
                     return  # it has just been disarmed, as that side will hear
-                if arming.question_at(now) is not None or not self._budget.take(1, now):
-                    self._peer.send(HolderSays(route.id, gives=False))
-                    return
-                route_id, who = route.id, self._peer_operators.says(message.who)
+                if arming.question_at(now) is None and self._budget.take(1, now):
+                    who = self._peer_operators.says(message.who)
+                    self._begin(route, Question(who, now + ASKED_FOR, _ignored, from_peer=True))
+                elif is_here:
+                    self._peer.send(AskEnded(route.id, "kept"))
+            case AskEnded():
+                if question is None or question.from_peer is not message.own:
+                    return  # it has ended otherwise, or was not to be heard
+                if message.how in _BY_HOLDER and not is_here:
+                    self._record_end(route, question, message.how)
+                    question.answered(message.how == "given")
+                elif message.how in _BY_ASKER and message.own:
+                    self._record_end(route, question, message.how)
 
-                def answered(gives: bool | None) -> None:
-                    if gives is not None:
-                        self._peer.send(HolderSays(route_id, gives=gives))
+    async def _answered(self, answer: asyncio.Future[bool | None], asker: _Asker, until: float) -> None:
+        """Wait for an answer, for a sign of life of the asker once the time is over, or until the asker is silent."""
+        while not answer.done() and asker.seen_at < until:
+            now = self._context.now()
+            if now - asker.seen_at >= ASKER_SILENT_AFTER:
+                return
+            left = min(until, asker.seen_at + ASKER_SILENT_AFTER) - now
+            await asyncio.wait((answer,), timeout=left + _LATE if left > 0 else _LOOK_EVERY)
 
-                arming.question = Question(who, now + ASKED_FOR, answered, from_peer=True)
+    # --- records, and the other side
+
+    def _begin(self, route: Route, question: Question) -> None:
+        route.arming.question = question
+        self._record(route, question, EventCode.OPERATOR_ASKED, QuestionText.ASKED)
+
+    def _end(self, route: Route, question: Question, how: HowAsked) -> None:
+        """End a question on both sides, as an operator of this side has it, if it is still open."""
+        if route.arming.question is question:
+            self._record_end(route, question, how)
+            self._peer.send(AskEnded(route.id, how, own=not question.from_peer))
+
+    def _record_end(self, route: Route, question: Question, how: HowAsked) -> None:
+        code, text = (_BY_HOLDER | _BY_ASKER)[how]
+        self._record(route, question, code, text)
+        route.arming.question = None
+
+    def _record(self, route: Route, question: Question, code: EventCode, text: QuestionText) -> None:
+        """Record a question's beginning or end; the other side's operators are its claims."""
+        by_holder = code in (EventCode.OPERATOR_KEPT, EventCode.OPERATOR_GAVE)
+        holder, asker = route.arming.by, question.who
+        route.log(
+            Level.INFO,
+            code,
+            text(holder=holder, asker=asker, seconds=ASKED_FOR),
+            who=holder if by_holder else asker,
+            from_peer=route.arming.console is None if by_holder else question.from_peer,
+        )
 
 
 def _once(answer: asyncio.Future[bool | None]) -> Callable[[bool | None], None]:
@@ -136,3 +213,7 @@ def _once(answer: asyncio.Future[bool | None]) -> Callable[[bool | None], None]:
             answer.set_result(gives)
 
     return take
+
+
+def _ignored(_: bool | None) -> None:
+    """Ignore an answer that the asker's side hears of by itself."""

@@ -25,7 +25,6 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.arming import ANSWERED_WITHIN, DISARM_TEXT, Disarmed
 from rsb_bridge.route.lease import BEAT, Lease, Standstill
 from rsb_bridge.wire import messages as wire
-from rsb_bridge.wire.headers import LEASE_FEATURE
 from rsb_bridge.wire.messages import Arm, Armed, Disarm
 
 if TYPE_CHECKING:
@@ -45,7 +44,7 @@ _LOOK_EVERY = 0.02
 _AT_ONCE, _A_SECOND = 20.0, 1 / 30
 """Armings by one link's peer: each is in the log, so more than people need are refused."""
 DROPPED: Final = "arm_dropped"
-"""The cause of a `Disarm` by which a side says that its operator has dropped a demand; older peers ignore it."""
+"""The cause of a `Disarm` by which a side says that its operator has dropped a demand: it disarms nothing."""
 
 
 class LinkLease:
@@ -83,11 +82,6 @@ class LinkLease:
         self._disarm = disarm
         self._was_alive = False
         self._timer: asyncio.TimerHandle | None = None
-
-    @property
-    def supported(self) -> bool:
-        """Whether the other side takes part."""
-        return LEASE_FEATURE in self._peer.features
 
     def hold(self) -> None:
         """Keep the lease from now on, for a route that is about to be armed, and send a number at once."""
@@ -311,8 +305,6 @@ class LinkArming:
             return route.refusal or "it is being set up"
         if not arming.required:
             return "neither session demands arming"
-        if not self.lease.supported:
-            return DISARM_TEXT[Disarmed.PEER_TOO_OLD]
         if route.paused:
             return "it is paused; resume it first"
         if arming.held:
@@ -428,9 +420,6 @@ class LinkArming:
             return  # of two operators who arm it at once, the client's does
         if not self._budget.take(1, now):
             self._refuse(route, Disarmed.TOO_OFTEN)
-        elif not self.lease.supported:
-            self._refuse(route, Disarmed.PEER_TOO_OLD)
-            self._not_armed(route, Disarmed.PEER_TOO_OLD, who)
         elif route.paused:
             self._refuse(route, Disarmed.PAUSED)
             self._not_armed(route, Disarmed.PAUSED, who)

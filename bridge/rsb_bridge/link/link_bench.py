@@ -13,7 +13,6 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.model.benchmark import (
-    FEATURE,
     LEAST_SIZE,
     MOST_SECONDS,
     MOST_SIZE,
@@ -319,8 +318,6 @@ class LinkBench(Extension):
             raise LinkError("nothing can be measured here")
         if not self._link.linked:
             raise LinkError(f"{self._link.name} is not linked: {self._link.down_reason}")
-        if FEATURE not in self._link.features:
-            raise LinkError("the other side's rsb-console is too old to be measured: update it")
         if not LEAST_SIZE <= order.size <= MOST_SIZE:
             raise LinkError(f"a message has {LEAST_SIZE} to {MOST_SIZE:,} bytes")
         if order.count < 1 or not 0 < order.rate < 1e6 or order.count / order.rate > MOST_SECONDS:

@@ -18,7 +18,6 @@ from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.names import client_topic, expand_type_name, is_topic_name, server_topic
 from rsb_bridge.model.patterns import (
     EXCEPTIONS_PER_PATTERN,
-    FEATURE,
     GONE_AFTER,
     NAMES_FOLLOWED,
     PATTERNS_PER_LINK,
@@ -337,7 +336,7 @@ class LinkPatterns(Extension):
         theirs = tuple(
             NamePattern(entry.source.text, entry.topic.kind) for entry in self.entries if not self.is_local(entry)
         )
-        if self._link.linked and FEATURE in self._link.features and (theirs or self._request):
+        if self._link.linked and (theirs or self._request):
             self._request += 1
             self.there, self.unseen = None, 0
             self._link.send(Follow(self._request, theirs))
@@ -567,8 +566,6 @@ class LinkPatterns(Extension):
             return State.PAUSED, count
         if not here and self.unseen:
             return State.DOWN, f"{some}{self.unseen} more match than the other side can list: narrow the patterns"
-        if not here and link.linked and FEATURE not in link.features:
-            return State.DOWN, f"{some}the other side's rsb-console is too old for patterns: update it"
         if not here and self.there is None:
             why = "it has just been asked" if link.linked else f"not linked: {link.down_reason or 'not connected yet'}"
             return State.WAITING, f"{some}the other side's names are unknown: {why}"

@@ -22,7 +22,6 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.ports import Ports
 from rsb_bridge.transport.transport import Acceptor
-from rsb_bridge.wire import sealing
 from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 from rsb_bridge.wire.events import RefusalCode
 from rsb_bridge.wire.messages import Hello, Welcome
@@ -102,7 +101,7 @@ class Server:
         return sorted(set(chain.from_iterable(found)))
 
     async def _with_the_key_of(self, entry: ClientEntry, hosts: list[str]) -> list[str]:
-        hello = Hello(__version__, entry.client.name, os.urandom(8).hex(), 0, (sealing.FEATURE,))
+        hello = Hello(__version__, entry.client.name, os.urandom(8).hex(), 0)
 
         def begin(suite: Suite | None) -> ClientConnection:
             return ClientConnection(hello, entry.keys[-1].secret, suite or Suite.AESGCM)

@@ -20,7 +20,6 @@ from rsb_bridge.link.questions import Questions
 from rsb_bridge.link.topic_view import TopicView, check_names
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.pictures import (
-    FEATURE,
     PICTURE_LIMIT,
     TYPE,
     Picture,
@@ -60,7 +59,6 @@ class ViewRefused(Wording):
     """The reason why the peer gets no picture, or this side none from the peer."""
 
     TOO_MANY = "{limit} views of this link are open already: close one of them"
-    OLD_PEER = "the other side's rsb-console is too old to draw pictures: update it"
     NOT_LINKED = "{link} is not linked: {reason}"
     NO_VIEW = "this route carries no pictures"
     NOT_POSSIBLE = "no pictures can be drawn here"
@@ -208,8 +206,6 @@ class LinkViews(Extension):
             raise LinkError(ViewRefused.NOT_POSSIBLE())
         if not self._link.linked:
             raise LinkError(ViewRefused.NOT_LINKED(link=self._link.name, reason=self._link.down_reason))
-        if FEATURE not in self._link.features:
-            raise LinkError(ViewRefused.OLD_PEER())
         if sum(route.proposed_here for route in self._routes()) >= VIEWS_OF_PEER:
             raise LinkError(ViewRefused.TOO_MANY(limit=VIEWS_OF_PEER))
         self._number += 1

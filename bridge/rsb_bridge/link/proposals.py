@@ -23,7 +23,7 @@ from rsb_bridge.model.topic_keys import TOPIC_KEYS, keys_of_value
 from rsb_bridge.wire.messages import Amend, Propose
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Container, Iterable
+    from collections.abc import Collection, Iterable
 
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.link.base_link import BaseLink
@@ -127,19 +127,9 @@ def same_route(one: Propose, other: Propose) -> bool:
     return msgspec.structs.replace(one, **nothing) == msgspec.structs.replace(other, **nothing)
 
 
-def unsupported_change(old: Propose, new: Propose, features: Container[str]) -> str:
-    """Return the reason why a proposer with these features does not take a change, or an empty string."""
-    for name, key in TOPIC_KEYS.items():
-        if key.negotiated and getattr(old, name) != getattr(new, name) and name not in features:
-            return f"the other side's rsb-console is too old for {name}: update it"
-    return ""
-
-
 def amended(proposal: Propose, limits: Propose | Amend) -> Propose:
     """Return a proposal with the limits of another one, or of a change."""
     new = {name: getattr(limits, name) for name in _AMENDABLE}
-    if new["priority"] is None:
-        new["priority"] = proposal.priority
     new |= {name: getattr(proposal, name) for name, value in new.items() if value is UNSET}
     return msgspec.structs.replace(proposal, **new)
 

@@ -80,8 +80,7 @@ class ProposedTopics:
         The route goes on if only limits differ, else there is a new one.
 
         Raises:
-            LinkError: the topic has a mistake, there is such a route, or its proposer is too old for the change; the
-                old route stays.
+            LinkError: the topic has a mistake, or there is such a route; the old route stays.
         """
         table, proposal = self._table, self._proposal(topic)
         if (key := route_key(self._link.name, proposal)) != route.key:
@@ -104,8 +103,6 @@ class ProposedTopics:
     def _check_replace(self, route: Route, topic: Topic, proposal: Propose) -> None:
         if not _can_amend(route, proposal):
             self._table.check_add(topic, proposal, route_key(self._link.name, proposal), instead_of=route)
-        elif not route.proposed_here and (problem := self._table.unsupported_change(route, proposal)):
-            raise LinkError(problem)
 
     def _proposal(self, topic: Topic) -> Propose:
         name, prefixed, transports = self._link.name, self._link.prefixed, self._context.transports

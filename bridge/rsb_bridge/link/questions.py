@@ -302,14 +302,13 @@ class TopicLists(Extension):
         return last
 
     async def _find(self, question: ListTopics) -> TopicList:
-        kinds = [kind for kind in CALLED if kind in question.kinds]
-        return TopicList(question.request, tuple(await asyncio.to_thread(self._local_entries, kinds)))
+        return TopicList(question.request, tuple(await asyncio.to_thread(self._local_entries)))
 
-    def _local_entries(self, kinds: Sequence[Kind]) -> list[TopicEntry]:
+    def _local_entries(self) -> list[TopicEntry]:
         """Return the entries that the peer may know, as many as one message holds."""
         shown = [
             entry
-            for entry in graph_of(self._ros, kinds)
+            for entry in graph_of(self._ros, CALLED)
             if max(len(entry.topic), len(entry.type_name)) <= TEXT_LENGTH and self._shows(entry.topic, entry.kind)
         ]
         most = _MOST_ENTRIES
@@ -325,14 +324,12 @@ class TopicLists(Extension):
     async def ask(self) -> list[TopicInfo]:
         """Return the topics and services of the peer's graph. All who ask before the answer arrives share it.
 
-        A peer that carries no calls answers with its topics.
-
         Raises:
             LinkError: the link is lost, or the peer does not answer.
         """
         if not self._questions.awaited(self._request):
             self._request += 1
-        entries = await self._questions.ask(self._request, ListTopics(self._request, CALLED))
+        entries = await self._questions.ask(self._request, ListTopics(self._request))
         return [
             TopicInfo(e.topic, e.type, e.type_hash, e.qos, e.publishers, e.subscriptions, kind)
             for e in entries

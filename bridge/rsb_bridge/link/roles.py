@@ -13,25 +13,19 @@ import msgspec
 from rsb_bridge import __version__
 from rsb_bridge.config.keys import Key
 from rsb_bridge.config.rights import rights_of_client
-from rsb_bridge.link import holder_questions
 from rsb_bridge.link.client_link import ClientLink
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.link_server import Server
 from rsb_bridge.link.reloading import Step, client_steps, server_steps
 from rsb_bridge.link.server_link import ClientEntry
-from rsb_bridge.model import benchmark, calls, patterns, pictures
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.limits import LATE_AFTER_FEATURE, MAX_AGE_FEATURE
 from rsb_bridge.model.names import client_topic
-from rsb_bridge.model.session import PRIORITY_FEATURE
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import plural
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.transport import ListenError
-from rsb_bridge.wire import sealing
-from rsb_bridge.wire.headers import LEASE_FEATURE
 from rsb_bridge.wire.messages import Hello, Welcome
 from rsb_bridge.wire.sealing import Suite
 
@@ -50,15 +44,6 @@ _BOUND_AFTER, _LONGEST_BIND_PAUSE = 0.5, 5.0
 
 Keys = Mapping[str, tuple[Key, ...]]
 """Valid keys by the client's name, the next one last; an empty tuple means no encryption."""
-FEATURES = (
-    calls.FEATURE, PRIORITY_FEATURE, benchmark.FEATURE, patterns.FEATURE, LATE_AFTER_FEATURE,
-    LEASE_FEATURE,
-    MAX_AGE_FEATURE,
-    sealing.FEATURE,
-    pictures.FEATURE,
-    holder_questions.FEATURE,
-)  # fmt: skip
-"""Features of this version beyond version 2 of the wire format."""
 ReportStep = Callable[[str], None]
 """Takes each step of a restart, as text for an operator."""
 
@@ -144,7 +129,7 @@ class ClientRole:
     def __init__(self, context: Context, keys: Keys) -> None:
         session = context.session
         instance, host = context.ros.instance_id, socket.gethostname()
-        hello = Hello(__version__, session.name, instance, context.domain_id, FEATURES, host)
+        hello = Hello(__version__, session.name, instance, context.domain_id, host)
         self._context = context
         self._link = ClientLink(context, hello, _own(keys, session), preferred_suite())
         self._tasks = Tasks(context.loop, self._link.fail)
@@ -215,7 +200,7 @@ class ServerRole:
             context,
             _entries(session, keys),
             lambda link_id, use_name: Welcome(
-                __version__, session.name, link_id, context.ros.instance_id, context.domain_id, FEATURES, use_name
+                __version__, session.name, link_id, context.ros.instance_id, context.domain_id, use_name
             ),
             aes=preferred_suite() is Suite.AESGCM,
         )

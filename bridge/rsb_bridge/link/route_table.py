@@ -23,9 +23,7 @@ from rsb_bridge.link.proposals import (
     denied,
     same_route,
     topic_of,
-    unsupported_change,
 )
-from rsb_bridge.model.calls import FEATURE
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.model.snapshot import Level
@@ -45,13 +43,13 @@ from rsb_bridge.wire.messages import (
     Arm,
     Armed,
     ArmingMessage,
+    AskEnded,
     AskForArming,
     ByHand,
     Close,
     Describe,
     Disarm,
     HolderMessage,
-    HolderSays,
     Lease,
     LeaseMessage,
     Limit,
@@ -65,7 +63,7 @@ from rsb_bridge.wire.messages import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container
+    from collections.abc import Callable
 
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.model.session import Identity, Topic
@@ -86,13 +84,6 @@ def _half_of(proposal: Propose, *, is_client: bool) -> type[Route]:
     """Return the class of a route's half on this side."""
     sending, receiving = (OutgoingRoute, IncomingRoute) if proposal.kind == "topic" else (CallingRoute, ProvidingRoute)
     return sending if proposal.from_client == is_client else receiving
-
-
-def _unsupported(proposal: Propose, features: Container[str]) -> str:
-    """Return why a peer with these features does not know such a route, or an empty string if it does."""
-    if proposal.kind == "topic" or FEATURE in features:
-        return ""
-    return "the other side's rsb-console is too old for services, actions and parameters: update it"
 
 
 def _dispatch(message: _HalfMessage, route: Route) -> None:
@@ -301,10 +292,6 @@ class RouteTable(Extension):
         if spec.paused != route.paused:
             self.pause(route, paused=spec.paused)
 
-    def unsupported_change(self, route: Route, proposal: Propose) -> str:
-        """Return why the peer, which proposes the route, is too old for other limits, or an empty string."""
-        return unsupported_change(route.proposal, proposal, self._link.features)
-
     def _amended(self, message: Amend) -> None:
         """Take the peer's change of a route's limits, or its request for one."""
         route = self._link.ids.find(message.route)
@@ -374,9 +361,6 @@ class RouteTable(Extension):
             edited: whether it replaces a route that was removed right before.
         """
         self._reopen(route, self._link.ids.new())
-        if refusal := _unsupported(route.proposal, self._link.features):
-            route.refuse(EventCode.ROUTE_REFUSED, refusal)
-            return
         self._link.spawn(self._propose(route, route.id, who, edited=edited))
 
     async def _propose(self, route: Route, route_id: int, who: str, *, edited: bool) -> None:
@@ -411,7 +395,7 @@ class RouteTable(Extension):
                 route = self._link.ids.open_route(message.route)
                 if route is not None:  # otherwise it was closed here before the message arrived
                     self._about_route(route, message)
-                if isinstance(message, Disarm) and message.cause != DROPPED and self.arming.lease.supported:
+                if isinstance(message, Disarm) and message.cause != DROPPED:
                     self._link.send(Settled(message.route))
 
     def _proposed(self, proposal: Propose) -> None:
@@ -529,7 +513,7 @@ class RouteTable(Extension):
                 self._peer_operators.called(route, message)
             case Arm() | Armed() | Disarm():
                 self.arming.handle(route, message)
-            case AskForArming() | HolderSays():
+            case AskForArming() | AskEnded():
                 self.questions.handle(route, message)
 
     # --- time

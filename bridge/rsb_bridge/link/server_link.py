@@ -441,8 +441,15 @@ class ServerLink(Link):
             self.keys.check_attach_proof(event.header, event.name.number, event.proof)
         except SealError as error:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, str(error)) from None
-        port = event.name.port or self.shared_port()
-        transports = [transport for transport, at in self._awaited() if at == port]
+        shared = self.shared_port()
+        port = event.name.port or shared
+        # A name with the number of the link's own port is that of another transport's channel: its own streams have 0.
+        is_own, is_other = not event.name.port, event.name.port == shared
+        transports = [
+            transport
+            for transport, at in self._awaited()
+            if at == port and not (is_other if transport is self.transport else is_own)
+        ]
         if not transports or not self.channels.is_new(event.name):
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE, self.name)
         return min(transports, key=lambda each: (each is not self.transport, each.name)), port

@@ -6,8 +6,6 @@ from typing import Literal
 
 import msgspec
 
-FEATURE = "bench"
-"""Feature that a side announces if its links can be measured."""
 TYPE = "rsb_bridge/msg/Bench"
 TYPE_HASH = "RIHS01_" + "0" * 64
 _PART = "rsb_bench"

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Kind
 
 MOST_LANES = 16
-FEATURE = "calls"
-"""The feature of a side that carries services, actions and parameters."""
 
 
 class ServiceMember(NamedTuple):
@@ -169,7 +167,7 @@ class Refused(StrEnum):
     PAUSED = "paused"
     DISARMED = "disarmed"
     UNHEARD = "link silent"
-    """It is armed, but the two sides have not heard each other for a second; an older peer reads `OTHER`."""
+    """It is armed, but the two sides have not heard each other for a second."""
     PROVIDER_GONE = "provider gone"
     """No node provides the service any more; the call reached no node."""
     TOO_LARGE = "too large"

@@ -147,8 +147,8 @@ class ArmTopic(Command[None], frozen=True, tag="arm"):
 class AskHolder(Command[None], frozen=True, tag="ask_holder"):
     """Ask the holder of an armed topic for it, and arm it for the console that gives the command, after a disarm.
 
-    The holder has `rsb_bridge.model.by_hand.ASKED_FOR` for an answer; without one it goes over. A topic that nobody
-    holds is armed at once.
+    The holder has `rsb_bridge.model.by_hand.ASKED_FOR` for an answer; without one it goes over. Meanwhile, the console
+    has to give signs of life (`KeepArmed`). A topic that nobody holds is armed at once.
 
     Attributes:
         shared: as of `ArmTopic`.
@@ -206,7 +206,7 @@ class DisarmTopic(Command[None], frozen=True, tag="disarm"):
 
 
 class KeepArmed(Command[Held], frozen=True, tag="keep_armed"):
-    """Keep armed all topics that this console has armed; due at least every 2 s.
+    """Keep armed all topics that this console has armed, and open what it asks for; due at least every 2 s.
 
     A topic disarms if its console is silent for 5 s, or if its operator presses no key within its deadman time.
 
@@ -277,7 +277,7 @@ class Topics(Command[tuple[TopicInfo, ...]], frozen=True, tag="topics"):
     """List the topics, services, actions and nodes that can be bridged.
 
     Attributes:
-        link: whose peer's graph to list, or None for the graph of this side. An older peer lists topics only.
+        link: whose peer's graph to list, or None for the graph of this side.
     """
 
     right = Right.LOOK

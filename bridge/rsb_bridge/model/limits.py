@@ -72,12 +72,8 @@ STALE_AFTER = Range(0.1, 1e6)
 """s: the engine looks at a route every quarter of a second at most; the longest is eleven days."""
 LATE_AFTER = Range(0.05, 1e6)
 """s; a smaller bound would be within the uncertainty of the other side's clock."""
-LATE_AFTER_FEATURE = "late_after"
-"""The feature by which a side takes `late_after` of a proposal or a change."""
 MAX_AGE = Range(0.05, 3600)
 """s: a smaller bound would be within the uncertainty of the other side's clock; an hour old is no command any more."""
-MAX_AGE_FEATURE = "max_age"
-"""The feature by which a side holds messages to `max_age`, and stamps them by a clock that nobody sets."""
 DEADMAN_TIME = Range(2, 86_400)
 """s: the other side hears of pressed keys once a second; the longest is a day."""
 SPEED = Range(0.01, 1000)

@@ -7,8 +7,6 @@ from typing import Final
 
 from rsb_bridge.model.names import is_topic_name
 
-FEATURE = "patterns"
-"""What a side that tells which names of its graph match names among its features."""
 ROUTES_PER_PATTERN: Final = 100
 """Routes that one pattern makes on one link."""
 ROUTES_BY_PATTERNS: Final = 250

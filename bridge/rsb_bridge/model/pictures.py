@@ -13,8 +13,6 @@ from msgspec import Meta
 
 from rsb_bridge.model.text import UNPRINTABLE, sanitize_text, single_cells
 
-FEATURE = "look"
-"""Feature that a side announces if it renders pictures for its peer."""
 TYPE = "rsb_bridge/msg/Picture"
 TYPE_HASH = "RIHS01_" + "1" * 64
 _PART = "rsb_look"

@@ -26,8 +26,6 @@ RANKS: Final[dict[Priority, int]] = {"low": -1, "normal": 0, "high": 1}
 """As a proposal has them, the higher one first, as with DDS's transport priority."""
 LOWEST, HIGHEST = -100, 100
 """Ranks that a newer peer may use; each counts as the word that is nearest."""
-PRIORITY_FEATURE = "priority"
-"""What a side that keeps to priorities names among its features."""
 _WEIGHTS: Final[dict[Priority, int]] = {"low": 1, "normal": 4, "high": 16}
 
 

@@ -178,9 +178,9 @@ class ArmingSnapshot:
         here: whether it was armed on this side.
         left: s until it disarms unless that operator presses a key, or None if it is not armed or has no deadman.
         deadman: s, or 0 for none.
-        demanded_by: the lines that demand arming: ``robot.yaml:14``; an older bridge names none.
+        demanded_by: the lines that demand arming: ``robot.yaml:14``.
         why: the cause why it is not armed, as of `EventCode.ROUTE_DISARMED`, or "operator" or "not_yet"; empty while it
-            is armed, and of an older bridge.
+            is armed.
         reason: the same in words, with the operator who disarmed it.
         on_end: what the robot gets when the arming ends: ``zero``, ``none``, or a message as JSON; of what is no topic,
             and while the type is unknown, empty.

@@ -64,7 +64,6 @@ class TopicKey:
         zero: whether 0 is allowed, too.
         sentence: the key with its value, for a person; `zero_sentence` if that is 0.
         live: whether a change leaves the route open.
-        negotiated: whether only peers take it that have its name among their features.
         label: of its field in the form, or empty if the form makes the field itself.
         help: the form's help for a topic, and `help_of_calls` if that differs for other kinds.
         blank: the meaning of an empty field, a template with the session.
@@ -82,7 +81,6 @@ class TopicKey:
     sentence: str = ""
     zero_sentence: str = ""
     live: bool = False
-    negotiated: bool = False
     label: str = ""
     help: str = ""
     help_of_calls: str = ""
@@ -129,7 +127,7 @@ TOPIC_KEYS: Final = {key.name: key for key in (
              sentence="at most {value:g} {unit}",
              label="Max rate", help="Hz; messages beyond it are left out. Empty: no limit.", blank="all",
              help_of_calls="Calls a second; those beyond it are refused. Empty: no limit."),
-    TopicKey("priority", kinds="topics", wrong_kind=ForeignKey.PRIORITY_OF_CALLED, live=True, negotiated=True,
+    TopicKey("priority", kinds="topics", wrong_kind=ForeignKey.PRIORITY_OF_CALLED, live=True,
              sentence="{value} priority",
              label="Priority", help="While the link is full, topics of higher priority get a larger share of it.",
              options=_PRIORITIES),
@@ -142,12 +140,12 @@ TOPIC_KEYS: Final = {key.name: key for key in (
              label="Stale after", help="Seconds without a message before a warning; 0: never.",
              blank="{session.stale_after:g} s"),
     TopicKey("late_after", "number", kinds="topics", wrong_kind=ForeignKey.LATE_AFTER_OF_CALLED,
-             limits=LATE_AFTER, range_text=RangeText.LATE_AFTER, zero=True, unit="s", live=True, negotiated=True,
+             limits=LATE_AFTER, range_text=RangeText.LATE_AFTER, zero=True, unit="s", live=True,
              sentence="late after {value:g} {unit}", zero_sentence="never late",
              label="Late after", help="Seconds that a message may take before a warning; 0: never.",
              blank="{session.late_after:g} s"),
     TopicKey("max_age", "number", limits=MAX_AGE, range_text=RangeText.MAX_AGE, zero=True, unit="s",
-             live=True, negotiated=True,
+             live=True,
              sentence="dropped if older than {value:g} {unit}", zero_sentence="of any age",
              label="Max age", help=_OLD.format("message is dropped."), blank="1 s if armed",
              help_of_calls=_OLD.format("request is refused.")),

@@ -185,20 +185,6 @@ FINE = Verdict(State.OK)
 
 EXPIRES = frozenset({Cause.LINK_SLOW, Cause.CLOCK_UNKNOWN, Cause.PUBLISHER_STAMPS_OLD})
 """Causes of topics of whose messages many are older than `max_age`."""
-_LATE = frozenset({Cause.LATE, *EXPIRES})
-
-
-def state_for_any(state: State) -> State:
-    """Return a state that every version knows, for the other side of a link and for attached consoles.
-
-    Together with the cause, `state_of` finds the state itself again.
-    """
-    return State.SLOW if state is State.LATE else state
-
-
-def state_of(state: str, cause: str) -> State:
-    """Return the original of a state from `state_for_any`, or SLOW if only a newer version knows it."""
-    return State.LATE if state == State.SLOW and cause in _LATE else State(state)
 
 
 def worse(sender: Verdict, receiver: Verdict) -> tuple[Verdict, bool]:

@@ -63,8 +63,6 @@ class Disarmed(StrEnum):
     """One of the two sides, or the link, stood still for too long."""
     LINK_SLOW = "link_slow"
     """The link's round trip is too long for commands that must be young."""
-    PEER_TOO_OLD = "peer_too_old"
-    """The other side's rsb-console cannot tell old commands from new ones."""
 
 
 DISARM_TEXT = {
@@ -82,7 +80,6 @@ DISARM_TEXT = {
     Disarmed.REOPENED: "the topic was reopened",
     Disarmed.LEASE: "a side or the link stood still",
     Disarmed.LINK_SLOW: f"the link is too slow: a round trip takes over {SLOW:g} s; use a faster link",
-    Disarmed.PEER_TOO_OLD: "the other side's rsb-console is too old for arming: update it",
 }
 
 

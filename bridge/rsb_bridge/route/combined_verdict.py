@@ -10,7 +10,7 @@ import msgspec
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.verdict import FINE, Cause, Verdict, state_for_any, state_of, worse
+from rsb_bridge.model.verdict import FINE, Cause, Verdict, worse
 from rsb_bridge.wire.records import VerdictRecord
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ class CombinedVerdict:
         if record is None:
             self.peer = FINE
             return
-        state = state_of(record.state, record.cause)
+        state = State(record.state)
         since, before = _since(record.lasting, now), self.peer
         same = (before.state, before.cause) == (state, record.cause)
         # Reports take different times to arrive.
@@ -146,7 +146,7 @@ def record_of(verdict: Verdict) -> VerdictRecord | None:
     """Return a verdict's record for the other side without its duration, or None if nothing is wrong."""
     if verdict == FINE:
         return None
-    return VerdictRecord(state_for_any(verdict.state), verdict.cause, sanitize_text(verdict.text, _TEXT_LENGTH))
+    return VerdictRecord(verdict.state, verdict.cause, sanitize_text(verdict.text, _TEXT_LENGTH))
 
 
 def lasting(record: VerdictRecord | None, verdict: Verdict, now: float) -> VerdictRecord | None:

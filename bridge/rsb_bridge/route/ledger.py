@@ -27,7 +27,7 @@ THROTTLED = "throttled"
 INCOMPLETE = "incomplete"
 """The receiver gave these up because parts of them did not come."""
 UNKNOWN = "unknown"
-"""Cause under which a report lists `Ledger.unknown`, so that the sum is right for older peers, too."""
+"""Cause under which a report lists `Ledger.unknown`."""
 _ON_THE_WAY = "lost on the way"
 _LARGEST = 2**53
 """The largest count that is kept or sent; anything beyond it is a mistake."""

@@ -78,16 +78,6 @@ class Peer(Protocol):
         ...
 
     @property
-    def features(self) -> tuple[str, ...]:
-        """Features of the present or last peer beyond version 2 of the wire format."""
-        ...
-
-    @property
-    def stamp_shift(self) -> int:
-        """Nanoseconds to add to a stamp of the wall clock before it is sent."""
-        ...
-
-    @property
     def report_delay(self) -> float:
         """Approximate delay of the peer's reports, in seconds."""
         ...

@@ -94,7 +94,7 @@ class Resolver:
             if not loop_filter.table.to_describe():
                 raise UnresolvedError(loop_filter.unexplained(), cause=Cause.NO_MESSAGE)
         except UnresolvedError as error:
-            self.unresolved = error
+            self.unresolved = error.with_traceback(None)  # whose frames have this resolver
             return None
         return resolved
 

@@ -15,7 +15,6 @@ import msgspec
 
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.limits import MAX_AGE_FEATURE
 from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.session import HIGHEST, RANKS, priority_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot
@@ -30,7 +29,6 @@ from rsb_bridge.route.peer import Peer
 from rsb_bridge.route.rate_limit import RateLimit, limits_changed
 from rsb_bridge.route.type_versions import MessageType
 from rsb_bridge.telemetry.meters import RateMeter
-from rsb_bridge.wire.headers import LEASE_FEATURE
 from rsb_bridge.wire.messages import Close, Propose
 
 if TYPE_CHECKING:
@@ -121,7 +119,6 @@ class Route:
         self.closed_ids: deque[int] = deque()
         self.closed_at = 0.0
         self.retry_at = 0.0
-        self._warned_of = ""  # the process of an older peer
         self._refused = ""  # the last refusal, until a later opening succeeds
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
         self.notices = Notices(self.log, context.wall)
@@ -201,15 +198,7 @@ class Route:
     def on_accepted(self) -> None:
         """Go on after both sides have accepted the route."""
         if self.life.take(Event.ACCEPT):
-            self._warn_of_older_peer()
             self.advance()
-
-    def _warn_of_older_peer(self) -> None:
-        """Warn operators once for each process of the peer that the peer does not drop old messages."""
-        if self.age.max_age and MAX_AGE_FEATURE not in self.peer.features and self._warned_of != self.peer.instance:
-            self._warned_of = self.peer.instance
-            text = "only this side drops messages older than max_age: update the other side's rsb-console"
-            self.log(Level.WARNING, EventCode.ROUTE_MAX_AGE_ONE_SIDED, text)
 
     @property
     def rank(self) -> int:
@@ -525,8 +514,6 @@ class Route:
 
     def _why_not_armable(self) -> Disarmed | None:
         """Return the reason why no operator at all can arm it now, or None."""
-        if LEASE_FEATURE not in self.peer.features:
-            return Disarmed.PEER_TOO_OLD
         return Disarmed.LINK_SLOW if self.arming.why is Disarmed.LINK_SLOW else None
 
     def verdict(self) -> Verdict:

@@ -361,7 +361,7 @@ class OutgoingPath:
             return
         if route.age.is_on:
             batch = self._young(batch)
-        elif shift := route.peer.stamp_shift:
+        elif shift := context.stamps.shift:
             batch = [each._replace(stamp=shifted(each.stamp, shift)) for each in batch]
         sources = self._loop_filter.table.flags
         for message in batch:
@@ -428,8 +428,7 @@ class OutgoingPath:
         self._send(messages, size)
 
     def _show(self, message: RawMessage) -> None:
-        is_shifted = self._route.age.is_on or self._route.peer.stamp_shift
-        time_ns = message.stamp - self._context.stamps.shift if is_shifted else message.stamp
+        time_ns = message.stamp - self._context.stamps.shift
         self._route.peek_slot.put(peeked(self._route, message.payload, time_ns), self._context.now())
 
     def _limit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:

@@ -445,11 +445,10 @@ def _subscribers(facts: Facts) -> Verdict | None:
             alike = [other for other in progress.endpoints if clashes(qos, other.qos) == found]
             offer, asked = zip(*found, strict=True)
             who = _plural(alike, "asks", "ask", "subscriptions")
-            heard = {p.node for p in progress.others if any(not clashes(p.qos, other.qos) for other in alike)}
-            only = f", so that only {named(heard)} {'is' if len(heard) == 1 else 'are'} heard" if heard else ""
             text = (
                 f"{who} for {', '.join(asked)}, but {facts.status.topic} is published with "
-                f"{', '.join(offer)}{only}: change the QoS of the subscription, or of the publishers and this topic"
+                f"{', '.join(offer)}{_hears_instead(progress, alike)}: "
+                "change the QoS of the subscription, or of the publishers and this topic"
             )
             return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
     if not progress.endpoints and not progress.subscribers and facts.status.came:
@@ -457,6 +456,18 @@ def _subscribers(facts: Facts) -> Verdict | None:
             State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(facts.status.topic, f"in domain {facts.status.domain_id}")
         )
     return None
+
+
+def _hears_instead(progress: TopicProgress, deaf: Collection[Endpoint]) -> str:
+    """Return what subscribers that do not match hear of other publishers, and who hears this topic, as a clause."""
+    assert progress.qos is not None
+    nodes = {each.node for each in deaf}
+    others = {p.node for p in progress.others if any(not clashes(p.qos, each.qos) for each in deaf)}
+    hearing = {each.node for each in progress.endpoints if not clashes(progress.qos, each.qos)} - nodes
+    clause = f", so that {'it hears' if len(nodes) == 1 else 'they hear'} only {named(others)}" if others else ""
+    if hearing:
+        clause += f", while {named(hearing)} {'hears' if len(hearing) == 1 else 'hear'} this topic"
+    return clause
 
 
 def _plural(endpoints: Collection[Endpoint], one: str, several: str, what: str = "publishers") -> str:

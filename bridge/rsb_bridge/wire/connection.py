@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of
-from rsb_bridge.wire import sealing
 from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
 from rsb_bridge.wire.events import (
     Accepted,
@@ -157,8 +156,7 @@ class ClientConnection(_Control, ConnectingStream):
         welcome = decode_welcome(self._read_answer(message, RefusalText.ANSWER_SEALED_WITH_ANOTHER_KEY()))
         keys = self._handshake.split()
         self._proven, self._at = self._key is not None, welcome.at
-        tagged = sealing.FEATURE in self._hello.features and sealing.FEATURE in welcome.features
-        self._start_sealing(self._suite, keys, tagged=tagged)
+        self._start_sealing(self._suite, keys)
         self._confirm()
         if welcome.taken:
             raise Refusal(RefusalCode.NAME_TAKEN, welcome.taken)
@@ -257,7 +255,7 @@ class ServerConnection(AcceptingStream, _Control):
         else:
             outcome = Established(hello, SessionKeys(offer.suite, keys.export, welcome.link_id))
         self._fingerprint = b"" if key is None else offer.fingerprint
-        self._accept(offer.suite, keys, answer, outcome, tagged=sealing.FEATURE in hello.features)
+        self._accept(offer.suite, keys, answer, outcome)
 
 
 class DataConnection(PreambleStream):

@@ -53,11 +53,9 @@ Rank: TypeAlias = Annotated[int, Meta(ge=LOWEST, le=HIGHEST)]
 Hop: TypeAlias = Annotated[str, Meta(min_length=1, max_length=HOP_LENGTH, pattern=PRINTABLE)]
 Hops: TypeAlias = Annotated[tuple[Hop, ...], Meta(min_length=1, max_length=MOST_HOPS)]
 MaybeHops: TypeAlias = Annotated[tuple[Hop, ...], Meta(max_length=MOST_HOPS)]
-Kinds: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=16)]
 Bridges: TypeAlias = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=MOST_BRIDGES)]
 NodeNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=16)]
 ViewedTopics: TypeAlias = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=TOPICS_AT_ONCE)]
-Features: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=32)]
 
 MOST_PUBLISHERS = 4096
 """Of one latched topic, in one message."""

@@ -10,8 +10,6 @@ from msgspec import Meta
 
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 
-LEASE_FEATURE = "lease"
-"""The feature by which a side takes part in leases."""
 LAST_LEASE = 2**32 - 1
 
 _LEASE_HEADER = struct.Struct(">I")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
@@ -19,10 +19,8 @@ from rsb_bridge.wire.fields import (
     Compression,
     Count,
     DescriptionText,
-    Features,
     Hertz,
     HistoryDepths,
-    Kinds,
     LateAfter,
     LinkId,
     MaxAge,
@@ -67,7 +65,6 @@ class Hello(ControlMessageBase, frozen=True):
     Attributes:
         name: of its session; the same as in the preamble.
         instance: random, new with each start of the process.
-        features: its abilities beyond version 2, as `rsb_bridge.model.calls.FEATURE`; others are a newer peer's.
         host: its machine's host name, for operators, or empty if unknown.
     """
 
@@ -75,7 +72,6 @@ class Hello(ControlMessageBase, frozen=True):
     name: Name
     instance: Name
     domain_id: Count
-    features: Features = ()
     host: Name = ""
 
 
@@ -85,7 +81,6 @@ class Welcome(ControlMessageBase, frozen=True):
     Attributes:
         link_id: 8 random bytes that name this link.
         instance: random, new with each start of the process.
-        features: as in `Hello`.
         use_name: whether it puts the client's name before the names of this client's topics.
         taken: text on the client that has the name already, or empty. This client confirms, and is refused.
         shut_down: text on the operator who has shut the link down, or empty. The client confirms, and is refused.
@@ -97,7 +92,6 @@ class Welcome(ControlMessageBase, frozen=True):
     link_id: LinkId
     instance: Name
     domain_id: Count
-    features: Features = ()
     use_name: bool = False
     taken: Reason = ""
     shut_down: Reason = ""
@@ -132,10 +126,9 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
         who: the operator who has just added or edited the topic, or empty if unknown.
         edited: whether it replaces the route that was removed right before.
         kind: a key of `rsb_bridge.model.calls.LANES`; another kind is a newer peer's, and refused. For calls, the
-            "sending side" is the callers'. Only topics are proposed to a peer whose `features` lack
-            `rsb_bridge.model.calls.FEATURE`.
+            "sending side" is the callers'.
         timeout: s until a call without an answer is given up, or 0 for 30 s and for topics.
-        priority: of a topic, `rsb_bridge.model.session.RANKS`; an older sender ignores it.
+        priority: of a topic, `rsb_bridge.model.session.RANKS`.
     """
 
     route: RouteId
@@ -313,7 +306,7 @@ class Pong(ControlMessageBase, frozen=True):
         received: ns since the epoch on the answerer's clock, when the ping came.
         answered: ns since the epoch on the answerer's clock, when this was sent.
         shift: ns to add to the answerer's times. The sums follow a clock that is never set, as do the stamps of its
-            messages to a peer with the feature `max_age`.
+            messages.
     """
 
     n: Count
@@ -367,14 +360,12 @@ class Shutdown(ControlMessageBase, frozen=True):
 
 
 class ListTopics(ControlMessageBase, frozen=True):
-    """Either side asks for the peer's topics. Answered by a `TopicList` with the same request number.
+    """Either side asks for the topics, services and the like of the peer's graph.
 
-    Attributes:
-        kinds: wanted kinds besides topics; unknown kinds are a newer peer's, and ignored.
+    Answered by a `TopicList` with the same request number.
     """
 
     request: Count
-    kinds: Kinds = ()
 
 
 class TopicList(ControlMessageBase, frozen=True):
@@ -405,8 +396,11 @@ class Amend(ControlMessageBase, frozen=True):
     """The route goes on with other limits. Its fields are as in `Propose`.
 
     The route's proposer decides, and sends the new limits. The other side asks it by the same message, and changes
-    nothing before the proposer has answered. `who` is the operator who changes it, or empty in an answer. An older
-    side sends no `priority`, `late_after` or `max_age`; then the route keeps its own.
+    nothing before the proposer has answered. `who` is the operator who changes it, or empty in an answer.
+
+    Attributes:
+        max_age: as in `Propose`. The other side leaves it out unless it asks for another one: the proposer's entry may
+            set none, and then its limit is another line's.
     """
 
     route: RouteId
@@ -414,8 +408,8 @@ class Amend(ControlMessageBase, frozen=True):
     expected_rate: Hertz = 0.0
     stale_after: StaleAfter | None = None
     who: Name = ""
-    priority: Rank | None = None
-    late_after: LateAfter | UnsetType | None = UNSET
+    priority: Rank = 0
+    late_after: LateAfter | None = None
     max_age: MaxAge | UnsetType | None = UNSET
 
     def __post_init__(self) -> None:
@@ -489,32 +483,34 @@ ArmingMessage: TypeAlias = Arm | Armed | Disarm
 
 
 class AskForArming(ControlMessageBase, frozen=True):
-    """Either side: an operator asks the holder, an operator of the other side, for the arming of a route.
-
-    Only to a side with the feature `take_over`.
+    """Either side: an operator asks the holder, an operator of either side, for the arming of a route.
 
     Attributes:
         who: the operator who asks, in words.
-        withdrawn: whether that operator asks no longer.
     """
 
     route: RouteId
     who: Name = ""
-    withdrawn: bool = False
 
 
-class HolderSays(ControlMessageBase, frozen=True):
-    """The holder's answer to `AskForArming`. A side whose operator gets it disarms the route, then arms it.
+HowAsked: TypeAlias = Literal["kept", "given", "unanswered", "withdrawn"]
+
+
+class AskEnded(ControlMessageBase, frozen=True):
+    """Either side: a question for the arming of a route is over. The asker's side disarms it, then arms it.
 
     Attributes:
-        gives: whether the holder gives it.
+        how: the holder keeps or gives it, as the holder's side says, or has not answered in time; or the operator who
+            asked is gone, as that one's side says.
+        own: whether an operator of the side that sends this had asked.
     """
 
     route: RouteId
-    gives: bool
+    how: HowAsked
+    own: bool = False
 
 
-HolderMessage: TypeAlias = AskForArming | HolderSays
+HolderMessage: TypeAlias = AskForArming | AskEnded
 
 
 Size: TypeAlias = Annotated[int, Meta(ge=0, le=MOST_SIZE)]
@@ -720,7 +716,7 @@ ControlMessage: TypeAlias = (
     | Armed
     | Disarm
     | AskForArming
-    | HolderSays
+    | AskEnded
     | Settled
     | Lease
     | Ping

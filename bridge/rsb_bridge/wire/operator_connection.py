@@ -32,8 +32,6 @@ HOST_BYTES = 64
 """Bytes of the console's host name in UTF-8."""
 _AT_BYTES = 64
 _VERSION = struct.Struct(">H")
-_TAGS = 0x8000
-"""The bit of a console's version that announces sample tags (`rsb_bridge.wire.sealing`)."""
 
 
 class OperatorPreamble(NamedTuple):
@@ -46,7 +44,6 @@ class OperatorPreamble(NamedTuple):
         fingerprint: of the operator's key, as the console says: 8 bytes.
         header: the frame up to the handshake message: the handshake's prologue.
         message: the first handshake message.
-        tags: the console takes sample tags.
     """
 
     version: int
@@ -55,7 +52,6 @@ class OperatorPreamble(NamedTuple):
     fingerprint: bytes
     header: bytes
     message: bytes
-    tags: bool = False
 
 
 def operator_header(version: int, operator: str, engine: str, fingerprint: bytes) -> bytes:
@@ -64,7 +60,7 @@ def operator_header(version: int, operator: str, engine: str, fingerprint: bytes
     Raises:
         ValueError: a name is too long.
     """
-    body = _VERSION.pack(version | _TAGS)
+    body = _VERSION.pack(version)
     for name in (operator, engine):
         encoded = name.encode()
         if len(encoded) > NAME_BYTES:
@@ -88,8 +84,7 @@ def parse_operator(frame: bytes) -> OperatorPreamble:
     if len(frame) < end:
         raise ProtocolError(Broken.OPERATOR_TOO_SHORT(field="fingerprint"))
     (version,) = _VERSION.unpack_from(frame, PREFIX_LENGTH)
-    tags = bool(version & _TAGS)
-    return OperatorPreamble(version & ~_TAGS, operator, engine, frame[at:end], frame[:end], frame[end:], tags)
+    return OperatorPreamble(version, operator, engine, frame[at:end], frame[:end], frame[end:])
 
 
 def _name(frame: bytes, at: int) -> tuple[str, int]:
@@ -158,7 +153,7 @@ class OperatorConsole(_Records, ConnectingStream):
         wrong_key = RefusalText.ENGINE_SEALED_WITH_ANOTHER_KEY(fingerprint=format_fingerprint(self._mark))
         self._at = self._read_answer(message, wrong_key)[:_AT_BYTES].decode(errors="replace")
         self._proven = True
-        self._start_sealing(SUITE, self._handshake.split(), tagged=bool(self._at))
+        self._start_sealing(SUITE, self._handshake.split())
         self._confirm()
         self._events.append(Admitted())
 
@@ -174,7 +169,7 @@ class OperatorEngine(AcceptingStream, _Records):
 
         Args:
             identity: the credential of an operator by their name, which is not authenticated yet; may raise `Refusal`.
-            at: this engine's address in a Zenoh network, or empty on a stream that takes no sample tags.
+            at: this engine's address in a Zenoh network, or empty elsewhere.
         """
         super().__init__(_RECORD_HEADER, RECORD_LIMIT, "console", identity)
         self._at = at
@@ -196,4 +191,4 @@ class OperatorEngine(AcceptingStream, _Records):
         self._check_new(replays, offer.message)
         answer = handshake.write(self._at.encode())
         admitted = Admitted(offer.operator, sanitize_text(host.decode(errors="replace")), key)
-        self._accept(SUITE, handshake.split(), answer, admitted, tagged=bool(self._at) and offer.tags)
+        self._accept(SUITE, handshake.split(), answer, admitted)

@@ -182,6 +182,7 @@ class CallsReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
         expired: calls given up after the timeout.
         lost: calls given up because the link or the provider went.
         in_flight: calls that wait for their answers.
+        given: of the providing side, the number of the newest call of this opening that it gave to DDS, or 0 for none.
         offered: whether the callers' side offers it.
         verdict: this side's, or None.
         nodes: some of the calling or providing nodes.
@@ -194,6 +195,7 @@ class CallsReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     refused: Causes = {}
     lost: int = 0
     in_flight: int = 0
+    given: int = 0
     offered: bool = False
     verdict: VerdictRecord | None = None
     nodes: NodeNames = ()

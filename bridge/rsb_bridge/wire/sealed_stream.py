@@ -54,14 +54,14 @@ class SealedStream(PreambleStream):
 
     @property
     def sample_secret(self) -> bytes | None:
-        """The secret of the stream's sample tags, or None before the handshake, or if one end takes no tags."""
+        """The secret of the stream's sample tags, or None before the handshake or without encryption."""
         return self._sample_secret
 
-    def _start_sealing(self, suite: Suite, keys: HandshakeKeys, *, tagged: bool) -> None:
+    def _start_sealing(self, suite: Suite, keys: HandshakeKeys) -> None:
         sending, receiving = (keys.server, keys.client) if self._is_server else (keys.client, keys.server)
         self._sealer, self._opener = Sealer(suite, sending), StreamOpener(suite, receiving)
         self._phase = Phase.SEALED
-        if tagged and keys.export is not None:
+        if keys.export is not None:
             self._sample_secret = derive_sample_secret(keys.export)
 
     def _seal(self, content: Buffer) -> bytes:
@@ -197,10 +197,10 @@ class AcceptingStream(SealedStream):
         if not replays.is_new(message):
             raise ProtocolError(Broken.HANDSHAKE_REPLAYED(name=self.name))
 
-    def _accept(self, suite: Suite, keys: HandshakeKeys, answer: bytes, outcome: Event, *, tagged: bool) -> None:
+    def _accept(self, suite: Suite, keys: HandshakeKeys, answer: bytes, outcome: Event) -> None:
         """Answer a first message that opens. What it says counts once the other end has confirmed."""
         self._outbox += pack_frame(preamble_frame(Kind.ACCEPT, answer))
-        self._start_sealing(suite, keys, tagged=tagged)
+        self._start_sealing(suite, keys)
         self._unconfirmed = outcome
 
     def _open_frames(self) -> None:

@@ -364,8 +364,6 @@ def _expand(secret: bytes | None, label: bytes, info: bytes = b"") -> bytes | No
     return None if secret is None else HKDFExpand(SHA256(), KEY_LENGTH, label + info).derive(secret)
 
 
-FEATURE = "sample_tags"
-"""The feature by which a side of a link tags its samples."""
 TAG_LENGTH = 16
 _KEY_LENGTH = 32
 _NONCE = struct.Struct(">BxxxQ")

@@ -62,6 +62,7 @@ from rsb_console.terminal.typed_keys import TypedKeys
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable
+    from concurrent.futures import Future
 
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.history import HistoryReport
@@ -71,6 +72,7 @@ if TYPE_CHECKING:
 _LOOK_EVERY = 0.1
 _SHOWN_WITHIN = 1.0
 """s from the end of an arming until the bridge's state, which comes four times a second, surely shows it."""
+_ALIVE_EVERY = 1.0
 _EVENTS_WITHIN = 10.0
 _DIRECTIONS = ("transmit", "receive")
 """As the client sees it."""
@@ -488,11 +490,26 @@ def _arm(arguments: Namespace) -> int:
     with TypedKeys(_standard_input(), os.environ) as keys, attached(arguments, expires=True) as engine:
         route = chosen_route(engine, arguments)
         arm = engine.take_arming if arguments.take else engine.ask_holder if arguments.ask else engine.arm
-        result(arm(route.key, shared=True))  # for `rsb-console pub` in another shell
+        _wait_alive(engine, arm(route.key, shared=True))  # shared with `rsb-console pub` in another shell
         engine.given_at = None  # what follows is given by young keys, however long ago this process started
         _say_armed(arguments, route)
         why, cause = _hold(engine, route, keys)
     return failed(arguments, why, FAILURE, cause=cause)
+
+
+def _wait_alive(engine: RemoteEngine, arming: Future[None]) -> None:
+    """Wait for the end of an arming, and give signs of life: the question of a silent console ends.
+
+    Raises:
+        EngineError: it is not armed.
+        TimeoutError: the bridge does not answer.
+    """
+    deadline = time.monotonic() + ANSWERED_WITHIN
+    while time.monotonic() < deadline:
+        with contextlib.suppress(TimeoutError):
+            return arming.result(_ALIVE_EVERY)
+        engine.keep_armed(pressed=False)
+    raise TimeoutError
 
 
 def _say_armed(arguments: Namespace, route: RouteSnapshot) -> None:

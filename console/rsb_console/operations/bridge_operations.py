@@ -363,9 +363,10 @@ class Deadman:
         self._pressed |= isinstance(event, Key) and screen in self._screens
 
     def keep(self, engine: EngineApi | None, snapshot: Snapshot) -> None:
-        """Keep armed what is; the engine knows what this console has armed."""
+        """Keep armed what is, and a question open; the engine knows what this console has armed, or asks for."""
         pressed, self._pressed = self._pressed, False
-        if engine is not None and any(route.arming and route.arming.here for route in snapshot.routes):
+        armings = [route.arming for route in snapshot.routes if route.arming is not None]
+        if engine is not None and any(each.here or each.asked_by for each in armings):
             engine.keep_armed(pressed=pressed).add_done_callback(self._note)
         else:
             self.held = frozenset()

@@ -382,7 +382,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
             await self.console.command(engine.arm(route.key))
 
     async def _take_over(self, engine: EngineApi, route: RouteSnapshot) -> None:
-        question = AskHolderScreen(route)
+        question = AskHolderScreen(route, may_take=engine.may_take)
         if not await self.console.ask(question) or not self.is_running:
             return
         if question.choice == "disarm":

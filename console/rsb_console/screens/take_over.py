@@ -29,10 +29,12 @@ class HandOverText(Wording):
     MEANS = (
         "{holder} holds it, and drives alone.\n"
         "y asks for it: without an answer it goes over after {seconds:.0f} s, and the robot stands in between.\n"
-        "t takes it at once, with the right to. A disarms it at once."
+        "{takes}A disarms it at once."
     )
+    TAKES = "t takes it at once. "
     ASK, TAKE, DISARM = "Ask", "Take", "Disarm"
-    KEYS = "y ask   t take   A disarm   n no"
+    KEYS = "y ask   {take}A disarm   n no"
+    TAKE_KEY = "t take   "
     GIVE = "Give {topic} of {link} to somebody else?"
     ASKS = (
         "{who} asks for it, to drive instead.\n"
@@ -46,6 +48,9 @@ class AskHolderScreen(GuardedConfirmScreen):
 
     Attributes:
         choice: ``ask`` its holder, ``take`` it at once, or ``disarm`` it.
+
+    Args:
+        may_take: whether the operator has the right to take it, which is shown and offered only then.
     """
 
     BINDINGS: ClassVar = [
@@ -53,17 +58,20 @@ class AskHolderScreen(GuardedConfirmScreen):
         Binding("A", "choose('disarm')", show=False),
     ]
     SAFE_KEYS = GuardedConfirmScreen.SAFE_KEYS | {"A"}
-    KEYS = HandOverText.KEYS()
 
-    def __init__(self, route: RouteSnapshot) -> None:
+    def __init__(self, route: RouteSnapshot, *, may_take: bool) -> None:
         holder = "" if route.arming is None else route.arming.by
-        title = HandOverText.HELD(topic=route.topic)
-        super().__init__(title, HandOverText.MEANS(holder=holder, seconds=ASKED_FOR), HandOverText.ASK())
+        title, takes = HandOverText.HELD(topic=route.topic), HandOverText.TAKES() if may_take else ""
+        means = HandOverText.MEANS(holder=holder, seconds=ASKED_FOR, takes=takes)
+        super().__init__(title, means, HandOverText.ASK())
         self.choice = "ask"
+        self._may_take = may_take
+        self.KEYS = HandOverText.KEYS(take=HandOverText.TAKE_KEY() if may_take else "")
 
     def compose_buttons(self) -> ComposeResult:
         yield Button(self._yes, id="yes", variant=self.VARIANT, compact=True)
-        yield Button(HandOverText.TAKE(), id="take", variant=self.VARIANT, compact=True)
+        if self._may_take:
+            yield Button(HandOverText.TAKE(), id="take", variant=self.VARIANT, compact=True)
         yield Button(HandOverText.DISARM(), id="disarm", compact=True)
         yield Button("No", id="no", compact=True)
 
@@ -72,6 +80,9 @@ class AskHolderScreen(GuardedConfirmScreen):
             self.action_choose(event.button.id)
         else:
             super().on_button_pressed(event)
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        return (self._may_take or parameters != ("take",)) and super().check_action(action, parameters)
 
     def action_choose(self, choice: str) -> None:
         self.choice = choice

@@ -21,6 +21,7 @@ from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_interface import Request, RosError
 from rsb_bridge.route.calls.call_endpoints import Offers, name_of, type_of
 from rsb_bridge.route.calls.call_servers import LocalServers, others_called, types_clash, way_here
@@ -132,6 +133,13 @@ class CallerCall(Call):
         """Tell an operator that no answer will come. ROS has no way to tell other callers."""
         if isinstance(self.server, ManualCall):
             self.server.fail(reason)
+
+
+class LandedText(Wording):
+    """How far a call without an answer got on the other side."""
+
+    GIVEN = "it was given to DDS there, so the node may have acted on it"
+    UNREPORTED = "not reported whether it was given to DDS there: the node may have acted on it"
 
 
 class CallerAction:
@@ -605,18 +613,23 @@ class CallingRoute(CallsRoute):
             self.action.unanswered(call.kept)
         self.calls.expired += 1
         self._failed(f"a call had no answer within {self.call_timeout:g} s")
-        call.unanswered(self.calls.last_failure)
+        call.unanswered(f"{self.calls.last_failure}; {self._landed(number)}")
 
     def _give_up_all(self, why: str) -> None:
         lost = 0
-        for _, call in self._pending.clear():
+        for number, call in self._pending.clear():
             if self.action is not None and self.action.keep(call):
                 continue
             if self.action is not None and call.kept is not None:
                 self.action.unanswered(call.kept)
-            call.unanswered(f"no answer: {why}; the node may have acted on the call")
+            call.unanswered(f"no answer: {why}; {self._landed(number)}")
             lost += 1
         self._lose(lost, why)
+
+    def _landed(self, number: int) -> str:
+        """Return how far a call without an answer got, as the other side has reported it, once a second."""
+        given = self._report is not None and number <= self._report.given
+        return (LandedText.GIVEN if given else LandedText.UNREPORTED)()
 
     # --- calls of an action over an interruption
 

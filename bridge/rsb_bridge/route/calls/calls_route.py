@@ -87,6 +87,7 @@ class CallsRoute(Route):
         self._loaded: tuple[str, ...] = ()  # types by lane, once loading them was tried
         self._loading: tuple[str, ...] = ()
         self._later = Backlog()
+        self._given = 0  # the newest call that the providing half gave to DDS
         self._report: CallsReport | None = None  # the peer's, of the present opening
         self._last_report: CallsReport | None = None
         self._came = False  # a call, in the present opening
@@ -97,7 +98,7 @@ class CallsRoute(Route):
         self._said: dict[str, float] = {}
 
     def _stamp_now(self) -> int:
-        return shifted(self.context.clock.time_ns(), self.peer.stamp_shift)
+        return shifted(self.context.clock.time_ns(), self.context.stamps.shift)
 
     # --- what the halves do differently
 
@@ -443,7 +444,7 @@ class CallsRoute(Route):
         """Return the report that the peer has not been sent yet, or None if nothing is new."""
         verdict = self.verdict()
         report = self.calls.report(self.id, record_of(verdict), node_names(self.endpoints))
-        report = msgspec.structs.replace(report, offered=self.offered)
+        report = msgspec.structs.replace(report, offered=self.offered, given=self._given)
         if report == self._last_report:
             return None
         self._last_report = report

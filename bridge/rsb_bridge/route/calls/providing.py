@@ -285,7 +285,7 @@ class ProvidingRoute(CallsRoute):
         """End the opening; pending calls are lost, but an action's server goes on answering."""
         super().close(reason)
         self._last_sent = None
-        self._highest = 0
+        self._highest = self._given = 0
         if self.action is not None:
             self.action.status_sent = False
 
@@ -375,7 +375,7 @@ class ProvidingRoute(CallsRoute):
             self.notices.message_error(EventCode.ROUTE_CALL_FAILED, str(error))
             self._refuse_peer(frame, Refused.NOT_SENT)
             return None
-        self._by_number[frame.lane, number] = frame.call
+        self._by_number[frame.lane, number] = self._given = frame.call
         return self._add(frame, number)
 
     def _add(self, frame: CallFrame, number: int = 0) -> PeersCall:

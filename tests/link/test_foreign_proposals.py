@@ -1,0 +1,91 @@
+"""What a peer proposes that this side does not know, and ages that either side limits."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pytest
+from tests.support.bridge import happened, linked
+from tests.support.inside import inside
+from tests.support.rogue import Rogue
+from tests.support.waiting import eventually
+
+from rsb_bridge.config.keys import read_key
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.demands import ARMED
+from rsb_bridge.model.session import Client, Kind, Topic
+from rsb_bridge.wire.messages import Accept, Amend, Propose, Refuse
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+
+    from rsb_bridge.engine import Engine
+    from rsb_bridge.link.link import Link
+
+KINDS: tuple[Kind, ...] = ("service", "action", "parameters")
+
+
+def rogue(bridge: Bridge) -> Rogue:
+    return Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret)
+
+
+def link(engine: Engine) -> Link:
+    return inside(engine).links()[0]
+
+
+def names(engine: Engine, side: str | None) -> set[tuple[str, str]]:
+    return {(each.kind, each.topic) for each in engine.topics(side).result(60)}
+
+
+def test_what_only_a_newer_side_can_propose_is_refused_and_the_rest_goes_on(bridge: Bridge) -> None:
+    server = bridge.server()
+    with rogue(bridge) as newer:
+        ask: dict[str, Any] = {"topic": "/thought", "remote_topic": "/thought", "from_client": True}
+        newer.say(Propose(route=1, kind="telepathy", **ask), Propose(route=3, kind="topic", **ask))
+        refused = newer.wait_for(Refuse, Accept)
+        assert isinstance(refused, Refuse)
+        assert (refused.route, refused.code) == (1, "denied")
+        assert "telepathy" in refused.reason
+        assert "update" in refused.reason
+        assert newer.wait_for(Accept).route == 3
+        assert linked(server)
+        assert happened(server, EventCode.ROUTE_REFUSED, "telepathy")
+
+
+@pytest.mark.parametrize("change", [{"timeout": 5.0}, {"kind": "service", "transport": "udp"}])
+def test_what_a_kind_does_not_have_is_refused_in_words(bridge: Bridge, change: dict[str, Any]) -> None:
+    bridge.server()
+    with rogue(bridge) as client:
+        asked = Propose(route=1, topic="/add", remote_topic="/add", from_client=True)
+        client.say(msgspec.structs.replace(asked, **change))
+        refused = client.wait_for(Refuse, Accept)
+        assert isinstance(refused, Refuse)
+        assert refused.code == "denied"
+
+
+def test_max_age_holds_for_what_either_side_proposes(bridge: Bridge) -> None:
+    """The server's session sets it, the client proposes the topic."""
+    topic = Topic("/scan", "transmit", max_age=0.5)
+    server = bridge.server(key_file=None, clients=(Client("robot1", key_file=bridge.key_file, topics=(topic,)),))
+    with rogue(bridge) as client:
+        assert client.wait_for(Propose).max_age == 0.5
+        client.say(Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True, max_age=2.0))
+        assert client.wait_for(Accept).max_age == 0.5
+        (mine,) = link(server).routes.values()
+        assert mine.age.max_age == 0.5
+        client.say(Amend(1, max_age=0.2))
+        eventually(lambda: mine.age.max_age == 0.2)
+        client.say(Amend(1, max_age=0.0))
+        eventually(lambda: mine.age.max_age == 0.5)
+
+
+def test_what_has_to_be_armed_has_a_max_age(bridge: Bridge) -> None:
+    server = bridge.server()
+    with rogue(bridge) as client:
+        client.say(Propose(route=1, topic="/cmd", remote_topic="/cmd", from_client=True, arm=True))
+        client.wait_for(Accept)
+        (mine,) = link(server).routes.values()
+        assert mine.age.max_age == ARMED
+        client.say(Amend(1, max_age=0.0))
+        eventually(lambda: not mine.age.is_on)
