@@ -214,14 +214,15 @@ def test_topics_share_one_connection(topics: tuple[Topic, ...], tmp_path: Path) 
         assert not held_channels(pair.client.session, pair.client.snapshot())
 
 
-def test_a_channel_of_the_servers_ports_number(tmp_path: Path) -> None:
-    """Channels and ports are numbered each for themselves."""
+@pytest.mark.parametrize("topics", [_TOPICS, _TOPICS[::-1]], ids=["in order", "reversed"])
+def test_a_channel_of_the_servers_ports_number(topics: tuple[Topic, ...], tmp_path: Path) -> None:
+    """Channels and ports are numbered each for themselves, whichever connection comes first."""
     host = "127.0.0.11"
     try:
         socket.create_server((host, _CHANNEL)).close()
     except PermissionError:
         pytest.skip(f"port {_CHANNEL} may not be bound here")
-    with paired(tmp_path, *_TOPICS, server_ip=host, server_port=_CHANNEL) as pair:
+    with paired(tmp_path, *topics, server_ip=host, server_port=_CHANNEL) as pair:
         pair.carries("/map", "/joy", "/cmd", "/odom")
         assert not pair.faults()
 
