@@ -444,11 +444,11 @@ class ServerLink(Link):
         shared = self.shared_port()
         port = event.name.port or shared
         # A name with the number of the link's own port is that of another transport's channel: its own streams have 0.
-        is_own, is_other = not event.name.port, event.name.port == shared
+        is_own = port != event.name.port or not shared  # a Zenoh link has no port
         transports = [
             transport
             for transport, at in self._awaited()
-            if at == port and not (is_other if transport is self.transport else is_own)
+            if at == port and (port != shared or is_own == (transport is self.transport))
         ]
         if not transports or not self.channels.is_new(event.name):
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE, self.name)
