@@ -347,11 +347,6 @@ class Scheduler:
         return _STALLED + self._book.ping() + self._book.way_back()
 
     @property
-    def ping(self) -> float:
-        """Seconds of the connection's shortest ping, or 0 if it is unknown."""
-        return self._book.ping()
-
-    @property
     def every(self) -> int:
         """Bytes after which the next receipt is wanted."""
         return self._window.every

@@ -443,8 +443,7 @@ class ServerLink(Link):
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, str(error)) from None
         shared = self.shared_port()
         port = event.name.port or shared
-        # A name with the number of the link's own port is that of another transport's channel: its own streams have 0.
-        is_own = port != event.name.port or not shared  # a Zenoh link has no port
+        is_own = not event.name.port  # a channel of another transport may have the number of the link's own port
         transports = [
             transport
             for transport, at in self._awaited()
