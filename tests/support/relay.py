@@ -22,6 +22,8 @@ from concurrent.futures import Future
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
+from tests.support.ports import free_port
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -120,7 +122,7 @@ class Relay:
         self._pauses: deque[tuple[int, int]] = deque(maxlen=10_000)  # ns since the epoch
         self._sources: dict[tuple[str, int], _Source] = {}
         self.selector = selectors.DefaultSelector()
-        self.port = port
+        self.port = port or free_port(host)  # the kernel's choice for TCP may be in use for UDP
         self._listener: socket.socket | None = None
         self._listen()
         self._near = _udp_socket()
@@ -257,7 +259,6 @@ class Relay:
         listener.bind((self.host, self.port))
         listener.listen(128)
         listener.setblocking(False)
-        self.port = listener.getsockname()[1]
         self.selector.register(listener, selectors.EVENT_READ, self._accept)
 
     def _accept(self) -> None:
