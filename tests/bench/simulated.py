@@ -62,7 +62,6 @@ class SimulatedPlace:
     """Has such links.
 
     Args:
-        links: by transport.
         fails: transports that cannot be opened.
         stops: transports at which the peer ends it all.
     """

@@ -66,7 +66,6 @@ class Scene:
     """An action server in the robot's domain, and a client in the PC's.
 
     Args:
-        bridge: makes both sides.
         relay: is the network between them.
         programs: starts the programs that are killed.
         kept: s that the server keeps results; 0.0: it has forgotten them before the outage is over.
@@ -217,7 +216,6 @@ class Outage(NamedTuple):
     """One of the three.
 
     Attributes:
-        words: for people.
         happens: to a scene, for so many seconds.
         kept: whether the server keeps results for longer than that.
     """

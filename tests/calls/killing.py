@@ -55,11 +55,9 @@ class Killing:
     """Both bridges, and who calls through them.
 
     Args:
-        bridge: makes them.
         programs: runs the mortal halves.
         far: where the servers are; in the server's domain.
         callers: in the client's domain.
-        name: of the services.
     """
 
     def __init__(

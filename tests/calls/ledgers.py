@@ -40,10 +40,8 @@ class Counts(NamedTuple):
     """Calls, by outcome.
 
     Attributes:
-        asked: they came.
         answered: with an answer that went back.
         expired: given up after the timeout.
-        refused: in all.
         lost: given up as the link or the provider went.
     """
 

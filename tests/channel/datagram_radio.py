@@ -26,14 +26,11 @@ class RadioSocket:
     """One end of a socket pair (`DatagramSocket`), whose datagrams share the radio with its streams.
 
     Args:
-        radio: that carries them.
-        way: the direction.
         queue: bytes that wait for the radio at most; beyond them datagrams are dropped.
 
     Attributes:
         loss: part of the datagrams that are lost by chance.
         blocked: whether all are lost.
-        sent: datagrams so far.
         dropped: of these, by a full queue.
     """
 

@@ -20,7 +20,6 @@ class Live(Route):
 
     Args:
         size: bytes of a message.
-        rate: messages a second.
     """
 
     def __init__(self, number: int, size: int, rate: float, rank: int = 0) -> None:

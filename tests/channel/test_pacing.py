@@ -25,7 +25,6 @@ class Path:
         receipts: whether the receiver sends any.
         losing: each 500th datagram is lost on the way.
         arrived: datagrams read so far.
-        lost: datagrams.
     """
 
     def __init__(self, *, speed: float = 1e9, delay: float = 0.0002, buffer: int = 8 << 20) -> None:

@@ -65,7 +65,6 @@ class Server:
     """A bound socket, and the UDP channels of the connections that the server knows.
 
     Attributes:
-        port: that is bound.
         time: s, on the clock of both ends.
         ready: link ids, each as often as its server's end became ready.
         channels: the server's ends by link id, the newest.

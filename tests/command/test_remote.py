@@ -637,10 +637,7 @@ class Keys:
     """Stands for the terminal of `arm`, whose operator presses Enter all the time until somebody asks.
 
     Attributes:
-        engine: of the bridge.
-        questions: printed so far.
         keeps: whether the operator answers.
-        patch: of the test.
     """
 
     engine: ScriptedEngine

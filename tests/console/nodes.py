@@ -18,10 +18,8 @@ class Spec(msgspec.Struct, omit_defaults=True):
     """One node.
 
     Attributes:
-        node: its name.
         topic: that it publishes or hears.
         rate: Hz, or 0 to subscribe.
-        type: in std_msgs.
         best_effort: its QoS; else reliable.
         size: bytes of a message, about.
         alone: it needs a process of its own; the test sees to that.

@@ -43,7 +43,6 @@ class Row(NamedTuple):
     """A cause, with its display on both sides.
 
     Attributes:
-        name: of the cause.
         topic: the client's entry.
         robot: nodes on the client's side.
         pc: nodes on the server's side.

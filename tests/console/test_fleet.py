@@ -65,12 +65,7 @@ def change_of(screen: RolloutScreen) -> ChangeField:
 
 
 class Bed:
-    """The fleet's screen without a terminal.
-
-    Args:
-        robots: as they begin.
-        options: of the app.
-    """
+    """The fleet's screen without a terminal."""
 
     def __init__(self, *robots: Any, view: FleetView | None = None, **options: Any) -> None:
         self.source = ScriptedSource(*(robots or ROBOTS))

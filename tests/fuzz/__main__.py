@@ -26,10 +26,7 @@ class Outcome:
     """The result of one parser.
 
     Attributes:
-        name: of the parser.
         executions: inputs that it read, or None if its process failed.
-        seconds: that this took.
-        output: of its process.
     """
 
     name: str

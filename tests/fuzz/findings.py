@@ -19,7 +19,6 @@ class Findings:
 
     Args:
         folder: that they are written to; it may be missing.
-        parser: that is fuzzed.
     """
 
     def __init__(self, folder: Path, parser: Parser) -> None:

@@ -24,7 +24,6 @@ class World:
 
     Attributes:
         clock: moved by `go`.
-        events: its log.
         recorder: looks once a second.
     """
 

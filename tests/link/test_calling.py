@@ -33,7 +33,6 @@ class NoServer(Tcp):
 
     Attributes:
         times: s, when it was called.
-        error: what it raises.
     """
 
     def __init__(self, loop: VirtualLoop) -> None:
@@ -147,7 +146,6 @@ class SaysGoodbye(Tcp):
     """A network with a server that lets everybody in, and ends the link at once.
 
     Attributes:
-        role: the client.
         retry_after: s, that the server sends, or None if an operator has shut the link down.
         times: s, when it was called.
     """
@@ -171,7 +169,6 @@ class AnswersAtTheLastMoment(Tcp):
     """A server that lets its client in just as the client's patience ends.
 
     Attributes:
-        role: the client.
         times: s, when it was called.
     """
 

@@ -47,10 +47,8 @@ class Path:
             loss: share of the packets that are lost.
             rate: packets/s of the data stream.
             ping: s of a ping.
-            answers: pings are answered.
             quiet: s since something came.
             stalled: bytes of the data stream that the kernel sends again and again, or 0.
-            vanish: large datagrams vanish.
         """
         stale: list[Stream] = []
         for _ in range(seconds):

@@ -52,7 +52,6 @@ class Heard(NamedTuple):
 
     Attributes:
         at: s.
-        payload: of it.
     """
 
     at: float
@@ -64,7 +63,6 @@ class Robot(NoRos):
 
     Attributes:
         heard: by the robot's nodes.
-        installed: types.
         open_at_rest: whether a publisher of a message that moves was open when another message came.
         voices: all publishers so far.
     """
@@ -122,7 +120,6 @@ class Driven:
     """A robot, which is the client, and a control PC, whose operator has armed the topic.
 
     Attributes:
-        pair: both sides.
         robot: the robot's ROS.
     """
 
@@ -137,9 +134,6 @@ class Driven:
         """Arm it.
 
         Args:
-            loop: the loop.
-            make_context: makes the contexts.
-            kind: of the topic.
             on_end: of the robot's session.
             there: of the control PC's.
         """

@@ -180,7 +180,6 @@ class Bridge:
         """Wait until a robot's topics have nothing in flight, and as much delivered as the PC's node has heard.
 
         Args:
-            topics: their names.
             since: s since the epoch; later messages are the present client's.
             within: s.
 

@@ -24,7 +24,6 @@ class Host:
     """A machine.
 
     Attributes:
-        name: for error messages.
         devices: network devices so far.
     """
 

@@ -62,7 +62,6 @@ class Node:
         """Publish, as soon as somebody listens.
 
         Args:
-            topic: where.
             rate: Hz.
             size: bytes, about.
             count: how many, or None until `hush`.

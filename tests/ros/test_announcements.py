@@ -63,7 +63,6 @@ class FakeRos(NoRos):
     """A domain whose publishers a test sets.
 
     Attributes:
-        publisher: of announcements.
         announcers: the publishers of announcements that the graph has.
         asked: how often it was asked for them.
         subscribed: how often announcements were subscribed to.
@@ -109,7 +108,6 @@ class Domain:
 
     Attributes:
         changes: how often the bridge was called for news.
-        warnings: for an operator.
     """
 
     def __init__(self, loop: VirtualLoop) -> None:

@@ -25,7 +25,6 @@ class Watcher:
     """Counts changes.
 
     Attributes:
-        changes: calls so far.
         failures: what the node said of its own end.
     """
 

@@ -110,11 +110,7 @@ class Channel:
 
 
 class Peer(FakePeer):
-    """Has a publisher for everything, and gives routes a channel.
-
-    Attributes:
-        channel: what it gives.
-    """
+    """Has a publisher for everything, and gives routes a channel."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -291,7 +291,6 @@ class Way(NamedTuple):
     """A way that comes to no place twice, and not back over the link that it came by.
 
     Attributes:
-        end: where it leads.
         seen: the places on it.
         arrival: the last link's name, and the bridge at its end.
     """

@@ -84,7 +84,6 @@ class ActionServer:
     """A server of an action.
 
     Attributes:
-        closed: it is gone.
         said: its last status message, or empty before the first.
         said_at: s, when that was.
     """

@@ -69,7 +69,6 @@ class ScriptedClient:
 
     Attributes:
         endpoint: as the domain knows it.
-        requests: by number.
         answers: by the request's number.
     """
 
@@ -108,13 +107,9 @@ class CallHarness:
     """The service of a robot's session.
 
     Args:
-        seed: of the world.
-        provider: which side answers.
         spec: fields of its entry.
 
     Attributes:
-        world: its world.
-        near: the callers' host.
         far: the provider's host.
     """
 

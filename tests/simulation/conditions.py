@@ -15,7 +15,6 @@ class Conditions:
     """The ranges from which a world's contents are drawn.
 
     Attributes:
-        name: of the conditions.
         robots: possible numbers of robots.
         topics: possible numbers of topics in a robot's session.
         services: possible numbers of services in it.

@@ -17,13 +17,9 @@ class Played(NamedTuple):
     """A world that has been played.
 
     Attributes:
-        what: the test.
         simulated: s.
         cpu: s, of this process.
         real: s.
-        faults: injected.
-        commands: of operators.
-        checks: of everything.
     """
 
     what: str

@@ -90,9 +90,6 @@ class EngineHost:
 
     Attributes:
         name: in failures, and of the machine.
-        machine: in the network.
-        clock: its wall clock.
-        domain: its ROS domain.
         session: what the next engine will run.
         keys: by client's name.
         run: the running engine, or None.
@@ -155,11 +152,8 @@ class Run:
     """One engine process.
 
     Attributes:
-        host: where.
         process: as its kernel knows it.
         node: in its ROS domain.
-        events: its log.
-        bridge: the engine.
         began: s, when.
         over: whether it was stopped or died.
     """

@@ -22,8 +22,6 @@ async def server_away(world: World, seconds: float, *, machine: bool) -> None:
     """The server goes, and comes back.
 
     Args:
-        world: in which.
-        seconds: for how long.
         machine: whether its machine is off, so that nobody even refuses.
     """
     await asyncio.sleep(60.0)
@@ -42,8 +40,6 @@ async def tunnelled(world: World, seconds: float, speed: float = 5_000.0, fresh_
     """A robot's only way is a tunnel that carries a third of what its topics bring, and has room for minutes of it.
 
     Args:
-        world: in which.
-        seconds: for how long.
         speed: bytes/s.
         fresh_within: s, the greatest age of a message on arrival.
     """
@@ -71,8 +67,6 @@ async def delayed(world: World, seconds: float, delay: float = 3.0) -> None:
     """Everything between a robot and the server takes some seconds, as through a satellite or a buffer on the way.
 
     Args:
-        world: in which.
-        seconds: for how long.
         delay: s, each way.
     """
     (robot,) = world.robots
@@ -92,12 +86,7 @@ async def delayed(world: World, seconds: float, delay: float = 3.0) -> None:
 
 
 async def aged(world: World, rounds: int = 25) -> None:
-    """Messages are held up in all ways that there are, while clocks are set; none may come out that is too old.
-
-    Args:
-        world: in which.
-        rounds: how often.
-    """
+    """Messages are held up in all ways that there are, while clocks are set; none may come out that is too old."""
     random = world.random("ages")
     (robot,), (flow,) = world.robots, world.topic_flows.values()
     ends = robot.host.machine, world.server.machine
@@ -184,8 +173,6 @@ async def shut_down_for(world: World, seconds: float, *, cuts: int) -> None:
     """An operator of the server shuts its links down, and lets the robots in again.
 
     Args:
-        world: in which.
-        seconds: for how long.
         cuts: how often a robot's network goes for a minute meanwhile.
     """
     await asyncio.sleep(60.0)

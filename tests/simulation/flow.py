@@ -63,7 +63,6 @@ class Flow:
             topic: the entry in the client's session.
             robot: the client's name.
             ends: the near and the far domain.
-            names: the names there.
             random: decides times and sizes.
             period: s from one message, call or goal to the next, on average.
             on_wrong: called with a description of each error.

@@ -35,7 +35,6 @@ class Goal:
     """A goal's state at its client and its server.
 
     Attributes:
-        id: of the goal.
         plan: what its server does with it.
         sent: s, when its client sent it.
         client: the number of its client's life.

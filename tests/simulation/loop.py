@@ -249,7 +249,6 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
         """Have all of it run that was due meanwhile.
 
         Args:
-            program: that was frozen.
             reads_first: whether what has come runs before the timers that are overdue.
         """
         held = self._frozen.pop(program, [])

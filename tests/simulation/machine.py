@@ -39,15 +39,12 @@ class Machine:
     """A computer: its address, its ports, and whether it is switched on.
 
     Attributes:
-        name: in failures.
-        network: it is on.
         address: its IPv4 address.
         off_at: s, when it was switched off, or None while it is on.
         stream_buffer: bytes of a stream that its kernel takes before the peer's has acknowledged them.
         receive_buffer: bytes of datagrams that its kernel keeps for a socket (net.core.rmem_max).
         refuses: whether its firewall refuses connections.
         bound: sockets by their type and port.
-        processes: the running ones.
     """
 
     def __init__(self, name: str, network: Network, address: str) -> None:
@@ -101,12 +98,10 @@ class Process:
     """One run of a program, as its kernel knows it.
 
     Attributes:
-        machine: it runs on.
         network: its machine's.
         loop: the world's.
         context: to run its code in; tasks and timers inherit it.
         descriptors: its sockets and connections.
-        tasks: the running ones.
         failed: tasks that raised an exception, and when (s).
         most_descriptors: as `ulimit -n` has it.
         alive: whether it has not been killed. Tasks of a killed process may still run, but reach nobody.

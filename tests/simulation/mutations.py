@@ -52,11 +52,8 @@ class Mutation(NamedTuple):
     """A mistake, and the world that finds it.
 
     Attributes:
-        what: it is.
         changes: what is put in the place of which attribute of which class or module.
         finds: part of the violation, a regular expression.
-        conditions: of the world.
-        seed: of the world.
         hours: that the world lives, at most.
         doing: what is made to happen in it.
     """

@@ -183,7 +183,6 @@ class Writer:
         seen_qos: as others see it: without the depth.
         matched: the subscriptions that it reaches.
         kept: its messages for subscriptions that come later.
-        published: messages so far.
         on_publish: told of each message.
     """
 
@@ -247,7 +246,6 @@ class Reader:
         node: its node's name.
         seen_qos: as others see it: without the depth.
         lost: messages that came and could not be kept until they were taken.
-        taken: messages so far.
         on_take: told of each batch, before the sink.
         stalled: whether the taking thread is stopped; arriving messages are kept as usual.
     """

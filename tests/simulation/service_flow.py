@@ -28,7 +28,6 @@ class Label(NamedTuple):
     """The numbers that a request carries.
 
     Attributes:
-        service: its number.
         caller: the number of the client that asked, among all that the service has had.
         number: of the call, as the client counts.
     """
@@ -42,7 +41,6 @@ class ServiceFlow(CallFlow[Server]):
     """A service, with its callers and its server.
 
     Attributes:
-        asked: calls made.
         last_answered: s, when the last answer arrived.
     """
 

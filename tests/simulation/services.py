@@ -195,7 +195,6 @@ class Client(_End[Response]):
 
     Attributes:
         matched: the servers that its calls reach.
-        called: calls so far.
     """
 
     def __init__(

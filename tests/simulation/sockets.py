@@ -44,9 +44,6 @@ class Socket:
     """A socket: for datagrams, to accept streams, or a stream's until it is handed to a transport.
 
     Attributes:
-        family: always AF_INET.
-        type: SOCK_STREAM or SOCK_DGRAM.
-        process: whose it is.
         options: by name, as far as they were set.
     """
 

@@ -53,7 +53,6 @@ class StreamTransport(asyncio.Transport):
 
     Attributes:
         process: whose end it is.
-        peer: the other end.
     """
 
     peer: StreamTransport

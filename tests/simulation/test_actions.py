@@ -43,11 +43,9 @@ class Court:
 
     Args:
         provider: which side has the server.
-        seed: of the world.
 
     Attributes:
         world: in which it is.
-        action: the action.
         near: the client's computer.
         far: the server's.
     """

@@ -90,11 +90,6 @@ class Armed:
 
     Attributes:
         armed: how often it was armed.
-        flow: the topic.
-        heartbeats: of both sides.
-        random: decides what happens.
-        robot: the client.
-        world: it all.
     """
 
     def __init__(self, seed: int, protocol: Protocol, direction: str) -> None:
@@ -288,7 +283,6 @@ class Armed:
         """Hold what the network carries, and release each stream at a moment of its own.
 
         Args:
-            seconds: how long.
             back: whether only the direction towards the publisher is held, or None for both directions.
         """
         network, ends = self.world.network, self.machines

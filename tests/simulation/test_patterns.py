@@ -52,7 +52,6 @@ class Yard:
 
     Attributes:
         world: in which they are.
-        robot: the client.
         server: the server's host.
     """
 

@@ -30,7 +30,6 @@ class Label(NamedTuple):
     """The numbers that a message carries.
 
     Attributes:
-        flow: its number.
         life: of its publisher, from 1.
         number: in that life, from 1.
     """
@@ -73,7 +72,6 @@ class Account:
         """Note that the process that published for that route is gone; the route's ledger has its last report.
 
         Args:
-            route: the sending half.
             removed: whether the receiving half was removed, and its process goes on.
         """
         self.forgotten = True
@@ -86,13 +84,11 @@ class TopicFlow(Flow):
     """A topic, with its publisher and its listener.
 
     Attributes:
-        qos: of the publisher.
         size: bytes of a message, on average.
         life: number of the present publisher, from 1, or 0 before the first.
         sent: messages of the present publisher.
         last_sent: s, when the last message was published.
         last_heard: s, when the last message arrived.
-        heard: messages that arrived.
         oldest: s, the greatest age of a message on arrival.
         newest: the highest number that arrived, by publisher.
         fresh_within: s, the greatest age on arrival that is allowed.

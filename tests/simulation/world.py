@@ -60,10 +60,6 @@ class Robot:
 
     Attributes:
         name: the client's, unless somebody has started it with a wrong one.
-        host: its computer.
-        topic_flows: its topics.
-        service_flows: its services.
-        action_flows: its actions.
         troubles: reasons why it may be unlinked, with how often each applies.
         clear_since: s, when the last of these ended.
         commanded: s, when an operator last changed something.
@@ -87,14 +83,8 @@ class World:
     Attributes:
         seed: of all that is left to chance.
         loop: whose time it is.
-        network: between the machines.
         server: the PC that the robots call.
-        robots: the clients.
-        topic_flows: by number.
-        service_flows: services, by number.
-        action_flows: actions, by number.
         accounts: what each route's sending half did, by the route.
-        log: what has happened.
     """
 
     def __init__(self, seed: int, conditions: Conditions | None = None) -> None:
@@ -239,7 +229,6 @@ class World:
         """Let it live, with all the faults and commands of its conditions.
 
         Args:
-            seconds: simulated.
             doings: what else happens in it.
 
         Raises:

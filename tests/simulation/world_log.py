@@ -21,7 +21,6 @@ class WorldLog:
         faults: how often each was injected, by name.
         commands: how often operators gave each, by name.
         events: how often engines told each, by code.
-        lines: the last ones.
         digest: of all lines, so that two runs can be compared.
     """
 

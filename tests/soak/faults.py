@@ -111,7 +111,6 @@ def draw(random: Random, clients: int, share: float) -> Fault:
     """The next fault.
 
     Args:
-        random: decides.
         clients: how many there are.
         share: of the run that is over, 0 to 1.
     """

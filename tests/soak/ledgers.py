@@ -18,7 +18,6 @@ class Book:
     """Ledgers of one process.
 
     Attributes:
-        newest: rows by route.
         checked: rows that were looked at.
         wrong: their errors, in words.
     """

@@ -22,7 +22,6 @@ class TopicListener:
 
     Attributes:
         name: the topic's name on the server, in either direction, such as ``robot1/scan``.
-        heard: messages so far.
         wrong: errors of some of them.
         flowed_at: s since the epoch, when the first message came that was published after `expect`'s moment.
     """

@@ -19,8 +19,6 @@ class Sample(NamedTuple):
     Attributes:
         time: s.
         resident: kB of memory.
-        descriptors: open ones.
-        threads: of the process.
     """
 
     time: float
@@ -45,8 +43,6 @@ class Life:
     """One process from its start to its end.
 
     Attributes:
-        program: whose it is.
-        pid: its process.
         samples: about one a second, oldest first.
         calm: those taken while all was well.
     """

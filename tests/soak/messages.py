@@ -22,8 +22,6 @@ class Kind:
         protocol: as in a session.
         rate: Hz.
         size: bytes of a message, about.
-        latched: transient local.
-        best_effort: instead of reliable.
     """
 
     topic: str

@@ -50,7 +50,6 @@ class Process:
     """A program that is started again and again.
 
     Attributes:
-        name: for people.
         ready: whether the present process has printed something.
         frozen: whether it is stopped by a signal.
     """
@@ -223,8 +222,6 @@ class Talkers(Process):
         """Prepare.
 
         Args:
-            name: for people.
-            domain_id: where.
             topics: the prefix of each in this domain, and the name of its kind.
         """
         named = (word for pair in topics for word in pair)

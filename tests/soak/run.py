@@ -45,7 +45,6 @@ class Outcome:
     """All that was found.
 
     Attributes:
-        wrong: in words.
         recoveries: after faults, except those with another fault close behind.
         faults: how many there were.
         lives: of all processes of the bridge.
@@ -76,7 +75,6 @@ def play(
 
     Args:
         stage: which does not run yet.
-        faults: one after another.
         random: decides how long it is calm between them.
         calm: s, at least, before each fault, and three times that at most.
         audited: s for which messages are counted at the end.

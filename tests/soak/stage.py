@@ -31,7 +31,6 @@ class Stage:
     Attributes:
         network: a path for each client, in order.
         server: the PC's program.
-        clients: the robots' programs.
         talkers: the PC's first, then each robot's.
         listeners: of every topic, at its far end.
     """

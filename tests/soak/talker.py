@@ -43,7 +43,6 @@ def main(domain_id: int, *named: str) -> None:
     """Talk until the input ends.
 
     Args:
-        domain_id: where.
         named: ``PREFIX KIND`` each: the prefix of a topic in this domain, and its kind in `KINDS`.
     """
     domain, life = Domain(domain_id), time.time_ns()

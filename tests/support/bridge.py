@@ -47,8 +47,6 @@ class Bridge:
 
     Attributes:
         folder: where key files are.
-        port: of the server.
-        key_file: of both sides.
     """
 
     started: ClassVar[WeakSet[Engine]] = WeakSet()
@@ -212,7 +210,6 @@ def carries(publishers: Iterable[Publisher], receiver: Engine, topics: Iterable[
 
     Args:
         publishers: in the sending domain, one a topic.
-        receiver: the receiving engine.
         topics: their names on its side; somebody listens to each.
     """
     from tests.support.domain import Domain

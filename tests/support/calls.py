@@ -44,7 +44,6 @@ class Outcome(NamedTuple):
     Attributes:
         wanted: calls that were to be made.
         asked: of these, those made so far.
-        answered: rightly.
         wrong: answers that were not, in words; some of them.
         rate: answers a second, from the first call to the last answer.
         p50: s until an answer.
@@ -71,10 +70,8 @@ class Served(NamedTuple):
     """The requests that a server has received.
 
     Attributes:
-        requests: taken.
         again: how many of these it had received before.
         broken: how many of these were damaged.
-        waiting: not answered yet.
     """
 
     requests: int
@@ -108,11 +105,8 @@ class CallNode:
         """Answer calls.
 
         Args:
-            services: their names.
-            node: that serves them.
             delay: s before an answer, at least and at most, or None to give no answer.
             gather: answer none before there are so many calls, and then in random order.
-            depth: of the QoS.
         """
         for service in services:
             self._ask(do="serve", service=service, node=node, delay=delay, gather=gather, depth=depth)
@@ -156,8 +150,6 @@ class CallNode:
         """Make calls, and go on with something else.
 
         Args:
-            service: to call.
-            count: how many.
             at_once: how many may be without an answer at a time.
             size: bytes of a request beyond its name.
             response: bytes of a response beyond its name.

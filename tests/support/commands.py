@@ -20,13 +20,7 @@ parser_and_commands = cache(arguments.parser_and_commands)
 
 
 class Ran:
-    """The result of a command.
-
-    Attributes:
-        code: exit code.
-        out: standard output.
-        err: standard error.
-    """
+    """The result of a command."""
 
     def __init__(self, capsys: pytest.CaptureFixture[str], *words: str) -> None:
         parsed = parser_and_commands()[0].parse_args(words)
@@ -43,7 +37,6 @@ def rsb_console(*words: str, may_crash: bool = False) -> subprocess.CompletedPro
     """Run the program from its arguments to its exit code, wrong usage included.
 
     Args:
-        words: its arguments.
         may_crash: report an unexpected exception as the program does, instead of raising it here.
     """
 

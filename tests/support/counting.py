@@ -38,7 +38,6 @@ class Count(NamedTuple):
     """A run's figures.
 
     Attributes:
-        published: by the publisher.
         received: different messages that the listener got.
         doubled: messages that it got more than once.
         gaps: runs of messages that it did not get, by length, the longest first.
@@ -153,17 +152,11 @@ class CountedBridge:
     """A bridge of one topic from the client's domain to the server's.
 
     Args:
-        folder: for its files.
         domains: the client's, and the server's.
         topic: its entry in the client's session.
         depth: of the publisher and the listener.
         address: that the server listens at, and that the client calls.
         settings: of both sessions, instead of the usual ones.
-
-    Attributes:
-        client: the sending side.
-        server: the receiving side.
-        port: of the server.
     """
 
     def __init__(

@@ -13,16 +13,7 @@ from tests.support.participants import join
 
 
 class Crowd:
-    """Nodes ``/NAME0``, ``/NAME1`` and so on, each with the integer ``rate``, spun by one thread until `close`.
-
-    Args:
-        domain_id: to join.
-        name: of the nodes.
-        count: of nodes.
-
-    Attributes:
-        nodes: themselves.
-    """
+    """Nodes ``/NAME0``, ``/NAME1`` and so on, each with the integer ``rate``, spun by one thread until `close`."""
 
     def __init__(self, domain_id: int, name: str, count: int) -> None:
         def enter() -> Node:

@@ -24,13 +24,7 @@ LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Domain:
-    """One domain.
-
-    Attributes:
-        id: its number.
-        node: in it.
-        listeners: so far.
-    """
+    """One domain."""
 
     joined: ClassVar[WeakSet[Domain]] = WeakSet()
     """All of this process."""

@@ -107,7 +107,6 @@ class FibonacciServer(_Spun):
     """Accepts goals, and does with them what the test says.
 
     Args:
-        domain_id: to join.
         result_timeout: s that it keeps results; rcl_action's default.
         accepts: whether it accepts goals.
         hesitates: whether it answers no goal until the test allows it.
@@ -270,11 +269,7 @@ def fibonacci(order: int) -> list[int]:
 
 
 class Goal:
-    """A goal as its client sees it.
-
-    Attributes:
-        feedbacks: so far.
-    """
+    """A goal as its client sees it."""
 
     def __init__(self, client: ActionClient, order: int) -> None:
         self.feedbacks: list[list[int]] = []

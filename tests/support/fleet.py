@@ -95,7 +95,6 @@ class ServerEngine(ScriptedEngine):
     """A server of some robots, which all have a camera and a scan; edits change what it shows.
 
     Args:
-        names: of its clients.
         edited: called after an edit with the route; may give another one.
     """
 

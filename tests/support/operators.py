@@ -59,7 +59,6 @@ class Reachable:
     Attributes:
         access: says who may attach.
         server: of this machine's consoles, and of operators.
-        acceptor: lets operators in.
         port: that it listens on, on 127.0.0.1.
     """
 
@@ -117,9 +116,6 @@ class Stranger:
 
     Args:
         port: the engine's.
-        name: of the operator.
-        key: that is tried.
-        engine: that is meant.
     """
 
     def __init__(self, port: int, name: str = "anna", key: Key = ANNA, engine: str = "robot1") -> None:

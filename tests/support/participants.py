@@ -38,9 +38,7 @@ def join(domain_id: int, enter: Callable[[], Any], leave: Callable[[], None]) ->
     """Join a domain, and be known there.
 
     Args:
-        domain_id: of the domain.
         enter: joins it; the node of that participant, as rclpy has it.
-        leave: leaves it again.
 
     Raises:
         AssertionError: it is not known, however often it joins.

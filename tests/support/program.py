@@ -47,7 +47,6 @@ class Programs:
         """Run a session; its key files are relative to the folder.
 
         Args:
-            session: what to run.
             descriptors: the process's soft and hard limits of descriptors, or None to inherit them.
         """
         assert self._forker.stdin
@@ -73,11 +72,7 @@ class Programs:
 
 
 class Program:
-    """One of them.
-
-    Attributes:
-        pid: its process.
-    """
+    """One of them."""
 
     def __init__(self, pid: int, log: Path) -> None:
         self.pid = pid

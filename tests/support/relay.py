@@ -86,9 +86,6 @@ class Relay:
         fifo: whether all connections share one queue.
 
     Attributes:
-        target: as given.
-        host: as given.
-        port: to connect to.
         rate: may be set at any time; 0 stalls it.
         delay: returns the seconds that the next piece waits; pieces of one connection keep their order.
         to_server: the fate of datagrams to the server.

@@ -22,13 +22,7 @@ class Spun:
     """The node, and what keeps it going until `close`.
 
     Args:
-        domain_id: to join.
-        name: of the node.
-        kind: its class.
         how: the class's further arguments.
-
-    Attributes:
-        node: itself.
     """
 
     def __init__(self, domain_id: int, name: str, kind: Any = Node, **how: Any) -> None:

@@ -36,9 +36,6 @@ class Fleet:
     """Engines in one network, and consoles of operators.
 
     Attributes:
-        router: of the network.
-        engines: by name.
-        servers: by name.
         accesses: who may attach, by the engine's name.
     """
 
@@ -59,7 +56,6 @@ class Fleet:
         """Announce an engine, and wait until the router knows it.
 
         Args:
-            name: of its session.
             engine: a scripted one if none is given.
             host: of a second one of a name, tells its socket from the first one's.
         """

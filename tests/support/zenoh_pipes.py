@@ -28,7 +28,6 @@ class FakeEndpoint:
     """The part of an endpoint that a pipe uses.
 
     Attributes:
-        address: of its own.
         on_its_way: samples that were sent, and have not been carried to the other end.
         backlog: bytes that Zenoh has not been given yet.
         in_flight: as `rsb_bridge.transport.zenoh.outbox` counts it.
@@ -71,8 +70,6 @@ class Recorder(asyncio.Protocol):
 
     Attributes:
         calls: names of the methods that were called, without those for data.
-        pieces: data, as delivered.
-        error: what ended it.
         pause_after: pause reading when so many pieces have come.
     """
 
@@ -112,13 +109,7 @@ class Recorder(asyncio.Protocol):
 
 
 class Side:
-    """One end.
-
-    Attributes:
-        network: its endpoint.
-        told: its protocol.
-        pipe: itself.
-    """
+    """One end."""
 
     def __init__(self, address: str, peer: str, *, stranger: bool = False) -> None:
         self.network = FakeEndpoint(address)

@@ -37,8 +37,6 @@ def watched(
 
     Args:
         gaps: gives the time (s) from each message to the next.
-        seconds: for how long.
-        seed: of all chance.
         outages: from when until when (s) it is dead; then another one takes its place.
         given: Hz that an operator expects, or 0.
     """

@@ -43,7 +43,6 @@ class Arrival(NamedTuple):
     """A message that came out.
 
     Attributes:
-        payload: as published.
         time: s, monotonic.
     """
 

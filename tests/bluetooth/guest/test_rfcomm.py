@@ -30,7 +30,6 @@ class Recorder(StreamHandler):
     """One end of a connection, which keeps the bytes that arrive.
 
     Attributes:
-        stream: once connected.
         data: all that was received.
         reason: why it is over.
     """

@@ -43,7 +43,6 @@ class Layers(NamedTuple):
     """The archives that the machine boots from.
 
     Attributes:
-        kernel: its compressed image.
         initrd: an initramfs that each run's own archive is appended to.
         version: the kernel's.
     """

@@ -23,11 +23,7 @@ LAMP = Endpoint("/lamp", "std_srvs/srv/SetBool", "RIHS01_0", Qos(), b"lamp")
 
 
 class _Graph(NoRos):
-    """One with a service.
-
-    Attributes:
-        found: its servers.
-    """
+    """One with a service."""
 
     def __init__(self) -> None:
         self.found: list[Endpoint] = []

@@ -182,9 +182,7 @@ def run(nodes: Nodes, work: str, transport: Transport = "tcp", place: str = "rob
     """Do something to a topic with `max_age`, and judge what reached the robot.
 
     Args:
-        nodes: at both ends.
         work: of `WORKS` or `STEPS`.
-        transport: of the topic.
         place: of `PLACES`.
     """
     said = PLACES[place]

@@ -384,9 +384,7 @@ def attack(nodes: Nodes, name: str, transport: Transport, work: Attack | None = 
     """Do one attack, and judge what reached the robot.
 
     Args:
-        nodes: at both ends.
         name: of `ATTACKS`.
-        transport: of the topic.
         work: instead of the attack of that name.
     """
     for clock in nodes.clocks.values():

@@ -14,10 +14,6 @@ POSSIBLE = shutil.which("cc") is not None and platform.machine() == "x86_64"
 class SteppedClock:
     """The clock of one machine of several.
 
-    Args:
-        folder: for files.
-        name: of the machine.
-
     Attributes:
         environ: variables of the processes that have this clock.
         seconds: that it differs from the true time.

@@ -37,7 +37,6 @@ class Case:
     """Names and sessions; ``@`` is replaced by a folder that no other case uses.
 
     Attributes:
-        name: for people.
         robot: entries of the robot's session.
         pc: entries of the control PC's session, in its client's entry.
         published: names in the control PC's domain.
@@ -257,7 +256,6 @@ def run(nodes: Nodes, cases: Iterable[Case], *, server: Side = "pc", watched: fl
     """Run all cases in one bridge, and return the figures of each and of `CONTROL`, by name.
 
     Args:
-        nodes: at both ends.
         cases: each in a folder of its own.
         server: the side that listens for the other one.
         watched: s in which nothing may cross, three times, not counting the time until `CONTROL` does.

@@ -110,12 +110,7 @@ class Talker(_Process):
 
 
 class Ear(_Process):
-    """Listens in the robot's domain.
-
-    Args:
-        robot: the domain.
-        file: that it writes.
-    """
+    """Listens in the robot's domain."""
 
     def __init__(self, robot: int, file: Path) -> None:
         self._file = file

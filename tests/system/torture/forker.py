@@ -29,11 +29,7 @@ _ROOT = Path(__file__).parents[3]
 
 
 class Command:
-    """A command that runs in a process of its own.
-
-    Attributes:
-        pid: of the process.
-    """
+    """A command that runs in a process of its own."""
 
     def __init__(self, pid: int, output: Path) -> None:
         self.pid = pid
@@ -76,7 +72,6 @@ class Forker:
     """Starts commands.
 
     Args:
-        folder: for their output.
         environ: of the commands, in addition to this process's.
     """
 

@@ -123,8 +123,6 @@ class Bed:
 
     Args:
         place: where the console runs.
-        folder: for files.
-        program: rsb-console.
     """
 
     def __init__(self, place: Place, folder: Path, program: Path) -> None:

@@ -108,7 +108,6 @@ def judge(
 
     Args:
         arrivals: of one topic, and of the witness.
-        windows: in order.
         oldest: s that a message may have at its arrival.
         true_clock: whether the robot's bridge has this machine's wall clock.
     """

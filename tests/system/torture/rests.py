@@ -52,7 +52,6 @@ class Rested:
         last: what it heard last.
         after: s from the end until the first rest, or None without one.
         within: s in which the rest has to come.
-        rests: messages that rest.
         notes: what else there is to say.
     """
 
@@ -76,7 +75,6 @@ class _Scene:
     """One case.
 
     Attributes:
-        stage: both bridges.
         holder: the command that armed the topic.
     """
 
@@ -158,7 +156,6 @@ class Ending:
     """A way in which an arming ends.
 
     Attributes:
-        does: ends it.
         side: the side on which that happens.
         within: s from then until the robot's rest.
         deadman: the entry's.

@@ -49,7 +49,6 @@ class Bridge:
     """One side's program, and a console that is attached to it.
 
     Attributes:
-        command: its process.
         console: attached to it, from `attach` on.
     """
 
@@ -127,7 +126,6 @@ class Nodes:
         talker: publishes commands on the control PC's side.
         ear: listens on the robot's side.
         forkers: start the programs of each side.
-        folder: for files.
         clocks: of each side, or empty if both have the true one.
         stages: how many bridges these nodes have seen.
     """
@@ -145,7 +143,6 @@ class Nodes:
         """Start them in two domains.
 
         Args:
-            folder: for files.
             first: the robot's domain; the control PC's is the next one.
             stepped: the two sides have clocks that can be stepped.
         """
@@ -174,17 +171,13 @@ class Stage:
     """A bridge over one transport. A context manager.
 
     Args:
-        nodes: at both ends.
-        transport: of the topic.
         server: the side that listens for the other one.
         entries: of each side's session, in addition to the usual ones; the default has `TOPIC`, which requires arming.
         entry: further settings of the topic.
 
     Attributes:
-        robot: its bridge.
         pc: the control PC's.
         relay: the network between them; over Zenoh, between the robot and the router.
-        router: over Zenoh.
         windows: times in which an operator meant messages to cross.
         notes: what an attack has to say.
     """
