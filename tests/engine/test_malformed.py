@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,10 +55,13 @@ import resource, sys
 resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from std_srvs.srv import Trigger
+from rclpy.event_handler import SubscriptionEventCallbacks
+def say(word):
+    return lambda _: print(word, flush=True)
 rclpy.init(domain_id=int(sys.argv[1]))
 node = rclpy.create_node("victim")
-node.create_subscription(DiagnosticArray, "/report", lambda _: print("report", flush=True), 10)
+matched = SubscriptionEventCallbacks(matched=say("matched"))
+node.create_subscription(DiagnosticArray, "/report", say("report"), 10, event_callbacks=matched)
 print("ready", flush=True)
 rclpy.spin(node)
 """
@@ -69,14 +73,19 @@ class Victim:
     def __init__(self, domain_id: int) -> None:
         command = (sys.executable, "-c", _NODE, str(domain_id))
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert self._process.stdout is not None
-        assert self._process.stdout.readline() == "ready\n"
+        self._lines: list[str] = []
+        self._reader = threading.Thread(target=self._read)
+        self._reader.start()
+        self.says("ready")
         self._before = self._peak()
 
-    def heard(self) -> bool:
-        """Wait for the next report."""
+    def says(self, word: str) -> None:
+        """Wait until it has said a word: ``matched`` once it knows a publisher, ``report`` for each message."""
+        eventually(lambda: word in self._lines, what=word)
+
+    def _read(self) -> None:
         assert self._process.stdout is not None
-        return self._process.stdout.readline() == "report\n"
+        self._lines.extend(line.strip() for line in self._process.stdout)
 
     @property
     def is_well(self) -> bool:
@@ -90,6 +99,7 @@ class Victim:
 
     def close(self) -> None:
         self._process.kill()
+        self._reader.join()
         self._process.communicate()
 
 
@@ -148,10 +158,11 @@ def test_eight_bytes_of_a_message_do_not_reach_a_node(bridge: Bridge, victim: Vi
     server, client = bridge.both(Topic("/report", "transmit"))
     out = robot.publisher("/report", DiagnosticArray)
     carries([out], server, ["/report"])
+    victim.says("matched")
     bad = array("a")[:12] + bytes(4) + FEWER[4:]  # stamp, an empty frame_id, status
     for payload in (bad, array("x", "y")[:60], array("one")):
         out.publish(payload)
-    assert victim.heard()
+    victim.says("report")
     assert settled(client, "/report", 3).dropped == {"malformed": 2}
     assert victim.is_well
     assert happened(server, EventCode.ROUTE_MALFORMED, "diagnostic_msgs/msg/DiagnosticArray from robot1")
@@ -169,10 +180,11 @@ def test_a_hostile_peer_cannot_send_them_either(
         number = rogue.route("/report", "tcp", Qos(), ("diagnostic_msgs/msg/DiagnosticArray", hash_of(kind)))
         stream, writer = rogue.stream(number)
         eventually(lambda: listeners(server, "/report"))
+        victim.says("matched")
         for payload in (bad, b"", EIGHT, bad[:5], array("x", "y")[:60]):
             stream.sendall(writer.write(payload, 0))
         stream.sendall(writer.write(array("one"), 0))
-        assert victim.heard()
+        victim.says("report")
         assert victim.is_well
     assert happened(server, EventCode.ROUTE_MALFORMED, "from robot1")
 
