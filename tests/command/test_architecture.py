@@ -1,10 +1,14 @@
-"""Names in docs/architecture.md exist in the program, and the page has every package, in the order of its layers."""
+"""Names in docs/architecture.md exist in the program, and the page has every package, in the order of its layers.
+
+A name of a module or of a public class says which one is meant: no other one has it.
+"""
 
 from __future__ import annotations
 
 import ast
 import re
 import tomllib
+from collections import defaultdict
 from functools import cache
 from pathlib import Path
 
@@ -100,3 +104,16 @@ def test_every_thread_is_one_that_the_program_starts() -> None:
     sources = "\n".join(each.read_text(encoding="utf-8") for folder in _PACKAGES for each in folder.rglob("*.py"))
     assert names
     assert [name for name in names if re.search(f'name(_prefix)?="{name}"', sources) is None] == []
+
+
+def test_no_two_modules_or_public_classes_have_one_name() -> None:
+    places: dict[str, list[str]] = defaultdict(list)
+    for package in _PACKAGES:
+        for module in package.rglob("*.py"):
+            where = str(module.relative_to(package.parent))
+            if not module.name.startswith("__"):
+                places[module.name].append(where)
+            for each in _body(module):
+                if isinstance(each, ast.ClassDef) and not each.name.startswith("_"):
+                    places[each.name].append(where)
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}

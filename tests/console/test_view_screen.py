@@ -46,7 +46,7 @@ from rsb_console.screens.drive_screen import DriveScreen
 from rsb_console.screens.message_screen import MessageScreen
 from rsb_console.screens.publish_screen import PublishScreen
 from rsb_console.screens.view_screen import PicturePane, ViewScreen, ViewText
-from rsb_console.session.by_hand import POSE, Goal
+from rsb_console.session.manual_messages import POSE, Goal
 
 SCAN = "/robot2/scan"
 IMAGE = Pixels(2, 2, b"\xff\0\0\0\xff\0\0\0\xff\xff\xff\xff")
