@@ -25,7 +25,7 @@ demo-fleet: $(STAMP)
 WORKERS := $(shell $(PYTHON) -c 'import os; print(min(max(8, 4 * len(os.sched_getaffinity(0))), 12))')
 PYTEST = PYTHONHASHSEED=$(SEED) timeout -s INT -k 60 $(LIMIT) $(BIN)/python -m pytest
 SEED := 0
-LIMIT := 3600
+LIMIT := 2400
 AT_ONCE = $(PYTEST) -n $(WORKERS) --dist loadscope
 # tests/checks runs lint, and tests/wire with its coverage.
 ALL := tests
