@@ -8,7 +8,8 @@ from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.model.pictures import Wish
 from rsb_bridge.view.drawing import TakenMessage
 from rsb_bridge.view.map_view import MapView
-from rsb_bridge.view.worker import VIEWS, Artist, Task
+from rsb_bridge.view.view_types import VIEWS
+from rsb_bridge.view.worker import Artist, Task
 
 
 @pytest.mark.parametrize("type_name", VIEWS)

@@ -16,7 +16,8 @@ from tests.view.samples import task
 
 from rsb_bridge.model.pictures import Picture, Wish, decode_picture, encode_picture
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
-from rsb_bridge.view.worker import VIEWS, Artist, Undrawable
+from rsb_bridge.view.view_types import VIEWS
+from rsb_bridge.view.worker import Artist, Undrawable
 
 if TYPE_CHECKING:
     from rsb_bridge.view.worker import Task

@@ -7,7 +7,6 @@ long; it limits its own memory and rights.
 
 from __future__ import annotations
 
-import importlib
 import os
 import resource
 import signal
@@ -23,6 +22,7 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.confinement import confine
 from rsb_bridge.view.drawing import TakenMessage, UndrawableError, number
+from rsb_bridge.view.view_types import VIEWS, view_class
 
 if TYPE_CHECKING:
     from rsb_bridge.cdr.decoder import Message
@@ -41,42 +41,6 @@ _NICE = 10
 _SECONDS = 60
 """Longest time for one picture: the process ends, even if the process that started it is gone."""
 _LENGTH_BYTES = 4
-
-_PLOTTED = {
-    "sensor_msgs": (
-        "JointState", "Imu", "BatteryState", "Range", "Temperature", "FluidPressure", "MagneticField",
-        "RelativeHumidity", "Illuminance",
-    ),
-    "geometry_msgs": (
-        "Twist", "TwistStamped", "Vector3", "Vector3Stamped", "Wrench", "WrenchStamped", "Accel", "AccelStamped",
-    ),
-    "std_msgs": (
-        "Float32", "Float64", "Int8", "Int16", "Int32", "Int64", "UInt8", "UInt16", "UInt32", "UInt64",
-        "Float32MultiArray", "Float64MultiArray",
-    ),
-}  # fmt: skip
-_MAPPED = (
-    "nav_msgs/msg/OccupancyGrid", "nav2_msgs/msg/Costmap", "nav_msgs/msg/Path", "nav_msgs/msg/Odometry",
-    "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseArray",
-    "geometry_msgs/msg/PolygonStamped",
-)  # fmt: skip
-VIEWS: dict[str, str] = {
-    **{f"{package}/msg/{name}": "plots:PlotView" for package, names in _PLOTTED.items() for name in names},
-    "plot": "plots:PlotView",
-    "tree": "field_tree:FieldsView",
-    **dict.fromkeys(_MAPPED, "map_view:MapView"),
-    "map": "map_view:MapView",
-    "tf2_msgs/msg/TFMessage": "tf_tree:TfTree",
-    "diagnostic_msgs/msg/DiagnosticArray": "diagnostics_view:DiagnosticsView",
-    "diagnostic_msgs/msg/DiagnosticStatus": "diagnostics_view:DiagnosticsView",
-    "rcl_interfaces/msg/Log": "log_lines:LogView",
-    "sensor_msgs/msg/NavSatFix": "track:TrackView",
-    "sensor_msgs/msg/LaserScan": "points:PointsView",
-    "sensor_msgs/msg/PointCloud2": "points:PointsView",
-    "sensor_msgs/msg/Image": "images:ImageView",
-    "sensor_msgs/msg/CompressedImage": "images:ImageView",
-}
-"""The module and class of the view of a type, or of a `Wish.how`. Other types show all fields (``tree``)."""
 
 
 class Undrawable(Wording):
@@ -229,10 +193,10 @@ class Artist:
         if known is not None and how == known[0]:
             self._views[task.view] = self._views.pop(task.view)  # the one unused for longest is forgotten first
             return known[1]
-        if task.wish.how and task.wish.how not in VIEWS:
+        found = view_class(how) or (None if task.wish.how else view_class("tree"))
+        if found is None:
             raise UndrawableError(Undrawable.UNKNOWN_HOW(how=how, known=", ".join(k for k in VIEWS if "/" not in k)))
-        module, _, name = VIEWS.get(how, VIEWS["tree"]).partition(":")
-        view: View = getattr(importlib.import_module(f"rsb_bridge.view.{module}"), name)()
+        view = found()
         while len(self._views) >= VIEWS_AT_MOST:
             oldest = next(iter(self._views))
             del self._views[oldest]

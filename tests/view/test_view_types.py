@@ -1,0 +1,80 @@
+"""Other packages add views by entry points."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+from diagnostic_msgs.msg import KeyValue
+from sensor_msgs.msg import LaserScan
+from tests.support.waiting import eventually
+from tests.view.samples import task
+
+from rsb_bridge.model.pictures import Wish
+from rsb_bridge.view.renderer import Renderer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from rsb_bridge.model.pictures import Picture
+    from rsb_bridge.view.worker import Task
+
+VIEW = """
+from rsb_bridge.view.drawing import Drawn, View, text
+
+class KeyView(View):
+    said = ""
+
+    def take(self, received):
+        self.said = text(received.message, "key")
+
+    def draw(self, wish):
+        return Drawn(notes=("keys: " + self.said,))
+"""
+ENTRIES = """
+[rsb_console.views]
+diagnostic_msgs/msg/KeyValue = added_view:KeyView
+sensor_msgs/msg/LaserScan = added_view:KeyView
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An installed package with a view, as far as importlib can tell."""
+    about = tmp_path / "added_view-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: added-view\nVersion: 1.0\n", encoding="utf-8")
+    (about / "entry_points.txt").write_text(ENTRIES, encoding="utf-8")
+    (tmp_path / "added_view.py").write_text(VIEW, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{':'.join(each for each in sys.path if each)}")
+    return tmp_path
+
+
+@pytest.fixture
+def renderer(package: Path) -> Iterator[Renderer]:
+    renderer = Renderer()
+    yield renderer
+    renderer.close()
+    eventually(lambda: renderer.pid is None)
+
+
+def drawn(renderer: Renderer, of: Task) -> Picture:
+    return asyncio.run(renderer.draw(of))
+
+
+def test_a_view_of_another_package_draws_its_type_in_the_confined_process(renderer: Renderer) -> None:
+    picture = drawn(renderer, task(Wish(), KeyValue(key="k", value="v")))
+    assert (picture.notes, picture.problem) == (("keys: k",), "")
+
+
+def test_this_programs_views_stay(renderer: Renderer) -> None:
+    picture = drawn(renderer, task(Wish(), LaserScan(range_max=1.0)))
+    assert not any("keys" in each for each in picture.notes)
+
+
+def test_a_view_that_cannot_be_imported_says_so_in_its_picture(package: Path, renderer: Renderer) -> None:
+    (package / "added_view.py").unlink()
+    assert "added_view" in drawn(renderer, task(Wish(), KeyValue(key="k", value="v"))).problem
