@@ -2,9 +2,12 @@
 
 A robot with nav2 and an operator's PC stand in network namespaces of their own. Between them is a Wi-Fi of 20
 Mbit/s that delays by 20 ± 15 ms, loses 2 % of the packets and all for 3 s of every 30 s, or a tunnel of 5 kB/s that
-keeps 4.4 MB (`wifi.c`). Plain nodes publish on the robot and listen on the PC, and our bridge is between them. A cell
-has the latencies' p50 and p99 in ms and the part of the messages that arrived. Messages of a gap, and of the 3 s after
-it, count as arrived or lost only.
+keeps 4.4 MB (`wifi.c`). Plain nodes publish on the robot and listen on the PC, and our bridge is between them. In the
+column ``dds`` nothing is, and the nodes find each other by address: what a user would have without a bridge. A cell has
+the latencies' p50 and p99 in ms and the part of the messages that arrived. Messages of a gap, and of the 3 s after it,
+count as arrived or lost only.
+
+``--congestion cubic,bbr`` compares what the kernel makes of TCP's losses.
 
 It needs root, /dev/net/tun, a C compiler and iproute2, and takes the seconds of a run and some 15 s for each column.
 """
@@ -35,6 +38,9 @@ if TYPE_CHECKING:
 
 _ROBOT, _PC = "10.98.0.1", "10.98.0.2"
 _PORT = 49152
+_CONTROL = Path("/proc/sys/net/ipv4")
+_DEFAULT = _CONTROL / "tcp_congestion_control"
+_AVAILABLE = "of " + (_CONTROL / "tcp_available_congestion_control").read_text(encoding="ascii").strip()
 _CPUCLOCK_SCHED = 2  # clock_getcpuclockid(3), as Linux makes the id of a process's clock
 _AFTER_GAP = 3.0
 _DRAINS = 5.0
@@ -63,6 +69,19 @@ class Spoken(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.name}:{self.rate}:{self.size}:{self.reliability}"
+
+
+class Column(NamedTuple):
+    """A way for the messages to cross, with the kernel's congestion control of TCP."""
+
+    transport: str
+    priorities: str
+    congestion: str
+
+    def __str__(self) -> str:
+        if self.transport == "dds":
+            return "dds, no bridge"
+        return f"{self.transport}, {self.priorities} priorities, {self.congestion}"
 
 
 class Link(NamedTuple):
@@ -160,7 +179,8 @@ class Run:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--links", default="wifi,tunnel", help=", ".join(LINKS))
-    parser.add_argument("--transports", default="tcp,udp,zenoh")
+    parser.add_argument("--transports", default="tcp,udp,zenoh,dds")
+    parser.add_argument("--congestion", default=_DEFAULT.read_text(encoding="ascii").strip(), help=_AVAILABLE)
     parser.add_argument("--priorities", default="with,without")
     parser.add_argument("--seconds", type=float, default=68.0)
     parser.add_argument("--rounds", type=int, default=1)
@@ -170,15 +190,16 @@ def main() -> None:
         program = _built(folder)
         for link in options.links.split(","):
             columns = [
-                (transport, priorities)
+                Column(transport, priorities, congestion)
                 for transport in options.transports.split(",")
-                for priorities in options.priorities.split(",")
+                for priorities in (options.priorities.split(",") if transport != "dds" else [""])
+                for congestion in (options.congestion.split(",") if transport not in {"dds", "udp"} else [""])
             ]
-            runs: dict[tuple[str, str], list[Run]] = {column: [] for column in columns}
+            runs: dict[Column, list[Run]] = {column: [] for column in columns}
             for _ in range(options.rounds):
                 for column in columns:
                     try:
-                        run = _run(folder, program, LINKS[link], *column, options.seconds)
+                        run = _run(folder, program, LINKS[link], column, options.seconds)
                     except NoHostError as error:
                         raise SystemExit(f"no namespaces: {error}; run this as root") from None
                     runs[column].append(run)
@@ -198,9 +219,13 @@ def _built(folder: Path) -> Path:
 class _Child:
     """A Python program on a host, which answers lines with lines of JSON."""
 
-    def __init__(self, host: Host, *command: str, log: Path | None = None) -> None:
+    def __init__(self, host: Host, *command: str, peer: str = "", log: Path | None = None) -> None:
         output = log.open("w") if log else subprocess.PIPE
-        self.process = host.start(sys.executable, *command, stdin=subprocess.PIPE, stdout=output, stderr=output)
+        # Hosts have a network of their own, so that what DDS sends to a peer, it sends there only.
+        finds = {"ROS_STATIC_PEERS": peer, "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"} if peer else {}
+        self.process = host.start(
+            sys.executable, *command, stdin=subprocess.PIPE, stdout=output, stderr=output, env={**os.environ, **finds}
+        )
 
     def tell(self, line: str) -> None:
         assert self.process.stdin is not None
@@ -227,7 +252,7 @@ class _Child:
             self.process.kill()
 
 
-def _run(folder: Path, program: Path, link: Link, transport: str, priorities: str, seconds: float) -> Run:
+def _run(folder: Path, program: Path, link: Link, column: Column, seconds: float) -> Run:
     with ExitStack() as stack:
         robot, pc = Host("robot"), Host("pc")
         stack.callback(pc.close)
@@ -241,22 +266,29 @@ def _run(folder: Path, program: Path, link: Link, transport: str, priorities: st
         assert wire.stdout is not None
         if wire.stdout.readline() != "up\n":
             raise SystemExit("the link does not come up")
-        _write_sessions(folder, link.topics, transport, with_priorities=priorities == "with")
+        bridged = column.transport != "dds"
+        for host in (robot, pc):
+            if column.congestion:
+                host.run("sysctl", "-qw", f"net.ipv4.tcp_congestion_control={column.congestion}")
 
         def child(host: Host, *command: str, log: Path | None = None) -> _Child:
-            started = _Child(host, *command, log=log)
+            peer = "" if bridged else (_PC if host is robot else _ROBOT)
+            started = _Child(host, *command, peer=peer, log=log)
             stack.callback(started.stop)
             return started
 
         sizes = [part for large in (False, True) if (part := [each for each in link.topics if each.is_large == large])]
-        ears = [child(pc, "-m", "bench.robot_ends", "listen", str(FAR), *map(str, part)) for part in sizes]
+        domain = FAR if bridged else NEAR
+        ears = [child(pc, "-m", "bench.robot_ends", "listen", str(domain), *map(str, part)) for part in sizes]
         for ear in ears:
             ear.answer()
-        run = ("-m", "rsb_console", "run", "--no-ui", "--control")
-        sides = [
-            child(host, *run, str(folder / f"{side}.sock"), str(folder / f"{side}.yaml"), log=folder / f"{side}.log")
-            for host, side in ((pc, "server"), (robot, "client"))
-        ]
+        sides = []
+        if bridged:
+            _write_sessions(folder, link.topics, column.transport, with_priorities=column.priorities == "with")
+            run = ("-m", "rsb_console", "run", "--no-ui", "--control")
+            for host, side in ((pc, "server"), (robot, "client")):
+                socket, session, log = (folder / f"{side}.{suffix}" for suffix in ("sock", "yaml", "log"))
+                sides.append(child(host, *run, str(socket), str(session), log=log))
         mouths = [child(robot, "-m", "bench.robot_ends", "talk", str(NEAR), *map(str, part)) for part in sizes]
         _wait_until_matched(mouths, folder)
         time.sleep(3)
@@ -277,7 +309,7 @@ def _run(folder: Path, program: Path, link: Link, transport: str, priorities: st
         crossed = [int(words[1]) for words in said if words[0] == "bytes"]
         turns = [float(words[2]) for words in said if words[0] == "gap"]
         gaps = list(zip(turns[::2], [*turns[1::2], float("inf")], strict=False))
-        lost = (folder / "client.log").read_text().count("link.lost")
+        lost = (folder / "client.log").read_text().count("link.lost") if bridged else 0
         return Run(made, heard, gaps, crossed[1] - crossed[0], cpu, lost)
 
 
@@ -289,7 +321,8 @@ def _wait_until_matched(mouths: Sequence[_Child], folder: Path) -> None:
         if min(mouth.answer()["subscribers"] for mouth in mouths):
             return
         if time.monotonic() > deadline:
-            raise SystemExit("\n".join((folder / f"{side}.log").read_text()[-2000:] for side in ("server", "client")))
+            logs = [folder / f"{side}.log" for side in ("server", "client")]
+            raise SystemExit("\n".join(["nobody listens", *(log.read_text()[-2000:] for log in logs if log.exists())]))
         time.sleep(0.3)
 
 
@@ -314,9 +347,9 @@ def _write_sessions(folder: Path, topics: Sequence[Spoken], transport: str, *, w
     )
 
 
-def _print(link: str, topics: Sequence[Spoken], runs: dict[tuple[str, str], list[Run]], seconds: float) -> None:
+def _print(link: str, topics: Sequence[Spoken], runs: dict[Column, list[Run]], seconds: float) -> None:
     print(f"\n{link}: {LINKS[link].figures}, {seconds:g} s, medians of {len(next(iter(runs.values())))}")
-    print(" | ".join(["topic", *(f"{transport}, {priorities} priorities" for transport, priorities in runs)]))
+    print(" | ".join(["topic", *map(str, runs)]))
     for topic in topics:
         cells = []
         for column in runs.values():
