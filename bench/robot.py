@@ -269,7 +269,7 @@ def _run(folder: Path, program: Path, link: Link, column: Column, seconds: float
         bridged = column.transport != "dds"
         for host in (robot, pc):
             if column.congestion:
-                host.run("sysctl", "-qw", f"net.ipv4.tcp_congestion_control={column.congestion}")
+                _set_congestion_control(host, column.congestion)
 
         def child(host: Host, *command: str, log: Path | None = None) -> _Child:
             peer = "" if bridged else (_PC if host is robot else _ROBOT)
@@ -311,6 +311,14 @@ def _run(folder: Path, program: Path, link: Link, column: Column, seconds: float
         gaps = list(zip(turns[::2], [*turns[1::2], float("inf")], strict=False))
         lost = (folder / "client.log").read_text().count("link.lost") if bridged else 0
         return Run(made, heard, gaps, crossed[1] - crossed[0], cpu, lost)
+
+
+def _set_congestion_control(host: Host, name: str) -> None:
+    try:
+        host.run("sysctl", "-qw", f"net.ipv4.tcp_congestion_control={name}")
+    except AssertionError as error:  # a namespace may only use what the machine allows everybody
+        allowed = "net.ipv4.tcp_allowed_congestion_control"
+        raise SystemExit(f"{error}; allow {name} by sysctl -w {allowed}=... on this machine") from None
 
 
 def _wait_until_matched(mouths: Sequence[_Child], folder: Path) -> None:
