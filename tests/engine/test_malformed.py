@@ -162,8 +162,8 @@ def test_eight_bytes_of_a_message_do_not_reach_a_node(bridge: Bridge, victim: Vi
     bad = array("a")[:12] + bytes(4) + FEWER[4:]  # stamp, an empty frame_id, status
     for payload in (bad, array("x", "y")[:60], array("one")):
         out.publish(payload)
-    victim.says("report")
     assert settled(client, "/report", 3).dropped == {"malformed": 2}
+    victim.says("report")
     assert victim.is_well
     assert happened(server, EventCode.ROUTE_MALFORMED, "diagnostic_msgs/msg/DiagnosticArray from robot1")
 
