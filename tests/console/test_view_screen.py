@@ -778,7 +778,11 @@ def test_a_hostile_bridge_s_picture_is_refused(machine: Machine, picture: Pictur
 
     class Hostile(ScriptedEngine):
         def _execute(self, command: Any, step: Any) -> Future[Any]:
-            return answered(Viewed(picture)) if type(command).__name__ == "LookAtTopics" else super()._execute(command, step)
+            return (
+                answered(Viewed(picture))
+                if type(command).__name__ == "LookAtTopics"
+                else super()._execute(command, step)
+            )
 
     machine.serve(Hostile())
     with pytest.raises(EngineError, match=RequestProblem.INVALID_PICTURE(error="")):

@@ -72,6 +72,16 @@ def test_a_udp_socket_is_asked_as_the_bridge_asks_it(tmp_path: Path) -> None:
         assert finding.facts["given"] == asking.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
 
 
+@pytest.mark.parametrize(("used", "grade"), [("bbr", Grade.OK), ("cubic", Grade.NOTE)])
+def test_a_congestion_control_that_takes_loss_for_a_full_link(
+    used: str, grade: Grade, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replaced.CONGESTION_CONTROL.set(monkeypatch, lambda _: used)
+    (finding,) = found("congestion_control", tmp_path)
+    assert (finding.grade, finding.facts) == (grade, {"used": used})
+    assert ("tcp_bbr" in finding.remedy) == (grade == Grade.NOTE)
+
+
 def test_files_of_killed_programs_are_counted_and_those_of_running_ones_are_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

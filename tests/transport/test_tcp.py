@@ -19,7 +19,7 @@ from tests.support.wording import pattern, says
 
 from rsb_bridge.transport import streams
 from rsb_bridge.transport.streams import Stream, StreamHandler, StreamProblem, os_error_message
-from rsb_bridge.transport.tcp import LookUpProblem, Tcp, TcpStream
+from rsb_bridge.transport.tcp import BBR, LookUpProblem, Tcp, TcpStream, congestion_control, prefer_bbr
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Iterator
@@ -282,3 +282,34 @@ def test_a_connection_that_the_peer_has_reset_closes() -> None:
 @pytest.mark.parametrize("number", [errno.EPIPE, errno.ECONNRESET])
 def test_a_connection_that_breaks_is_explained(number: int) -> None:
     assert says(os_error_message(OSError(number, os.strerror(number))), StreamProblem.RESET)
+
+
+def test_a_connection_uses_the_preferred_congestion_control(
+    monkeypatch: pytest.MonkeyPatch, port: int, resolves: list[str]
+) -> None:
+    """Reno is in every kernel, and on no machine the default."""
+    constants.TCP_PREFERRED_CONGESTION_CONTROL.set(monkeypatch, "reno")
+    resolves.append(_LIVE)
+
+    async def main() -> None:
+        stream = await Tcp().connect("robot", port, StreamHandler())
+        assert congestion_control(socket_of(stream)) == "reno"
+        stream.abort("over")
+
+    asyncio.run(main())
+
+
+def test_a_congestion_control_that_the_machine_lacks_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket() as sock:
+        sock.setsockopt(socket.IPPROTO_TCP, 13, b"reno")
+        constants.TCP_PREFERRED_CONGESTION_CONTROL.set(monkeypatch, "unheard_of")
+        prefer_bbr(sock)
+        assert congestion_control(sock) == "reno"
+
+
+def test_bbr_is_used_where_everybody_may() -> None:
+    allowed = Path("/proc/sys/net/ipv4/tcp_allowed_congestion_control").read_text(encoding="ascii").split()
+    with socket.socket() as sock:
+        sock.setsockopt(socket.IPPROTO_TCP, 13, b"reno")
+        prefer_bbr(sock)
+        assert congestion_control(sock) in ({BBR} if BBR in allowed else {BBR, "reno"})

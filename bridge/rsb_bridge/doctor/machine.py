@@ -30,6 +30,7 @@ from rsb_bridge.doctor.finding import Check, Finding, Grade
 from rsb_bridge.history.state_folder import state_folder
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.transport.tcp import BBR, congestion_control, prefer_bbr
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.transport.udp import enlarge_buffers, granted_receive_buffer
 
@@ -93,6 +94,13 @@ class MachineText(Wording):
         "echo net.core.rmem_max={wanted} | sudo tee /etc/sysctl.d/60-rsb.conf && "
         "sudo sysctl -p /etc/sysctl.d/60-rsb.conf"
     )
+    TCP = "TCP uses {used}"
+    TCP_NO_BBR = "TCP uses {used}, which takes each lost packet for a full link: on a radio link, BBR carries more"
+    BBR_REMEDY = (
+        "echo tcp_bbr | sudo tee /etc/modules-load.d/rsb.conf && sudo modprobe tcp_bbr && "
+        "echo 'net.ipv4.tcp_allowed_congestion_control=reno cubic bbr' | sudo tee /etc/sysctl.d/61-rsb.conf && "
+        "sudo sysctl -p /etc/sysctl.d/61-rsb.conf"
+    )
     CLOCK = "synchronized, within {milliseconds:.0f} ms"
     CLOCK_NOT_SYNCHRONIZED = "not synchronized: figures that compare two machines' clocks in logs are off"
     CLOCK_REMEDY = "sudo timedatectl set-ntp true, or install chrony"
@@ -131,6 +139,7 @@ def checks(environ: Mapping[str, str], root: Path = Path("/")) -> tuple[Check, .
         Check("pictures", "pictures", _pictures),
         Check("shared_memory", "shared memory", partial(_shared_memory, root / "dev/shm")),
         Check("udp_buffers", "UDP buffers", _udp_buffers),
+        Check("congestion_control", "TCP", _congestion_control),
         Check("multicast", "multicast", _multicast),
         Check("firewall", "firewall", _firewall),
         Check("clock", "clock", _clock),
@@ -260,6 +269,19 @@ def _udp_buffers() -> Iterator[Finding]:
         yield Finding("udp_buffers", Grade.WARNING, "UDP buffers", text, remedy, facts)
     else:
         yield Finding("udp_buffers", Grade.OK, "UDP buffers", MachineText.BUFFERS(given=given), facts=facts)
+
+
+def _congestion_control() -> Iterator[Finding]:
+    """Ask for it as the bridge does: which ones exist and are allowed differs by kernel, user and container."""
+    with socket.socket() as asking:
+        prefer_bbr(asking)
+        used = congestion_control(asking)
+    facts = {"used": used}
+    if used == BBR:
+        yield Finding("congestion_control", Grade.OK, "TCP", MachineText.TCP(used=used), facts=facts)
+    else:
+        text, remedy = MachineText.TCP_NO_BBR(used=used), MachineText.BBR_REMEDY()
+        yield Finding("congestion_control", Grade.NOTE, "TCP", text, remedy, facts)
 
 
 def _clock() -> Iterator[Finding]:

@@ -70,6 +70,11 @@ _TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
 _IDLE, _KEEPALIVE_EVERY = 20, 5
 """s; the stingiest NATs forget an idle connection within a minute."""
 _GIVEN_UP_AFTER_MS = 6_000
+_TCP_CONGESTION = getattr(socket, "TCP_CONGESTION", 13)
+BBR = "bbr"
+"""The congestion control that does not take a radio's lost packets for a full link (bench/README.md, *Thin links*)."""
+_NAME_SIZE = 16
+"""Bytes of the name of a congestion control, TCP_CA_NAME_MAX of Linux."""
 
 
 class TcpStream(Stream):
@@ -185,3 +190,20 @@ def _set_options(sock: socket.socket) -> None:
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _KEEPALIVE_EVERY)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _GIVEN_UP_AFTER_MS)
     retry_after(sock, RETRIED_AFTER)
+    prefer_bbr(sock)
+
+
+def prefer_bbr(sock: socket.socket) -> None:
+    """Have a TCP socket use `BBR`, if this machine has it and lets this user."""
+    # The kernel's default takes each lost packet for a full link: at 2 % it carried a sixth of what BBR did.
+    with contextlib.suppress(OSError):
+        sock.setsockopt(socket.IPPROTO_TCP, _TCP_CONGESTION, BBR.encode())
+
+
+def congestion_control(sock: socket.socket) -> str:
+    """Return the name of the congestion control that a TCP socket uses.
+
+    Raises:
+        OSError: the kernel does not tell.
+    """
+    return sock.getsockopt(socket.IPPROTO_TCP, _TCP_CONGESTION, _NAME_SIZE).rstrip(b"\0").decode(errors="replace")
