@@ -156,11 +156,24 @@ def test_a_link_s_messages_take_a_bounded_part_of_the_time() -> None:
         bed.time += 10.0
         for _ in range(CHECKED_AT_ONCE // STEPS // 2):  # malformed ones are read again for the field, and cost more
             with pytest.raises(MalformedError):
-                bed.check.check(names(STEPS)[:-4])
+                bed.check.check(names(STEPS)[:-4] + struct.pack("<I", 5))
         with pytest.raises(TooComplexError):
             bed.check.check(names(STEPS))
 
     run(work)
+
+
+def test_a_length_that_is_only_claimed_costs_nothing_of_the_links_budget() -> None:
+    """Eight bytes of one message do not have the messages that come with it dropped."""
+
+    async def run() -> None:
+        bed = Bed({NAMES: TEXT})
+        bed.check.begin(NAMES)
+        with pytest.raises(MalformedError):
+            bed.check.check(b"\0\1\0\0" + struct.pack("<I", 1 << 28))
+        bed.check.check(names(1000))
+
+    asyncio.run(run())
 
 
 def test_checkers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:

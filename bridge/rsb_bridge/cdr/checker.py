@@ -310,9 +310,9 @@ def _walk(words: memoryview | _Words, body: tuple[Any, ...], count: int, at: int
             elif kind == 2:
                 at += content[at & 7].size(length)
             else:
-                spent[0] += length * lengths
                 if length * least > end - at:
-                    raise _TooLongError
+                    raise _TooLongError  # nothing of it is read, so it costs nothing
+                spent[0] += length * lengths
                 if spent[0] > STEPS:
                     raise TooComplexError(Malformed.TOO_MANY_LENGTHS(limit=STEPS))
                 at = _walk(words, content, length, at, end, spent)
