@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -16,6 +15,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tests.support.handles import Handle
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.session_file import save
@@ -76,6 +76,7 @@ class Program:
 
     def __init__(self, pid: int, log: Path) -> None:
         self.pid = pid
+        self._handle = Handle(pid)
         self._log = log
 
     @property
@@ -86,11 +87,7 @@ class Program:
     @property
     def running(self) -> bool:
         """Whether it has not ended yet."""
-        try:
-            os.kill(self.pid, 0)
-        except ProcessLookupError:
-            return False
-        return True
+        return self._handle.running
 
     @property
     def said(self) -> list[str]:
@@ -103,13 +100,14 @@ class Program:
 
     def signal(self, number: signal.Signals) -> None:
         """Send it a signal."""
-        os.kill(self.pid, number)
+        self._handle.signal(number)
 
     def kill(self) -> None:
         """kill -9, and wait until it is gone."""
         with contextlib.suppress(ProcessLookupError):  # it may be ending
             self.signal(signal.SIGKILL)
         eventually(lambda: not self.running)
+        self._handle.close()
 
     def _lines(self) -> list[dict[str, Any]]:
         return [json.loads(line) for line in self.output.splitlines(keepends=True) if line[0] + line[-1] == "{\n"]

@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tests.support.handles import Handle
 from tests.support.waiting import eventually
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ class Command:
 
     def __init__(self, pid: int, output: Path) -> None:
         self.pid = pid
+        self._handle = Handle(pid)
         self._output = output
 
     @property
@@ -43,12 +45,10 @@ class Command:
     @property
     def code(self) -> int | None:
         """Its exit code, or None while it runs; -9 if it was killed."""
-        try:
-            os.kill(self.pid, 0)
-        except ProcessLookupError:
-            written = self._output.with_suffix(".code")
-            return int(written.read_text()) if written.exists() else -signal.SIGKILL
-        return None
+        if self._handle.running:
+            return None
+        written = self._output.with_suffix(".code")
+        return int(written.read_text()) if written.exists() else -signal.SIGKILL
 
     def wait(self, within: float = 180.0) -> int:
         """Wait until it has ended; return its exit code."""
@@ -59,13 +59,14 @@ class Command:
         return code
 
     def signal(self, number: signal.Signals) -> None:
-        os.kill(self.pid, number)
+        self._handle.signal(number)
 
     def kill(self) -> None:
         """kill -9, and wait until it is gone."""
         if self.code is None:
             self.signal(signal.SIGKILL)
             eventually(lambda: self.code is not None)
+        self._handle.close()
 
 
 class Forker:
