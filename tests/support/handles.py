@@ -1,0 +1,41 @@
+"""A process that somebody else started and reaps: its number may soon be another one's, its handle never is."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+
+
+class Handle:
+    """The handle of a process, from when it was started on (pidfd_open(2)).
+
+    With numbers, a kill at the end of a test hit whoever had the number by then: they come round every few minutes.
+    """
+
+    def __init__(self, pid: int) -> None:
+        try:
+            self._descriptor = os.pidfd_open(pid)
+        except ProcessLookupError:  # it has ended already
+            self._descriptor = -1
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended yet."""
+        return self._descriptor >= 0 and not select.select([self._descriptor], [], [], 0)[0]
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send it a signal.
+
+        Raises:
+            ProcessLookupError: it has ended.
+        """
+        if self._descriptor < 0:
+            raise ProcessLookupError
+        signal.pidfd_send_signal(self._descriptor, number)
+
+    def close(self) -> None:
+        """Let it go; it counts as ended."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
