@@ -44,7 +44,7 @@ def _costs(rounds: int) -> None:
         folder = Path(name)
         os.environ["XDG_RUNTIME_DIR"] = os.environ["XDG_STATE_HOME"] = name
         with (
-            bed.Process("-m", "rsb_bridge.ros.traffic", "many", str(bed.NEAR), "/bench/topic_", str(TOPICS)),
+            bed.Process("-m", "rsb_bridge.ros.measured_stream", "many", str(bed.NEAR), "/bench/topic_", str(TOPICS)),
             bed.headless(_session(folder, "server", bed.FAR, bed.free_port())),
             bed.headless(folder / "client.yaml") as bridge,
         ):

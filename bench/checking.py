@@ -26,7 +26,7 @@ from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import String
 
 from rsb_bridge.cdr.checker import Checker
-from rsb_bridge.cdr.description import Field, FieldType, MessageType, TypeDescription, read_description
+from rsb_bridge.cdr.description import FieldType, MessageField, MessageType, TypeDescription, read_description
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class
 
@@ -106,7 +106,7 @@ def _cases() -> list[Case]:
     of_transforms = TypeDescription(
         MessageType(
             "tf2_msgs/msg/TFMessage",
-            (Field("transforms", FieldType(_SEQUENCE_OF_NESTED, 0, 0, "geometry_msgs/msg/TransformStamped")),),
+            (MessageField("transforms", FieldType(_SEQUENCE_OF_NESTED, 0, 0, "geometry_msgs/msg/TransformStamped")),),
         ),
         (transforms.type_description, *transforms.referenced_type_descriptions),
     )

@@ -25,8 +25,8 @@ from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
 from rsb_console.bench.results import BenchError
-from rsb_console.bench.robots import Load
-from rsb_console.bench.simulated_fleet import USUAL, WAYS, Fleet, fleet, listening
+from rsb_console.bench.robots import RobotTraffic
+from rsb_console.bench.simulated_fleet import USUAL, WAYS, SimulatedFleet, fleet, listening
 from rsb_console.command.shell import allow_many_descriptors
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that what runs is ended first
     allow_many_descriptors()
     status, *_rest = (talk for talk in USUAL.talks if talk.topic == "/status")
-    load = Load((Talk("/pose", arguments.pose, 200), status, Talk("/scan", arguments.scan, 2500)), USUAL.hears)
+    load = RobotTraffic((Talk("/pose", arguments.pose, 200), status, Talk("/scan", arguments.scan, 2500)), USUAL.hears)
     print(f"robots' ROS is a stand-in; each sends {', '.join(map(_described, load.talks))}, and hears /goal at 1 Hz")
     found = []
     for count in map(int, arguments.robots.split(",")):
@@ -149,7 +149,7 @@ def main() -> None:
 
 
 def measure(
-    count: int, *, over: str = "tcp", domain: int = DOMAIN, load: Load = USUAL, plan: Plan | None = None
+    count: int, *, over: str = "tcp", domain: int = DOMAIN, load: RobotTraffic = USUAL, plan: Plan | None = None
 ) -> Figures:
     """Run one fleet: start it, watch it, kill and start the control side, and have one robot flood."""
     plan = plan or Plan()
@@ -217,7 +217,7 @@ def measure(
         )
 
 
-def _without_router(running: Fleet, down: float) -> Delays:
+def _without_router(running: SimulatedFleet, down: float) -> Delays:
     """Kill the router, and start it again: until when all are linked, and all routes open."""
     assert running.router is not None
     running.router.kill()
@@ -238,7 +238,7 @@ def _wait_until_heard(listener: Process) -> None:
         time.sleep(_BIN)
 
 
-def _watch(running: Fleet, control: Process, listener: Process, seconds: float) -> Steady:
+def _watch(running: SimulatedFleet, control: Process, listener: Process, seconds: float) -> Steady:
     others = running.names[:-1]
     rate = next(talk.rate for talk in running.load.talks if talk.topic == "/pose")
     lost, before = _lost(running, others), running.look()
@@ -262,7 +262,7 @@ def _watch(running: Fleet, control: Process, listener: Process, seconds: float) 
     )
 
 
-def _snapshot(running: Fleet) -> Snapshot:
+def _snapshot(running: SimulatedFleet) -> Snapshot:
     engine = RemoteEngine(running.socket, read_only=True)
     engine.start()
     try:
@@ -271,7 +271,7 @@ def _snapshot(running: Fleet) -> Snapshot:
         engine.stop()
 
 
-def _lost(running: Fleet, names: Sequence[str]) -> Counter[str]:
+def _lost(running: SimulatedFleet, names: Sequence[str]) -> Counter[str]:
     """Messages of robots that were lost, by cause."""
     lost: Counter[str] = Counter()
     for route in _snapshot(running).routes:
@@ -281,7 +281,7 @@ def _lost(running: Fleet, names: Sequence[str]) -> Counter[str]:
     return lost
 
 
-def _told(running: Fleet, name: str) -> list[str]:
+def _told(running: SimulatedFleet, name: str) -> list[str]:
     """Return the states of a robot's topics as the control side's operator sees them."""
     seen = _snapshot(running)
     return [

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.robot_summary import Loss, RobotState, RobotSummary
-from rsb_console.fleet.fleet import Fleet, Memory
+from rsb_bridge.model.robot_summary import LostMessages, RobotState, RobotSummary
+from rsb_console.fleet.fleet import Memory, RobotFleet
 from rsb_console.fleet_app import FleetApp
 from rsb_console.widgets.fleet_table import FleetView
 
@@ -35,7 +35,7 @@ class MovingSource:
             RobotSummary(
                 name=f"robot{number}", group=("hall", "yard")[number % 2], state=RobotState.OK, since=began - number,
                 seen=began, host=f"10.0.1.{number}:7060", version="0.1.0", links_up=1, links=1, flowing=12, routes=12,
-                messages_from_robot=120.0, bytes_from_robot=3e5, bytes_to_robot=4e3, loss=Loss(0.0, 60.0),
+                messages_from_robot=120.0, bytes_from_robot=3e5, bytes_to_robot=4e3, loss=LostMessages(0.0, 60.0),
             )
             for number in range(COUNT)
         ]  # fmt: skip
@@ -68,4 +68,6 @@ class MovingSource:
         return list(self._robots)
 
 
-FleetApp(Fleet([MovingSource()], Memory(None), Clock()), FleetView(), theme="dark", config=Path("/nonexistent")).run()
+FleetApp(
+    RobotFleet([MovingSource()], Memory(None), Clock()), FleetView(), theme="dark", config=Path("/nonexistent")
+).run()

@@ -20,8 +20,8 @@ from bench.console import Watched
 from rsb_bridge.config.fleet_file import load_fleet
 from rsb_bridge.ros.known_messages import BATTERY_STATE
 from rsb_bridge.ros.stand_in import Talk
-from rsb_console.bench.robots import Load
-from rsb_console.bench.simulated_fleet import Fleet, fleet, listening
+from rsb_console.bench.robots import RobotTraffic
+from rsb_console.bench.simulated_fleet import SimulatedFleet, fleet, listening
 from rsb_console.command.shell import allow_many_descriptors
 from rsb_console.fleet.zenoh_source import ZenohFleet
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rsb_console.bench.processes import Process
 
 DOMAIN = 98
-LOAD = Load((Talk("/pose", 1.0, 200), Talk("/battery_state", 0.2, 0, BATTERY_STATE)), ())
+LOAD = RobotTraffic((Talk("/pose", 1.0, 200), Talk("/battery_state", 0.2, 0, BATTERY_STATE)), ())
 WITHIN = 240.0
 _LOOK_EVERY = 0.02
 
@@ -52,7 +52,7 @@ def main() -> None:
         measure(running, arguments.seconds)
 
 
-def measure(running: Fleet, seconds: float) -> None:
+def measure(running: SimulatedFleet, seconds: float) -> None:
     """Print all figures of a fleet that runs."""
     count = len(running.names)
     engines = count + 1  # the control side announces itself, too
@@ -80,7 +80,7 @@ def measure(running: Fleet, seconds: float) -> None:
     print(f"an engine: {100 * alone / count:.2f} % of a core unwatched, {100 * cost:+.2f} % watched")
 
 
-def _spoken(running: Fleet, engines: int) -> tuple[float, float, float]:
+def _spoken(running: SimulatedFleet, engines: int) -> tuple[float, float, float]:
     """Measure the seconds until a console lists all engines and until each has reported, and the processor time."""
     assert running.file is not None
     began, cpu, known = time.monotonic(), time.process_time(), 0.0
@@ -102,7 +102,7 @@ def _spoken(running: Fleet, engines: int) -> tuple[float, float, float]:
         source.stop()
 
 
-def _cpu(running: Fleet, seconds: float) -> float:
+def _cpu(running: SimulatedFleet, seconds: float) -> float:
     """Processor s per s of all robots, for a while."""
     began, cpu = time.monotonic(), _sum(running.processes)
     time.sleep(seconds)

@@ -14,7 +14,7 @@ from unittest.mock import patch
 
 from rsb_bridge.ros.ros_thread import RosTurns
 from rsb_bridge.route import lease
-from rsb_bridge.route.lease import BEAT, Lease
+from rsb_bridge.route.lease import BEAT, LeaseHalf
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,7 +60,7 @@ class Hour:
         self._order = itertools.count()
         self._arrived: dict[str, float] = {}
         self._ended = self._sent = self._young = self._old = 0
-        self._here, self._there = (Lease(lambda: self._now, RosTurns(), self._end) for _ in range(2))
+        self._here, self._there = (LeaseHalf(lambda: self._now, RosTurns(), self._end) for _ in range(2))
 
     def live(self) -> Result:
         self._begin()
@@ -97,7 +97,7 @@ class Hour:
             arrives = self._arrived[stream] = max(arrives, self._arrived.get(stream, 0.0))
         self._at(arrives - self._now, work)
 
-    def _beat(self, side: Lease, other: Lease, stream: str) -> None:
+    def _beat(self, side: LeaseHalf, other: LeaseHalf, stream: str) -> None:
         number, echo = side.beat()
         self._send(stream, lambda: other.hear(number, echo))
         self._at(BEAT, lambda: self._beat(side, other, stream))

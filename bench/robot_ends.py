@@ -21,7 +21,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 
 from rsb_bridge.ros.known_messages import made_at, stamped_string
-from rsb_bridge.ros.traffic import drain
+from rsb_bridge.ros.measured_stream import drain
 
 _DEPTH = {"reliable": 10, "best_effort": 5}
 

@@ -24,10 +24,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from bench import bed
 from rsb_bridge.transport.zenoh.endpoint import ROOT
-from rsb_bridge.transport.zenoh.sample import Header, Kind
+from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.messages import Hello
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.sealing import CipherSuite
 from rsb_console.bench import loopback
 from rsb_console.bench.results import BenchError
 
@@ -231,7 +231,7 @@ def _said(number: int, size: int) -> bytes:
         case 0:
             begun = struct.pack(">I", 4096) + b"rsb\x02\x01"
         case 1:
-            begun = ClientConnection(Hello("1", "bench", "x", 0), os.urandom(32), Suite.AESGCM).start()
+            begun = ClientConnection(Hello("1", "bench", "x", 0), os.urandom(32), CipherSuite.AESGCM).start()
         case _:
             begun = os.urandom(100)
     return begun[:size] + bytes(max(0, size - len(begun)))
@@ -277,7 +277,7 @@ def _zenoh(flood: Flood, port: int, tally: Counter[str]) -> None:
     session = zenoh.open(config)
     replies = session.liveliness().get(f"{ROOT}/*/here/server/*/*")
     _, fleet, _, _, server, _ = next(str(reply.ok.key_expr) for reply in replies if reply.ok is not None).split("/")
-    attachment = Header(Kind.DATA, 1, 0).pack()
+    attachment = Header(SampleKind.DATA, 1, 0).pack()
     for number in _paced(flood.rate):
         sender = os.urandom(8).hex() if flood.many else "f" * 16
         session.put(

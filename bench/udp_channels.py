@@ -28,7 +28,7 @@ from rsb_bridge.transport import udp
 from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.wire.framing import Budget
-from rsb_bridge.wire.sealing import SessionKeys, Suite
+from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -147,7 +147,7 @@ def _scheduler() -> Scheduler:
 
 
 def _keys(role: Role) -> DataKeys:
-    keys = SessionKeys(Suite.AESGCM, bytes(32), _LINK)
+    keys = SessionKeys(CipherSuite.AESGCM, bytes(32), _LINK)
     keys.proposed(Route.id, "client")
     return DataKeys(keys, role, Budget(256 << 20))
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from textual.pilot import Pilot
 
-    from rsb_console.fleet.fleet import Fleet, FleetSource, Robot
+    from rsb_console.fleet.fleet import FleetSource, Robot, RobotFleet
 
 PICTURES = Path(__file__).parent / "pictures"
 FLOWING = 6  # topics of the demo, its service, and its robot's parameters
@@ -139,12 +139,12 @@ def _of_no_machine(source: FleetSource) -> None:
     source.robots = lambda: [msgspec.structs.replace(each, host=each.name) for each in known()]  # type: ignore[method-assign]
 
 
-def robots(fleet: Fleet) -> list[Robot]:
+def robots(fleet: RobotFleet) -> list[Robot]:
     """Those with a battery."""
     return [robot for robot in fleet.robots() if robot.summary.name != "control"]
 
 
-def states_of(fleet: Fleet) -> set[RobotState]:
+def states_of(fleet: RobotFleet) -> set[RobotState]:
     """How the robots are."""
     return {robot.summary.state for robot in robots(fleet)}
 

@@ -134,7 +134,9 @@ class Stage:
         resources.callback(self._clients.close)
 
     def _ros(self, part: str, domain: int, topic: str) -> bed.Process:
-        return self._resources.enter_context(bed.Process("-m", "rsb_bridge.ros.traffic", part, str(domain), topic))
+        return self._resources.enter_context(
+            bed.Process("-m", "rsb_bridge.ros.measured_stream", part, str(domain), topic)
+        )
 
     def watch(self, seconds: float) -> Row:
         """Measure the service to everybody for some seconds."""

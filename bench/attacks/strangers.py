@@ -20,7 +20,7 @@ from tests.support.rogue import Rogue
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.datagram import DatagramReader, Probe
 from rsb_bridge.wire.messages import Accept, Describe, Hello, Ping, Propose, Ready
-from rsb_bridge.wire.sealing import PROBE_ROUTE, Suite
+from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -86,9 +86,9 @@ def _rubbish(number: int) -> bytes:
         case 1:
             return b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n"
         case 2:
-            return ClientConnection(Hello("1", "robot1", "x", 0), os.urandom(32), Suite.AESGCM).start()
+            return ClientConnection(Hello("1", "robot1", "x", 0), os.urandom(32), CipherSuite.AESGCM).start()
         case _:
-            return ClientConnection(Hello("1", f"robot{number}", "x", 0), os.urandom(32), Suite.AESGCM).start()
+            return ClientConnection(Hello("1", f"robot{number}", "x", 0), os.urandom(32), CipherSuite.AESGCM).start()
 
 
 def replay(target: Target, tally: Tally) -> None:
@@ -97,7 +97,7 @@ def replay(target: Target, tally: Tally) -> None:
     recorded = b""
     for number in paced(40):
         if number % 2 == 0:
-            recorded = ClientConnection(Hello("1", "rogue", "rogue", 0), target.key, Suite.AESGCM).start()
+            recorded = ClientConnection(Hello("1", "rogue", "rogue", 0), target.key, CipherSuite.AESGCM).start()
         with contextlib.suppress(OSError):
             sock = socket.create_connection(target.address, timeout=0.05)  # refusals may come late
             kept.append(sock)

@@ -123,7 +123,7 @@ class EngineApi(ABC):
         return self.do(commands.RemoveTopic(key, drop_arm))
 
     def pause(self, key: str, paused: bool) -> Future[None]:
-        return self.do(commands.Pause(key, paused))
+        return self.do(commands.PauseTopics(key, paused))
 
     def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> Future[None]:
         return self.do(commands.Acknowledge(key, acknowledged, link))
@@ -162,7 +162,7 @@ class EngineApi(ABC):
         return self.do(commands.Retry(link))
 
     def shut_down(self) -> Future[None]:
-        return self.do(commands.ShutDown())
+        return self.do(commands.ShutDownLinks())
 
     def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
         return self.do(commands.Restart(), step)
@@ -177,7 +177,7 @@ class EngineApi(ABC):
         return self.do(commands.Peek(key, kept))
 
     def look(self, viewer: str, topics: tuple[str, ...], wish: Wish, link: str = "") -> Future[Viewed | None]:
-        return self.do(commands.Look(viewer, topics, wish, link))
+        return self.do(commands.LookAtTopics(viewer, topics, wish, link))
 
     def end_look(self, viewer: str) -> Future[None]:
         return self.do(commands.EndLook(viewer))
@@ -199,7 +199,7 @@ class EngineApi(ABC):
         return self.do(commands.Publish(topic, fields, type_name, ticket, rest, rest_after, reduce))
 
     def describe(self, key: str) -> Future[str]:
-        return self.do(commands.Describe(key))
+        return self.do(commands.DescribeType(key))
 
     def template(self, key: str, lane: str = "") -> Future[str]:
         return self.do(commands.Template(key, lane))

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable
 
-    from rsb_bridge.model.demands import Source
-    from rsb_bridge.model.session import Armed, Session
+    from rsb_bridge.model.demands import DemandSource
+    from rsb_bridge.model.session import ArmedName, Session
     from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.ros.ros_thread import RosToLoopQueue
     from rsb_bridge.telemetry.event_log import About, EventLog
@@ -105,15 +105,15 @@ class Context:
             self._demand_dropped,
         )
 
-    def _set_armed(self, armed: tuple[str | Armed, ...]) -> None:
+    def _set_armed(self, armed: tuple[str | ArmedName, ...]) -> None:
         if armed != self.session.armed:
             self.session = msgspec.structs.replace(self.session, armed=armed)
 
-    def _demand_kept(self, source: Source, origin: str) -> None:
+    def _demand_kept(self, source: DemandSource, origin: str) -> None:
         text = f"{source.name}: still has to be armed ({origin}): kept under armed; save the session"
         self.events.add(Level.INFO, EventCode.OPERATOR_ARM_KEPT, text, topic=source.name, old=origin)
 
-    def _demand_dropped(self, source: Source, origin: str) -> None:
+    def _demand_dropped(self, source: DemandSource, origin: str) -> None:
         who = operator()
         text = f"{source.name}: no longer has to be armed: {who} dropped the demand ({origin})"
         about: About = {"topic": source.name, "who": who, "old": origin}

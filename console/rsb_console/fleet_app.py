@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from textual.screen import Screen
 
-    from rsb_console.fleet.fleet import Fleet, Robot
+    from rsb_console.fleet.fleet import Robot, RobotFleet
     from rsb_console.widgets.fleet_table import FleetView
 
 BRIDGES_GO_ON = "All bridges go on; only this console ends."
@@ -42,7 +42,7 @@ class FleetApp(TerminalApp["Robot"]):
 
     def __init__(
         self,
-        fleet: Fleet,
+        fleet: RobotFleet,
         view: FleetView,
         *,
         readonly: bool = False,

@@ -10,7 +10,7 @@ from rsb_console.bench.results import BenchError, Many, Run, Side, StoppedError,
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rsb_console.bench.results import Ends
+    from rsb_console.bench.results import BenchEnds
 
 
 class SimulatedLink:
@@ -81,11 +81,11 @@ class SimulatedPlace:
         return [Way(name, "transmit") for name in self._links]
 
     @contextlib.contextmanager
-    def baseline(self, _: list[int]) -> Iterator[Ends]:
+    def baseline(self, _: list[int]) -> Iterator[BenchEnds]:
         yield SimulatedLink()
 
     @contextlib.contextmanager
-    def open(self, way: Way, _: list[int]) -> Iterator[Ends]:
+    def open(self, way: Way, _: list[int]) -> Iterator[BenchEnds]:
         if way.transport in self._fails:
             raise BenchError("cannot be opened")
         if way.transport in self._stops:

@@ -20,7 +20,7 @@ from tests.support.wording import says
 
 from rsb_bridge.control.bridges import serve
 from rsb_bridge.model.benchmark import BenchmarkLimits
-from rsb_console.bench.results import Report, from_json
+from rsb_console.bench.results import BenchReport, from_json
 from rsb_console.command.argument_values import domains, sizes, topics, transports
 from rsb_console.command.target import BridgeChoice
 
@@ -153,7 +153,7 @@ def socket(pair: Callable[..., Pair], tmp_path: Path) -> Iterator[Callable[..., 
         server.close()
 
 
-def over_link(socket: str, *options: str, seconds: str = "3") -> tuple[int, Report]:
+def over_link(socket: str, *options: str, seconds: str = "3") -> tuple[int, BenchReport]:
     code, output, errors = bench("--control", socket, *TINY, "--quick", "--seconds", seconds, *options)
     assert not errors or json.loads(output)["notes"]
     return code, from_json(output)

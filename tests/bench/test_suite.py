@@ -7,12 +7,12 @@ from dataclasses import replace
 import pytest
 from tests.bench.simulated import SimulatedLink, SimulatedPlace
 
-from rsb_console.bench.results import Report
+from rsb_console.bench.results import BenchReport
 from rsb_console.bench.suite import FULL, QUICK, Plan, Suite
 
 
-def measured(place: SimulatedPlace, plan: Plan = QUICK) -> Report:
-    report = Report("a simulated link", "no machine")
+def measured(place: SimulatedPlace, plan: Plan = QUICK) -> BenchReport:
+    report = BenchReport("a simulated link", "no machine")
     Suite(place, plan, report, lambda: place.time, lambda _: None).run()
     return report
 
@@ -81,7 +81,7 @@ def test_a_peer_that_stops_it_ends_everything_and_what_was_measured_stays() -> N
 
 
 def test_an_interrupt_leaves_what_was_measured() -> None:
-    place, report = SimulatedPlace({"tcp": SimulatedLink()}), Report("a link", "")
+    place, report = SimulatedPlace({"tcp": SimulatedLink()}), BenchReport("a link", "")
 
     def say(text: str) -> None:
         if "10 kB" in text:

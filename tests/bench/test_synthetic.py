@@ -10,7 +10,7 @@ from rsb_bridge.model.benchmark import bench_topic
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.ros.synthetic import Drain, Source, Synthetic, Time, percentiles
+from rsb_bridge.ros.synthetic import Synthetic, SyntheticReader, SyntheticSource, Time, percentiles
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,7 +36,7 @@ class Clocks(Time):
 @pytest.mark.parametrize(("rate", "count"), [(100.0, 50), (20_000.0, 4_000), (0.5, 1)])
 def test_messages_come_at_their_rate_and_in_batches(rate: float, count: int) -> None:
     clocks, batches = Clocks(), list[list["RawMessage"]]()
-    source = Source(lambda batch: batches.append([*batch]), clocks, lambda: None)
+    source = SyntheticSource(lambda batch: batches.append([*batch]), clocks, lambda: None)
     source.send(2500, rate, count)
     messages = [message for batch in batches for message in batch]
     assert [message.number for message in messages] == [*range(1, count + 1)]
@@ -48,7 +48,7 @@ def test_messages_come_at_their_rate_and_in_batches(rate: float, count: int) -> 
 
 def test_large_messages_go_one_by_one() -> None:
     sizes: list[int] = []
-    Source(lambda batch: sizes.append(len(batch)), Clocks(), lambda: None).send(6_000_000, 1e6, 5)
+    SyntheticSource(lambda batch: sizes.append(len(batch)), Clocks(), lambda: None).send(6_000_000, 1e6, 5)
     assert sizes == [1] * 5
 
 
@@ -58,7 +58,7 @@ def test_a_sender_that_does_not_keep_up_ends_and_says_how_fast_it_was() -> None:
     def slow(_: Sequence[RawMessage]) -> None:
         clocks.passed += 64.0
 
-    source = Source(slow, clocks, lambda: None)
+    source = SyntheticSource(slow, clocks, lambda: None)
     source.send(100, 100.0, 10_000)
     assert 64 < source.sent < 300
     assert 0.5 < source.rate < 1.5
@@ -66,14 +66,14 @@ def test_a_sender_that_does_not_keep_up_ends_and_says_how_fast_it_was() -> None:
 
 def test_what_arrives_is_counted_with_its_latency() -> None:
     clocks = Clocks()
-    drain = Drain(clocks, lambda: None)
+    drain = SyntheticReader(clocks, lambda: None)
 
     def late(batch: Sequence[RawMessage]) -> None:
         clocks.passed += 0.25
         for message in batch:
             drain.publish(message.payload)
 
-    source = Source(late, clocks, lambda: None)
+    source = SyntheticSource(late, clocks, lambda: None)
     source.send(100, 1.0, 8)
     assert drain.arrived == (8, (0.25, 0.25, 0.25))
     assert drain.bytes == 800

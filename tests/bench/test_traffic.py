@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from tests.support import surroundings
 
-from rsb_bridge.ros import traffic
+from rsb_bridge.ros import measured_stream
 from rsb_bridge.ros.known_messages import made_at, stamped_string
-from rsb_bridge.ros.traffic import Arrivals
+from rsb_bridge.ros.measured_stream import Arrivals
 
 
 def test_what_an_earlier_run_has_left_does_not_count_for_the_next() -> None:
@@ -41,7 +41,7 @@ class _Publishing:
 def test_each_message_has_a_stamp_of_its_own_at_every_rate(rate: int, monkeypatch: pytest.MonkeyPatch) -> None:
     surroundings.set_stdin(monkeypatch, f"send {rate} 1000 2500\n")
     node = _Publishing()
-    traffic.talk(node, ["/topic"])
+    measured_stream.talk(node, ["/topic"])
     stamps = [made_at(message) for message in node.published]
     assert len(set(stamps)) == len(stamps) == 1000
     assert stamps == sorted(stamps)

@@ -14,7 +14,7 @@ from cryptography.fernet import Fernet
 from tests.support.frames import write_chunks
 
 from rsb_bridge.wire.framing import ZSTD, DataWriter
-from rsb_bridge.wire.sealing import Sealer, Suite
+from rsb_bridge.wire.sealing import CipherSuite, Sealer
 
 pytest.importorskip("rclpy", reason="the messages are ROS's own: pip install 'rsb-console[ros]'")
 
@@ -76,4 +76,4 @@ def test_fewer_bytes_than_fernet_and_pickle(make: Any) -> None:
 
 
 def _on_the_wire(content: bytes, flags: int) -> int:
-    return sum(map(len, write_chunks(DataWriter(Sealer(Suite.AESGCM, bytes(32)), 1), content, 0, flags, _CHUNK)))
+    return sum(map(len, write_chunks(DataWriter(Sealer(CipherSuite.AESGCM, bytes(32)), 1), content, 0, flags, _CHUNK)))

@@ -25,7 +25,7 @@ from tests.support.filled import filled
 
 from rsb_bridge.cdr.checker import STEPS, Checker, MalformedError, TooComplexError, UncheckableError
 from rsb_bridge.cdr.decoder import decode
-from rsb_bridge.cdr.description import Field, FieldType, MessageType, TypeDescription
+from rsb_bridge.cdr.description import FieldType, MessageField, MessageType, TypeDescription
 from rsb_bridge.ros.native.typesupport import installed_class
 
 if TYPE_CHECKING:
@@ -137,10 +137,10 @@ def test_eight_bytes_are_refused() -> None:
     [((2, 4), "in.some"), ((1, 8, 1, 30), "names[]"), ((1, 8, 2**30), "names"), ((1, 8), "names")],
 )
 def test_the_field_is_named(value: tuple[int, ...], field: str) -> None:
-    inner = MessageType("t/msg/In", (Field("some", FieldType(INT + SEQUENCE, 0, 0, "")),))
+    inner = MessageType("t/msg/In", (MessageField("some", FieldType(INT + SEQUENCE, 0, 0, "")),))
     fields = (
-        Field("in", FieldType(NESTED, 0, 0, "t/msg/In")),
-        Field("names", FieldType(STRING + SEQUENCE, 0, 0, "")),
+        MessageField("in", FieldType(NESTED, 0, 0, "t/msg/In")),
+        MessageField("names", FieldType(STRING + SEQUENCE, 0, 0, "")),
     )
     description = TypeDescription(MessageType("t/msg/T", fields), (inner,))
     payload = b"\x00\x01\x00\x00" + struct.pack(f"<{len(value)}I", *value)
@@ -180,9 +180,13 @@ def test_big_endian() -> None:
 
 def test_padding_between_elements_repeats() -> None:
     """One byte and a double: elements begin at different places, so that their padding differs."""
-    odd = MessageType("t/msg/Odd", (Field("a", FieldType(3, 0, 0, "")), Field("b", FieldType(DOUBLE, 0, 0, "")),
-                                    Field("c", FieldType(3, 0, 0, ""))))  # fmt: skip
-    fields = (Field("lead", FieldType(3, 0, 0, "")), Field("odds", FieldType(NESTED + SEQUENCE, 0, 0, "t/msg/Odd")))
+    odd = MessageType("t/msg/Odd", (MessageField("a", FieldType(3, 0, 0, "")),
+                                    MessageField("b", FieldType(DOUBLE, 0, 0, "")),
+                                    MessageField("c", FieldType(3, 0, 0, ""))))  # fmt: skip
+    fields = (
+        MessageField("lead", FieldType(3, 0, 0, "")),
+        MessageField("odds", FieldType(NESTED + SEQUENCE, 0, 0, "t/msg/Odd")),
+    )
     description = TypeDescription(MessageType("t/msg/T", fields), (odd,))
     for count in range(20):
         payload = b"\x00\x01\x00\x00\x07\x00\x00\x00" + struct.pack("<I", count)
@@ -218,10 +222,10 @@ def test_types_that_cannot_be_checked_are_named(fields: list[tuple[str, int, int
 
 def test_types_within_types_within_types() -> None:
     """Twice the same in each of 60 levels: 2^60 strings, which no message has."""
-    types = [MessageType("t/msg/L0", (Field("s", FieldType(STRING, 0, 0, "")),))]
+    types = [MessageType("t/msg/L0", (MessageField("s", FieldType(STRING, 0, 0, "")),))]
     for level in range(1, 60):
         inner = FieldType(NESTED, 0, 0, f"t/msg/L{level - 1}")
-        types.append(MessageType(f"t/msg/L{level}", (Field("a", inner), Field("b", inner))))
+        types.append(MessageType(f"t/msg/L{level}", (MessageField("a", inner), MessageField("b", inner))))
     began = time.monotonic()
     made = Checker(TypeDescription(types[-1], tuple(types[:-1])))
     assert not passes(made, b"\x00\x01\x00\x00" + bytes(1000))
@@ -237,10 +241,12 @@ def test_types_within_types_within_types() -> None:
 )
 def test_elements_with_strings_end_where_they_end(kinds: list[int], texts: list[str], after: int, cut: int) -> None:
     """The checker agrees with the decoder: some are skipped by words, and the next element may begin at any byte."""
-    element = MessageType("t/msg/E", tuple(Field(f"f{n}", FieldType(kind, 0, 0, "")) for n, kind in enumerate(kinds)))
+    element = MessageType(
+        "t/msg/E", tuple(MessageField(f"f{n}", FieldType(kind, 0, 0, "")) for n, kind in enumerate(kinds))
+    )
     fields = (
-        Field("all", FieldType(NESTED + SEQUENCE, 0, 0, "t/msg/E")),
-        Field("after", FieldType(after + SEQUENCE, 0, 0, "")),
+        MessageField("all", FieldType(NESTED + SEQUENCE, 0, 0, "t/msg/E")),
+        MessageField("after", FieldType(after + SEQUENCE, 0, 0, "")),
     )
     description = TypeDescription(MessageType("t/msg/T", fields), (element,))
     body, strings = struct.pack("<I", len(texts)), iter(texts * len(kinds))
@@ -262,7 +268,7 @@ def test_elements_with_strings_end_where_they_end(kinds: list[int], texts: list[
 
 
 def test_an_array_of_strings_may_begin_anywhere() -> None:
-    fields = (Field("lead", FieldType(3, 0, 0, "")), Field("three", FieldType(STRING + ARRAY, 3, 0, "")))
+    fields = (MessageField("lead", FieldType(3, 0, 0, "")), MessageField("three", FieldType(STRING + ARRAY, 3, 0, "")))
     description = TypeDescription(MessageType("t/msg/T", fields), ())
     payload = b"\0\1\0\0\7\0\0\0" + struct.pack("<I1s3xI2s2xI3s", 1, b"\0", 2, b"a\0", 3, b"bc\0")
     Checker(description).check(payload)
@@ -271,7 +277,7 @@ def test_an_array_of_strings_may_begin_anywhere() -> None:
 
 
 def test_an_empty_message_has_a_byte() -> None:
-    fields = (Field("all", FieldType(NESTED + SEQUENCE, 0, 0, "t/msg/Empty")),)
+    fields = (MessageField("all", FieldType(NESTED + SEQUENCE, 0, 0, "t/msg/Empty")),)
     made = Checker(TypeDescription(MessageType("t/msg/T", fields), (MessageType("t/msg/Empty", ()),)))
     made.check(b"\x00\x01\x00\x00" + struct.pack("<I", 10) + bytes(10))
     assert not passes(made, b"\x00\x01\x00\x00" + struct.pack("<I", 11) + bytes(10))
@@ -301,8 +307,8 @@ def descriptions(draw: Callable[[Any], Any]) -> TypeDescription:
                 base = INT
             inner = draw(st.sampled_from(NAMES[number + 1 :])) if base == NESTED else ""
             capacity = draw(st.sampled_from([1, 2, 3, 1000, 2**32 - 1]))
-            fields.append(Field(f"f{index}", FieldType(base + container, capacity, capacity, inner)))
-        fields = fields or [Field("d", FieldType(3, 0, 0, ""))]
+            fields.append(MessageField(f"f{index}", FieldType(base + container, capacity, capacity, inner)))
+        fields = fields or [MessageField("d", FieldType(3, 0, 0, ""))]
         types.append(MessageType(NAMES[number], tuple(fields)))
     return TypeDescription(types[0], tuple(types[1:]))
 

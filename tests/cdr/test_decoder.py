@@ -21,9 +21,9 @@ from tests.support.wording import pattern, says
 from rsb_bridge.cdr.decoder import Decoded, Items, Unreadable, decode
 from rsb_bridge.cdr.description import (
     DescriptionError,
-    Field,
     FieldType,
     InvalidDescription,
+    MessageField,
     MessageType,
     TypeDescription,
     hash_of_text,
@@ -123,16 +123,18 @@ def test_every_kind_of_field() -> None:
 INNER = MessageType(
     "t/msg/Inner",
     (
-        Field("a", FieldType(3, 0, 0, "")),
-        Field("b", FieldType(11, 0, 0, "")),
-        Field("w", FieldType(18, 0, 0, "")),
+        MessageField("a", FieldType(3, 0, 0, "")),
+        MessageField("b", FieldType(11, 0, 0, "")),
+        MessageField("w", FieldType(18, 0, 0, "")),
     ),
 )
 
 
 def of(*fields: tuple[str, int, int, int, str]) -> TypeDescription:
     """A description with fields of (name, type id, capacity, capacity of strings, nested type)."""
-    return TypeDescription(MessageType("t/msg/T", tuple(Field(f[0], FieldType(*f[1:])) for f in fields)), (INNER,))
+    return TypeDescription(
+        MessageType("t/msg/T", tuple(MessageField(f[0], FieldType(*f[1:])) for f in fields)), (INNER,)
+    )
 
 
 def test_big_endian() -> None:
@@ -146,9 +148,9 @@ def test_big_endian() -> None:
 
 def test_arrays_of_none_are_not_free() -> None:
     """They have no bytes, so that only the steps bound what a hostile description makes of a message of four."""
-    many = tuple(Field(f"f{number}", FieldType(1 + 48, 0, 0, "t/msg/Inner")) for number in range(600))
+    many = tuple(MessageField(f"f{number}", FieldType(1 + 48, 0, 0, "t/msg/Inner")) for number in range(600))
     outer = MessageType("t/msg/Many", many)
-    top = MessageType("t/msg/T", (Field("all", FieldType(1 + 48, 1_000_000, 0, "t/msg/Many")),))
+    top = MessageType("t/msg/T", (MessageField("all", FieldType(1 + 48, 1_000_000, 0, "t/msg/Many")),))
     hostile = TypeDescription(top, (outer, MessageType("t/msg/Inner", ())))
     decoded = decode(hostile, b"\x00\x01\x00\x00", items=10**9, steps=1000)
     kept = decoded.message["all"]
@@ -184,9 +186,9 @@ def header(*parts: bytes) -> bytes:
     return b"\x00\x01\x00\x00" + b"".join(parts)
 
 
-ENDLESS = TypeDescription(MessageType("t/msg/T", (Field("again", FieldType(1, 0, 0, "t/msg/T")),)), ())
+ENDLESS = TypeDescription(MessageType("t/msg/T", (MessageField("again", FieldType(1, 0, 0, "t/msg/T")),)), ())
 EMPTY_ELEMENTS = TypeDescription(
-    MessageType("t/msg/T", (Field("many", FieldType(145, 0, 0, "t/msg/E")),)), (MessageType("t/msg/E", ()),)
+    MessageType("t/msg/T", (MessageField("many", FieldType(145, 0, 0, "t/msg/E")),)), (MessageType("t/msg/E", ()),)
 )
 
 
@@ -268,7 +270,7 @@ kinds = st.builds(
 )
 descriptions = st.builds(
     lambda fields: TypeDescription(
-        MessageType("t/msg/T", tuple(Field(f"f{n}", kind) for n, kind in enumerate(fields))),
+        MessageType("t/msg/T", tuple(MessageField(f"f{n}", kind) for n, kind in enumerate(fields))),
         (INNER, MessageType("t/msg/E", ())),
     ),
     st.lists(kinds, max_size=6),

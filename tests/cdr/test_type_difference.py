@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from rsb_bridge.cdr.description import Field, FieldType, MessageType, TypeDescription, text_of
+from rsb_bridge.cdr.description import FieldType, MessageField, MessageType, TypeDescription, text_of
 from rsb_bridge.cdr.type_difference import TypeDifference, difference, difference_of_texts, type_text
 
 FLOAT, STRING, INT = FieldType(10, 0, 0, ""), FieldType(17, 0, 0, ""), FieldType(6, 0, 0, "")
@@ -17,7 +17,7 @@ def described(*fields: tuple[str, FieldType], **others: tuple[tuple[str, FieldTy
     """Return the description of a type and of the types that it refers to."""
 
     def message(name: str, of: tuple[tuple[str, FieldType], ...]) -> MessageType:
-        return MessageType(f"a_msgs/msg/{name}", tuple(Field(*each) for each in of))
+        return MessageType(f"a_msgs/msg/{name}", tuple(MessageField(*each) for each in of))
 
     return TypeDescription(message("A", fields), tuple(message(*each) for each in others.items()))
 
@@ -60,7 +60,7 @@ def test_the_field_is_named(
 @pytest.mark.parametrize(("end", "half"), [("_Request", "IN_REQUEST"), ("_Response", "IN_RESPONSE")])
 def test_the_half_of_a_service_is_named(end: str, half: str) -> None:
     def version(kind: FieldType) -> TypeDescription:
-        return TypeDescription(MessageType(f"a_msgs/srv/A{end}", (Field("x", kind),)), ())
+        return TypeDescription(MessageType(f"a_msgs/srv/A{end}", (MessageField("x", kind),)), ())
 
     found = TypeDifference.OTHER_TYPE(field="x", there="int32", here="float32")
     assert difference(version(FLOAT), version(INT)) == TypeDifference[half](difference=found)

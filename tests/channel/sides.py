@@ -21,7 +21,7 @@ from rsb_bridge.channel.stream_channel import stream_channel
 from rsb_bridge.channel.window import Window
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import Budget
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Container, Coroutine, Iterable
@@ -93,7 +93,7 @@ class Side:
         self.deaf = False
         self.closed: set[int] = set()
         self.routes: dict[int, Route] = {}
-        self.keys = DataKeys(session_keys(Suite.AESGCM, _EXPORT), role, Budget(64 << 20))
+        self.keys = DataKeys(session_keys(CipherSuite.AESGCM, _EXPORT), role, Budget(64 << 20))
         self.book = ReceiptBook(asyncio.get_running_loop(), self._send_receipts)
         self.scheduler = Scheduler(self.book, Window(0))
         self.pair = StreamPair(self, self.scheduler, self.book, self.keys.budget, self.keys.scratch)

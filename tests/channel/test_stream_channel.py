@@ -11,7 +11,7 @@ from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.stream_channel import LARGE
 from rsb_bridge.wire.framing import DATA, HEADER, MOVED, DataWriter, pack_frame
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -23,7 +23,9 @@ STREAMS = pytest.mark.parametrize("two", [False, True])
 
 
 def _writer(role: Role, route: int = 1) -> DataWriter:
-    return DataWriter(session_keys(Suite.AESGCM, bytes(range(32)), routes=(1, 9)).route_sealer(route, role), route)
+    return DataWriter(
+        session_keys(CipherSuite.AESGCM, bytes(range(32)), routes=(1, 9)).route_sealer(route, role), route
+    )
 
 
 @STREAMS

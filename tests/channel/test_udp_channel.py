@@ -28,7 +28,7 @@ from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.udp import Udp
 from rsb_bridge.wire.datagram import DatagramWriter, Probe
 from rsb_bridge.wire.framing import Budget
-from rsb_bridge.wire.sealing import PROBE_ROUTE, Suite
+from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Iterable, Iterator
@@ -108,7 +108,7 @@ class Server:
 
 
 def _keys(link_id: bytes, role: Role) -> DataKeys:
-    return DataKeys(session_keys(Suite.AESGCM, bytes(32), link_id), role, Budget(1 << 20))
+    return DataKeys(session_keys(CipherSuite.AESGCM, bytes(32), link_id), role, Budget(1 << 20))
 
 
 @asynccontextmanager

@@ -28,7 +28,7 @@ from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.config.yaml_text import YamlMistake
 from rsb_bridge.model.session import Protocol
 from rsb_console.command.argument_values import ValueProblem
-from rsb_console.command.check import CheckText
+from rsb_console.command.check import SessionCheckText
 from rsb_console.command.local_commands import LocalText
 from rsb_console.command.shell import CommandText
 
@@ -117,7 +117,7 @@ def test_check_says_what_would_be_bridged_and_warns() -> None:
     assert run.returncode == 3, "it would not start"
     assert "client robot1 to 10.0.0.1 port 49152" in run.stdout
     assert "transmit /scan over udp: type auto, qos auto, at most 5 Hz" in run.stdout
-    assert f"encryption on, {CheckText.PREFIX_IF_USED(name='robot1')}" in run.stdout
+    assert f"encryption on, {SessionCheckText.PREFIX_IF_USED(name='robot1')}" in run.stdout
     assert f"warning: {KeyFileProblem.NO_SUCH_FILE(path='key.txt')}" in run.stdout
     rsb_console("keygen")
     run = rsb_console("check", "robot1.yaml")
@@ -152,8 +152,8 @@ def test_check_says_whose_keys_there_are_since_when_and_warns_of_two() -> None:
     run = rsb_console("check", "pc.yaml")
     assert (run.returncode, "warning" in run.stdout) == (0, False)
     lines = [line for line in run.stdout.splitlines() if line.startswith("key ")]
-    assert says(lines[0], CheckText.KEY, file="old.key", users="a")
-    assert says(lines[1], CheckText.KEY, file="new.key", users="a (next)")
+    assert says(lines[0], SessionCheckText.KEY, file="old.key", users="a")
+    assert says(lines[1], SessionCheckText.KEY, file="new.key", users="a (next)")
     assert all("(just now)" in line or "minute" in line for line in lines)
     long_ago = time.time() - 30 * 86400
     os.utime("new.key", (long_ago, long_ago))
@@ -200,7 +200,7 @@ def test_check_lists_operators_and_refuses_those_with_a_key_of_others() -> None:
     )
     run = rsb_console("check", "pc.yaml")
     assert (run.returncode, run.stderr) == (0, "")
-    assert says(run.stdout, CheckText.KEY, file="anna.key", users="operator anna, who may look")
+    assert says(run.stdout, SessionCheckText.KEY, file="anna.key", users="operator anna, who may look")
     Path("anna.key").write_bytes(Path("key.txt").read_bytes())
     run = rsb_console("check", "pc.yaml")
     assert (run.returncode, "operator anna" in run.stderr) == (2, True)
@@ -230,22 +230,23 @@ def test_check_lists_what_each_client_may_do_and_what_moves_a_robot() -> None:
     assert ["driver", "read", "/odom", *anything] in table
     assert ["deaf", "publish", "all,", "not", "/cmd_vel", *anything] in table
     assert ["deaf", "read", "all,", "not", "/*", *anything] in table
-    assert [line.strip() for line in lines if says(line, CheckText.MAY_MOVE)] == [
-        CheckText.MAY_MOVE(peer="open", names="/cmd_vel, /joint_*, /tf, /clock"),
-        CheckText.MAY_MOVE(peer="visitor", names="/tf"),
-        CheckText.MAY_MOVE(peer="driver", names="/cmd_vel"),
-        CheckText.MAY_MOVE(peer="deaf", names="/joint_*, /tf, /clock"),
+    assert [line.strip() for line in lines if says(line, SessionCheckText.MAY_MOVE)] == [
+        SessionCheckText.MAY_MOVE(peer="open", names="/cmd_vel, /joint_*, /tf, /clock"),
+        SessionCheckText.MAY_MOVE(peer="visitor", names="/tf"),
+        SessionCheckText.MAY_MOVE(peer="driver", names="/cmd_vel"),
+        SessionCheckText.MAY_MOVE(peer="deaf", names="/joint_*, /tf, /clock"),
     ]
-    assert [line.strip() for line in lines if says(line, CheckText.MAY_ACT)] == [
-        CheckText.MAY_ACT(peer=name, names="any service, action and parameter") for name in ("open", "still", "deaf")
+    assert [line.strip() for line in lines if says(line, SessionCheckText.MAY_ACT)] == [
+        SessionCheckText.MAY_ACT(peer=name, names="any service, action and parameter")
+        for name in ("open", "still", "deaf")
     ]
-    assert f"  {CheckText.NODES_MAY_STOP(topic='/shutdown')}" in lines
+    assert f"  {SessionCheckText.NODES_MAY_STOP(topic='/shutdown')}" in lines
     client = rsb_console("check", "robot1.yaml").stdout
     assert ["the", "server", "publish", "nothing", "-", "-"] in [line.split() for line in client.splitlines()]
     assert ["the", "server", "read", "all", "tcp,", "udp", "any"] in [line.split() for line in client.splitlines()]
-    assert not says(client, CheckText.MAY_MOVE)
-    assert says(client, CheckText.SERVER_MAY_STOP)
-    assert not says(client, CheckText.OWN_PORTS)
+    assert not says(client, SessionCheckText.MAY_MOVE)
+    assert says(client, SessionCheckText.SERVER_MAY_STOP)
+    assert not says(client, SessionCheckText.OWN_PORTS)
 
 
 def test_check_leaves_out_nothing_that_a_topic_says() -> None:
@@ -276,7 +277,9 @@ def test_a_key_file_that_is_none_is_warned_of_and_never_shown() -> None:
     Path("key.txt").unlink()
     os.mkfifo("key.txt")
     run = rsb_console("check", "robot1.yaml")
-    assert says(run.stdout, CheckText.KEY_MISSING, problem=KeyFileProblem.NOT_A_FILE(path="key.txt", kind="a FIFO"))
+    assert says(
+        run.stdout, SessionCheckText.KEY_MISSING, problem=KeyFileProblem.NOT_A_FILE(path="key.txt", kind="a FIFO")
+    )
     assert key not in run.stdout + run.stderr
     problem = FileRefused.NOT_A_FILE(kind="a FIFO")
     assert says(rsb_console("keygen", "--force").stderr, KeyFileProblem.NOT_WRITTEN, problem=problem)

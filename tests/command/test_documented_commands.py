@@ -25,7 +25,7 @@ from tests.support.running import Running
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.by_hand import Draft, Published
-from rsb_bridge.model.commands import Call, DraftMessage, Look, Publish
+from rsb_bridge.model.commands import Call, DraftMessage, LookAtTopics, Publish
 from rsb_bridge.model.pictures import Cells, Curve, Picture, Pixels, Series, Viewed
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, PeekedMessage, State
@@ -199,7 +199,7 @@ class Robot(Running):
         self.peeked = [_MESSAGE] * 20
 
     def _execute(self, command: Command[Any], step: Callable[[str], None] | None) -> Future[Any]:
-        if isinstance(command, Look):
+        if isinstance(command, LookAtTopics):
             content: Pixels | Cells | Series = _CURVES if "plot" in command.wish.how or command.wish.fields else _MAP
             content = _IMAGE if "image" in command.topics[0] else content
             return self._done(Viewed(Picture(content=content)), "look", *command.topics)

@@ -25,7 +25,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_console.command import figures
-from rsb_console.command.figures import Window
+from rsb_console.command.figures import SnapshotWindow
 from rsb_console.command.formatting import link_word, links_of
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def test_a_window_is_what_the_engine_remembers(capsys: pytest.CaptureFixture[str
 
 
 def test_what_is_removed_meanwhile_ends_it(ran: Any, engine: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Gone(Window):
+    class Gone(SnapshotWindow):
         def add(self, moment: float, route: RouteSnapshot) -> Any:
             engine.now = replace(engine.now, routes=())
             return super().add(moment, route)
@@ -168,7 +168,7 @@ def test_what_is_removed_meanwhile_ends_it(ran: Any, engine: Running, monkeypatc
 
 
 def test_counts_that_begin_again_are_no_negative_rate() -> None:
-    window = Window(10)
+    window = SnapshotWindow(10)
     assert window.add(NOW, SCAN) is None
     assert window.add(NOW + 1, replace(SCAN, messages_total=3, bytes_total=300)) is None
     found = window.add(NOW + 2, replace(SCAN, messages_total=7, bytes_total=700))
@@ -177,7 +177,7 @@ def test_counts_that_begin_again_are_no_negative_rate() -> None:
 
 
 def test_a_window_forgets_what_is_older() -> None:
-    window = Window(3)
+    window = SnapshotWindow(3)
     for second in range(1000):
         found = window.add(NOW + second, replace(SCAN, messages_total=7122 + second * second))
     assert found is not None

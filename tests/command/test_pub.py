@@ -26,8 +26,8 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_console.command import pub_command
 from rsb_console.command.pub_command import _LOOK_EVERY, PubText
-from rsb_console.session.by_hand import ByHandText
 from rsb_console.session.landing import REPORTED_WITHIN, LandingText
+from rsb_console.session.manual_messages import ByHandText
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,8 +9,8 @@ import pytest
 
 from rsb_bridge.config.session_file import SessionError, demand_places, load_file, parse, save
 from rsb_bridge.config.topic_rules import topic_problems
-from rsb_bridge.model.session import Armed, Session, Topic
-from rsb_console.command.check import CheckText, hints, summary
+from rsb_bridge.model.session import ArmedName, Session, Topic
+from rsb_console.command.check import SessionCheckText, hints, summary
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -45,14 +45,14 @@ def test_the_lines_that_demand_are_found(tmp_path: Path) -> None:
     "armed",
     [
         ("/cmd_vel",),
-        ("/cmd_vel", "/arm/**", Armed("/stop", deadman=5.0)),
-        ("/cmd_vel", Armed("/a*", "topic", "geometry_msgs/msg/Twist")),
-        (Armed("/dock", kind="action", on_end="cancel"), Armed("/any/**", on_end="cancel")),
-        (Armed("/cmd_vel", on_end="none"), Armed("/helm", on_end={"linear": {"x": 0.1}})),
+        ("/cmd_vel", "/arm/**", ArmedName("/stop", deadman=5.0)),
+        ("/cmd_vel", ArmedName("/a*", "topic", "geometry_msgs/msg/Twist")),
+        (ArmedName("/dock", kind="action", on_end="cancel"), ArmedName("/any/**", on_end="cancel")),
+        (ArmedName("/cmd_vel", on_end="none"), ArmedName("/helm", on_end={"linear": {"x": 0.1}})),
         (),
     ],
 )
-def test_what_is_saved_is_what_is_read(armed: tuple[str | Armed, ...], tmp_path: Path) -> None:
+def test_what_is_saved_is_what_is_read(armed: tuple[str | ArmedName, ...], tmp_path: Path) -> None:
     path = tmp_path / "pc.yaml"
     path.write_text(FILE)
     opened = load_file(path)
@@ -115,14 +115,14 @@ def test_what_a_robot_gets_when_its_arming_ends_is_shown_with_the_line(tmp_path:
     shown = {line.split()[1]: line for line in summary(session, demand_places(path)) if line.startswith("  receive")}
     assert '{"x": 1}' in shown["/helm"]
     assert "robot.yaml:6" in shown["/helm"].rpartition('{"x": 1}')[2]
-    assert CheckText.ENDS_WITH_ZERO() in shown["/cmd_vel"]
-    assert CheckText.ENDS_WITH_NOTHING() in shown["/light"]
-    assert CheckText.ENDS_WITH(message="none", line="robot.yaml:11") in shown["/go"]
+    assert SessionCheckText.ENDS_WITH_ZERO() in shown["/cmd_vel"]
+    assert SessionCheckText.ENDS_WITH_NOTHING() in shown["/light"]
+    assert SessionCheckText.ENDS_WITH(message="none", line="robot.yaml:11") in shown["/go"]
     actions = [line for line in summary(session, demand_places(path)) if "/dock" in line or "/spin" in line]
-    assert any(CheckText.CANCELS(line="robot.yaml:13") in line for line in actions)
-    assert any(CheckText.GOALS_GO_ON() in line for line in actions)
+    assert any(SessionCheckText.CANCELS(line="robot.yaml:13") in line for line in actions)
+    assert any(SessionCheckText.GOALS_GO_ON() in line for line in actions)
     (alone,) = [line for line in hints(session) if "/cmd_vel" in line]
-    assert alone == CheckText.NO_OTHER_GUARD(names="/cmd_vel")
+    assert alone == SessionCheckText.NO_OTHER_GUARD(names="/cmd_vel")
 
 
 @pytest.mark.parametrize("topic", [Topic("/a", "receive", on_end="zero"), Topic("/a", "receive", kind="service")])
@@ -144,7 +144,7 @@ def test_a_line_that_only_limits_the_age_demands_no_arming() -> None:
 def test_the_limit_that_a_name_has_from_another_line_is_shown() -> None:
     entries = Topic("/cmd*", "receive", arm=True, max_age=0.5), Topic("/cmd_vel", "receive"), Topic("/arm", "receive")
     session = Session(
-        name="r", role="client", server_ip="::1", server_port=1, topics=entries, armed=(Armed("/arm", deadman=0.0),)
+        name="r", role="client", server_ip="::1", server_port=1, topics=entries, armed=(ArmedName("/arm", deadman=0.0),)
     )
     shown = {line.split()[1]: line for line in summary(session) if line.startswith("  receive")}
     assert "0.5 s" in shown["/cmd_vel"]

@@ -34,7 +34,7 @@ from rsb_bridge.wire.codec import decode, decode_hello, encode
 from rsb_bridge.wire.messages import Hello, Propose
 from rsb_bridge.wire.preamble import control_header, parse_control
 from rsb_bridge.wire.protocol_error import ProtocolError
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.sealing import CipherSuite
 
 TRANSPORTS = default_transports()
 
@@ -115,7 +115,7 @@ def test_what_the_validation_accepts_the_wire_carries(session: Session) -> None:
     if accepts(session):
         hello = Hello(version="1", name=session.name, instance="a", domain_id=0)
         assert decode_hello(encode(hello)) == hello
-        assert parse_control(control_header(Suite.PLAIN, session.name)).name == session.name
+        assert parse_control(control_header(CipherSuite.PLAIN, session.name)).name == session.name
     for topic in session.topics:
         if accepts(session, topic):
             proposal = proposed(session, topic)

@@ -9,9 +9,9 @@ import pytest
 
 from rsb_bridge.config.session_file import SessionError, demand_places, load_file, parse, save
 from rsb_bridge.model.demands import Demands, as_armed, sources_of
-from rsb_bridge.model.session import Armed, Session, Topic
+from rsb_bridge.model.session import ArmedName, Session, Topic
 from rsb_bridge.model.velocity_limits import VelocityLimits
-from rsb_console.command.check import CheckText, summary
+from rsb_console.command.check import SessionCheckText, summary
 from rsb_console.session.draft import problems_of, topic_of, values_of
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def test_what_is_saved_is_what_is_read(path: Path) -> None:
     first, *others = opened.session.topics
     assert first.limits == LIMITS
     slower = msgspec.structs.replace(first, limits=VelocityLimits(0.1))
-    armed = (*opened.session.armed, Armed("/d", limits=LIMITS))
+    armed = (*opened.session.armed, ArmedName("/d", limits=LIMITS))
     new = msgspec.structs.replace(opened.session, topics=(slower, *others), armed=armed)
     save(new, path, opened)
     assert load_file(path).session == new
@@ -93,11 +93,11 @@ def test_only_velocities_have_limits(old: str, new: str, location: str, path: Pa
 
 def test_check_shows_the_smallest_with_their_lines(path: Path) -> None:
     shown = {line.split()[1]: line for line in summary(load_file(path).session, demand_places(path))}
-    assert CheckText.LIMITED(limits=LIMITS, lines="robot.yaml:8") in shown["/cmd_vel"]
+    assert SessionCheckText.LIMITED(limits=LIMITS, lines="robot.yaml:8") in shown["/cmd_vel"]
     both = "robot.yaml:6, robot.yaml:9"
-    assert CheckText.LIMITED(limits=VelocityLimits(0.2, 0.3), lines=both) in shown["/turn"]
+    assert SessionCheckText.LIMITED(limits=VelocityLimits(0.2, 0.3), lines=both) in shown["/turn"]
     (pattern,) = [line for line in summary(load_file(path).session) if "/b/**" in line]
-    assert CheckText.LIMITED_PATTERN(limits=VelocityLimits(2.0)) in pattern
+    assert SessionCheckText.LIMITED_PATTERN(limits=VelocityLimits(2.0)) in pattern
 
 
 def test_check_shows_them_on_a_server_without_routes_of_its_own(tmp_path: Path) -> None:
@@ -111,9 +111,9 @@ def test_check_shows_them_on_a_server_without_routes_of_its_own(tmp_path: Path) 
         "  - {name: /dock, kind: action, on_end: cancel}\n"
     )
     shown = "\n".join(summary(load_file(path).session, demand_places(path)))
-    assert f"/cmd_vel, {CheckText.LIMITED_PATTERN(limits=VelocityLimits(0.3))} (pc.yaml:8)" in shown
-    assert f"/helm{CheckText.ENDS_WITH(message='none', line='pc.yaml:9')}" in shown
-    assert f"/dock{CheckText.CANCELS(line='pc.yaml:10')}" in shown
+    assert f"/cmd_vel, {SessionCheckText.LIMITED_PATTERN(limits=VelocityLimits(0.3))} (pc.yaml:8)" in shown
+    assert f"/helm{SessionCheckText.ENDS_WITH(message='none', line='pc.yaml:9')}" in shown
+    assert f"/dock{SessionCheckText.CANCELS(line='pc.yaml:10')}" in shown
 
 
 def test_they_belong_to_the_name_and_its_type(path: Path) -> None:
@@ -139,7 +139,7 @@ def test_a_demand_for_arming_that_is_kept_keeps_its_limits() -> None:
     narrower = Topic("/cmd", "transmit", arm=True, limits=VelocityLimits(0.4, 1.0))
     for after in ((), (wider,)):
         (rest,) = demands(*after).missing(demands(limited).sources).values()
-        assert [as_armed(each) for each in rest] == [Armed("/cmd", limits=LIMITS)]
+        assert [as_armed(each) for each in rest] == [ArmedName("/cmd", limits=LIMITS)]
     assert demands(narrower).missing(demands(limited).sources) == {}
 
 

@@ -9,7 +9,7 @@ import msgspec
 from tests.console.scripted import ScriptedEngine, route
 
 from rsb_bridge.model.command_origin import is_undo
-from rsb_bridge.model.commands import AddTopic, Command, EditTopic, Pause, R, RemoveTopic
+from rsb_bridge.model.commands import AddTopic, Command, EditTopic, PauseTopics, R, RemoveTopic
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 
@@ -55,6 +55,6 @@ class ChangingEngine(ScriptedEngine):
                 self.put(key, topic)
             case RemoveTopic(key):
                 self.show(*(each for each in self.now.routes if each.key != key))
-            case Pause(key, paused):
+            case PauseTopics(key, paused):
                 self.put(key, msgspec.structs.replace(self.spec(key), paused=paused))
         return super().do(command, step)

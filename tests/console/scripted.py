@@ -320,7 +320,7 @@ class ScriptedEngine(EngineApi):
                     return self._done(self.peeked.pop(0), "peek", key, kept)
                 self.looking = Future()  # until a message comes
                 return self.looking
-            case commands.Look(_, topics, wish, link):
+            case commands.LookAtTopics(_, topics, wish, link):
                 self.commands.append(("look", topics, wish, link))
                 self.viewing = Future()  # until a picture comes
                 if self.viewed:
@@ -346,7 +346,7 @@ class ScriptedEngine(EngineApi):
             case commands.Call(key, request, lane):
                 self.commands.append(("call", key, request, lane))
                 return self.called
-            case commands.Describe(key):
+            case commands.DescribeType(key):
                 if self.described is None:
                     return refused("neither side knows it")
                 return self._done(self.described, "describe", key)

@@ -26,7 +26,7 @@ from rsb_console.look.glyphs import ACK_WORD, STATE_WORD
 from rsb_console.screens.links_screen import LinksScreen
 from rsb_console.widgets.bars import acknowledged_count, state_counts, warning_count
 from rsb_console.widgets.fault_pane import faults_of
-from rsb_console.widgets.filter import Pattern
+from rsb_console.widgets.filter import RowFilter
 
 KNOWN = Acknowledgement("anna on pts/3", NOW - 60)
 FIRST = next(route for route in ROUTES if route.state is State.DOWN)
@@ -75,7 +75,7 @@ async def test_it_is_listed_after_the_other_faults_dimmed_with_a_mark(app: Conso
     assert app.main.selected.topic != FIRST.topic
     await pilot.press("f")
     await until(pilot, lambda: FIRST.topic in listed(app) and len(listed(app)) < len(ROUTES), "all faults")
-    table.pattern = Pattern(f"state:{ACK_WORD}")
+    table.pattern = RowFilter(f"state:{ACK_WORD}")
     table.relist()
     assert listed(app) == [FIRST.topic]
 

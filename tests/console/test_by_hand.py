@@ -15,7 +15,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.by_hand import Published
 from rsb_bridge.model.pictures import Scale
-from rsb_console.session.by_hand import TWIST, TWIST_STAMPED, ByHandText, Goal, publish, velocity
+from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, Goal, publish, velocity
 
 SCALE = Scale("map", -2.0, 3.0, 0.1, 0.2)
 

@@ -38,7 +38,7 @@ from rsb_console.app import ConsoleApp
 from rsb_console.screens import drive_screen
 from rsb_console.screens.drive_screen import DriveScreen, DriveText, Steering, limits_on, why_not_driven
 from rsb_console.screens.take_over import HandOverText
-from rsb_console.session.by_hand import TWIST, TWIST_STAMPED, ByHandText, velocity
+from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, velocity
 
 # -- what keys mean
 

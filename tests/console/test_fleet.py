@@ -21,7 +21,7 @@ from tests.support.fleet import ScriptedSource, ServerEngine, fleet_of, robot, t
 from textual.pilot import Pilot
 from textual.widgets import Input
 
-from rsb_bridge.model.robot_summary import Battery, Loss, RobotState
+from rsb_bridge.model.robot_summary import Battery, LostMessages, RobotState
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Acknowledgement, State
 from rsb_bridge.model.verdict import Cause
@@ -29,7 +29,7 @@ from rsb_console.actions import FLEET_ACTIONS, Group
 from rsb_console.fleet.rolling import Bridged
 from rsb_console.fleet.server_source import ServerFleet
 from rsb_console.fleet_app import FleetApp, RobotApp
-from rsb_console.screens.rollout import ChangeField, Phase, RolloutScreen, _key_line
+from rsb_console.screens.rollout import ChangeField, RolloutPhase, RolloutScreen, _key_line
 from rsb_console.screens.rollout import _now as present_values
 from rsb_console.widgets.bars import state_counts
 from rsb_console.widgets.fleet_table import FleetView
@@ -41,19 +41,19 @@ if TYPE_CHECKING:
     from tests.support.control import Machine
 
     from rsb_console.actions import Action
-    from rsb_console.fleet.rolling import Step
+    from rsb_console.fleet.rolling import RobotChange
 
 SILENT = robot(
     "robot2", RobotState.MISSING, why="cable pulled", seen=NOW - 600, since=NOW - 600, links_up=0, flowing=0,
     group="yard",
 )  # fmt: skip
 STALE = robot(
-    "robot11", RobotState.FAULT, why="/scan STALE: nothing for 15 s", flowing=2, group="hall", loss=Loss(0.12, 60.0),
-    battery=Battery(0.14, NOW - 20),
+    "robot11", RobotState.FAULT, why="/scan STALE: nothing for 15 s", flowing=2, group="hall",
+    loss=LostMessages(0.12, 60.0), battery=Battery(0.14, NOW - 20),
 )  # fmt: skip
 ROBOTS = (
-    robot("robot1", group="hall", battery=Battery(0.8, NOW - 5), loss=Loss(0.0, 60.0)), SILENT,
-    robot("robot3", RobotState.WARN, why="/camera SLOW: 5 Hz of 30", group="hall", loss=Loss(0.004, 60.0)),
+    robot("robot1", group="hall", battery=Battery(0.8, NOW - 5), loss=LostMessages(0.0, 60.0)), SILENT,
+    robot("robot3", RobotState.WARN, why="/camera SLOW: 5 Hz of 30", group="hall", loss=LostMessages(0.004, 60.0)),
     robot("robot4", RobotState.WAITING, why="not connected yet", seen=None, links_up=0, flowing=0, version=""), STALE,
     robot("robot12", group="yard", version="0.2.0"),
 )  # fmt: skip
@@ -372,11 +372,11 @@ def test_a_change_is_shown_then_made() -> None:
 
     async def steps(bed: Bed) -> None:
         screen = await planned(bed, "/camera max_rate=5")
-        await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
+        await bed.until(lambda: screen.phase is RolloutPhase.ASKING, "a question")
         await bed.shown("max_rate 30.0 → 5")
         assert not any(engine.commands for engine in bed.source.engines.values())
         await bed.press("y")
-        await bed.until(lambda: screen.phase is Phase.ENDED, "the end")
+        await bed.until(lambda: screen.phase is RolloutPhase.ENDED, "the end")
         assert [len(bed.source.engines[name].commands) for name in ("robot1", "robot2", "robot3")] == [1, 1, 0]
         await bed.press("escape")
         await bed.until(lambda: bed.app.screen is bed.app.main, "the fleet")
@@ -389,9 +389,9 @@ def test_a_change_is_not_made_without_a_yes() -> None:
 
     async def steps(bed: Bed) -> None:
         screen = await planned(bed, "/camera max_rate=5")
-        await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
+        await bed.until(lambda: screen.phase is RolloutPhase.ASKING, "a question")
         await bed.press("enter", "n", "escape")
-        assert screen.phase is Phase.TYPING
+        assert screen.phase is RolloutPhase.TYPING
         await bed.press("escape")
         await bed.until(lambda: bed.app.screen is bed.app.main, "the fleet")
         assert not any(engine.commands for engine in bed.source.engines.values())
@@ -404,7 +404,7 @@ def test_what_is_no_change(change: str) -> None:
     async def steps(bed: Bed) -> None:
         screen = await planned(bed, change)
         await bed.shown("for example")
-        assert screen.phase is Phase.TYPING
+        assert screen.phase is RolloutPhase.TYPING
 
     with_cameras("robot1", "robot2").run(steps)
 
@@ -420,10 +420,10 @@ def with_different_cameras() -> Bed:
 async def planned_for_the_worse(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> RolloutScreen:
     """Type a change that makes each robot faulty, and wait for the question."""
     screen = await planned(bed, "/camera max_rate=5")
-    await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
+    await bed.until(lambda: screen.phase is RolloutPhase.ASKING, "a question")
     tell = screen._tell
 
-    def worse(step: Step, what: str) -> None:
+    def worse(step: RobotChange, what: str) -> None:
         tell(step, what)
         if what == "settling":
             bed.source.put(step.name, state=RobotState.FAULT, why="refused")
@@ -457,11 +457,11 @@ def test_a_change_is_picked(size: tuple[int, int]) -> None:
         await bed.press("enter")
         assert change_of(screen).control.value == "/camera max_rate="
         await bed.press("5", "enter")
-        await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
+        await bed.until(lambda: screen.phase is RolloutPhase.ASKING, "a question")
         await bed.shown("max_rate 30.0 → 5")
         assert not change_of(screen).list.display
         await bed.press("y")
-        await bed.until(lambda: screen.phase is Phase.ENDED, "the end")
+        await bed.until(lambda: screen.phase is RolloutPhase.ENDED, "the end")
         assert [len(bed.source.engines[name].commands) for name in ("robot1", "robot2", "robot3")] == [1, 1, 0]
 
     with_different_cameras().run(steps, size)
@@ -475,7 +475,7 @@ def test_values_of_a_choice_are_picked_with_the_arrows() -> None:
         await bed.press("down", "enter")
         assert change_of(screen).control.value == "/camera priority=high"
         await bed.press("enter")
-        await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
+        await bed.until(lambda: screen.phase is RolloutPhase.ASKING, "a question")
         await bed.press("escape")
         assert change_of(screen).list.display
 
@@ -498,7 +498,7 @@ def test_a_mistake_is_said_as_it_is_typed() -> None:
         await bed.press(*"/camera max_rate=-1")
         await bed.until(lambda: change_of(screen).mistake() != "", "a mistake")
         await bed.shown("robot1: max_rate")
-        assert screen.phase is Phase.TYPING
+        assert screen.phase is RolloutPhase.TYPING
         await bed.press("backspace", "backspace", "5")
         await bed.until(lambda: change_of(screen).mistake() == "", "none")
 
@@ -534,7 +534,7 @@ def test_a_change_that_makes_it_worse_is_put_back(monkeypatch: pytest.MonkeyPatc
     async def steps(bed: Bed) -> None:
         screen = await planned_for_the_worse(bed, monkeypatch)
         await bed.press("y")
-        await bed.until(lambda: screen.phase is Phase.ENDED, "the end")
+        await bed.until(lambda: screen.phase is RolloutPhase.ENDED, "the end")
         await bed.shown("stopped at robot1")
         await bed.shown("not begun: robot2")
         await bed.shown("rsb-console fleet edit robot1 /camera max_rate=30")
@@ -587,9 +587,9 @@ def test_a_change_that_is_put_back_is_shown_the_other_way_round(monkeypatch: pyt
     async def steps(bed: Bed) -> None:
         screen = await planned_for_the_worse(bed, monkeypatch)
         await bed.press("y")
-        await bed.until(lambda: screen.phase is Phase.ENDED and screen.outcome is not None, "the end")
+        await bed.until(lambda: screen.phase is RolloutPhase.ENDED and screen.outcome is not None, "the end")
         await bed.press("u")
-        await bed.until(lambda: screen.phase is Phase.ENDED and screen.outcome is None, "the undo")
+        await bed.until(lambda: screen.phase is RolloutPhase.ENDED and screen.outcome is None, "the undo")
         lines = re.findall(r"(\S) +(robot.) +max_rate (\S+) → (\S+)", text(bed.app))
         assert [(sign, name, float(old), float(new)) for sign, name, old, new in lines] == [
             ("✓", "robot1", 5.0, 30.0),

@@ -11,7 +11,7 @@ from tests.console.scripted import LINK, SESSION
 from tests.support import replaced
 from textual.pilot import Pilot
 
-from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Adapter, Device, Scan, Use, scan
+from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Adapter, ChannelUse, Device, Scan, scan
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import State
@@ -215,7 +215,7 @@ PHONE = Device("00:1A:7D:DA:71:13", "robot1", "hci0", paired=True, connected=Fal
 
 
 def found() -> Scan:
-    uses = {number: Use.BUSY if number in (1, 5) else Use.FREE for number in CHANNELS}
+    uses = {number: ChannelUse.BUSY if number in (1, 5) else ChannelUse.FREE for number in CHANNELS}
     return Scan((HCI0,), {HCI0.address: uses, ANY_ADAPTER: uses}, (PHONE,))
 
 

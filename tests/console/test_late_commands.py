@@ -15,7 +15,7 @@ from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.pictures import Cells, Picture, PictureError, Scale, check_picture
 from rsb_console.command import pub_command
 from rsb_console.screens.drive_screen import Steering
-from rsb_console.session import by_hand
+from rsb_console.session import manual_messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,7 +42,7 @@ def by_command(engine: Any) -> Published:
 
 
 def by_screen(engine: Any) -> Published:
-    return asyncio.run(by_hand.publish(engine, "/cmd", ""))
+    return asyncio.run(manual_messages.publish(engine, "/cmd", ""))
 
 
 @pytest.mark.parametrize("publish", [by_command, by_screen])
@@ -79,6 +79,6 @@ def test_a_map_whose_cells_have_no_size_is_no_picture(size: float) -> None:
 
 
 def test_a_goal_on_a_map_of_any_scale_has_a_cell() -> None:
-    goal = by_hand.Goal("map", 1e302, -1e302)
+    goal = manual_messages.Goal("map", 1e302, -1e302)
     for size in (1e-300, 1.0, 1e300):
         assert all(abs(each) < 1e5 for each in goal.cell(Scale("map", -1e300, 1e300, size, size)))

@@ -35,8 +35,8 @@ from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.main import MainText
 from rsb_console.screens.publish_screen import PublishScreen, PublishText
-from rsb_console.session.by_hand import ByHandText
 from rsb_console.session.landing import LandingText
+from rsb_console.session.manual_messages import ByHandText
 
 STRING = "std_msgs/msg/String"
 WORDS = route("/words", outgoing=True, spec=Topic("/words", "transmit"), type_name=STRING)

@@ -32,7 +32,7 @@ from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
 from rsb_console.look.glyphs import to_ascii
 from rsb_console.screens.new_session import FIELDS, MissingField
-from rsb_console.widgets.filter import Pattern
+from rsb_console.widgets.filter import RowFilter
 from rsb_console.widgets.form_inputs import Choice
 from rsb_console.widgets.topics import TopicsTable
 
@@ -161,7 +161,7 @@ COLUMNS = {"topic": "/robot1/scan", "robot": "robot1", "state": "DOWN", "type": 
     ],
 )
 def test_a_filter_looks_in_the_column_that_it_names_or_in_all(typed: str, found: bool) -> None:
-    assert Pattern(typed).matches(COLUMNS) is found
+    assert RowFilter(typed).matches(COLUMNS) is found
 
 
 @on_main()

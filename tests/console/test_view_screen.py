@@ -36,6 +36,7 @@ from textual.pilot import Pilot
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.control.protocol import RequestProblem
+from rsb_bridge.model.commands import LookAtTopics
 from rsb_bridge.model.pictures import MOST_RATE, Cells, Curve, Picture, Pixels, Scale, Series, Viewed, Wish
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot
 from rsb_console.app import ConsoleApp
@@ -46,7 +47,7 @@ from rsb_console.screens.drive_screen import DriveScreen
 from rsb_console.screens.message_screen import MessageScreen
 from rsb_console.screens.publish_screen import PublishScreen
 from rsb_console.screens.view_screen import PicturePane, ViewScreen, ViewText
-from rsb_console.session.by_hand import POSE, Goal
+from rsb_console.session.manual_messages import POSE, Goal
 
 SCAN = "/robot2/scan"
 IMAGE = Pixels(2, 2, b"\xff\0\0\0\xff\0\0\0\xff\xff\xff\xff")
@@ -778,7 +779,9 @@ def test_a_hostile_bridge_s_picture_is_refused(machine: Machine, picture: Pictur
 
     class Hostile(ScriptedEngine):
         def _execute(self, command: Any, step: Any) -> Future[Any]:
-            return answered(Viewed(picture)) if type(command).__name__ == "Look" else super()._execute(command, step)
+            if isinstance(command, LookAtTopics):
+                return answered(Viewed(picture))
+            return super()._execute(command, step)
 
     machine.serve(Hostile())
     with pytest.raises(EngineError, match=RequestProblem.INVALID_PICTURE(error="")):

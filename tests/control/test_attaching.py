@@ -158,9 +158,9 @@ def test_who_attached_read_only_stays_so(machine: Machine) -> None:
     engine = ScriptedEngine()
     machine.serve(engine)
     said: list[protocol.ToBridge] = [
-        protocol.Hello(protocol.VERSION, "0.1.0", read_only=True),
-        protocol.Hello(protocol.VERSION, "0.1.0"),
-        protocol.Request(1, Retry("")),
+        protocol.ConsoleHello(protocol.VERSION, "0.1.0", read_only=True),
+        protocol.ConsoleHello(protocol.VERSION, "0.1.0"),
+        protocol.CommandRequest(1, Retry("")),
     ]
     with control_sockets.connect(machine.folder / "robot1.sock", 60.0) as connection:
         connection.sendall(b"".join(map(protocol.encode, said)))  # at once: the second one ends the connection
@@ -169,7 +169,7 @@ def test_who_attached_read_only_stays_so(machine: Machine) -> None:
         with contextlib.suppress(ConnectionResetError):  # ended before it had read all
             while data := connection.recv(1000):
                 answers += frames.feed(data)
-    assert [type(each) for each in answers] == [protocol.Welcome]
+    assert [type(each) for each in answers] == [protocol.ConsoleWelcome]
     assert engine.commands == []
 
 
@@ -302,11 +302,11 @@ def test_many_attach_and_one_too_many_is_told_so(machine: Machine) -> None:
 
 def test_another_version_is_told_who_is_older(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     machine.serve()
-    sent = protocol.Hello(protocol.VERSION + 1, "9.0.0")
+    sent = protocol.ConsoleHello(protocol.VERSION + 1, "9.0.0")
     with control_sockets.connect(machine.folder / "robot1.sock", 60.0) as connection:
         connection.sendall(protocol.encode(sent))
         (answer,) = protocol.frames_to_console().feed(connection.recv(1000))
-    assert isinstance(answer, protocol.Refused)
+    assert isinstance(answer, protocol.HelloRefused)
     assert says(answer.reason, VersionProblem.BRIDGE_OLDER)
 
 
@@ -339,7 +339,11 @@ class Stalled:
     def __init__(self, machine: Machine) -> None:
         self.connection = control_sockets.connect(machine.folder / "robot1.sock", 60.0)
         self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        for message in (protocol.Hello(protocol.VERSION, "0.1.0"), protocol.PollState(), protocol.Follow(0)):
+        for message in (
+            protocol.ConsoleHello(protocol.VERSION, "0.1.0"),
+            protocol.PollState(),
+            protocol.FollowEvents(0),
+        ):
             self.connection.sendall(protocol.encode(message))
 
 

@@ -17,8 +17,8 @@ from tests.support.waiting import eventually
 from rsb_bridge.api import EngineError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.cleaning import MOST_ITEMS, ROUTE_BYTES, TEXT, UntrustedMessages, check_routes, clean
-from rsb_bridge.control.protocol import BridgeInfo, ProtocolError, ToConsole
-from rsb_bridge.control.states import Receiver
+from rsb_bridge.control.protocol import BridgeInfo, ControlProtocolError, ToConsole
+from rsb_bridge.control.states import StateReceiver
 from rsb_bridge.model.snapshot import Event, Level, RouteSnapshot
 from rsb_bridge.model.text import is_clean
 from rsb_bridge.telemetry.event_log import KEPT
@@ -113,17 +113,17 @@ def test_what_an_honest_engine_says_is_as_it_was(value: object) -> None:
 
 def test_answers_keep_their_lines_and_other_texts_have_one() -> None:
     assert clean(protocol.Reply(1, "a:\n\tb\x1b[m")).value == "a:\n\tb\ufffd[m"
-    assert clean(protocol.Failed(1, "no\nsuch\x9b")).reason == "no\nsuch\ufffd"
+    assert clean(protocol.CommandFailed(1, "no\nsuch\x9b")).reason == "no\nsuch\ufffd"
     (event,) = clean(protocol.Events((Event(1, 0.0, Level.INFO, "a\nb", "t"),))).events
     assert event.code == "a\ufffdb"
-    assert len(clean(protocol.Failed(1, "x" * 100_000)).reason) == TEXT
-    assert len(clean(protocol.Step(1, "x" * 100_000)).text) == TEXT
+    assert len(clean(protocol.CommandFailed(1, "x" * 100_000)).reason) == TEXT
+    assert len(clean(protocol.RestartStep(1, "x" * 100_000)).text) == TEXT
 
 
 def test_too_much_is_refused() -> None:
-    with pytest.raises(ProtocolError):
-        clean(protocol.State(keys=("a",) * (MOST_ITEMS + 1)))
-    with pytest.raises(ProtocolError):
+    with pytest.raises(ControlProtocolError):
+        clean(protocol.StateChange(keys=("a",) * (MOST_ITEMS + 1)))
+    with pytest.raises(ControlProtocolError):
         check_routes([msgspec.Raw(b"x" * (ROUTE_BYTES + 1))])
     untrusted = UntrustedMessages(0.0)
     events = protocol.Events(EVENTS[:1] * protocol.EVENTS_AT_ONCE)
@@ -134,31 +134,31 @@ def test_too_much_is_refused() -> None:
         for _ in range(KEPT):
             untrusted(events, 0.0)
 
-    with pytest.raises(ProtocolError):
+    with pytest.raises(ControlProtocolError):
         tell_for_long()
 
 
 def test_routes_that_are_never_listed_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     constants.CLEANED_ITEMS.set(monkeypatch, 3000)
-    receiver = Receiver(BRIDGE, trusted=False)
+    receiver = StateReceiver(BRIDGE, trusted=False)
     for first in range(0, 3000, 1000):
         assert not receiver.take(some_routes(first))
-    with pytest.raises(ProtocolError):
+    with pytest.raises(ControlProtocolError):
         receiver.take(some_routes(3000))
 
 
-def some_routes(first: int) -> protocol.State:
+def some_routes(first: int) -> protocol.StateChange:
     """A thousand routes, of a state that goes on."""
     routes = (replace(ROUTES[0], key=str(first + number)) for number in range(1000))
-    return protocol.State(routes=tuple(map(protocol.encode_route, routes)), more=True)
+    return protocol.StateChange(routes=tuple(map(protocol.encode_route, routes)), more=True)
 
 
 def test_a_route_twice_is_refused() -> None:
-    state = protocol.State(
+    state = protocol.StateChange(
         routes=(protocol.encode_route(ROUTES[0]),), keys=(ROUTES[0].key,) * 2, links=(LINK,), session=SESSION
     )
-    with pytest.raises(ProtocolError):
-        Receiver(BRIDGE, trusted=False).take(state)
+    with pytest.raises(ControlProtocolError):
+        StateReceiver(BRIDGE, trusted=False).take(state)
 
 
 def test_a_robot_that_was_taken_over_does_nothing_to_an_attached_console(machine: Machine) -> None:
@@ -200,9 +200,9 @@ def test_a_rogue_operator_asks_for_what_never_was_and_looks_all_the_time(machine
         for _ in range(1000):
             rogue.say(protocol.PollState())
         for after in (-(2**63), 2**63 - 1, -1, 0):
-            rogue.say(protocol.Follow(after))
+            rogue.say(protocol.FollowEvents(after))
         heard: list[object] = []
         while not any(isinstance(message, protocol.Events) for message in heard):
             heard.append(rogue.answer())
-        assert sum(isinstance(message, protocol.State) for message in heard) <= 2, "the state has not changed"
+        assert sum(isinstance(message, protocol.StateChange) for message in heard) <= 2, "the state has not changed"
     assert [route.key for route in robot.attach().snapshot().routes] == [route.key for route in ROUTES]

@@ -18,7 +18,7 @@ from rsb_bridge.control.tickets import TicketClock
 from rsb_bridge.model import commands
 from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
 from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.commands import AnswerAsker, ArmTopic, AskHolder, Call, Pause, Publish, TakeArming
+from rsb_bridge.model.commands import AnswerAsker, ArmTopic, AskHolder, Call, PauseTopics, Publish, TakeArming
 
 if TYPE_CHECKING:
     from tests.support.control import Machine
@@ -31,7 +31,7 @@ MOVING: list[Command[Any]] = [
     AskHolder("/scan"),
     TakeArming("/scan"),
     AnswerAsker("/scan", gives=True),
-    Pause("/scan", paused=False),
+    PauseTopics("/scan", paused=False),
     Publish("/scan", "{}"),
     Call("/scan", "{}"),
 ]
@@ -49,7 +49,7 @@ def test_a_ticket_has_an_age() -> None:
 
 def test_what_moves_a_robot_expires() -> None:
     assert all(each.expires for each in MOVING)
-    assert not Pause("/scan", paused=True).expires
+    assert not PauseTopics("/scan", paused=True).expires
     kinds = [kind for kind in typing.get_args(commands.AnyCommand) if inspect.isclass(kind)]
     assert {kind.__name__ for kind in kinds if "expires" in vars(kind)} == {type(each).__name__ for each in MOVING}
 
@@ -71,7 +71,7 @@ def test_an_old_ticket_costs_a_round_trip_and_the_command_is_done_once(
     slow_line(remote, monkeypatch, age)
     remote.do(command)
     eventually(lambda: engine.commands)
-    remote.do(Pause("/scan", paused=True)).result(60)
+    remote.do(PauseTopics("/scan", paused=True)).result(60)
     assert [each[0] for each in engine.commands][1:] == ["pause"]
 
 
@@ -83,7 +83,7 @@ def test_a_command_that_was_given_long_ago_is_not_sent(machine: Machine, command
     remote.given_at = Clock.steady() - OLD_AFTER - 0.1
     with pytest.raises(EngineError, match=pattern(RequestProblem.TOO_LATE)):
         remote.do(command).result(60)
-    remote.do(Pause("/scan", paused=True)).result(60)
+    remote.do(PauseTopics("/scan", paused=True)).result(60)
     assert [each[0] for each in engine.commands] == ["pause"]
 
 

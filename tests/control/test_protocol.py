@@ -17,10 +17,10 @@ from tests.console.scripted import ScriptedEngine, route
 from tests.support.wording import says
 
 from rsb_bridge.control import protocol
-from rsb_bridge.control.protocol import ProtocolError, State, ToBridge, ToConsole
-from rsb_bridge.control.states import EncodedRoutes, Receiver, Sender
+from rsb_bridge.control.protocol import ControlProtocolError, StateChange, ToBridge, ToConsole
+from rsb_bridge.control.states import EncodedRoutes, Sender, StateReceiver
 from rsb_bridge.model.by_hand import LONGEST_REST
-from rsb_bridge.model.commands import EndLook, Look, Publish
+from rsb_bridge.model.commands import EndLook, LookAtTopics, Publish
 from rsb_bridge.model.pictures import Cells, Picture, Pixels, Viewed, Wish
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
@@ -45,7 +45,7 @@ VIEWED = st.builds(
 
 VIEWERS = st.text(min_size=1, max_size=20)
 LOOKS = st.builds(
-    Look,
+    LookAtTopics,
     viewer=VIEWERS,
     topics=st.just(("/a", "/b")),
     wish=st.builds(Wish, width=st.integers(1, 400)),
@@ -61,7 +61,7 @@ PUBLISHES = st.builds(
 )
 LIMITED: dict[Any, st.SearchStrategy[Any]] = {
     Viewed: VIEWED,
-    Look: LOOKS,
+    LookAtTopics: LOOKS,
     EndLook: st.builds(EndLook, viewer=VIEWERS),
     Publish: PUBLISHES,
 }
@@ -114,7 +114,7 @@ def test_every_message_comes_through_whole(name: str, data: st.DataObject, cuts:
 @settings(max_examples=settings().max_examples * 3, deadline=None)
 @given(data=st.binary(max_size=200), to_bridge=st.booleans())
 def test_whatever_comes_is_a_message_or_refused(data: bytes, to_bridge: bool) -> None:
-    with contextlib.suppress(ProtocolError):  # some bytes are a message
+    with contextlib.suppress(ControlProtocolError):  # some bytes are a message
         fed(len(data).to_bytes(4, "big") + data, [], to_bridge=to_bridge)
 
 
@@ -123,21 +123,21 @@ def test_whatever_comes_is_a_message_or_refused(data: bytes, to_bridge: bool) ->
     [(protocol.frames_to_bridge, protocol.TO_BRIDGE_LIMIT), (protocol.frames_to_console, protocol.TO_CONSOLE_LIMIT)],
 )
 def test_a_frame_that_is_too_large_is_refused_before_it_is_kept(make: Any, limit: int) -> None:
-    with pytest.raises(ProtocolError, match="at most"):
+    with pytest.raises(ControlProtocolError, match="at most"):
         list(make().feed((limit + 1).to_bytes(4, "big")))
 
 
 def test_a_message_of_ten_thousand_levels_is_refused() -> None:
     body = b"\x91" * 10_000 + b"\x90"
-    with pytest.raises(ProtocolError, match="invalid"):
+    with pytest.raises(ControlProtocolError, match="invalid"):
         fed(len(body).to_bytes(4, "big") + body, [], to_bridge=True)
 
 
 @pytest.mark.parametrize("to_bridge", [True, False])
 def test_text_that_is_not_utf_8_is_refused(to_bridge: bool) -> None:
-    message = protocol.Hello(1, "words") if to_bridge else protocol.Refused("words")
+    message = protocol.ConsoleHello(1, "words") if to_bridge else protocol.HelloRefused("words")
     body = protocol.encode(message)[4:].replace(b"words", b"\xa6ords")
-    with pytest.raises(ProtocolError, match="invalid"):
+    with pytest.raises(ControlProtocolError, match="invalid"):
         fed(len(body).to_bytes(4, "big") + body, [], to_bridge=to_bridge)
 
 
@@ -147,7 +147,7 @@ def test_a_console_has_the_routes_that_the_engine_has(data: st.DataObject) -> No
     """After routes are added, changed, removed and moved between two polls."""
     engine, sender, encoded = ScriptedEngine(), Sender(), EncodedRoutes()
     info = protocol.BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "x", "0.1.0")
-    receiver = Receiver(info)
+    receiver = StateReceiver(info)
     pool = [route(f"/t{number}") for number in range(120)]
     for _ in range(4):
         chosen = data.draw(st.lists(st.integers(0, len(pool) - 1), unique=True))
@@ -163,7 +163,7 @@ def test_a_console_has_the_routes_that_the_engine_has(data: st.DataObject) -> No
         encoded.keep_only(now)
         states = fed(b"".join(wire), [], to_bridge=False)
         assert [receiver.take(state) for state in states] == [False] * (len(states) - 1) + [True]
-        assert isinstance(states[-1], State)
+        assert isinstance(states[-1], StateChange)
         assert receiver.snapshot == now
         assert receiver.session == session
 

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from rsb_bridge.control import protocol
-from rsb_bridge.control.protocol import Request
+from rsb_bridge.control.protocol import CommandRequest
 from rsb_bridge.model import commands as c
 from rsb_bridge.model.benchmark import BenchmarkStep
 from rsb_bridge.model.pictures import Wish
@@ -28,8 +28,8 @@ RECORDED: tuple[tuple[c.AnyCommand, bytes], ...] = (
     (c.EditTopic("k", SCAN, True), b"\x84\xa2is\xa4edit\xa3key\xa1k\xa5topic" + SCAN_BYTES + b"\xa8drop_arm\xc3"),
     (c.RemoveTopic("k"), b"\x82\xa2is\xa6remove\xa3key\xa1k"),
     (c.RemoveTopic("k", True), b"\x83\xa2is\xa6remove\xa3key\xa1k\xa8drop_arm\xc3"),
-    (c.Pause("k", True), b"\x83\xa2is\xa5pause\xa3key\xa1k\xa6paused\xc3"),
-    (c.Pause("k", False), b"\x83\xa2is\xa5pause\xa3key\xa1k\xa6paused\xc2"),
+    (c.PauseTopics("k", True), b"\x83\xa2is\xa5pause\xa3key\xa1k\xa6paused\xc3"),
+    (c.PauseTopics("k", False), b"\x83\xa2is\xa5pause\xa3key\xa1k\xa6paused\xc2"),
     (c.Acknowledge("k"), b"\x82\xa2is\xabacknowledge\xa3key\xa1k"),
     (c.Acknowledge("", False, "robot1"), b"\x83\xa2is\xabacknowledge\xacacknowledged\xc2\xa4link\xa6robot1"),
     (c.ArmTopic("k"), b"\x82\xa2is\xa3arm\xa3key\xa1k"),
@@ -49,7 +49,7 @@ RECORDED: tuple[tuple[c.AnyCommand, bytes], ...] = (
     (c.RemoveClient("r"), b"\x82\xa2is\xadremove_client\xa4name\xa1r"),
     (c.Retry(), b"\x81\xa2is\xa5retry"),
     (c.Retry("robot1"), b"\x82\xa2is\xa5retry\xa4link\xa6robot1"),
-    (c.ShutDown(), b"\x81\xa2is\xa9shut_down"),
+    (c.ShutDownLinks(), b"\x81\xa2is\xa9shut_down"),
     (c.Restart(), b"\x81\xa2is\xa7restart"),
     (c.Reload(), b"\x81\xa2is\xa6reload"),
     (c.Reload(True), b"\x82\xa2is\xa6reload\xa7dry_run\xc3"),
@@ -58,7 +58,7 @@ RECORDED: tuple[tuple[c.AnyCommand, bytes], ...] = (
     (c.Peek("k"), b"\x82\xa2is\xa4peek\xa3key\xa1k"),
     (c.Peek("k", True), b"\x83\xa2is\xa4peek\xa3key\xa1k\xa4kept\xc3"),
     (
-        c.Look("v", ("/map", "/tf"), Wish(width=100, how="map"), "r1"),
+        c.LookAtTopics("v", ("/map", "/tf"), Wish(width=100, how="map"), "r1"),
         b"\x85\xa2is\xa4look\xa6viewer\xa1v\xa6topics\x92\xa4/map\xa3/tf\xa4wish\xde\x00\x02\xa5widthd\xa3how\xa3map\xa4link\xa2r1",
     ),
     (c.EndLook("v"), b"\x82\xa2is\xa8end_look\xa6viewer\xa1v"),
@@ -72,7 +72,7 @@ RECORDED: tuple[tuple[c.AnyCommand, bytes], ...] = (
             b"\xaarest_after\xcb?\xd0\x00\x00\x00\x00\x00\x00"
         ),
     ),
-    (c.Describe("k"), b"\x82\xa2is\xa8describe\xa3key\xa1k"),
+    (c.DescribeType("k"), b"\x82\xa2is\xa8describe\xa3key\xa1k"),
     (c.Template("k"), b"\x82\xa2is\xa8template\xa3key\xa1k"),
     (c.Template("k", "send_goal"), b"\x83\xa2is\xa8template\xa3key\xa1k\xa4lane\xa9send_goal"),
     (c.Call("k", "{}"), b"\x83\xa2is\xa4call\xa3key\xa1k\xa7request\xa2{}"),
@@ -88,8 +88,8 @@ RECORDED: tuple[tuple[c.AnyCommand, bytes], ...] = (
 def test_the_bytes_are_as_recorded(command: Any, recorded: bytes) -> None:
     body = b"\x83\xa2is\xa7request\xa2id\x07\xa7command" + recorded
     frame = len(body).to_bytes(4, "big") + body
-    assert protocol.encode(Request(7, command)) == frame
-    assert list(protocol.frames_to_bridge().feed(frame)) == [Request(7, command)]
+    assert protocol.encode(CommandRequest(7, command)) == frame
+    assert list(protocol.frames_to_bridge().feed(frame)) == [CommandRequest(7, command)]
 
 
 def test_every_command_is_recorded() -> None:
@@ -97,7 +97,7 @@ def test_every_command_is_recorded() -> None:
 
 
 def test_a_request_that_takes_back_an_earlier_one_says_so() -> None:
-    assert msgspec.msgpack.decode(protocol.encode(Request(8, c.Retry(), undo=True))[4:]) == {
+    assert msgspec.msgpack.decode(protocol.encode(CommandRequest(8, c.Retry(), undo=True))[4:]) == {
         "is": "request",
         "id": 8,
         "command": {"is": "retry"},

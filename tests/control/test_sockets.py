@@ -22,7 +22,7 @@ from rsb_bridge.control.bridges import AlreadyRunningError, SessionRuns
 from rsb_bridge.control.control_sockets import (
     AttachProblem,
     ControlError,
-    Listener,
+    ControlSocket,
     SocketProblem,
     StrangerError,
     TakenError,
@@ -60,13 +60,13 @@ def test_only_its_user_may_use_a_socket(machine: Machine) -> None:
 SAYS_HELLO = f"""
 import os, socket, sys
 sys.path[:0] = {sys.path!r}
-from rsb_bridge.control.protocol import VERSION, Hello, Refused, Welcome, encode, frames_to_console
+from rsb_bridge.control.protocol import VERSION, ConsoleHello, HelloRefused, ConsoleWelcome, encode, frames_to_console
 os.setuid(int(sys.argv[2]))
 connection = socket.socket(socket.AF_UNIX)
 connection.connect(sys.argv[1])
-connection.sendall(encode(Hello(VERSION, "0.1.0")))
+connection.sendall(encode(ConsoleHello(VERSION, "0.1.0")))
 for message in frames_to_console().feed(connection.recv(100_000)):
-    if isinstance(message, (Refused, Welcome)):
+    if isinstance(message, (HelloRefused, ConsoleWelcome)):
         print(type(message).__name__)
 """
 SERVES = f"""
@@ -116,9 +116,9 @@ def answer_to(uid: int, path: Path) -> str:
 def test_another_user_is_refused_even_where_the_files_let_them_in(of: int) -> None:
     """The kernel says who connects; root's bridge serves root, and a user's serves that user and root."""
     with served_by(of) as path:
-        assert answer_to(NOBODY, path) == "Refused"
-        assert answer_to(of, path) == "Welcome"
-        assert answer_to(0, path) == "Welcome"
+        assert answer_to(NOBODY, path) == "HelloRefused"
+        assert answer_to(of, path) == "ConsoleWelcome"
+        assert answer_to(0, path) == "ConsoleWelcome"
 
 
 @as_root
@@ -202,7 +202,7 @@ def test_a_living_processs_is_never_replaced(machine: Machine) -> None:
         assert living.stdin
         assert living.stdout.readline() == b"ready\n"
         with pytest.raises(TakenError):
-            Listener(path, make_folder=True)
+            ControlSocket(path, make_folder=True)
         with pytest.raises(
             AlreadyRunningError,
             match=pattern(SessionRuns.NOT_ANSWERING, pid=living.pid, problem=AttachProblem.SILENT()),

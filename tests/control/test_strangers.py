@@ -18,8 +18,16 @@ from tests.wire.links import make_client
 
 from rsb_bridge.config.keys import Key
 from rsb_bridge.control import sealed
-from rsb_bridge.control.protocol import CONSOLES, Failed, Hello, PollState, Refused, Request, encode
-from rsb_bridge.link.pending_connections import Stage
+from rsb_bridge.control.protocol import (
+    CONSOLES,
+    CommandFailed,
+    CommandRequest,
+    ConsoleHello,
+    HelloRefused,
+    PollState,
+    encode,
+)
+from rsb_bridge.link.pending_connections import ConnectionStage
 from rsb_bridge.model import commands
 from rsb_bridge.model.benchmark import BenchmarkStep
 from rsb_bridge.model.budgets import CONNECTION, Strangers
@@ -41,7 +49,7 @@ CHANGES: tuple[AnyCommand, ...] = (
     commands.AddTopic(TOPIC),
     commands.EditTopic("key", TOPIC),
     commands.RemoveTopic("key"),
-    commands.Pause("key", paused=True),
+    commands.PauseTopics("key", paused=True),
     commands.Acknowledge("key"),
     commands.ArmTopic("key"),
     commands.AskHolder("key"),
@@ -54,7 +62,7 @@ CHANGES: tuple[AnyCommand, ...] = (
     commands.Call("key", "{}"),
     commands.Publish("/cmd_vel", "{}"),
     commands.Retry(),
-    commands.ShutDown(),
+    commands.ShutDownLinks(),
     commands.Restart(),
     commands.Reload(),
     commands.Stop(),
@@ -70,9 +78,9 @@ def test_who_may_look_is_refused_every_change_whatever_their_console_says(machin
     with Stranger(robot.port, "bob", BOB) as bob:
         bob.attach(read_only=read_only)
         for number, command in enumerate((*CHANGES, commands.Bench(BenchmarkStep()))):
-            bob.say(Request(number, command))
+            bob.say(CommandRequest(number, command))
             answer = bob.answer()
-            assert isinstance(answer, Failed)
+            assert isinstance(answer, CommandFailed)
             assert answer.id == number
     assert robot.engine.commands == []
     assert machine.stopped == 0
@@ -106,7 +114,7 @@ def test_many_failures_are_answered_late(machine: Machine, monkeypatch: pytest.M
         with Stranger(robot.port, key=BOB) as stranger:
             stranger.send(stranger.console.start())
             (refused,) = stranger.hear()
-            assert isinstance(refused, events.Refused)
+            assert isinstance(refused, events.StreamRefused)
     assert delays == [0.0] * 4 + [1.0] * 2
 
 
@@ -198,8 +206,8 @@ def test_operators_leave_places_to_this_machine_s_consoles(machine: Machine) -> 
         one_more = attached.enter_context(Stranger(robot.port))
         one_more.send(one_more.console.start())
         assert one_more.hear() == [events.Admitted()]
-        one_more.say(Hello(1, "0.1.0"))
-        assert isinstance(one_more.answer(), Refused)
+        one_more.say(ConsoleHello(1, "0.1.0"))
+        assert isinstance(one_more.answer(), HelloRefused)
         for _ in range(CONSOLES - constants.OPERATORS_PLACES.value):
             machine.attach()
 
@@ -210,7 +218,7 @@ def test_first_messages_that_are_played_again_leave_room_for_others(machine: Mac
     with contextlib.ExitStack() as played:
         first = played.enter_context(Stranger(robot.port))
         first.send(first.console.start())
-        eventually(lambda: [each for each in robot.acceptor.pending.present if each.stage is Stage.ACCEPTED])
+        eventually(lambda: [each for each in robot.acceptor.pending.present if each.stage is ConnectionStage.ACCEPTED])
         for _ in range(constants.CONSOLE_LIMITS.value.accepted):
             one = played.enter_context(Stranger(robot.port))
             one.send(one.console.start())
@@ -257,7 +265,7 @@ def test_an_operator_who_takes_nothing_is_given_up(machine: Machine, monkeypatch
         anna.console.receive_data(bytes(stream.waits))
         stream.waits.clear()
         serving.data_received(anna.console.data_to_send())
-        for message in (Hello(1, "0.1.0"), PollState()):
+        for message in (ConsoleHello(1, "0.1.0"), PollState()):
             serving.data_received(anna.console.send(encode(message)))
 
     with anna:

@@ -13,10 +13,10 @@ from tests.support.virtual_time import virtual_loop
 from tests.support.wording import pattern
 
 from rsb_bridge.control import protocol
-from rsb_bridge.control.attached_console import Console
+from rsb_bridge.control.attached_console import AttachedConsole
 from rsb_bridge.control.connectors import UnixSocket
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError
-from rsb_bridge.control.protocol import VERSION, BridgeInfo, Hello, Summary, Watch, Welcome, encode
+from rsb_bridge.control.protocol import VERSION, BridgeInfo, ConsoleHello, ConsoleWelcome, Summary, Watch, encode
 from rsb_bridge.control.sealed import OperatorRefused
 from rsb_bridge.control.summaries import watch
 from rsb_bridge.model.robot_summary import SUMMARY_BYTES
@@ -57,15 +57,15 @@ def told(summarize: Callable[[float], bytes], seconds: float, *, stalls: bool = 
         served: Any = SimpleNamespace(info=INFO, engine=None, encoded=None, summary=lambda: summarize(loop.time()))
 
         async def serve() -> None:
-            console = Console(served, connection)
-            console.received(encode(Hello(VERSION, "0.1.0", read_only=True)) + encode(Watch()))
+            console = AttachedConsole(served, connection)
+            console.received(encode(ConsoleHello(VERSION, "0.1.0", read_only=True)) + encode(Watch()))
             connection.buffered = int(stalls)
             await asyncio.sleep(seconds)
             console.gone()
 
         loop.run_until_complete(serve())
     welcome, *summaries = protocol.frames_to_console().feed(bytes(connection.taken))
-    assert isinstance(welcome, Welcome)
+    assert isinstance(welcome, ConsoleWelcome)
     return [each.content for each in summaries if isinstance(each, Summary)]
 
 

@@ -21,7 +21,7 @@ from rsb_bridge.model.names import SHORT_NAMES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.native.typesupport import installed_class
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -140,7 +140,7 @@ def test_chacha_where_one_side_has_no_aes(
 ) -> None:
     """A processor without AES instructions cannot be had here: what it would say of itself is put in its place."""
     there, out = pc.listener("/out"), robot.publisher("/out")
-    suites = {"server": Suite.AESGCM, "client": Suite.AESGCM, slow_side: Suite.CHACHAPOLY}
+    suites = {"server": CipherSuite.AESGCM, "client": CipherSuite.AESGCM, slow_side: CipherSuite.CHACHAPOLY}
     replaced.PREFERRED_SUITE.set(monkeypatch, lambda: suites["server"])
     server = bridge.server()
     replaced.PREFERRED_SUITE.set(monkeypatch, lambda: suites["client"])

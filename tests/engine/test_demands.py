@@ -16,7 +16,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import PEER_DEMANDS
-from rsb_bridge.model.session import Armed, Client, Topic
+from rsb_bridge.model.session import ArmedName, Client, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -85,7 +85,7 @@ def set_up(engines: tuple[Engine, Engine], name: str) -> bool:
     return states == {"disarmed"} and all(required(each, name) for each in engines)
 
 
-def demanding(way: str, name: str, direction: Direction) -> tuple[tuple[Topic, ...], tuple[str | Armed, ...]]:
+def demanding(way: str, name: str, direction: Direction) -> tuple[tuple[Topic, ...], tuple[str | ArmedName, ...]]:
     """Entries, and what `armed` has, of a session that demands a name."""
     stem = name.rsplit("_", 1)[0]
     if way == "armed":
@@ -105,7 +105,7 @@ def test_a_name_that_either_session_demands_never_crosses_unarmed(
 ) -> None:
     names: list[str] = []
     topics: dict[str, list[Topic]] = {"client": [], "server": []}
-    armed: dict[str, list[str | Armed]] = {"client": [], "server": []}
+    armed: dict[str, list[str | ArmedName]] = {"client": [], "server": []}
     for number, (way, said, listed) in enumerate(product(WAYS, DIRECTIONS, DIRECTIONS)):
         if demands == lists and way == "by name" and said == listed:
             continue  # the entry itself
@@ -198,7 +198,7 @@ def test_a_change_that_does_not_name_the_demand_keeps_it(
     kept = [each for each in server.session.armed if "/cmd_vel" in str(each)]
     still = [each for each in server.session.accepted_clients[0].topics if each.arm]
     assert kept or still
-    assert all(not isinstance(each, Armed) or each.deadman == 0.0 for each in kept)
+    assert all(not isinstance(each, ArmedName) or each.deadman == 0.0 for each in kept)
 
 
 def test_a_pattern_that_goes_or_matches_less_leaves_its_demand(bridge: Bridge, yard: Yard) -> None:
@@ -332,7 +332,7 @@ def test_a_server_removes_a_client_and_keeps_what_it_demands(bridge: Bridge, yar
     client = bridge.client(Topic("/cmd_vel", "receive"))
     eventually(lambda: set_up((server, client), "/cmd_vel"))
     server.remove_client("robot2").result(60)
-    assert server.session.armed == (Armed("/cmd_vel", deadman=0.0),)
+    assert server.session.armed == (ArmedName("/cmd_vel", deadman=0.0),)
     assert set_up((server, client), "/cmd_vel")
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + "1" * 64
 TOPICS = 20
 """At a time; a pattern may bridge 100."""
-KEPT = {"TrackRecord", "Series", "Ended", "_Open", "Event"}
+KEPT = {"TrackRecord", "MinuteSeries", "Ended", "_Open", "Event"}
 """History and events have limits of their own (docs/budgets.md)."""
 
 

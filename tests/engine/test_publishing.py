@@ -27,9 +27,9 @@ from rsb_bridge.engine.publishing import AT_ONCE, ENDS_AFTER, TOPICS, PublishPro
 from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting, on_console
-from rsb_bridge.model.commands import Command, Pause, Publish, RemoveTopic, Restart, ShutDown
+from rsb_bridge.model.commands import Command, PauseTopics, Publish, RemoveTopic, Restart, ShutDownLinks
 from rsb_bridge.model.pictures import view_topic
-from rsb_bridge.model.session import Armed, Client, Topic
+from rsb_bridge.model.session import ArmedName, Client, Topic
 from rsb_console.session.landing import Landing, LandingText
 
 if TYPE_CHECKING:
@@ -434,10 +434,10 @@ def test_what_disarms_ends_the_motion_first(
     drive(server, 0.1, rest_after=2.0)
     key = route(server, "/cmd").key
     commands: dict[str, Command[object]] = {
-        "pause": Pause(key, True),
+        "pause": PauseTopics(key, True),
         "remove": RemoveTopic(key),
         "restart": Restart(),
-        "shut_down": ShutDown(),
+        "shut_down": ShutDownLinks(),
     }
     server.do(commands[command])
     eventually(lambda: [deserialize_message(each, Twist).linear.x for each in motors.payloads] == [0.1, 0.0])
@@ -598,7 +598,7 @@ def test_tickets_of_another_engine_are_void(bridge: Bridge, robot: Domain, pc: D
 def test_a_demand_of_another_type_is_no_demand(bridge: Bridge, robot: Domain) -> None:
     """It may be left out, because the topic has one."""
     listener = robot.listener("/text")
-    client = bridge.client(armed=(Armed("/*", type=TWIST),))
+    client = bridge.client(armed=(ArmedName("/*", type=TWIST),))
     eventually(lambda: any(each.topic == "/text" for each in client.topics(None).result(30)))
     publish(client, "data: x", "/text")
     eventually(lambda: listener.texts(10) == ["x"])

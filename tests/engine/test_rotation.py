@@ -19,10 +19,10 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.wire.connection import ClientConnection
-from rsb_bridge.wire.events import RefusalCode, Refused
+from rsb_bridge.wire.events import RefusalCode, StreamRefused
 from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.preamble import RefusalText
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -73,7 +73,7 @@ def is_closed(stream: socket.socket) -> bool:
 
 def refusal(port: int, key: bytes) -> RefusalCode:
     """Return a server's refusal of a client with a key."""
-    connection = ClientConnection(Hello("0.1.0", "robot1", "again", 0), key, Suite.AESGCM)
+    connection = ClientConnection(Hello("0.1.0", "robot1", "again", 0), key, CipherSuite.AESGCM)
     with socket.create_connection(("127.0.0.1", port), timeout=60) as stream:
         stream.sendall(connection.start())
         events: list[Event] = []
@@ -81,7 +81,7 @@ def refusal(port: int, key: bytes) -> RefusalCode:
             events = connection.receive_data(data)
             stream.sendall(connection.data_to_send())
     (event,) = events
-    assert isinstance(event, Refused)
+    assert isinstance(event, StreamRefused)
     return event.code
 
 

@@ -15,7 +15,7 @@ from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.engine.publishing import PublishProblem
-from rsb_bridge.model.session import Armed, Topic
+from rsb_bridge.model.session import ArmedName, Topic
 from rsb_bridge.model.velocity_limits import VelocityLimits
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def test_a_hand_is_held_to_the_limits_of_either_side(
     """A message beyond them is refused; keys drive at the limit."""
     motors = robot.listener("/cmd", Twist)
     pc.publisher("/cmd", Twist)
-    server = bridge.server(armed=(Armed("/cmd", deadman=0.0, limits=LIMITS if whose == "pc" else None),))
+    server = bridge.server(armed=(ArmedName("/cmd", deadman=0.0, limits=LIMITS if whose == "pc" else None),))
     client = bridge.client(LIMITED if whose == "robot" else DRIVEN)
     eventually(lambda: can_be_armed(server, client))
     consoles.arm(server)

@@ -43,7 +43,7 @@ from rsb_bridge.model.session import Client, Topic, ZenohSettings
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.zenoh import endpoint as endpoints
-from rsb_bridge.transport.zenoh.sample import Header, Kind
+from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -238,7 +238,7 @@ def test_datagrams_that_the_network_drops_are_in_the_ledger(
     carries([out], server, ["/drop"])
     take, count = replaced.ZENOH_TAKE_DATAGRAM.value, [0]
 
-    def lossy(self: endpoints.Endpoint, sender: str, payload: bytes) -> None:
+    def lossy(self: endpoints.ZenohEndpoint, sender: str, payload: bytes) -> None:
         if self._service == "server" and len(payload) > 500:
             count[0] += 1
             if count[0] % 5 == 0:
@@ -265,7 +265,7 @@ def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
     take = replaced.ZENOH_TAKE.value
     lost: list[str] = []
 
-    def lossy(self: endpoints.Endpoint, sender: str, stream: str, attachment: bytes, payload: bytes) -> None:
+    def lossy(self: endpoints.ZenohEndpoint, sender: str, stream: str, attachment: bytes, payload: bytes) -> None:
         if not lost and self._service == "server" and len(payload) >= LEAST_CHUNK:  # of a large message
             lost.append(stream)
             return
@@ -313,7 +313,7 @@ def test_a_stranger_who_floods_and_replays_moves_no_budget(
             other.put(key, payload, attachment=attachment)
     address = next(iter(captured))[0].split("/")[3]
     for number in range(2000):
-        header = Header(Kind.DATA, 0, 0).pack()
+        header = Header(SampleKind.DATA, 0, 0).pack()
         other.put(f"{endpoints.ROOT}/fleet/at/{address}/{number:016x}/{number:016x}", bytes(1000), attachment=header)
     out.publish(text("last"))
     eventually(lambda: text("last") in there.payloads)

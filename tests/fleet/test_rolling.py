@@ -11,7 +11,7 @@ from tests.support.fleet import ScriptedSource, fleet_of, robot, topics
 
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
-from rsb_console.fleet.rolling import PATIENCE, Outcome, Rollout, Step, report, said, way_back
+from rsb_console.fleet.rolling import PATIENCE, RobotChange, Rollout, RolloutOutcome, report, said, way_back
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -55,18 +55,18 @@ class Bed:
         robots = self.fleet.chosen([], everyone=True)
         return Rollout(self.fleet, robots, topic, keys, settle, now=lambda: self.now, sleep=self.sleep)
 
-    def run(self, topic: str, *keys: str) -> tuple[Rollout, Outcome]:
+    def run(self, topic: str, *keys: str) -> tuple[Rollout, RolloutOutcome]:
         rollout = self.rollout(topic, *keys)
         return rollout, rollout.run(rollout.plan(), self.tell)
 
-    def tell(self, step: Step, what: str) -> None:
+    def tell(self, step: RobotChange, what: str) -> None:
         self.told.append((step.name, what))
 
     def commands(self, name: str) -> list[Any]:
         return self.source.engines[name].commands
 
 
-def names(steps: list[Step]) -> list[str]:
+def names(steps: list[RobotChange]) -> list[str]:
     return [step.name for step in steps]
 
 
@@ -212,7 +212,7 @@ def test_an_operator_stops_it() -> None:
     bed = Bed("robot1", "robot2")
     rollout = bed.rollout("/camera", "max_rate=5")
 
-    def tell(_: Step, what: str) -> None:
+    def tell(_: RobotChange, what: str) -> None:
         rollout.cancelled = what == "settling" or rollout.cancelled
 
     outcome = rollout.run(rollout.plan(), tell)

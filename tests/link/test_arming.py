@@ -15,9 +15,9 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting
-from rsb_bridge.model.demands import Source
+from rsb_bridge.model.demands import DemandSource
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.session import Armed as ArmedEntry
+from rsb_bridge.model.session import ArmedName as ArmedEntry
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
@@ -587,7 +587,7 @@ def test_the_answer_to_a_dropped_demand_is_none_to_a_disarm(pair: Pair, loop: Vi
     """The peer has not heard of the disarm yet, and goes on publishing earlier messages."""
     robot, pc = pair
     arm(pc, loop).result()
-    pc.table.arming.demand_dropped(Source(("", "/cmd_vel"), "/cmd_vel", DEADMAN))
+    pc.table.arming.demand_dropped(DemandSource(("", "/cmd_vel"), "/cmd_vel", DEADMAN))
     pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
     robot.hear()
     while pc.inbox:
@@ -633,7 +633,7 @@ def test_a_peer_that_proposes_and_removes_has_no_demands_counted_again(
     turn(loop)
     counted: list[Side] = []
 
-    def count(side: Side) -> tuple[Source, ...]:
+    def count(side: Side) -> tuple[DemandSource, ...]:
         counted.append(side)
         return ()
 

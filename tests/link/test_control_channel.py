@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from tests.support.slices import Handlers
 
 from rsb_bridge.link.control_channel import ControlChannel
-from rsb_bridge.wire.events import Received
+from rsb_bridge.wire.events import MessageReceived
 from rsb_bridge.wire.messages import Ping
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class _Stream:
 def test_long_messages_are_taken_in_slowly(loop: VirtualLoop) -> None:
     """To read 1 MB of a control message takes as long as to read a thousand short ones, which are limited in number."""
     stream: Any = _Stream()
-    connection: Any = SimpleNamespace(receive_data=lambda _: [Received(Ping(1, 0))])
+    connection: Any = SimpleNamespace(receive_data=lambda _: [MessageReceived(Ping(1, 0))])
     handled: list[object] = []
 
     async def flood(channel: ControlChannel, seconds: float) -> int:
@@ -64,7 +64,7 @@ def test_long_messages_are_taken_in_slowly(loop: VirtualLoop) -> None:
 def test_a_peer_whose_messages_wait_here_is_not_silent(loop: VirtualLoop) -> None:
     """More of them came at once than are handled in the time after which a silent peer is given up."""
     stream: Any = _Stream()
-    connection: Any = SimpleNamespace(receive_data=lambda _: [Received(Ping(1, 0))] * 8000)
+    connection: Any = SimpleNamespace(receive_data=lambda _: [MessageReceived(Ping(1, 0))] * 8000)
     handled: list[object] = []
 
     async def run() -> None:

@@ -31,7 +31,7 @@ from rsb_bridge.wire.codec import (
     report_entries,
     topic_entries,
 )
-from rsb_bridge.wire.events import Received, Undecoded
+from rsb_bridge.wire.events import MessageReceived, Undecoded
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import ControlMessage, Describe, Ping, Report, TopicList
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -135,7 +135,7 @@ def test_a_report_of_400_kb_is_worked_off_in_slices_and_in_order() -> None:
 )
 def test_short_entries_are_worked_off_by_number(message: Any) -> None:
     data = encode(message)
-    events: list[Any] = [Undecoded(data)] if isinstance(message, TopicList) else [Received(message)]
+    events: list[Any] = [Undecoded(data)] if isinstance(message, TopicList) else [MessageReceived(message)]
     entries = (
         [*message.topics] if isinstance(message, TopicList) else [*message.sent, *message.received, *message.calls]
     )
@@ -148,7 +148,7 @@ def test_short_entries_are_worked_off_by_number(message: Any) -> None:
 def test_messages_that_are_long_or_make_many_publishers_take_a_turn_each() -> None:
     sources = tuple(Source((f"rsb_a/{number}",)) for number in range(16))
     for message in (Describe(1, "a/msg/B", "", Qos(depth=1), sources), Ping(1, 0)):
-        peer = Peer([Received(message)] * 100, entries_of)
+        peer = Peer([MessageReceived(message)] * 100, entries_of)
         peer.run(100)
         assert peer.most <= (1 if isinstance(message, Describe) else constants.CONTROL_AT_ONCE.value)
     report = encode(Report(sent=(SentReport(route=1, dropped=DROPPED),) * 18, received=()))
@@ -165,7 +165,7 @@ def test_entries_come_no_faster_than_a_thousand_routes_report(loop: Any, entries
 
     async def main() -> tuple[int, int]:
         stream: Any = Stream()
-        connection: Any = SimpleNamespace(receive_data=lambda _: [Received(report)])
+        connection: Any = SimpleNamespace(receive_data=lambda _: [MessageReceived(report)])
         handlers = Handlers(lambda each: entries_of(each, done.append))
         channel = ControlChannel(stream, connection, handlers, lambda *_: None)
         counts = []

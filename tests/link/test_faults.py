@@ -24,10 +24,10 @@ from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.wire.connection import ClientConnection
-from rsb_bridge.wire.events import Refused
+from rsb_bridge.wire.events import StreamRefused
 from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.preamble import RefusalText
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.sealing import CipherSuite
 from rsb_console.command.formatting import json_status
 
 if TYPE_CHECKING:
@@ -125,11 +125,11 @@ def test_the_warning_of_a_second_client_ends_soon_after_it(bridge: Bridge) -> No
 def try_as(bridge: Bridge, host: str) -> None:
     """A client with the name and the key calls, and is refused."""
     hello = Hello("0.1.0", "robot1", "feedbeef", 0, host=host)
-    client = ClientConnection(hello, read_key(bridge.folder / bridge.key_file).secret, Suite.CHACHAPOLY)
+    client = ClientConnection(hello, read_key(bridge.folder / bridge.key_file).secret, CipherSuite.CHACHAPOLY)
     with socket.create_connection(("127.0.0.1", bridge.port), 10.0) as stream:
         stream.sendall(client.start())
         (refused,) = client.receive_data(stream.recv(1 << 16))
-        assert isinstance(refused, Refused)
+        assert isinstance(refused, StreamRefused)
         stream.sendall(client.data_to_send())
         assert not stream.recv(1 << 16), "the server has read the confirmation, and closes"
 
@@ -156,7 +156,7 @@ def test_a_replay_is_no_second_client(bridge: Bridge) -> None:
     """Somebody without the key has recorded a client's first message, and sends it again."""
     server, first = bridge.both()
     hello = Hello("0.1.0", "robot1", "feedbeef", 0, host="spare")
-    recorded = ClientConnection(hello, read_key(bridge.folder / bridge.key_file).secret, Suite.CHACHAPOLY).start()
+    recorded = ClientConnection(hello, read_key(bridge.folder / bridge.key_file).secret, CipherSuite.CHACHAPOLY).start()
     for _ in range(3):
         with socket.create_connection(("127.0.0.1", bridge.port), 10.0) as stream:
             stream.sendall(recorded)

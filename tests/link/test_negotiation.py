@@ -25,8 +25,8 @@ from tests.support.wording import pattern
 from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.description import (
     HASH_PREFIX,
-    Field,
     FieldType,
+    MessageField,
     MessageType,
     TypeDescription,
     hash_of_text,
@@ -106,7 +106,7 @@ def test_types_that_do_not_agree(other: KnownNode, bridge: Bridge, robot: Domain
     eventually(lambda: says(client, "/silent", "/silent", str(robot.id)))
 
 
-_OTHER_FIELDS = Field("data", FieldType(8, 0, 0, "")), Field("unit", FieldType(17, 0, 0, ""))
+_OTHER_FIELDS = MessageField("data", FieldType(8, 0, 0, "")), MessageField("unit", FieldType(17, 0, 0, ""))
 OTHER = text_of(TypeDescription(MessageType(INT32, _OTHER_FIELDS), ()))
 DIFFERENCE = (
     TypeDifference.OTHER_TYPE(field="data", there="int32", here="int64"),
@@ -153,7 +153,7 @@ def test_versions_of_a_type_that_differ(direction: Any, bridge: Bridge, robot: D
 
 SET = "std_srvs/srv/SetBool"
 _Versions: TypeAlias = "dict[str, tuple[str, str]]"
-NUMBER, UNIT = Field("data", FieldType(6, 0, 0, "")), Field("unit", FieldType(17, 0, 0, ""))
+NUMBER, UNIT = MessageField("data", FieldType(6, 0, 0, "")), MessageField("unit", FieldType(17, 0, 0, ""))
 
 
 class OtherServices(KnownNode):
@@ -174,7 +174,7 @@ class OtherServices(KnownNode):
         return other or super().installed_description(type_name)
 
 
-def half_of(type_name: str, *fields: Field) -> str:
+def half_of(type_name: str, *fields: MessageField) -> str:
     """The description of a request or a response."""
     return text_of(TypeDescription(MessageType(type_name, fields), ()))
 
@@ -250,7 +250,7 @@ def test_versions_of_an_action_that_differ(bridge: Bridge, robot: Domain, pc: Do
     test_msgs = pytest.importorskip("test_msgs.action", reason="no package with an action is installed")
     server = ActionServer(pc.node, test_msgs.Fibonacci, "/count_up", lambda goal: test_msgs.Fibonacci.Result())
     result = "test_msgs/action/Fibonacci_GetResult"
-    other = half_of(f"{result}_Response", Field("status", FieldType(6, 0, 0, "")))
+    other = half_of(f"{result}_Response", MessageField("status", FieldType(6, 0, 0, "")))
     status = TypeDifference.OTHER_TYPE(field="status", there="int8", here="int32")
     only_there = TypeDifference.ONLY_THERE(field="result", type="test_msgs/action/Fibonacci_Result")
     difference = TypeDifference.IN_RESPONSE(difference=join_first([status, only_there], 3))

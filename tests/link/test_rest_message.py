@@ -14,7 +14,7 @@ from rsb_bridge.cdr.resting import resting, stamped
 from rsb_bridge.cdr.velocity import velocity_of
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.session import Armed, Topic
+from rsb_bridge.model.session import ArmedName, Topic
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, Disarmed
@@ -144,7 +144,7 @@ class Driven:
             there: of the control PC's.
         """
         self.robot, self._loop = Robot(loop), loop
-        armed = () if there is None else (Armed("/cmd_vel", on_end=there),)
+        armed = () if there is None else (ArmedName("/cmd_vel", on_end=there),)
         here = Side(make_context(ros=self.robot), is_client=True)
         pc = Side(make_context(role="server", armed=armed), is_client=False)
         here.other, pc.other = pc, here

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.base_link import BaseLink
-    from rsb_bridge.model.demands import Source
+    from rsb_bridge.model.demands import DemandSource
     from rsb_bridge.model.snapshot import Level
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import Propose
@@ -57,7 +57,7 @@ class Side(FakePeer):
 
     # --- arming, as a link does it
 
-    def demand_sources(self) -> Iterator[Source]:
+    def demand_sources(self) -> Iterator[DemandSource]:
         routes = [route.spec for route in self.routes.values() if route.proposed_here]
         topics = (*routes, *self.table.superseded.values())
         return sources_of_entries(topics, "robot1", on_server=not self.is_client, use_name=False)
@@ -65,7 +65,7 @@ class Side(FakePeer):
     def apply_demands(self) -> None:
         self.table.apply_demands()
 
-    def demand_dropped(self, source: Source) -> None:
+    def demand_dropped(self, source: DemandSource) -> None:
         self.table.arming.demand_dropped(source)
 
     # --- what an operator does, and what happens to a route

@@ -30,7 +30,7 @@ from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 from rsb_bridge.wire.messages import Hello
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 def first_message(name: str = "robot1", key: bytes | None = None) -> bytes:
-    return ClientConnection(Hello("1", name, "x", 0), key or os.urandom(32), Suite.AESGCM).start()
+    return ClientConnection(Hello("1", name, "x", 0), key or os.urandom(32), CipherSuite.AESGCM).start()
 
 
 SAID = {
@@ -114,7 +114,7 @@ def test_a_refused_stream_over_zenoh_is_freed_at_once(
     from tests.support.zenoh_router import Router, stranger
 
     from rsb_bridge.transport.zenoh.endpoint import ROOT
-    from rsb_bridge.transport.zenoh.sample import Header, Kind
+    from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 
     router = Router()
     try:
@@ -127,7 +127,7 @@ def test_a_refused_stream_over_zenoh_is_freed_at_once(
                 other.put(
                     f"{to}/{number:016x}/{'5' * 16}",
                     said,
-                    attachment=Header(Kind.DATA, 0, 0).pack(),
+                    attachment=Header(SampleKind.DATA, 0, 0).pack(),
                     congestion_control=zenoh.CongestionControl.BLOCK,
                 )
             eventually(lambda: len(arrived) == len(sent) * 4 and not any(each() for each in arrived), 20, what="freed")

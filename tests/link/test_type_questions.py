@@ -13,8 +13,8 @@ from tests.support.wording import pattern
 
 from rsb_bridge.cdr.description import (
     DESCRIPTION_LIMIT,
-    Field,
     FieldType,
+    MessageField,
     MessageType,
     TypeDescription,
     hash_of_text,
@@ -27,13 +27,15 @@ from rsb_bridge.link.questions import TypeQuestions, description_in
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.ros.type_descriptions import TypeDescriptions
-from rsb_bridge.route.type_versions import MessageType as MessageVersion
+from rsb_bridge.route.type_versions import TypeVersion as MessageVersion
 from rsb_bridge.wire.messages import AskType, TypeText
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine
 
-TEXT = text_of_description(TypeDescription(MessageType("a_msgs/msg/B", (Field("x", FieldType(6, 0, 0, "")),)), ()))
+TEXT = text_of_description(
+    TypeDescription(MessageType("a_msgs/msg/B", (MessageField("x", FieldType(6, 0, 0, "")),)), ())
+)
 HASH = hash_of_text(TEXT)
 
 
@@ -168,7 +170,7 @@ def test_what_is_kept_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def described(name: str, field: str) -> str:
     """A request, response or message of one field."""
-    return text_of_description(TypeDescription(MessageType(name, (Field(field, FieldType(6, 0, 0, "")),)), ()))
+    return text_of_description(TypeDescription(MessageType(name, (MessageField(field, FieldType(6, 0, 0, "")),)), ()))
 
 
 class Installed(Ros):

@@ -29,9 +29,9 @@ from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.messages import Hello
-from rsb_bridge.wire.preamble import Kind, RefusalText
+from rsb_bridge.wire.preamble import PreambleKind, RefusalText
 from rsb_bridge.wire.protocol_error import Broken
-from rsb_bridge.wire.sealing import InvalidSeal, Suite
+from rsb_bridge.wire.sealing import CipherSuite, InvalidSeal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -282,10 +282,10 @@ def test_a_client_is_read_among_many_that_arrive_at_once(sent: bytes, friend: An
 
         strangers()
         client = crowd.enter_context(socket.create_connection(("127.0.0.1", bridge.port), timeout=60))
-        client.sendall(ClientConnection(Hello("0.1.0", "robot2", "x", 0), key, Suite.AESGCM).start())
+        client.sendall(ClientConnection(Hello("0.1.0", "robot2", "x", 0), key, CipherSuite.AESGCM).start())
         strangers()
         go_on.set()
-        assert client.recv(4096)[8] == Kind.ACCEPT
+        assert client.recv(4096)[8] == PreambleKind.ACCEPT
     eventually(lambda: linked(known) and linked(server), what="linked, also where five seconds were held")
     carries([out], server, ["/beat"])
 

@@ -10,7 +10,7 @@ from tests.link.test_arming import propose, route
 from tests.link.test_route_table import Pair, Side, hear_all
 
 from rsb_bridge.model.demands import PEER_DEMANDS, OriginText
-from rsb_bridge.model.session import Armed, Topic
+from rsb_bridge.model.session import ArmedName, Topic
 from rsb_bridge.model.velocity_limits import VelocityLimits
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ Lines = tuple[str, ...]
 
 
 def pair_with(make_context: Callable[..., Context], robots: VelocityLimits | None, pcs: VelocityLimits | None) -> Pair:
-    armed = () if pcs is None else (Armed("/cmd_vel", limits=pcs),)
+    armed = () if pcs is None else (ArmedName("/cmd_vel", limits=pcs),)
     robot, pc = Side(make_context(), is_client=True), Side(make_context(role="server", armed=armed), is_client=False)
     robot.other, pc.other = pc, robot
     propose(robot, Topic("/cmd_vel", "receive", limits=robots))
@@ -60,7 +60,7 @@ def test_they_change_with_the_session_of_either_side(make_context: Callable[...,
     robot, pc = pair_with(make_context, VelocityLimits(0.5), VelocityLimits(0.4))
     assert route(robot).arming.limits == VelocityLimits(0.4)
     pc.context.session = msgspec.structs.replace(
-        pc.context.session, armed=(Armed("/cmd_vel", limits=VelocityLimits(0.3)),)
+        pc.context.session, armed=(ArmedName("/cmd_vel", limits=VelocityLimits(0.3)),)
     )
     pc.context.demands.changed()
     pc.context.demands.apply()

@@ -6,17 +6,22 @@ from random import Random
 
 import pytest
 
-from rsb_bridge.model.link_budget import Wish, allot
+from rsb_bridge.model.link_budget import TopicDemand, allot
 from rsb_bridge.model.session import weight_of
 
 
 def test_there_is_enough_for_all() -> None:
-    wishes = {"a": Wish(1, 100.0), "b": Wish(0, 200.0), "c": Wish(-1, 300.0)}
+    wishes = {"a": TopicDemand(1, 100.0), "b": TopicDemand(0, 200.0), "c": TopicDemand(-1, 300.0)}
     assert allot(600.0, wishes) == {"a": 100.0, "b": 200.0, "c": 300.0}
 
 
 def test_those_that_want_more_share_by_weight() -> None:
-    wishes = {"scan": Wish(1, 100.0), "map": Wish(0, 9000.0), "camera": Wish(-1, 9000.0), "points": Wish(-1, 9000.0)}
+    wishes = {
+        "scan": TopicDemand(1, 100.0),
+        "map": TopicDemand(0, 9000.0),
+        "camera": TopicDemand(-1, 9000.0),
+        "points": TopicDemand(-1, 9000.0),
+    }
     weights = weight_of(0) + 2 * weight_of(-1)
     shares = allot(1000.0, wishes)
     assert shares["scan"] == 100.0
@@ -28,7 +33,9 @@ def test_those_that_want_more_share_by_weight() -> None:
 def test_whatever_is_wanted(seed: int) -> None:
     """No topic gets more than it wants, and one that gets less has at least its part of the link."""
     random = Random(seed)
-    wishes = {number: Wish(random.randint(-1, 1), random.uniform(0.0, 1e6)) for number in range(random.randint(1, 9))}
+    wishes = {
+        number: TopicDemand(random.randint(-1, 1), random.uniform(0.0, 1e6)) for number in range(random.randint(1, 9))
+    }
     capacity = random.uniform(1.0, 3e6)
     shares = allot(capacity, wishes)
     wanted = sum(wish.bytes_per_second for wish in wishes.values())

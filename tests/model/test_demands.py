@@ -17,17 +17,17 @@ from rsb_bridge.model.demands import (
     sources_of,
     sources_of_entries,
 )
-from rsb_bridge.model.session import DEADMAN, Armed, Client, Kind, Session, Topic
+from rsb_bridge.model.session import DEADMAN, ArmedName, Client, Kind, Session, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rsb_bridge.model.demands import Source
+    from rsb_bridge.model.demands import DemandSource
 
 RENAMED = Topic("/a/*", "receive", remote_topic="/b/*", arm=True, excepts=("/a/x",))
 
 
-def client(*topics: Topic, armed: tuple[str | Armed, ...] = ()) -> Demands:
+def client(*topics: Topic, armed: tuple[str | ArmedName, ...] = ()) -> Demands:
     session = Session(name="robot1", role="client", server_ip="10.0.0.1", topics=topics, armed=armed)
     return Demands(sources_of(session))
 
@@ -127,15 +127,15 @@ PATTERN = Topic("/cmd*", "receive", arm=True)
         ((CMD,), (Topic("/cmd", "transmit", arm=True),), []),
         ((CMD,), (Topic("/cmd", "receive", kind="service", arm=True),), ["/cmd"]),
         ((CMD,), (PATTERN,), []),
-        ((Topic("/cmd", "receive", arm=True, deadman=5.0),), (PATTERN,), [Armed("/cmd", deadman=5.0)]),
+        ((Topic("/cmd", "receive", arm=True, deadman=5.0),), (PATTERN,), [ArmedName("/cmd", deadman=5.0)]),
         ((Topic("/cmd", "receive", arm=True, deadman=5.0),), (CMD,), []),
-        ((PATTERN,), (), [Armed("/cmd*", "topic")]),
+        ((PATTERN,), (), [ArmedName("/cmd*", "topic")]),
         ((PATTERN,), (Topic("/cmd*", "receive", arm=True, excepts=("/cmd_a",)),), ["/cmd_a"]),
         ((PATTERN,), (Topic("/cmd*", "transmit", arm=True),), []),
-        ((PATTERN,), (Topic("/cmd_*", "receive", arm=True),), [Armed("/cmd*", "topic")]),
+        ((PATTERN,), (Topic("/cmd_*", "receive", arm=True),), [ArmedName("/cmd*", "topic")]),
     ],
 )
-def test_what_has_to_be_kept(before: tuple[Topic, ...], after: tuple[Topic, ...], kept: list[str | Armed]) -> None:
+def test_what_has_to_be_kept(before: tuple[Topic, ...], after: tuple[Topic, ...], kept: list[str | ArmedName]) -> None:
     missing = client(*after).missing(client(*before).sources)
     found = [as_armed(each) for rest in missing.values() for each in rest]
     assert found == kept
@@ -159,13 +159,13 @@ class Entries:
     def __init__(self, name: str, topics: tuple[Topic, ...]) -> None:
         self.name, self.topics = name, topics
 
-    def demand_sources(self) -> Iterator[Source]:
+    def demand_sources(self) -> Iterator[DemandSource]:
         return sources_of_entries(self.topics, self.name, on_server=True, use_name=True)
 
     def apply_demands(self) -> None:
         pass
 
-    def demand_dropped(self, source: Source) -> None:
+    def demand_dropped(self, source: DemandSource) -> None:
         pass
 
 

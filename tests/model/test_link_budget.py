@@ -14,7 +14,7 @@ from rsb_bridge.model.link_budget import (
     PER_MESSAGE,
     TYPICAL,
     CostText,
-    Load,
+    LinkLoad,
     LoadSource,
     amount,
     as_report,
@@ -127,7 +127,7 @@ def test_what_a_topic_brings() -> None:
     alike = load_of(now, Topic("/rear", "transmit"), type_name=_SCAN)
     assert (alike.source, alike.like) == (LoadSource.ALIKE, "/scan")
     usual = load_of(now, Topic("/image", "transmit", type=_IMAGE))
-    assert usual == Load(*TYPICAL[_IMAGE], LoadSource.TYPICAL)
+    assert usual == LinkLoad(*TYPICAL[_IMAGE], LoadSource.TYPICAL)
     assert load_of(now, Topic("/image", "transmit", type="Image")) == usual
     assert load_of(now, Topic("/image", "transmit", type=_IMAGE, max_rate=5.0)).rate == 5.0
     assert load_of(now, Topic("/image", "transmit", type=_IMAGE, expected_rate=7.0)).rate == 7.0

@@ -18,8 +18,8 @@ from rsb_bridge.model.robot_summary import (
     WHY_LENGTH,
     Battery,
     InvalidSummary,
-    Loss,
     LossWindow,
+    LostMessages,
     RobotState,
     RobotSummary,
     SummaryText,
@@ -79,12 +79,12 @@ def test_what_an_engine_says_of_itself() -> None:
     session = msgspec.structs.replace(SERVER, name="robot1", role="client", clients=None, group="yard")
     now = Snapshot(NOW, "robot1", "client", "10.0.0.20", 1, running=True, links=(UP,), routes=(a("/scan"),))
     battery = Battery(0.5, NOW)
-    losses = {"a": Loss(0.1, 9.0), "b": Loss(0.2, 5.0)}
+    losses = {"a": LostMessages(0.1, 9.0), "b": LostMessages(0.2, 5.0)}
     summary = of_engine(now, session, host="arm7", version="1.2", losses=losses, battery=battery)
     assert (summary.messages_from_robot, summary.messages_to_robot) == (0.0, 10.0)
     assert (summary.bytes_from_robot, summary.bytes_to_robot) == (UP.tx_bytes_per_second, UP.rx_bytes_per_second)
     assert (summary.group, summary.role, summary.host, summary.version) == ("yard", "client", "arm7", "1.2")
-    assert (summary.battery, summary.loss) == (battery, Loss(0.2, 5.0))
+    assert (summary.battery, summary.loss) == (battery, LostMessages(0.2, 5.0))
     down = of_engine(replace(now, links=(DOWN,)), session, host="arm7", version="1.2", losses={}, battery=None)
     assert (down.state, down.since, down.seen) == (RobotState.FAULT, DOWN.since, NOW)  # it is there, and reports it
     off = of_engine(replace(now, running=False), session, host="arm7", version="1.2", losses={}, battery=None)
@@ -222,7 +222,7 @@ def ledgers(time: float, *counts: tuple[int, dict[str, int]], expired: int = 0) 
 def test_loss_is_of_the_last_minute() -> None:
     window = LossWindow()
     assert window.take(ledgers(NOW, (100, {"queue full": 900}))) == {}  # before this console looked
-    assert window.take(ledgers(NOW + 5, (200, {"queue full": 900}))) == {"robot1": Loss(0.0, 5.0)}
+    assert window.take(ledgers(NOW + 5, (200, {"queue full": 900}))) == {"robot1": LostMessages(0.0, 5.0)}
     assert window.take(
         ledgers(
             NOW + 10,
@@ -232,10 +232,10 @@ def test_loss_is_of_the_last_minute() -> None:
             ),
             expired=25,
         )
-    ) == {"robot1": Loss(25 / 200, 10.0)}
+    ) == {"robot1": LostMessages(25 / 200, 10.0)}
     for second in range(11, 200):
         loss = window.take(ledgers(NOW + second, (275 + second, {"queue full": 900}), expired=25))
-    assert loss == {"robot1": Loss(0.0, LOSS_SPAN)}
+    assert loss == {"robot1": LostMessages(0.0, LOSS_SPAN)}
 
 
 def test_loss_counts_what_nobody_wants_only() -> None:
@@ -244,14 +244,14 @@ def test_loss_counts_what_nobody_wants_only() -> None:
     took = window.take(
         ledgers(NOW + 1, (50, {"would loop": 30, "paused": 9}), (30, {"lost on the way": 20, "disarmed": 1}))
     )
-    assert took == {"robot1": Loss(0.2, 1.0)}
+    assert took == {"robot1": LostMessages(0.2, 1.0)}
 
 
 def test_loss_of_a_topic_that_counts_anew_or_is_gone() -> None:
     window = LossWindow()
     window.take(ledgers(NOW, (500, {"queue full": 10})))
     assert window.take(ledgers(NOW + 1, (5, {}))) == {}
-    assert window.take(ledgers(NOW + 2, (9, {"queue full": 1}))) == {"robot1": Loss(1 / 5, 1.0)}
+    assert window.take(ledgers(NOW + 2, (9, {"queue full": 1}))) == {"robot1": LostMessages(1 / 5, 1.0)}
     assert window.take(ledgers(NOW + 3)) == {}
     assert window.take(ledgers(NOW + 4, (900, {"queue full": 1}))) == {}
 
@@ -261,7 +261,7 @@ def test_loss_of_a_topic_that_counts_anew_or_is_gone() -> None:
 
 def test_there_and_back() -> None:
     summary = msgspec.structs.replace(
-        on_server(a("/scan", State.SLOW, reason="größer")), loss=Loss(0.1, 30.0), battery=Battery(0.5, NOW)
+        on_server(a("/scan", State.SLOW, reason="größer")), loss=LostMessages(0.1, 30.0), battery=Battery(0.5, NOW)
     )
     assert decode(encode(summary)) == summary
 
@@ -269,7 +269,7 @@ def test_there_and_back() -> None:
 def test_what_another_says_is_bounded() -> None:
     made = RobotSummary(
         name="r\x1b[2J" + "x" * 300, group="\u202e", why="y" * 900, host="h\n", version="v" * 300, seen=math.nan,
-        since=-1.0, links=-4, routes=1 << 60, messages_to_robot=math.inf, loss=Loss(7.0, 1.0),
+        since=-1.0, links=-4, routes=1 << 60, messages_to_robot=math.inf, loss=LostMessages(7.0, 1.0),
         battery=Battery(-1.0, 2.0),
     )  # fmt: skip
     got = decode(encode(made))
@@ -277,7 +277,7 @@ def test_what_another_says_is_bounded() -> None:
     assert (len(got.name), len(got.why), len(got.version), got.group, got.host) == (255, 200, 255, "\ufffd", "h\ufffd")
     assert (got.seen, got.since, got.links, got.messages_to_robot) == (0.0, 0.0, 0, 0.0)
     assert got.routes == 1 << 31
-    assert (got.loss, got.battery) == (Loss(1.0, 1.0), Battery(0.0, 2.0))
+    assert (got.loss, got.battery) == (LostMessages(1.0, 1.0), Battery(0.0, 2.0))
 
 
 def test_a_newer_version() -> None:

@@ -51,14 +51,14 @@ def library(monkeypatch: pytest.MonkeyPatch) -> Library:
 
 
 def test_each_publisher_is_asked_for_once(library: Library) -> None:
-    publishers = cyclone_dds.Publishers(1)
+    publishers = cyclone_dds.SubscriptionPublishers(1)
     assert [publishers.guid_of(told(handle)) for handle in (1, 2, 1)] == [guid(1), guid(2), guid(1)]
     assert library.asked == [1, 2]
     assert not library.lent
 
 
 def test_a_publisher_that_has_gone_keeps_what_its_message_tells(library: Library) -> None:
-    publishers = cyclone_dds.Publishers(1)
+    publishers = cyclone_dds.SubscriptionPublishers(1)
     assert publishers.guid_of(told(GONE)) == told(GONE)
     assert publishers.guid_of(told(GONE)) == told(GONE)
     assert library.asked == [GONE, GONE]
@@ -66,7 +66,7 @@ def test_a_publisher_that_has_gone_keeps_what_its_message_tells(library: Library
 
 def test_the_oldest_of_many_publishers_is_forgotten(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.PUBLISHERS_REMEMBERED.set(monkeypatch, 2)
-    publishers = cyclone_dds.Publishers(1)
+    publishers = cyclone_dds.SubscriptionPublishers(1)
     for handle in (1, 2, 3, 2, 1):
         publishers.guid_of(told(handle))
     assert library.asked == [1, 2, 3, 1]

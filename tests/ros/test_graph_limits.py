@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 from tests.ros.domains import ANOTHER
 
 from rsb_bridge.model.qos import Qos, clamp_qos, match_publishers, match_subscriptions
-from rsb_bridge.ros.native.extension import endpoint_of
+from rsb_bridge.ros.native.rclpy_extension import endpoint_of
 from rsb_bridge.ros.participant import Participant
 from rsb_bridge.wire.codec import decode, encode
 from rsb_bridge.wire.messages import Describe, Report, TopicList

@@ -8,7 +8,7 @@ import pytest
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 
 from rsb_bridge.model.qos import PROFILES, Durability, Qos, QosMismatch, Reliability, incompatible, match_publishers
-from rsb_bridge.ros.native.extension import rcl_profile
+from rsb_bridge.ros.native.rclpy_extension import rcl_profile
 
 RELIABILITIES: tuple[Reliability, ...] = ("reliable", "best_effort")
 DURABILITIES: tuple[Durability, ...] = ("volatile", "transient_local")

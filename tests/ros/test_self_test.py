@@ -18,7 +18,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros import participant, raw_types, self_test
 from rsb_bridge.ros.distribution import described, package_of
 from rsb_bridge.ros.known_messages import STRING, stamped_string
-from rsb_bridge.ros.native import extension, librcl
+from rsb_bridge.ros.native import librcl, rclpy_extension
 from rsb_bridge.ros.ros_interface import RosError, RosProblem
 from rsb_bridge.ros.self_test import Findings, Shortfall, findings
 
@@ -44,7 +44,7 @@ def _refuses(*_arguments: object) -> Any:
 
 
 def test_everything_holds_here() -> None:
-    assert findings().node is extension.ExtensionNode
+    assert findings().node is rclpy_extension.ExtensionNode
     assert not findings().shortfalls
 
 
@@ -57,7 +57,7 @@ def test_other_arguments_lead_to_the_public_classes(
     else:
         monkeypatch.setitem(replaced.EXTENSION_CLASSES.value, refusing, _refuses)
     found = found_anew(monkeypatch)
-    assert found.node is extension.PublicNode
+    assert found.node is rclpy_extension.PublicNode
     assert found.public_only == Shortfall.PUBLIC_CLASSES(
         distribution=described(), error="incompatible constructor arguments"
     )
@@ -126,7 +126,7 @@ def test_a_missing_function_is_named() -> None:
     with pytest.raises(RosError, match=pattern(RosProblem.LACKS, name="rcl_no_such_function")):
         function(1, 2)
     with pytest.raises(RosError, match=pattern(RosProblem.LACKS, name="rclpy's NoSuchClass")):
-        extension.named("NoSuchClass")(1)
+        rclpy_extension.named("NoSuchClass")(1)
 
 
 def test_the_environment_is_as_before(monkeypatch: pytest.MonkeyPatch) -> None:

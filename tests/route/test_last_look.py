@@ -13,7 +13,7 @@ from tests.support.offline import FakePeer
 
 from rsb_bridge.model.calls import SEND_GOAL, Refused
 from rsb_bridge.ros.ros_thread import RosTurns
-from rsb_bridge.route.lease import LASTS, Lease
+from rsb_bridge.route.lease import LASTS, LeaseHalf
 from rsb_bridge.route.source_publishers import FREE, VolatileTopic
 from rsb_bridge.wire.framing import LEASED, Budget
 from rsb_bridge.wire.headers import CallFrame, What, with_number
@@ -62,7 +62,7 @@ class _Asked(Published):
 
 def _arm(route: Route, context: Context) -> int:
     """Arm a route by the other side; return the newest number of this side."""
-    lease = route.arming.lease = Lease(context.clock.steady, RosTurns(), lambda: None)
+    lease = route.arming.lease = LeaseHalf(context.clock.steady, RosTurns(), lambda: None)
     route.arming.demand(required=True, deadman=0.0)
     lease.begin()
     route.arming.take("anna", context.now())

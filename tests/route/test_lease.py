@@ -11,7 +11,7 @@ import pytest
 
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
-from rsb_bridge.route.lease import BEAT, GIVEN_UP_AFTER, LASTS, SLOW, Lease, Marker, Standstill
+from rsb_bridge.route.lease import BEAT, GIVEN_UP_AFTER, LASTS, SLOW, LeaseHalf, Marker, Standstill
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,8 +34,8 @@ class Pair:
         self.clock = Clock()
         self.ended: list[int] = []
         self.turns = RosTurns(lambda: None, self.clock) if thread else RosTurns()
-        self.here = Lease(self.clock, self.turns, lambda: self.ended.append(0))
-        self.there = Lease(self.clock, RosTurns(), lambda: self.ended.append(1))
+        self.here = LeaseHalf(self.clock, self.turns, lambda: self.ended.append(0))
+        self.there = LeaseHalf(self.clock, RosTurns(), lambda: self.ended.append(1))
         self.here.begin()
         self.there.begin()
 
@@ -243,7 +243,7 @@ class World:
     the model's: each side sees only its own clock.
     """
 
-    def __init__(self, seed: int, make: Callable[..., Lease] = Lease) -> None:
+    def __init__(self, seed: int, make: Callable[..., LeaseHalf] = LeaseHalf) -> None:
         self.random = Random(seed)
         self.clock = Clock()
         self._events: list[tuple[float, int, str, str, Callable[[], None]]] = []
@@ -307,7 +307,7 @@ class World:
         self._arrived[way] = arrives
         self._at(arrives - self.clock.now, side, work, "read")
 
-    def _beat(self, side: str, lease: Lease, way: str) -> None:
+    def _beat(self, side: str, lease: LeaseHalf, way: str) -> None:
         if self.armed[side]:
             number, echo = lease.beat()
             other = self.receiver if lease is self.sender else self.sender
@@ -367,21 +367,21 @@ def test_nothing_old_is_published_and_nothing_after_a_disarm_was_shown() -> None
     assert published > 100 * len(SEEDS)
 
 
-class NoBound(Lease):
+class NoBound(LeaseHalf):
     """The old rule: everything that arrives while it is armed is published."""
 
     def passes(self, number: int) -> bool:
         return self.over is None
 
 
-class OnlyAlive(Lease):
+class OnlyAlive(LeaseHalf):
     """A rule that checks only whether the two hear each other, and ignores the message's number."""
 
     def passes(self, number: int) -> bool:
         return self.alive
 
 
-class NothingLeft(Lease):
+class NothingLeft(LeaseHalf):
     """A sender that shows at once that it has disarmed."""
 
     @property
@@ -389,14 +389,14 @@ class NothingLeft(Lease):
         return 0.0
 
 
-class NewestNumber(Lease):
+class NewestNumber(LeaseHalf):
     """A rule in which a message carries the newest number when it is sent, not when it was taken."""
 
     def newest_before(self, time: float) -> int:
         return super().newest_before(float("inf"))
 
 
-class LongBound(Lease):
+class LongBound(LeaseHalf):
     """Numbers count for as long as the lease lasts."""
 
     def passes(self, number: int) -> bool:
@@ -405,7 +405,7 @@ class LongBound(Lease):
 
 
 @pytest.mark.parametrize("mistake", [NoBound, OnlyAlive, NothingLeft, NewestNumber, LongBound])
-def test_the_model_finds_mistakes(mistake: type[Lease]) -> None:
+def test_the_model_finds_mistakes(mistake: type[LeaseHalf]) -> None:
     for seed in SEEDS:
         world = World(seed, mistake)
         world.play(12.0)

@@ -6,15 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rsb_bridge.route.lifecycle import TRANSITIONS, Event, Lifecycle, Phase
+from rsb_bridge.route.lifecycle import TRANSITIONS, Lifecycle, RouteEvent, RoutePhase
 
-THERE = (Event.OPEN, Event.ACCEPT, Event.DESCRIBE, Event.READY)
+THERE = (RouteEvent.OPEN, RouteEvent.ACCEPT, RouteEvent.DESCRIBE, RouteEvent.READY)
 
 
-def in_phase(phase: Phase) -> Lifecycle:
+def in_phase(phase: RoutePhase) -> Lifecycle:
     life = Lifecycle()
-    if phase is Phase.REFUSED:
-        life.take(Event.REFUSE, "no")
+    if phase is RoutePhase.REFUSED:
+        life.take(RouteEvent.REFUSE, "no")
         return life
     for event in THERE:
         if life.phase is phase:
@@ -31,54 +31,60 @@ def test_the_way_to_messages() -> None:
         assert not life.ready
         assert life.take(event)
         phases.append(life.phase)
-    assert phases == [Phase.CLOSED, Phase.PROPOSED, Phase.ACCEPTED, Phase.DESCRIBED, Phase.READY]
+    assert phases == [
+        RoutePhase.CLOSED,
+        RoutePhase.PROPOSED,
+        RoutePhase.ACCEPTED,
+        RoutePhase.DESCRIBED,
+        RoutePhase.READY,
+    ]
     assert life.ready
 
 
-@pytest.mark.parametrize("phase", Phase)
-def test_every_phase_can_be_reached_refused_and_closed(phase: Phase) -> None:
+@pytest.mark.parametrize("phase", RoutePhase)
+def test_every_phase_can_be_reached_refused_and_closed(phase: RoutePhase) -> None:
     life = in_phase(phase)
-    assert life.take(Event.REFUSE, "no such type")
-    assert (life.phase, life.refusal, life.accepted) == (Phase.REFUSED, "no such type", False)
+    assert life.take(RouteEvent.REFUSE, "no such type")
+    assert (life.phase, life.refusal, life.accepted) == (RoutePhase.REFUSED, "no such type", False)
     life = in_phase(phase)
-    assert life.take(Event.CLOSE)
-    assert life.phase is (Phase.REFUSED if phase is Phase.REFUSED else Phase.CLOSED)
+    assert life.take(RouteEvent.CLOSE)
+    assert life.phase is (RoutePhase.REFUSED if phase is RoutePhase.REFUSED else RoutePhase.CLOSED)
 
 
 def test_a_new_type_is_described_before_messages_flow_again() -> None:
-    life = in_phase(Phase.READY)
-    assert life.take(Event.DESCRIBE)
+    life = in_phase(RoutePhase.READY)
+    assert life.take(RouteEvent.DESCRIBE)
     assert not life.ready
-    assert life.take(Event.READY)
+    assert life.take(RouteEvent.READY)
     assert life.ready
 
 
 @pytest.mark.parametrize(
     ("phase", "event"),
     [
-        (Phase.CLOSED, Event.ACCEPT),
-        (Phase.PROPOSED, Event.DESCRIBE),
-        (Phase.ACCEPTED, Event.READY),
-        (Phase.READY, Event.ACCEPT),
-        (Phase.REFUSED, Event.READY),
+        (RoutePhase.CLOSED, RouteEvent.ACCEPT),
+        (RoutePhase.PROPOSED, RouteEvent.DESCRIBE),
+        (RoutePhase.ACCEPTED, RouteEvent.READY),
+        (RoutePhase.READY, RouteEvent.ACCEPT),
+        (RoutePhase.REFUSED, RouteEvent.READY),
     ],
 )
-def test_what_a_peer_says_out_of_order_changes_nothing(phase: Phase, event: Event) -> None:
+def test_what_a_peer_says_out_of_order_changes_nothing(phase: RoutePhase, event: RouteEvent) -> None:
     life = in_phase(phase)
     assert not life.take(event)
     assert life.phase is phase
 
 
-@given(st.lists(st.sampled_from(Event)))
-def test_whatever_happens_the_way_is_gone_in_order(events: list[Event]) -> None:
+@given(st.lists(st.sampled_from(RouteEvent)))
+def test_whatever_happens_the_way_is_gone_in_order(events: list[RouteEvent]) -> None:
     life = Lifecycle()
-    since_open: list[Event] = []
+    since_open: list[RouteEvent] = []
     for event in events:
         if life.take(event):
-            since_open = [event] if event is Event.OPEN else [*since_open, event]
+            since_open = [event] if event is RouteEvent.OPEN else [*since_open, event]
         if life.ready:
-            assert since_open[:2] == [Event.OPEN, Event.ACCEPT]
-            assert since_open[-1] is Event.READY
-            assert Event.DESCRIBE in since_open
+            assert since_open[:2] == [RouteEvent.OPEN, RouteEvent.ACCEPT]
+            assert since_open[-1] is RouteEvent.READY
+            assert RouteEvent.DESCRIBE in since_open
         assert bool(life.refusal) <= (not life.accepted)
-    assert set(TRANSITIONS) == set(Phase)
+    assert set(TRANSITIONS) == set(RoutePhase)

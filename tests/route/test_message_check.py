@@ -13,7 +13,7 @@ from tests.support import constants
 from tests.support.held import held_by
 
 from rsb_bridge.cdr.checker import STEPS, MalformedError, TooComplexError
-from rsb_bridge.cdr.description import Field, FieldType, MessageType, TypeDescription, hash_of_text, text_of
+from rsb_bridge.cdr.description import FieldType, MessageField, MessageType, TypeDescription, hash_of_text, text_of
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 NAMES = "made_up_msgs/msg/Names"
-TEXT = text_of(TypeDescription(MessageType(NAMES, (Field("all", FieldType(161, 0, 0, "")),)), ()))
+TEXT = text_of(TypeDescription(MessageType(NAMES, (MessageField("all", FieldType(161, 0, 0, "")),)), ()))
 HASH = hash_of_text(TEXT)
 SESSION = Session(name="robot1", role="client", server_ip="127.0.0.1", server_port=1)
 
@@ -179,4 +179,4 @@ def test_checkers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _described(name: str) -> TypeDescription:
-    return TypeDescription(MessageType(name, (Field("all", FieldType(161, 0, 0, "")),)), ())
+    return TypeDescription(MessageType(name, (MessageField("all", FieldType(161, 0, 0, "")),)), ())

@@ -11,7 +11,7 @@ from tests.route.test_loop_filter import FIRST, World, world
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RawMessage
-from rsb_bridge.route.lease import Lease
+from rsb_bridge.route.lease import LeaseHalf
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def test_a_message_without_a_channel_is_lost(world: World) -> None:
 
 
 def test_nothing_that_is_disarmed_is_shown_to_operators(world: World) -> None:
-    world.route.arming.lease = Lease(world.context.clock.steady, world.context.ros.turns, lambda: None)
+    world.route.arming.lease = LeaseHalf(world.context.clock.steady, world.context.ros.turns, lambda: None)
     world.route.arming.demand(required=True, deadman=0.0)
     world.route.peek_slot.wanted = True
     assert publish(world, 1) == 0

@@ -12,11 +12,11 @@ import pytest
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.resolving import Resolver, UnresolvedError, choose_type, left_out
-from rsb_bridge.route.type_versions import MessageType
+from rsb_bridge.route.type_versions import TypeVersion
 from rsb_bridge.wire.messages import Propose
 
 A, B = "std_msgs/msg/String", "std_msgs/msg/Int32"
-UNUSED = MessageType()
+UNUSED = TypeVersion()
 
 
 def publisher(type_name: str, version: str = "", node: str = "") -> Endpoint:
@@ -26,24 +26,24 @@ def publisher(type_name: str, version: str = "", node: str = "") -> Endpoint:
 def chosen(
     *publishers: Endpoint,
     wanted: str = "",
-    used: MessageType = UNUSED,
-    hint: MessageType = UNUSED,
+    used: TypeVersion = UNUSED,
+    hint: TypeVersion = UNUSED,
     installed: str | None = None,
-) -> MessageType:
+) -> TypeVersion:
     return choose_type(publishers, wanted, used, hint, lambda _: installed)
 
 
 def test_what_the_publishers_have_counts_first() -> None:
-    assert chosen(publisher(A, "1"), publisher(A), hint=MessageType(B, "2"), installed="3") == (A, "1")
-    assert chosen(hint=MessageType(B, "2")) == (B, "2")
-    assert chosen(hint=MessageType(B, "2"), installed="3") == (B, "3")
-    assert chosen(wanted=A, hint=MessageType(B, "2")) == (A, "")
+    assert chosen(publisher(A, "1"), publisher(A), hint=TypeVersion(B, "2"), installed="3") == (A, "1")
+    assert chosen(hint=TypeVersion(B, "2")) == (B, "2")
+    assert chosen(hint=TypeVersion(B, "2"), installed="3") == (B, "3")
+    assert chosen(wanted=A, hint=TypeVersion(B, "2")) == (A, "")
     assert chosen() == UNUSED
 
 
 def test_a_version_that_was_used_is_known_when_its_publisher_has_gone() -> None:
-    assert chosen(wanted=A, used=MessageType(A, "1")) == (A, "1")
-    assert chosen(wanted=A, used=MessageType(B, "1")) == (A, "")
+    assert chosen(wanted=A, used=TypeVersion(A, "1")) == (A, "1")
+    assert chosen(wanted=A, used=TypeVersion(B, "1")) == (A, "")
 
 
 def test_a_type_that_the_session_names_is_sent_whoever_publishes_others() -> None:
@@ -51,14 +51,14 @@ def test_a_type_that_the_session_names_is_sent_whoever_publishes_others() -> Non
     assert chosen(*publishers, wanted=A) == (A, "1")
     assert not left_out(publishers, A, A)
     with pytest.raises(UnresolvedError, match=rf"{B} \(from /b\).*{A}"):
-        chosen(publisher(B, "2", "/b"), wanted=A, used=MessageType(A, "1"))
+        chosen(publisher(B, "2", "/b"), wanted=A, used=TypeVersion(A, "1"))
 
 
 def test_publishers_that_disagree_leave_the_type_that_is_in_use() -> None:
     publishers = (publisher(A, "1", "/a"), publisher(B, "2", "/b"))
     with pytest.raises(UnresolvedError, match=rf"{B} \(from /b\) and {A} \(from /a\)"):
         chosen(*publishers)
-    assert chosen(*publishers, used=MessageType(B, "2")) == (B, "2")
+    assert chosen(*publishers, used=TypeVersion(B, "2")) == (B, "2")
     assert f"{A} (from /a)" in left_out(publishers, "", B)
     third = publisher("zoo/msg/C", "3", "/c")
     assert f"{A} (from /a) and zoo/msg/C (from /c) are not bridged, only {B}" in left_out((*publishers, third), "", B)
@@ -69,7 +69,7 @@ def test_versions_of_one_type_are_not_mixed() -> None:
     """DDS takes them for the same type, so none is sent."""
     publishers = (publisher(A, "1", "/new"), publisher(A, "2", "/old"))
     with pytest.raises(UnresolvedError, match=r"1 \(from /new\) and 2 \(from /old\)"):
-        chosen(*publishers, used=MessageType(A, "1"))
+        chosen(*publishers, used=TypeVersion(A, "1"))
 
 
 def test_a_sentence_names_a_few_nodes_and_types() -> None:

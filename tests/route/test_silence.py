@@ -9,7 +9,7 @@ import pytest
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.topic_route import Silence
+from rsb_bridge.route.topic_route import SilenceWatch
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Level
@@ -27,7 +27,7 @@ class World:
 
     def __init__(self) -> None:
         self.said: list[EventCode] = []
-        self._silence = Silence(self._log, 0.0)
+        self._silence = SilenceWatch(self._log, 0.0)
         self._silence.configure(Topic("/scan", "transmit"), SESSION)
         self._now = 0.0
 

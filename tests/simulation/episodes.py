@@ -10,7 +10,7 @@ from tests.simulation.action_server import Plan
 from tests.support import constants
 
 from rsb_bridge.link.refused_clients import ASKED_EVERY
-from rsb_bridge.model.commands import Pause, Retry, ShutDown
+from rsb_bridge.model.commands import PauseTopics, Retry, ShutDownLinks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -167,7 +167,7 @@ async def _pause_all(world: World, *, paused: bool) -> None:
         for half in tuple(link.routes.values()):
             if run is not None and half.paused != paused:
                 world.robots[0].commanded = world.loop.time()
-                await run.command(run.bridge.do(Pause(half.key, paused=paused)))
+                await run.command(run.bridge.do(PauseTopics(half.key, paused=paused)))
 
 
 async def server_restarts(world: World, times: int) -> None:
@@ -192,7 +192,7 @@ async def shut_down_for(world: World, seconds: float, *, cuts: int) -> None:
     server, robot = world.server.run, world.robots[0]
     assert server is not None
     with world.trouble("shut down", *world.robots, fault=False):
-        await server.command(server.bridge.do(ShutDown()))
+        await server.command(server.bridge.do(ShutDownLinks()))
         for _ in range(cuts):
             await asyncio.sleep(seconds / cuts - 60.0)
             world.network.cut(robot.host.machine, world.server.machine)

@@ -12,7 +12,16 @@ from tests.simulation.sessions import some_topic
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.link.server_link import ServerLink
-from rsb_bridge.model.commands import AddTopic, EditTopic, Pause, RemoveTopic, Restart, Retry, ShutDown, Topics
+from rsb_bridge.model.commands import (
+    AddTopic,
+    EditTopic,
+    PauseTopics,
+    RemoveTopic,
+    Restart,
+    Retry,
+    ShutDownLinks,
+    Topics,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine, Iterator
@@ -99,7 +108,7 @@ class Operator:
     async def _pause(self) -> None:
         run, route = self._some_route()
         if run is not None and route is not None:
-            await self._command("pause", run, run.bridge.do(Pause(route.key, paused=not route.paused)))
+            await self._command("pause", run, run.bridge.do(PauseTopics(route.key, paused=not route.paused)))
 
     async def _pause_crossing(self) -> None:
         """Two people at both ends, at the same time."""
@@ -109,8 +118,8 @@ class Operator:
             return
         one, another = self._random.choice(((True, False), (False, True), (True, True), (False, False)))
         await asyncio.gather(
-            self._command("pause", run, run.bridge.do(Pause(route.key, paused=one))),
-            self._command("pause", other, other.bridge.do(Pause(route.key, paused=another))),
+            self._command("pause", run, run.bridge.do(PauseTopics(route.key, paused=one))),
+            self._command("pause", other, other.bridge.do(PauseTopics(route.key, paused=another))),
         )
 
     async def _remove(self) -> None:
@@ -144,7 +153,7 @@ class Operator:
             return
         robots = [self._robot] if run is self._robot.host.run else self._world.robots
         with self._world.trouble("shut down", *robots, fault=False):
-            await self._command("shut down", run, run.bridge.do(ShutDown()))
+            await self._command("shut down", run, run.bridge.do(ShutDownLinks()))
             await asyncio.sleep(duration(self._random))
             for _ in range(_LOOKS):  # one may learn of it later, over a bad network
                 for host in (self._world.server, *(robot.host for robot in robots)):

@@ -14,7 +14,7 @@ from tests.support import constants, replaced
 from tests.support.inside import pending_calls
 
 from rsb_bridge.link.link import Link
-from rsb_bridge.model.commands import ArmTopic, DisarmTopic, Pause
+from rsb_bridge.model.commands import ArmTopic, DisarmTopic, PauseTopics
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.calling import CallingRoute
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from tests.support.places import Place
 
     from rsb_bridge.route.calls.calls_route import CallsRoute
-    from rsb_bridge.route.calls.pending_calls import Call
+    from rsb_bridge.route.calls.pending_calls import PendingCall
 
 _WITHDRAWN_WITHIN = 1.0
 
@@ -58,7 +58,7 @@ async def until(condition: Callable[[], object], within: float) -> None:
             await asyncio.sleep(0.02)
 
 
-def under_way(route: CallsRoute) -> list[Call]:
+def under_way(route: CallsRoute) -> list[PendingCall]:
     """The calls of a half."""
     return [call for _, call in pending_calls(route).items()]
 
@@ -236,12 +236,12 @@ def test_a_pause_gives_up_what_is_under_way(play: Play) -> None:
         await until(lambda: server.asked, 1.0)
         assert harness.far.run is not None
         bridge, key = harness.far.run.bridge, harness.halves()[1].key
-        await harness.far.run.command(bridge.do(Pause(key, paused=True)))
+        await harness.far.run.command(bridge.do(PauseTopics(key, paused=True)))
         await until(lambda: not harness.offered, _WITHDRAWN_WITHIN)
         await asyncio.sleep(SETTLED)
         assert [calls.lost for calls in harness.counted()] == [1, 1]
         assert say(harness) == ((State.PAUSED, Cause.PAUSED), (State.PAUSED, Cause.PAUSED))
-        await harness.far.run.command(bridge.do(Pause(key, paused=False)))
+        await harness.far.run.command(bridge.do(PauseTopics(key, paused=False)))
         await harness.ready(client)
         client.ask()
         await until(lambda: len(server.asked) == 2, 1.0)

@@ -22,7 +22,7 @@ from tests.support.long import long
 from rsb_bridge.api import EngineError
 from rsb_bridge.link.link_arming import LinkArming
 from rsb_bridge.model.commands import AddTopic, EditTopic, RemoveTopic
-from rsb_bridge.model.demands import NO_DEMAND, Demand, Demands, RunningDemands, Source
+from rsb_bridge.model.demands import NO_DEMAND, Demand, Demands, DemandSource, RunningDemands
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 
@@ -180,7 +180,7 @@ def _of_the_entry(self: LinkArming, route: Route) -> Demand:
     if not route.proposed_here or not route.spec.arm:
         return NO_DEMAND
     deadman = route.spec.deadman_seconds
-    return Demand(deadman, None, (Source(("", route.local_topic), route.local_topic, deadman),))
+    return Demand(deadman, None, (DemandSource(("", route.local_topic), route.local_topic, deadman),))
 
 
 def _first(self: Demands, kind: object, name: str) -> Iterator[object]:

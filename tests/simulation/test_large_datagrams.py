@@ -24,7 +24,7 @@ from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.udp import Udp
 from rsb_bridge.wire.framing import Budget
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -74,7 +74,7 @@ class Side:
         self.machine.receive_buffer = receive_buffer
         self.process = Process(self.machine)
         self.events: list[tuple[EventCode, str]] = []
-        self.keys = DataKeys(session_keys(Suite.AESGCM, bytes(32), _LINK), role, Budget(1 << 28))
+        self.keys = DataKeys(session_keys(CipherSuite.AESGCM, bytes(32), _LINK), role, Budget(1 << 28))
         self.probe = PathProbe(self.keys)
         self.channels = UdpChannels(network.loop, self._log, lambda: None)
         self.route = Route(outgoing=role == "client")

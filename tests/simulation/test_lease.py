@@ -29,7 +29,7 @@ from rsb_bridge.model.commands import ArmTopic, DisarmTopic, KeepArmed
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.route.arming import Settling
-from rsb_bridge.route.lease import GIVEN_UP_AFTER, LASTS, Lease, Marker, Standstill
+from rsb_bridge.route.lease import GIVEN_UP_AFTER, LASTS, LeaseHalf, Marker, Standstill
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator
@@ -60,8 +60,8 @@ class Heartbeats:
     """The numbers that each side has sent, and the newest that came back, by true time: the inputs of a lease."""
 
     def __init__(self) -> None:
-        self._sent: defaultdict[Lease, dict[int, float]] = defaultdict(dict)
-        self._answered: dict[Lease, float] = {}
+        self._sent: defaultdict[LeaseHalf, dict[int, float]] = defaultdict(dict)
+        self._answered: dict[LeaseHalf, float] = {}
 
     @contextlib.contextmanager
     def tapped(self, now: Callable[[], float]) -> Iterator[None]:
@@ -80,7 +80,7 @@ class Heartbeats:
         with replaced.LEASE_SEND.during(sends), patch.object(LinkLease, "handle", handles):
             yield
 
-    def answered_at(self, lease: Lease | None) -> float:
+    def answered_at(self, lease: LeaseHalf | None) -> float:
         """Return when (s) the newest number of a side was sent that it knows the other side to have heard."""
         return self._answered.get(lease, 0.0) if lease is not None else 0.0
 
@@ -509,21 +509,21 @@ def test_one_standstill_after_the_other(protocol: Protocol, direction: str, play
 # --- each rule is needed
 
 
-def _any_number(self: Lease, number: int) -> bool:
-    """Replace `Lease.passes` by a form that ignores the age of the number."""
+def _any_number(self: LeaseHalf, number: int) -> bool:
+    """Replace `LeaseHalf.passes` by a form that ignores the age of the number."""
     return number in self._sent and self.alive
 
 
-def _any_time(self: Lease, number: int) -> bool:
-    """Replace `Lease.passes` by a form that checks the number alone, as long as the lease is held."""
+def _any_time(self: LeaseHalf, number: int) -> bool:
+    """Replace `LeaseHalf.passes` by a form that checks the number alone, as long as the lease is held."""
     sent = self._sent.get(number)
     return sent is not None and self.alive and self._steady() - sent <= GIVEN_UP_AFTER
 
 
-def _blind_to(where: Standstill) -> Callable[[Lease], None]:
-    """Replace `Lease._look` by a form that does not notice one kind of stall."""
+def _blind_to(where: Standstill) -> Callable[[LeaseHalf], None]:
+    """Replace `LeaseHalf._look` by a form that does not notice one kind of stall."""
 
-    def look(self: Lease) -> None:
+    def look(self: LeaseHalf) -> None:
         ended: list[bool] = []
         with patch.object(self, "_ended", lambda: ended.append(True)):
             _look(self)
@@ -564,12 +564,12 @@ _STANDSTILL = "nobody has armed it since"
 _NO_LOOP, _NO_THREAD, _NO_PEER = map(_blind_to, (Standstill.LOOP, Standstill.ROS_THREAD, Standstill.PEER))
 # fmt: off
 _MISTAKES = (
-    ("messages of any age pass", (Lease, "passes", _any_number), held_one_way, _OLD),
-    ("messages pass for as long as the lease may last", (Lease, "passes", _any_time), held_one_way, _OLD),
-    ("it is always alive", (Lease, "alive", _ALIVE), numbers_held, "s after the last heartbeat"),
-    ("a loop that stands still is not noticed", (Lease, "_look", _NO_LOOP), frozen_for_long, _STANDSTILL),
-    ("a ROS thread that stands still is not noticed", (Lease, "_look", _NO_THREAD), stalled_for_long, _STANDSTILL),
-    ("a silent peer is not given up", (Lease, "_look", _NO_PEER), held_for_long, _STANDSTILL),
+    ("messages of any age pass", (LeaseHalf, "passes", _any_number), held_one_way, _OLD),
+    ("messages pass for as long as the lease may last", (LeaseHalf, "passes", _any_time), held_one_way, _OLD),
+    ("it is always alive", (LeaseHalf, "alive", _ALIVE), numbers_held, "s after the last heartbeat"),
+    ("a loop that stands still is not noticed", (LeaseHalf, "_look", _NO_LOOP), frozen_for_long, _STANDSTILL),
+    ("a ROS thread that stands still is not noticed", (LeaseHalf, "_look", _NO_THREAD), stalled_for_long, _STANDSTILL),
+    ("a silent peer is not given up", (LeaseHalf, "_look", _NO_PEER), held_for_long, _STANDSTILL),
     ("messages carry the newest number", (Marker, "marked", _newest_number), stalled_on_a_slow_way, _OLD),
     ("a backlog counts as new", (Marker, "marked", _each_turn), stalled_with_a_backlog, _OLD),
     ("the command that disarms does not wait", (Settling, "wait", _at_once), disarmed_on_a_slow_way, _AFTER),

@@ -13,7 +13,7 @@ from rsb_bridge.model.commands import Command, EditTopic, R
 from rsb_bridge.model.robot_summary import RobotState, RobotSummary
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
-from rsb_console.fleet.fleet import Fleet, Memory
+from rsb_console.fleet.fleet import Memory, RobotFleet
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -78,9 +78,9 @@ class ScriptedSource:
         return cast("RemoteEngine", self.engines[robot])
 
 
-def fleet_of(*sources: ScriptedSource, path: Path | None = None, clock: SetClock | None = None) -> Fleet:
+def fleet_of(*sources: ScriptedSource, path: Path | None = None, clock: SetClock | None = None) -> RobotFleet:
     """A fleet of scripted sources."""
-    return Fleet(sources, Memory(path), cast("Any", clock or SetClock()))
+    return RobotFleet(sources, Memory(path), cast("Any", clock or SetClock()))
 
 
 def topics(name: str, *specs: Topic) -> tuple[RouteSnapshot, ...]:

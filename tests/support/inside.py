@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     import pytest
 
-    from rsb_bridge.control.attached_console import Console
+    from rsb_bridge.control.attached_console import AttachedConsole
     from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.engine import Engine
     from rsb_bridge.engine.bridge import Bridge
@@ -152,14 +152,14 @@ def clients_of(route: CallsRoute) -> Any:
 # --- attached consoles
 
 
-def attached_to(server: ControlServer) -> set[Console]:
+def attached_to(server: ControlServer) -> set[AttachedConsole]:
     return server._consoles
 
 
-def bytes_for(console: Console) -> int:
+def bytes_for(console: AttachedConsole) -> int:
     """Return how many bytes wait until a console takes them."""
     return console._buffered
 
 
-def is_sending(console: Console) -> bool:
+def is_sending(console: AttachedConsole) -> bool:
     return console._sending.locked()

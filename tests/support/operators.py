@@ -13,14 +13,14 @@ from tests.console.scripted import ScriptedEngine
 from rsb_bridge import __version__
 from rsb_bridge.config.keys import Key
 from rsb_bridge.config.rights import Granted
-from rsb_bridge.control.protocol import VERSION, Hello, Welcome, encode, frames_to_console
+from rsb_bridge.control.protocol import VERSION, ConsoleHello, ConsoleWelcome, encode, frames_to_console
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.sealed import OperatorConnector, SealedAcceptor
 from rsb_bridge.engine.access import Access
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.session import Operator
 from rsb_bridge.telemetry.event_log import EventLog
-from rsb_bridge.wire.events import Admitted, Opened
+from rsb_bridge.wire.events import Admitted, OperatorOpened
 from rsb_bridge.wire.operator_connection import OperatorConsole
 
 if TYPE_CHECKING:
@@ -162,8 +162,8 @@ class Stranger:
         """Be admitted and welcomed."""
         self.send(self.console.start())
         assert self.hear() == [Admitted()]
-        self.say(Hello(VERSION, __version__, read_only))
-        assert isinstance(self.answer(), Welcome)
+        self.say(ConsoleHello(VERSION, __version__, read_only))
+        assert isinstance(self.answer(), ConsoleWelcome)
 
     def say(self, message: ToBridge) -> None:
         """Send a message of the control protocol, sealed."""
@@ -173,6 +173,6 @@ class Stranger:
         """The next message of the control protocol; those that came together with it are kept."""
         while not self._heard:
             for event in self.hear():
-                assert isinstance(event, Opened)
+                assert isinstance(event, OperatorOpened)
                 self._heard.extend(self._frames.feed(event.content))
         return self._heard.popleft()

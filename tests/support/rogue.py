@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Self, TypeVar
 
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.datagram import DatagramWriter, Probe
-from rsb_bridge.wire.events import Accepted, Established, Received, StreamName
+from rsb_bridge.wire.events import Accepted, Established, MessageReceived, StreamName
 from rsb_bridge.wire.framing import CONTROL_LIMIT, MESSAGE_LIMIT, MORE, DataWriter
 from rsb_bridge.wire.messages import Accept, Describe, Hello, Propose, Ready, Refuse
 from rsb_bridge.wire.records import Source
-from rsb_bridge.wire.sealing import PROBE_ROUTE, Suite
+from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite
 
 if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
@@ -48,7 +48,7 @@ class Rogue:
     ) -> None:
         self._address = (host, port)
         self._timeout = timeout
-        self._connection = ClientConnection(Hello("0.1.0", name, "rogue", 0), key, Suite.AESGCM)
+        self._connection = ClientConnection(Hello("0.1.0", name, "rogue", 0), key, CipherSuite.AESGCM)
         self._control = socket.create_connection(self._address, timeout=timeout)
         self._control.sendall(self._connection.start())
         self._saying = threading.Lock()
@@ -64,7 +64,7 @@ class Rogue:
         """Return the next event or control message of these kinds, and drop all before it."""
         while True:
             for index, event in enumerate(self._events):
-                said = event.message if isinstance(event, Received) else event
+                said = event.message if isinstance(event, MessageReceived) else event
                 if isinstance(said, kinds):
                     del self._events[: index + 1]
                     return said

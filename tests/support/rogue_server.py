@@ -7,7 +7,7 @@ import socket
 from typing import TYPE_CHECKING, Self
 
 from rsb_bridge.wire.connection import ServerConnection
-from rsb_bridge.wire.events import Established, Received
+from rsb_bridge.wire.events import Established, MessageReceived
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.messages import Hello, Welcome
@@ -60,7 +60,7 @@ class RogueServer:
             return []
         events: list[object] = list(self._connection.receive_data(data))
         self._control.sendall(self._connection.data_to_send())
-        self.heard += [event.message for event in events if isinstance(event, Received)]
+        self.heard += [event.message for event in events if isinstance(event, MessageReceived)]
         return events or [None]
 
     def __enter__(self) -> Self:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.wire.sealing import SessionKeys, Suite
+from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -18,7 +18,10 @@ def propose(keys: SessionKeys, routes: Iterable[int]) -> SessionKeys:
 
 
 def session_keys(
-    suite: Suite, export: bytes | None, link_id: bytes = b"linklink", routes: Iterable[int] = (1, 2, 3, 4, 5, 6, 7)
+    suite: CipherSuite,
+    export: bytes | None,
+    link_id: bytes = b"linklink",
+    routes: Iterable[int] = (1, 2, 3, 4, 5, 6, 7),
 ) -> SessionKeys:
     """Return one side's keys of a link with these routes."""
     return propose(SessionKeys(suite, export, link_id), routes)

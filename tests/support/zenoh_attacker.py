@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from rsb_bridge.transport.zenoh.sample import Header, Kind
+from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -55,7 +55,12 @@ class Stranger:
     def _hear(self, sample: Any) -> None:
         key = str(sample.key_expr)
         header = None if sample.attachment is None else Header.unpack(sample.attachment.to_bytes())
-        if header is None or header.kind != Kind.DATA or header.tag == TAG or b"forged" in sample.payload.to_bytes():
+        if (
+            header is None
+            or header.kind != SampleKind.DATA
+            or header.tag == TAG
+            or b"forged" in sample.payload.to_bytes()
+        ):
             return
         is_new = key not in self.streams and reverse(key) not in self.streams
         self.streams[key] = header
@@ -78,7 +83,7 @@ class Stranger:
         )
         self.sent["samples"] += 1
 
-    def both(self, kind: Kind, number: Callable[[int], int], payload: bytes = b"") -> None:
+    def both(self, kind: SampleKind, number: Callable[[int], int], payload: bytes = b"") -> None:
         """Send a sample in both directions of each stream; the number is made of its newest one."""
         for key, newest in tuple(self.streams.items()):
             for each, known in ((key, newest.number), (reverse(key), self.streams.get(reverse(key), newest).number)):
@@ -102,27 +107,27 @@ def reverse(key: str) -> str:
 
 
 def ends(stranger: Stranger) -> None:
-    stranger.both(Kind.END, lambda newest: newest + 1)
+    stranger.both(SampleKind.END, lambda newest: newest + 1)
 
 
 def first_ends(stranger: Stranger) -> None:
-    stranger.both(Kind.END, lambda _: 0, b"there is no such stream any more")
+    stranger.both(SampleKind.END, lambda _: 0, b"there is no such stream any more")
 
 
 def firsts(stranger: Stranger) -> None:
-    stranger.both(Kind.DATA, lambda _: 0, b"forged")
+    stranger.both(SampleKind.DATA, lambda _: 0, b"forged")
 
 
 def following(stranger: Stranger) -> None:
-    stranger.both(Kind.DATA, lambda newest: newest + 1, b"forged")
+    stranger.both(SampleKind.DATA, lambda newest: newest + 1, b"forged")
 
 
 def ahead(stranger: Stranger) -> None:
-    stranger.both(Kind.DATA, lambda newest: newest + 1000, b"forged")
+    stranger.both(SampleKind.DATA, lambda newest: newest + 1000, b"forged")
 
 
 def windows(stranger: Stranger) -> None:
-    stranger.both(Kind.WINDOW, lambda _: 2**62)
+    stranger.both(SampleKind.WINDOW, lambda _: 2**62)
 
 
 def deletes(stranger: Stranger) -> None:
@@ -150,11 +155,11 @@ def answers(stranger: Stranger) -> None:
     def answer(key: str) -> None:
         back = reverse(key)
         for payload in (b"forged", refusal):
-            stranger.put(back, Header(Kind.DATA, 0, 0), payload)
-        stranger.put(back, Header(Kind.DATA, 0, 7), b"forged")
-        stranger.put(back, Header(Kind.END, 0, 0), b"there is no such stream any more")
-        stranger.put(key, Header(Kind.END, 0, 1), b"")
-        stranger.put(key, Header(Kind.DATA, 0, 1), b"forged")
+            stranger.put(back, Header(SampleKind.DATA, 0, 0), payload)
+        stranger.put(back, Header(SampleKind.DATA, 0, 7), b"forged")
+        stranger.put(back, Header(SampleKind.END, 0, 0), b"there is no such stream any more")
+        stranger.put(key, Header(SampleKind.END, 0, 1), b"")
+        stranger.put(key, Header(SampleKind.DATA, 0, 1), b"forged")
 
     stranger.on_first = answer
 

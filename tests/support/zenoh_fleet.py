@@ -15,7 +15,7 @@ from tests.support.zenoh_router import Router, stranger
 from rsb_bridge.config.fleet_file import FleetFile
 from rsb_bridge.config.keys import copy_key
 from rsb_bridge.control.remote_engine import RemoteEngine
-from rsb_bridge.control.zenoh_fleet import Announcement, FleetConnector
+from rsb_bridge.control.zenoh_fleet import EngineAnnouncement, FleetConnector
 from rsb_bridge.engine.access import Access
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.session import ZenohSettings
@@ -78,7 +78,7 @@ class Fleet:
         access = Access(name, EventLog(Clock()), Clock())
         access.grant(granted("anna", ANNA) | granted("bob", BOB, "look"))
         network = Network(self.settings, folder)
-        Announcement(server, access, network)
+        EngineAnnouncement(server, access, network)
         self._resources.callback(machine.close)
         self._resources.callback(network.close)
         self.engines[name], self.servers[name], self.accesses[name] = engine, server, access

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 from rsb_bridge.transport.zenoh.outbox import OWN_COST
 from rsb_bridge.transport.zenoh.pipe import Pipe
-from rsb_bridge.transport.zenoh.sample import Header, Kind
+from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 from rsb_bridge.wire.sealing import SampleTags
 
 if TYPE_CHECKING:
-    from rsb_bridge.transport.zenoh.endpoint import Endpoint
+    from rsb_bridge.transport.zenoh.endpoint import ZenohEndpoint
 
 STREAM = "5" * 16
 SECRET = bytes(range(32))
@@ -56,7 +56,7 @@ class FakeEndpoint:
 
     def put(self, key: str, payload: bytes, header: Header) -> None:
         self.on_its_way.append(Sent(header, bytes(payload)))
-        if header.kind == Kind.DATA:
+        if header.kind == SampleKind.DATA:
             self.in_flight += len(payload) + OWN_COST
 
     def arrived(self, rank: int, size: int) -> None:
@@ -123,7 +123,7 @@ class Side:
     def __init__(self, address: str, peer: str, *, stranger: bool = False) -> None:
         self.network = FakeEndpoint(address)
         self.told = Recorder()
-        self.pipe = Pipe(cast("Endpoint", self.network), peer, STREAM, 1, self.told, stranger=stranger)
+        self.pipe = Pipe(cast("ZenohEndpoint", self.network), peer, STREAM, 1, self.told, stranger=stranger)
         self._tags: SampleTags | None = None
 
     def authenticate(self, *, opener: bool) -> None:
@@ -140,7 +140,7 @@ class Side:
         """Have a stranger's sample come."""
         self.pipe.arrived(Header(kind, 1, number, tag), payload)
 
-    def sent(self, kind: Kind) -> list[Sent]:
+    def sent(self, kind: SampleKind) -> list[Sent]:
         """Return the samples in flight of a kind, without tags."""
         return [
             Sent(each.header._replace(tag=b""), each.payload)

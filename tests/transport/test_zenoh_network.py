@@ -25,7 +25,7 @@ from rsb_bridge.transport.zenoh import endpoint as endpoints
 from rsb_bridge.transport.zenoh.endpoint import ROOT, Seen
 from rsb_bridge.transport.zenoh.network import Network, NetworkProblem, Unreachable
 from rsb_bridge.transport.zenoh.pipe import SAMPLE
-from rsb_bridge.transport.zenoh.sample import Header, Kind
+from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 
 zenoh = pytest.importorskip("zenoh")
@@ -34,7 +34,7 @@ from tests.support.zenoh_router import Announced, Router, stranger  # noqa: E402
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Iterator, Sized
 
-    from rsb_bridge.transport.zenoh.endpoint import Endpoint
+    from rsb_bridge.transport.zenoh.endpoint import ZenohEndpoint
 
 NOBODY = "0123456789abcdef"
 PATIENT = {"link": {"tx": {"queue": {"congestion_control": {"drop": {"wait_before_drop": 10_000_000}}}}}}
@@ -61,7 +61,7 @@ async def until(condition: Callable[[], object], what: str = "") -> None:
 
 
 @contextlib.asynccontextmanager
-async def in_network(router: Router, service: str = "server", *watched: str) -> AsyncIterator[Endpoint]:
+async def in_network(router: Router, service: str = "server", *watched: str) -> AsyncIterator[ZenohEndpoint]:
     """An endpoint of a network of its own."""
     network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
     made = await network.endpoint(service, "a label", watched)
@@ -74,27 +74,27 @@ async def in_network(router: Router, service: str = "server", *watched: str) -> 
         network.close()
 
 
-def waiting_bytes(endpoint: Endpoint) -> int:
+def waiting_bytes(endpoint: ZenohEndpoint) -> int:
     """Return the bytes that wait for the endpoint's loop."""
     return endpoint._waiting_bytes
 
 
-def budget_of(endpoint: Endpoint) -> Strangers:
+def budget_of(endpoint: ZenohEndpoint) -> Strangers:
     """Return the endpoint's budget for strangers."""
     return endpoint._strangers
 
 
-def of_strangers(endpoint: Endpoint) -> Sized:
+def of_strangers(endpoint: ZenohEndpoint) -> Sized:
     """Return the samples of strangers that wait for the endpoint's loop."""
     return endpoint._of_strangers
 
 
-def soon(endpoint: Endpoint, work: Callable[[], object]) -> None:
+def soon(endpoint: ZenohEndpoint, work: Callable[[], object]) -> None:
     """Have the endpoint's loop do something, as Zenoh's threads do."""
     endpoint._soon(work)  # type: ignore[arg-type]
 
 
-async def known_stranger(router: Router, server: Endpoint) -> Any:
+async def known_stranger(router: Router, server: ZenohEndpoint) -> Any:
     """Return a stranger whose router knows the endpoint; before that it drops samples."""
     other = stranger(router)
     publisher = other.declare_publisher(f"{ROOT}/fleet/at/{server.address}/{NOBODY}/{NOBODY}")
@@ -171,8 +171,8 @@ def test_keys_that_no_endpoint_makes_are_passed_over(router: Router, sender: str
             server.on_stream = lambda who, which, _: _kept(asked, who)
             other = await known_stranger(router, server)
             at = f"{ROOT}/fleet/at/{server.address}"
-            other.put(f"{at}/{sender}/{stream}", b"x", attachment=Header(Kind.DATA, 0, 0).pack())
-            other.put(f"{at}/{NOBODY}/{NOBODY}", b"x", attachment=Header(Kind.DATA, 0, 0).pack())
+            other.put(f"{at}/{sender}/{stream}", b"x", attachment=Header(SampleKind.DATA, 0, 0).pack())
+            other.put(f"{at}/{NOBODY}/{NOBODY}", b"x", attachment=Header(SampleKind.DATA, 0, 0).pack())
             await until(lambda: asked)
             assert asked == [NOBODY]
             other.close()
@@ -191,7 +191,7 @@ def test_attachments_that_are_none_of_ours_are_passed_over(router: Router, attac
             other = await known_stranger(router, server)
             at = f"{ROOT}/fleet/at/{server.address}/{NOBODY}"
             other.put(f"{at}/{'1' * 16}", b"x", attachment=attachment)
-            other.put(f"{at}/{'2' * 16}", b"x", attachment=Header(Kind.DATA, 0, 0).pack())
+            other.put(f"{at}/{'2' * 16}", b"x", attachment=Header(SampleKind.DATA, 0, 0).pack())
             await until(lambda: asked)
             assert asked == ["2" * 16]
             other.close()
@@ -211,12 +211,12 @@ def test_samples_of_a_stream_that_is_over_are_answered_and_begin_nothing(router:
             other.declare_subscriber(f"{ROOT}/fleet/at/{NOBODY}/*/*", ends.append)
             key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/{NOBODY}"
             for number in (7, 8):
-                other.put(key, b"x", attachment=Header(Kind.DATA, 0, number).pack())
-            for kind in (Kind.WINDOW, Kind.END):
+                other.put(key, b"x", attachment=Header(SampleKind.DATA, 0, number).pack())
+            for kind in (SampleKind.WINDOW, SampleKind.END):
                 other.put(key, b"x", attachment=Header(kind, 0, 0).pack())
             await until(lambda: len(ends) == 2)
             headers = [Header.unpack(each.attachment.to_bytes()) for each in ends]
-            assert [header and header.kind for header in headers] == [Kind.END] * 2
+            assert [header and header.kind for header in headers] == [SampleKind.END] * 2
             assert asked == []
             other.close()
 
@@ -228,7 +228,7 @@ def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: pytest.
     counted: list[int] = []
     within = replaced.ZENOH_WITHIN_BUDGET.value
 
-    def count(self: Endpoint, length: int, work: Callable[[], None]) -> None:
+    def count(self: ZenohEndpoint, length: int, work: Callable[[], None]) -> None:
         within(self, length, work)
         if length == 1000:
             counted.append(length)
@@ -260,9 +260,9 @@ def test_a_long_sample_of_a_stranger_is_neither_copied_nor_queued(router: Router
             server.on_stream = lambda who, which, _: _kept(asked, which)
             other = await known_stranger(router, server)
             at = f"{ROOT}/fleet/at/{server.address}/{NOBODY}"
-            header = Header(Kind.DATA, 0, number).pack()
+            header = Header(SampleKind.DATA, 0, number).pack()
             other.put(f"{at}/{'1' * 16}", bytes(STRANGER_LIMIT + 1), attachment=header)
-            other.put(f"{at}/{'2' * 16}", bytes(STRANGER_LIMIT), attachment=Header(Kind.DATA, 0, 0).pack())
+            other.put(f"{at}/{'2' * 16}", bytes(STRANGER_LIMIT), attachment=Header(SampleKind.DATA, 0, 0).pack())
             await until(lambda: asked)
             assert asked == ["2" * 16]
             assert budget_of(server).turned_away == 1
@@ -279,7 +279,7 @@ def test_a_long_sample_on_a_stream_that_is_not_proven_is_dropped(router: Router)
             server.add(NOBODY, "2" * 16, proven)
             other = stranger(router)
             at = f"{ROOT}/fleet/at/{server.address}/{NOBODY}"
-            header = Header(Kind.DATA, 0, 0).pack()
+            header = Header(SampleKind.DATA, 0, 0).pack()
 
             def comes() -> bool:
                 for stream in ("1" * 16, "2" * 16):  # again and again: the router may not know yet who subscribes
@@ -309,7 +309,7 @@ def test_only_samples_of_routes_are_taken_on_zenohs_thread(router: Router) -> No
             for stream, end in ends.items():
                 server.add(NOBODY, stream, end)
             other = stranger(router)
-            header = Header(Kind.DATA, 0, 0).pack()
+            header = Header(SampleKind.DATA, 0, 0).pack()
 
             def comes() -> bool:
                 for stream in ends:  # again and again: the router may not know yet who subscribes
@@ -334,7 +334,7 @@ def test_what_strangers_send_takes_no_room_from_peers(router: Router) -> None:
             peer = End()
             server.add(NOBODY, NOBODY, peer)
             other = stranger(router)
-            at, header = f"{ROOT}/fleet/at/{server.address}", Header(Kind.DATA, 0, 0).pack()
+            at, header = f"{ROOT}/fleet/at/{server.address}", Header(SampleKind.DATA, 0, 0).pack()
             settings = {"attachment": header, "congestion_control": zenoh.CongestionControl.BLOCK}
             for number in range(500):
                 other.put(f"{at}/{number:016x}/{NOBODY}", bytes(1000), **settings)
@@ -362,7 +362,7 @@ def test_few_first_samples_of_strangers_wait(router: Router) -> None:
 
             server.add(NOBODY, NOBODY, Peer())
             other = stranger(router)
-            at, header = f"{ROOT}/fleet/at/{server.address}", Header(Kind.DATA, 0, 0).pack()
+            at, header = f"{ROOT}/fleet/at/{server.address}", Header(SampleKind.DATA, 0, 0).pack()
             settings = {"attachment": header, "congestion_control": zenoh.CongestionControl.BLOCK}
             for number in range(1000):
                 other.put(f"{at}/{number:016x}/{NOBODY}", b"x", **settings)
@@ -383,7 +383,7 @@ def test_what_comes_while_a_stream_is_proven_stays_in_order(router: Router) -> N
             key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/{NOBODY}"
 
             def put(number: int) -> None:
-                other.put(key, b"x", attachment=Header(Kind.DATA, 0, number).pack())
+                other.put(key, b"x", attachment=Header(SampleKind.DATA, 0, number).pack())
 
             class Proving(End):
                 def arrived(self, header: Header, payload: bytes) -> None:
@@ -510,14 +510,14 @@ def test_many_announcements_hide_no_new_one(router: Router, monkeypatch: pytest.
 def test_who_leaves_while_an_endpoint_is_made_is_forgotten(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else a fleet would have two servers for good, and nobody would link."""
     constants.ZENOH_CONFIRMED.set(monkeypatch, 1.0)
-    ghost, ask = Seen("server", NOBODY, "gone"), endpoints.Endpoint.ask
+    ghost, ask = Seen("server", NOBODY, "gone"), endpoints.ZenohEndpoint.ask
 
-    async def ask_too_early(self: Endpoint, service: str) -> list[Seen]:
+    async def ask_too_early(self: ZenohEndpoint, service: str) -> list[Seen]:
         return [*await ask(self, service), ghost]
 
     async def test() -> None:
         async with in_network(router) as server:
-            monkeypatch.setattr(endpoints.Endpoint, "ask", ask_too_early)
+            monkeypatch.setattr(endpoints.ZenohEndpoint, "ask", ask_too_early)
             network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
             client = await network.endpoint("client", "", ["server"])
             assert ghost.address in client.seen
@@ -594,7 +594,7 @@ def test_nothing_is_left_of_a_network_that_was_opened_and_closed(router: Router)
 
     async def once() -> None:
         async with in_network(router, "server", "client") as server:
-            server.outbox.put(server.key(NOBODY, NOBODY), bytes(900_000), Header(Kind.DATA, 2, 0))
+            server.outbox.put(server.key(NOBODY, NOBODY), bytes(900_000), Header(SampleKind.DATA, 2, 0))
 
     def threads() -> int:
         return len([*Path("/proc/self/task").iterdir()])
@@ -694,8 +694,8 @@ def test_a_router_that_takes_nothing_holds_up_no_loop() -> None:
                 server.add(client.address, NOBODY, end)
                 router.pause()
                 for number in range(120):
-                    client.outbox.put(server_key, bytes([number]) * 100_000, Header(Kind.DATA, 2, number))
-                client.outbox.put(client.key(server.address, "1" * 16), b"link", Header(Kind.DATA, 0, 0))
+                    client.outbox.put(server_key, bytes([number]) * 100_000, Header(SampleKind.DATA, 2, number))
+                client.outbox.put(client.key(server.address, "1" * 16), b"link", Header(SampleKind.DATA, 0, 0))
                 assert client.outbox.waiting(server_key, 2) > 2_000_000
                 router.go_on()
                 await until(lambda: sum(len(payload) == 100_000 for _, payload in end.came) == 120)

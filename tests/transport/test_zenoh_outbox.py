@@ -9,8 +9,8 @@ import pytest
 from tests.support.virtual_time import VirtualLoop, virtual_loop
 from tests.support.waiting import eventually
 
-from rsb_bridge.transport.zenoh.outbox import AT_ONCE, IN_FLIGHT, LINK_RANK, OWN_COST, Outbox
-from rsb_bridge.transport.zenoh.sample import Header, Kind
+from rsb_bridge.transport.zenoh.outbox import AT_ONCE, IN_FLIGHT, LINK_RANK, OWN_COST, SampleOutbox
+from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 
 zenoh = pytest.importorskip("zenoh")
 
@@ -53,10 +53,10 @@ class Case:
     def __init__(self, loop: VirtualLoop) -> None:
         self.loop = loop
         self.session = FakeSession()
-        self.outbox = Outbox(cast("Any", self.session), loop)
+        self.outbox = SampleOutbox(cast("Any", self.session), loop)
 
     def put(self, payload: bytes, rank: int = 2, key: str = "k") -> None:
-        self.outbox.put(key, payload, Header(Kind.DATA, rank, 0))
+        self.outbox.put(key, payload, Header(SampleKind.DATA, rank, 0))
 
 
 def lane(case: Case) -> Any:
@@ -116,7 +116,7 @@ def test_what_nobody_reports_is_not_sent_at_once(case: Case) -> None:
     for _ in range(100):
         case.put(bytes(10_000))
     for _ in range(1000):
-        case.outbox.put("k", bytes(1000), Header(Kind.WINDOW, 2, 0))
+        case.outbox.put("k", bytes(1000), Header(SampleKind.WINDOW, 2, 0))
     eventually(lambda: len(case.session.put_by) == 1100)
     at_once = sum(len(payload) for payload, _, thread in case.session.put_by if thread == HERE())
     assert IN_FLIGHT < at_once <= 16 * 32 * 1024

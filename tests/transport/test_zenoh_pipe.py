@@ -14,7 +14,7 @@ from tests.support.zenoh_pipes import Pair, Sent, Side
 
 from rsb_bridge.transport.zenoh.outbox import OWN_COST
 from rsb_bridge.transport.zenoh.pipe import SAMPLE, WINDOW, Pipe, PipeProblem
-from rsb_bridge.transport.zenoh.sample import Header, Kind
+from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def test_a_write_is_split_where_it_is_longer_than_a_sample(size: int) -> None:
         pair = Pair()
         data = random.Random(size).randbytes(size)
         pair.near.pipe.write(memoryview(data))
-        pieces = [each.payload for each in pair.near.sent(Kind.DATA)]
+        pieces = [each.payload for each in pair.near.sent(SampleKind.DATA)]
         assert max(map(len, pieces)) <= SAMPLE
         assert len(pieces) == -(-size // SAMPLE)
         assert b"".join(pieces) == data
@@ -81,7 +81,7 @@ def test_what_is_under_way_is_bounded_and_congestion_is_told_once() -> None:
         pair.near.pipe.set_write_buffer_limits(high=SAMPLE)
         for _ in range(20):
             pair.near.pipe.write(bytes(SAMPLE // 2))
-        under_way = sum(len(each.payload) for each in pair.near.sent(Kind.DATA))
+        under_way = sum(len(each.payload) for each in pair.near.sent(SampleKind.DATA))
         assert WINDOW <= under_way <= UNDER_WAY
         assert pair.near.told.calls == ["made", "pause"]
         await pair.settle()
@@ -161,7 +161,7 @@ def test_a_paused_receiver_holds_no_more_than_the_bytes_that_came() -> None:
         pair = Pair()
         pair.far.pipe.pause_reading()
         for number in range(100_000):
-            pair.far.arrive(Kind.DATA, number)
+            pair.far.arrive(SampleKind.DATA, number)
         assert held(pair.far.pipe) == 0
         assert not pair.far.pipe.is_closing()
 
@@ -188,10 +188,10 @@ def test_a_sample_that_comes_again_changes_nothing() -> None:
     async def test() -> None:
         pair = Pair()
         for number in range(3):
-            pair.far.arrive(Kind.DATA, number, bytes([number]))
+            pair.far.arrive(SampleKind.DATA, number, bytes([number]))
         for number in (0, 2, 1):
-            pair.far.arrive(Kind.DATA, number, b"again")
-        pair.far.arrive(Kind.DATA, 3, b"\3")
+            pair.far.arrive(SampleKind.DATA, number, b"again")
+        pair.far.arrive(SampleKind.DATA, 3, b"\3")
         assert pair.far.told.data == b"\0\1\2\3"
         assert not pair.far.pipe.is_closing()
 
@@ -203,7 +203,7 @@ def test_a_peer_that_ignores_the_window_is_cut_off() -> None:
         pair = Pair()
         pair.far.pipe.pause_reading()
         for number in range(2 * UNDER_WAY // SAMPLE):
-            pair.far.arrive(Kind.DATA, number, bytes(SAMPLE))
+            pair.far.arrive(SampleKind.DATA, number, bytes(SAMPLE))
             assert held(pair.far.pipe) <= UNDER_WAY
         await pair.settle()
         assert pair.far.told.calls[-1] == "lost"
@@ -222,8 +222,8 @@ def test_a_window_cannot_be_opened_for_what_zenoh_has_not_been_given() -> None:
         network = pair.near.network
         for _ in range(10):
             pair.near.pipe.write(bytes(WINDOW))
-            network.backlog = sum(len(each.payload) for each in pair.near.sent(Kind.DATA))
-            pair.near.arrive(Kind.WINDOW, 2**63)
+            network.backlog = sum(len(each.payload) for each in pair.near.sent(SampleKind.DATA))
+            pair.near.arrive(SampleKind.WINDOW, 2**63)
         assert network.backlog <= UNDER_WAY
 
     run(test())
@@ -233,8 +233,8 @@ def test_an_older_window_closes_nothing() -> None:
     async def test() -> None:
         pair = Pair()
         pair.near.pipe.write(bytes(WINDOW + 2 * SAMPLE))
-        pair.near.arrive(Kind.WINDOW, 2 * SAMPLE)
-        pair.near.arrive(Kind.WINDOW, SAMPLE)
+        pair.near.arrive(SampleKind.WINDOW, 2 * SAMPLE)
+        pair.near.arrive(SampleKind.WINDOW, SAMPLE)
         assert pair.near.pipe.get_write_buffer_size() == 0
 
     run(test())
@@ -248,12 +248,12 @@ def test_what_is_in_flight_is_what_the_other_side_has_not_reported() -> None:
         for _ in range(4):
             client.pipe.write(bytes(1000))
         assert client.network.in_flight == 4 * (1000 + OWN_COST)
-        client.arrive(Kind.WINDOW, 1000)
+        client.arrive(SampleKind.WINDOW, 1000)
         assert client.network.in_flight == 3 * (1000 + OWN_COST)
-        client.arrive(Kind.WINDOW, 1000)
-        client.arrive(Kind.WINDOW, 500)
+        client.arrive(SampleKind.WINDOW, 1000)
+        client.arrive(SampleKind.WINDOW, 500)
         assert client.network.in_flight == 3 * (1000 + OWN_COST)
-        client.arrive(Kind.WINDOW, 4000)
+        client.arrive(SampleKind.WINDOW, 4000)
         assert client.network.in_flight == 0
         client.pipe.write(bytes(1000))
         client.pipe.abort()
@@ -274,7 +274,7 @@ def test_a_window_that_is_lost_is_asked_for() -> None:
         for each in pair.near.network.on_its_way:
             pair.far.pipe.arrived(*each)
         pair.near.network.on_its_way.clear()
-        lost = pair.far.sent(Kind.WINDOW)
+        lost = pair.far.sent(SampleKind.WINDOW)
         pair.far.network.on_its_way.clear()
         assert len(lost) > 1
         await pair.settle()
@@ -292,16 +292,16 @@ def test_many_questions_have_one_answer_and_none_after_the_end() -> None:
     async def test() -> None:
         pair = Pair()
         for number in range(100):
-            pair.far.arrive(Kind.DATA, number, b"")
+            pair.far.arrive(SampleKind.DATA, number, b"")
         await asyncio.sleep(0)
-        assert len(pair.far.sent(Kind.WINDOW)) == 1
-        pair.far.arrive(Kind.DATA, 100, b"")
+        assert len(pair.far.sent(SampleKind.WINDOW)) == 1
+        pair.far.arrive(SampleKind.DATA, 100, b"")
         await asyncio.sleep(0)
-        assert len(pair.far.sent(Kind.WINDOW)) == 2
-        pair.far.arrive(Kind.DATA, 101, b"")
+        assert len(pair.far.sent(SampleKind.WINDOW)) == 2
+        pair.far.arrive(SampleKind.DATA, 101, b"")
         pair.far.pipe.abort()
         await asyncio.sleep(0)
-        assert len(pair.far.sent(Kind.WINDOW)) == 2
+        assert len(pair.far.sent(SampleKind.WINDOW)) == 2
 
     run(test())
 
@@ -342,7 +342,7 @@ def test_what_waits_for_a_reader_is_asked_about_now_and_then_only() -> None:
         for _ in range(60):
             await pair.settle()
             await asyncio.sleep(1.0)
-            asked += pair.near.sent(Kind.DATA).count(Sent(Header(Kind.DATA, 1, 4 + asked), b""))
+            asked += pair.near.sent(SampleKind.DATA).count(Sent(Header(SampleKind.DATA, 1, 4 + asked), b""))
         assert 20 <= asked <= 30
         pair.near.pipe.abort()
         await pair.settle()
@@ -381,7 +381,7 @@ def test_aborting_waits_for_nothing() -> None:
         await asyncio.sleep(0)
         assert pair.near.told.calls.count("lost") == 1
         assert pair.near.pipe.get_write_buffer_size() == 0
-        assert len(pair.near.sent(Kind.END)) == 1
+        assert len(pair.near.sent(SampleKind.END)) == 1
 
     run(test())
 
@@ -438,7 +438,7 @@ def test_nothing_is_delivered_once_this_side_closes() -> None:
         pair = Pair()
         pair.near.pipe.write(bytes(WINDOW + SAMPLE))
         pair.near.pipe.close()
-        pair.near.arrive(Kind.DATA, 0, b"late")
+        pair.near.arrive(SampleKind.DATA, 0, b"late")
         assert pair.near.told.data == b""
         assert pair.near.told.calls == ["made", "pause"]
 
@@ -448,7 +448,7 @@ def test_nothing_is_delivered_once_this_side_closes() -> None:
 def test_a_reason_from_afar_is_short_and_harmless() -> None:
     async def test() -> None:
         pair = Pair()
-        pair.far.arrive(Kind.END, 0, b"\x1b[2J\xff" + b"x" * 100_000)
+        pair.far.arrive(SampleKind.END, 0, b"\x1b[2J\xff" + b"x" * 100_000)
         await pair.settle()
         words = str(pair.far.told.error)
         assert words.isprintable()
@@ -487,7 +487,7 @@ def test_a_stranger_has_4_kib_until_it_is_answered(pieces: list[int], paused: bo
         if paused:
             side.pipe.pause_reading()
         for number, size in enumerate(pieces):
-            side.arrive(Kind.DATA, number, bytes(size))
+            side.arrive(SampleKind.DATA, number, bytes(size))
         await asyncio.sleep(0)
         assert isinstance(side.told.error, OSError)
         assert sum(map(len, side.told.pieces)) + held(side.pipe) <= STRANGER_LIMIT
@@ -499,14 +499,14 @@ def test_a_stranger_that_is_answered_may_send_more_behind_its_proof() -> None:
     async def test() -> None:
         side = Side("a" * 16, "b" * 16, stranger=True)
         assert side.pipe.longest == STRANGER_LIMIT
-        side.arrive(Kind.DATA, 0, bytes(100))
+        side.arrive(SampleKind.DATA, 0, bytes(100))
         side.pipe.write(b"answer")
         assert side.pipe.longest >= SAMPLE
         assert not side.pipe.trusted
-        side.arrive(Kind.DATA, 1, bytes(SAMPLE))
+        side.arrive(SampleKind.DATA, 1, bytes(SAMPLE))
         side.pipe.trust()
         assert side.pipe.trusted
-        side.arrive(Kind.DATA, 2, bytes(SAMPLE))
+        side.arrive(SampleKind.DATA, 2, bytes(SAMPLE))
         assert len(side.told.data) == 100 + 2 * SAMPLE
 
     run(test())
@@ -515,7 +515,7 @@ def test_a_stranger_that_is_answered_may_send_more_behind_its_proof() -> None:
 def test_nothing_leads_from_a_pipe_that_is_over_to_its_protocol() -> None:
     async def test() -> None:
         side = Side("a" * 16, "b" * 16, stranger=True)
-        side.arrive(Kind.DATA, 0, bytes(100))
+        side.arrive(SampleKind.DATA, 0, bytes(100))
         gone = [weakref.ref(each) for each in (side.pipe, side.told)]
         side.pipe.abort()
         del side
@@ -533,19 +533,21 @@ def test_nothing_leads_from_a_pipe_that_is_over_to_its_protocol() -> None:
 # --- strangers
 
 FORGED = [
-    (Kind.END, 0, b""),
-    (Kind.END, 2**60, b"gone"),
-    (Kind.DATA, 0, b"another first"),
-    (Kind.DATA, 1, b"the next"),
-    (Kind.DATA, 1, b""),
-    (Kind.DATA, 2**63, b"far ahead"),
-    (Kind.WINDOW, 2**63, b""),
+    (SampleKind.END, 0, b""),
+    (SampleKind.END, 2**60, b"gone"),
+    (SampleKind.DATA, 0, b"another first"),
+    (SampleKind.DATA, 1, b"the next"),
+    (SampleKind.DATA, 1, b""),
+    (SampleKind.DATA, 2**63, b"far ahead"),
+    (SampleKind.WINDOW, 2**63, b""),
 ]
 
 
 @pytest.mark.parametrize("tag", [b"", bytes(16)], ids=["untagged", "tagged"])
 @pytest.mark.parametrize("forged", FORGED, ids=str)
-def test_a_forged_sample_changes_nothing_while_the_stream_lives(forged: tuple[Kind, int, bytes], tag: bytes) -> None:
+def test_a_forged_sample_changes_nothing_while_the_stream_lives(
+    forged: tuple[SampleKind, int, bytes], tag: bytes
+) -> None:
     async def test() -> None:
         pair = Pair()
         pair.near.pipe.write(b"0")
@@ -582,7 +584,7 @@ def test_an_end_that_is_not_proven_is_believed_once_nothing_comes() -> None:
         pair = Pair()
         pair.near.pipe.write(b"0")
         await pair.settle()
-        pair.near.forge(Kind.END, 0, b"there is no such stream any more")
+        pair.near.forge(SampleKind.END, 0, b"there is no such stream any more")
         await asyncio.sleep(2.5)
         assert pair.near.told.calls == ["made"]
         await asyncio.sleep(1.0)
@@ -597,8 +599,8 @@ def test_a_stream_at_rest_outlives_forged_ends_because_the_other_side_answers() 
         pair.near.pipe.write(b"0")
         await pair.settle()
         for _ in range(1000):
-            pair.near.forge(Kind.END, 0)
-            asked += len(pair.near.sent(Kind.DATA))
+            pair.near.forge(SampleKind.END, 0)
+            asked += len(pair.near.sent(SampleKind.DATA))
             await pair.settle()
             await asyncio.sleep(0.01)
         assert pair.near.told.calls == ["made"]
@@ -636,7 +638,7 @@ def test_a_doubt_is_known_at_once(how: str) -> None:
         await pair.settle()
         assert not doubts
         if how == "end":
-            pair.near.forge(Kind.END, 0)
+            pair.near.forge(SampleKind.END, 0)
         else:
             pair.near.pipe.doubt("it has left")
         assert doubts == [how]
@@ -663,16 +665,16 @@ def test_what_was_under_way_does_not_hide_that_a_peer_has_died() -> None:
     run(test())
 
 
-@pytest.mark.parametrize("kind", [Kind.END, Kind.WINDOW])
-def test_a_client_takes_further_answers_until_one_is_adopted(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", [SampleKind.END, SampleKind.WINDOW])
+def test_a_client_takes_further_answers_until_one_is_adopted(kind: SampleKind) -> None:
     async def test() -> None:
         pair = Pair(authenticated=False)
         near = pair.near
         near.pipe.begin_trial()
         near.pipe.write(b"first")
         near.forge(kind, 2**60)
-        near.forge(Kind.DATA, 0, b"forged")
-        near.forge(Kind.DATA, 7, b"forged too")
+        near.forge(SampleKind.DATA, 0, b"forged")
+        near.forge(SampleKind.DATA, 7, b"forged too")
         near.told.pieces.clear()
 
         def take(data: bytes) -> None:
@@ -680,12 +682,12 @@ def test_a_client_takes_further_answers_until_one_is_adopted(kind: Kind) -> None
 
         deliver = near.told.data_received
         near.told.data_received = take  # type: ignore[method-assign]
-        near.arrive(Kind.DATA, 0, b"answer")
+        near.arrive(SampleKind.DATA, 0, b"answer")
         near.told.data_received = deliver  # type: ignore[method-assign]
         near.authenticate(opener=True)
         pair.far.authenticate(opener=False)
-        near.arrive(Kind.DATA, 0, b"again")
-        near.arrive(Kind.DATA, 1, b"second")
+        near.arrive(SampleKind.DATA, 0, b"again")
+        near.arrive(SampleKind.DATA, 1, b"second")
         assert near.told.data == b"second"
         assert near.told.calls == ["made"]
 
@@ -697,7 +699,7 @@ def test_answers_of_strangers_are_bounded() -> None:
         pair = Pair(authenticated=False)
         pair.near.pipe.begin_trial()
         for _ in range(10_000):
-            pair.near.forge(Kind.DATA, 0, b"forged")
+            pair.near.forge(SampleKind.DATA, 0, b"forged")
         assert len(pair.near.told.pieces) <= 64
 
     run(test())
@@ -711,7 +713,7 @@ def test_without_tags_an_end_is_believed_once_nothing_comes() -> None:
         pair.near.pipe.write(b"0")
         await pair.settle()
         for _ in range(10):
-            pair.far.forge(Kind.END, 1)
+            pair.far.forge(SampleKind.END, 1)
             pair.near.pipe.write(b"1")
             await pair.settle()
             await asyncio.sleep(1.0)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from rsb_bridge.transport.zenoh.endpoint import Endpoint
+    from rsb_bridge.transport.zenoh.endpoint import ZenohEndpoint
 
     Start = Callable[..., Router]
 
@@ -167,7 +167,7 @@ def test_access_control_keeps_others_out_of_the_fleet(tmp_path: Path, start: Sta
     router = start(*authority.sign("hub"), asks_of=authority.file, access_control=access_control("pc", "robot1"))
     networks: list[Network] = []
 
-    async def join(name: str, service: str) -> Endpoint:
+    async def join(name: str, service: str) -> ZenohEndpoint:
         certificate, key = authority.sign(name)
         own = {"enable_mtls": True, "connect_certificate": certificate, "connect_private_key": key}
         tls = {"root_ca_certificate": authority.file, **own}

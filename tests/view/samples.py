@@ -8,7 +8,7 @@ from rclpy.serialization import serialize_message
 
 from rsb_bridge.cdr.description import hash_of_text
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
-from rsb_bridge.view.worker import Artist, Sample, Task
+from rsb_bridge.view.worker import Artist, TakenSample, Task
 
 if TYPE_CHECKING:
     from rsb_bridge.model.pictures import Picture, Wish
@@ -32,7 +32,7 @@ def task(
         assert text is not None
         descriptions[name] = name, text, hash_of_text(text)
         stamp = int((at + number * every) * _NS)
-        samples.append(Sample(topic, name, serialize_message(message), stamp))
+        samples.append(TakenSample(topic, name, serialize_message(message), stamp))
     type_name = samples[0].type_name if samples else ""
     return Task(view, type_name, wish, tuple(samples), len(samples), descriptions=tuple(descriptions.values()))
 

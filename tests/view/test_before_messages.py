@@ -6,7 +6,7 @@ import pytest
 
 from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.model.pictures import Wish
-from rsb_bridge.view.drawing import Received
+from rsb_bridge.view.drawing import TakenMessage
 from rsb_bridge.view.map_view import MapView
 from rsb_bridge.view.worker import VIEWS, Artist, Task
 
@@ -20,5 +20,5 @@ def test_before_the_first_message_there_is_nothing_to_say(type_name: str) -> Non
 
 def test_a_map_of_frames_alone_waits_for_a_layer() -> None:
     view = MapView()
-    view.take(Received("/tf", "tf2_msgs/msg/TFMessage", {"transforms": Items("", 0)}, 0.0))
+    view.take(TakenMessage("/tf", "tf2_msgs/msg/TFMessage", {"transforms": Items("", 0)}, 0.0))
     assert view.draw(Wish()).problem == ""

@@ -24,7 +24,7 @@ from rsb_bridge.model.pictures import (
 )
 from rsb_bridge.view.map_view import _Paper
 from rsb_console.look.picture_rows import Part, picture_rows, with_mark
-from rsb_console.session.by_hand import Goal
+from rsb_console.session.manual_messages import Goal
 from rsb_console.session.picture_files import picture_file
 
 INVALID = (math.nan, math.inf, -math.inf)

@@ -14,7 +14,7 @@ from tests.view.samples import drawn, task
 
 from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.model.pictures import Cells, Picture, Wish
-from rsb_bridge.view.drawing import Received
+from rsb_bridge.view.drawing import TakenMessage
 from rsb_bridge.view.tf_tree import TfTree, TreeProblem
 from rsb_bridge.view.track import TrackProblem
 from rsb_bridge.view.worker import Artist
@@ -27,16 +27,16 @@ def rows(picture: Picture) -> list[str]:
     return [row.rstrip() for row in picture.content.rows]
 
 
-def transforms(*pairs: tuple[str, str], at: float = 0.0, topic: str = "/tf", author: str = "") -> Received:
+def transforms(*pairs: tuple[str, str], at: float = 0.0, topic: str = "/tf", author: str = "") -> TakenMessage:
     """Return a TFMessage as it is decoded; its package is not among the test's."""
     shown: list[Any] = [
         {"header": {"frame_id": parent}, "child_frame_id": child, "transform": {}} for parent, child in pairs
     ]
     items = Items("geometry_msgs/msg/TransformStamped", len(shown), shown)
-    return Received(topic, "tf2_msgs/msg/TFMessage", {"transforms": items}, at, author)
+    return TakenMessage(topic, "tf2_msgs/msg/TFMessage", {"transforms": items}, at, author)
 
 
-def tree(*received: Received) -> tuple[list[str], str]:
+def tree(*received: TakenMessage) -> tuple[list[str], str]:
     view = TfTree()
     for each in received:
         view.take(each)

@@ -16,7 +16,7 @@ from tests.view.samples import task
 from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.model.pictures import Cells, Picture, Wish
 from rsb_bridge.view.canvas import Canvas
-from rsb_bridge.view.drawing import Received
+from rsb_bridge.view.drawing import TakenMessage
 from rsb_bridge.view.map_view import MapProblem, MapView, Transform
 from rsb_bridge.view.worker import Artist
 
@@ -158,7 +158,7 @@ def test_unknown_cells_of_a_costmap_are_not_occupied() -> None:
     cells = Items("uint8", 4, raw=memoryview(bytes([255, 255, 0, 254])), code="<B")
     view = MapView()
     message: Message = {"metadata": {"size_x": 2, "size_y": 2, "resolution": 1.0}, "data": cells}
-    view.take(Received("/c", "nav2_msgs/msg/Costmap", message, 1.0))
+    view.take(TakenMessage("/c", "nav2_msgs/msg/Costmap", message, 1.0))
     drawn_grid = view._layers["/c"].grid
     assert drawn_grid is not None
     assert (drawn_grid.cells >= drawn_grid.occupied).tolist() == [[False, False], [False, True]]

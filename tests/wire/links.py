@@ -10,7 +10,7 @@ from rsb_bridge.wire.events import Established, Event
 from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.messages import Hello, Welcome
 from rsb_bridge.wire.sealed_stream import Credential
-from rsb_bridge.wire.sealing import SessionKeys, Suite
+from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
 
 KEY = bytes(range(32))
 OTHER_KEY = bytes(32)
@@ -19,22 +19,22 @@ ROUTES = (1, 3, 5, 7)
 HELLO = Hello(version="0.1.0", name="robot1", instance="abc", domain_id=2)
 WELCOME = Welcome(version="0.1.0", name="pc", link_id=b"linklink", instance="def", domain_id=0)
 T = TypeVar("T")
-SUITES = pytest.mark.parametrize("suite", list(Suite))
+SUITES = pytest.mark.parametrize("suite", list(CipherSuite))
 CONTROL_HEADER = bytes(14)
 
 
-def key_for(suite: Suite) -> bytes | None:
-    return None if suite is Suite.PLAIN else KEY
+def key_for(suite: CipherSuite) -> bytes | None:
+    return None if suite is CipherSuite.PLAIN else KEY
 
 
-def make_client(suite: Suite = Suite.AESGCM, *, key: bytes = KEY, **options: Any) -> ClientConnection:
-    return ClientConnection(HELLO, None if suite is Suite.PLAIN else key, suite, **options)
+def make_client(suite: CipherSuite = CipherSuite.AESGCM, *, key: bytes = KEY, **options: Any) -> ClientConnection:
+    return ClientConnection(HELLO, None if suite is CipherSuite.PLAIN else key, suite, **options)
 
 
 def make_server(
-    suite: Suite = Suite.AESGCM, *, keys: tuple[bytes, ...] = (KEY,), aes: bool = True, **options: Any
+    suite: CipherSuite = CipherSuite.AESGCM, *, keys: tuple[bytes, ...] = (KEY,), aes: bool = True, **options: Any
 ) -> ServerConnection:
-    credential = Credential(() if suite is Suite.PLAIN else keys, ReplayCache())
+    credential = Credential(() if suite is CipherSuite.PLAIN else keys, ReplayCache())
     return ServerConnection(lambda name: credential, lambda hello: WELCOME, aes, **options)
 
 
@@ -56,7 +56,7 @@ def shake_hands(client: ClientConnection, server: ServerConnection) -> tuple[lis
 
 
 def established(
-    suite: Suite = Suite.AESGCM, **options: Any
+    suite: CipherSuite = CipherSuite.AESGCM, **options: Any
 ) -> tuple[ClientConnection, ServerConnection, SessionKeys, SessionKeys]:
     """Both ends after the handshake, and the keys that each has from it."""
     client, server = make_client(suite, **options), make_server(suite, **options)
@@ -66,7 +66,7 @@ def established(
     return client, server, propose(client_event.keys, ROUTES), propose(server_event.keys, ROUTES)
 
 
-def ready_to_accept(suite: Suite = Suite.AESGCM) -> tuple[ClientConnection, ServerConnection]:
+def ready_to_accept(suite: CipherSuite = CipherSuite.AESGCM) -> tuple[ClientConnection, ServerConnection]:
     client, server = make_client(suite), make_server(suite)
     server.receive_data(client.start())
     return client, server

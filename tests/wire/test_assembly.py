@@ -9,15 +9,15 @@ from tests.support.frames import StreamedReader, write_chunks
 
 from rsb_bridge.wire.framing import HEADER, MORE, ZSTD, Assembly, Budget, DataWriter, Message
 from rsb_bridge.wire.protocol_error import ProtocolError
-from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
+from rsb_bridge.wire.sealing import CipherSuite, Sealer, SealError, StreamOpener
 
 KEY = bytes(range(32))
 ROUTE = 7
-SUITES = pytest.mark.parametrize("suite", list(Suite))
+SUITES = pytest.mark.parametrize("suite", list(CipherSuite))
 
 
-def ends(suite: Suite, limit: int = 1 << 20, budget: Budget | None = None) -> tuple[DataWriter, StreamedReader]:
-    key = None if suite is Suite.PLAIN else KEY
+def ends(suite: CipherSuite, limit: int = 1 << 20, budget: Budget | None = None) -> tuple[DataWriter, StreamedReader]:
+    key = None if suite is CipherSuite.PLAIN else KEY
     return DataWriter(Sealer(suite, key), ROUTE), StreamedReader(StreamOpener(suite, key), ROUTE, limit, budget)
 
 
@@ -44,7 +44,7 @@ def written(writer: DataWriter, message: Message, chunk: int, chunks: int) -> li
     data=st.data(),
 )
 def test_pieces_are_the_chunks_of_their_message(
-    suite: Suite, sent: list[Message], chunk: int, chunks: int, data: st.DataObject
+    suite: CipherSuite, sent: list[Message], chunk: int, chunks: int, data: st.DataObject
 ) -> None:
     """Byte for byte what `write_chunks` says, and put together however the stream is cut."""
     writer, reader = ends(suite)
@@ -58,7 +58,7 @@ def test_pieces_are_the_chunks_of_their_message(
 
 @SUITES
 @pytest.mark.parametrize("size", [0, 1, 65_535, 65_536, 65_537, 1 << 20, 6_000_000])
-def test_large_messages_are_exact(suite: Suite, size: int) -> None:
+def test_large_messages_are_exact(suite: CipherSuite, size: int) -> None:
     """For any size of the one before, whose memory is reused."""
     writer, reader = ends(suite, limit=8 << 20)
     for length, fill in ((size, b"abc"), (100_000, b"x"), (size, b"cba")):
@@ -69,7 +69,7 @@ def test_large_messages_are_exact(suite: Suite, size: int) -> None:
 
 
 @SUITES
-def test_damage_in_a_chunk_is_never_delivered(suite: Suite) -> None:
+def test_damage_in_a_chunk_is_never_delivered(suite: CipherSuite) -> None:
     for at in (5, 20, 60, -1):
         writer, reader = ends(suite)
         stream = bytearray(b"".join(written(writer, (bytes(60), 0, 0), 30, 1)))
@@ -80,7 +80,7 @@ def test_damage_in_a_chunk_is_never_delivered(suite: Suite) -> None:
 
 @SUITES
 @given(garbage=st.binary(max_size=40))
-def test_garbage_does_not_open_into_its_place(suite: Suite, garbage: bytes) -> None:
+def test_garbage_does_not_open_into_its_place(suite: CipherSuite, garbage: bytes) -> None:
     _, reader = ends(suite)
     header = HEADER.pack(1, MORE, ROUTE, 0)
     with pytest.raises(SealError):
@@ -91,7 +91,7 @@ def test_garbage_does_not_open_into_its_place(suite: Suite, garbage: bytes) -> N
 
 def test_memory_is_for_a_message_like_the_last_one_as_far_as_the_budget_goes() -> None:
     budget = Budget(1000)
-    writer, reader = ends(Suite.AESGCM, budget=budget)
+    writer, reader = ends(CipherSuite.AESGCM, budget=budget)
     first = write_chunks(writer, bytes(600), 0, 0, 100)
     for frame, held in zip(first, (100, 200, 400, 400, 800), strict=False):
         reader.receive_data(frame)
@@ -102,7 +102,7 @@ def test_memory_is_for_a_message_like_the_last_one_as_far_as_the_budget_goes() -
     assert budget.held == 600
     reader.close()
     budget.take(880)  # others' messages leave room for this one only
-    writer, reader = ends(Suite.AESGCM, budget=budget)
+    writer, reader = ends(CipherSuite.AESGCM, budget=budget)
     frames = write_chunks(writer, bytes(110), 0, 0, 50)
     for frame, held in zip(frames, (930, 980), strict=False):
         reader.receive_data(frame)
@@ -115,7 +115,7 @@ def test_memory_is_for_a_message_like_the_last_one_as_far_as_the_budget_goes() -
 
 def test_an_assembly_refuses_more_than_its_limit() -> None:
     budget = Budget(1000)
-    sealer, opener = Sealer(Suite.AESGCM, KEY), StreamOpener(Suite.AESGCM, KEY)
+    sealer, opener = Sealer(CipherSuite.AESGCM, KEY), StreamOpener(CipherSuite.AESGCM, KEY)
     assembly = Assembly(opener, 100, budget)
     assembly.add(sealer.seal(bytes(60), b"a"), b"a")
     assert assembly.begun

@@ -23,18 +23,18 @@ from tests.wire.links import (
 from rsb_bridge.model.fingerprints import fingerprint_of
 from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.connection import ClientConnection, DataConnection, ServerConnection
-from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, RefusalCode, Refused, StreamName
+from rsb_bridge.wire.events import DataFrame, Event, Failed, MessageReceived, RefusalCode, StreamName, StreamRefused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, pack_frame
 from rsb_bridge.wire.messages import Ping
-from rsb_bridge.wire.preamble import Kind, control_header, preamble_frame, refuse_frame
+from rsb_bridge.wire.preamble import PreambleKind, control_header, preamble_frame, refuse_frame
 from rsb_bridge.wire.protocol_error import Broken
-from rsb_bridge.wire.sealing import InvalidSeal, Sealer, Suite
+from rsb_bridge.wire.sealing import CipherSuite, InvalidSeal, Sealer
 
 End = ClientConnection | ServerConnection | DataConnection
 
 
 def control(body: bytes) -> bytes:
-    return pack_frame(preamble_frame(Kind.CONTROL, body))
+    return pack_frame(preamble_frame(PreambleKind.CONTROL, body))
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def control(body: bytes) -> bytes:
         (pack_frame(b""), Broken.FOREIGN, {}),
         (pack_frame(b"rsb\x02"), Broken.FOREIGN, {}),
         (pack_frame(b"RSB\x01\x01"), Broken.FOREIGN, {}),
-        (pack_frame(preamble_frame(Kind.ACCEPT)), Broken.UNEXPECTED_IN_PREAMBLE, {"kind": "ACCEPT"}),
+        (pack_frame(preamble_frame(PreambleKind.ACCEPT)), Broken.UNEXPECTED_IN_PREAMBLE, {"kind": "ACCEPT"}),
         (pack_frame(b"rsb\x02\x63"), Broken.UNKNOWN_PREAMBLE, {"kind": 99}),
         (control(b""), Broken.CONTROL_TOO_SHORT, {}),
         (control(b"\x01\x05robo"), Broken.CONTROL_TOO_SHORT, {}),
@@ -54,7 +54,7 @@ def control(body: bytes) -> bytes:
         (control(b"\x01\x03\xe2\x80\xae" + bytes(8)), Broken.NAME_UNPRINTABLE, {"frame": "CONTROL"}),
         (control(b"\x07\x01a" + bytes(8)), Broken.UNKNOWN_SUITE, {}),
         (control(b"\x01\x06robot1" + fingerprint_of(KEY) + b"short"), Broken.HANDSHAKE_TOO_SHORT, {"length": 5}),
-        (pack_frame(preamble_frame(Kind.DATA, bytes(11))), Broken.DATA_TOO_SHORT, {}),
+        (pack_frame(preamble_frame(PreambleKind.DATA, bytes(11))), Broken.DATA_TOO_SHORT, {}),
     ],
 )
 def test_what_is_no_preamble_is_refused_in_words(stream: bytes, broken: Broken, parameters: dict[str, object]) -> None:
@@ -66,22 +66,27 @@ def test_what_is_no_preamble_is_refused_in_words(stream: bytes, broken: Broken, 
 
 @pytest.mark.parametrize("hello", [b"", b"\xc1", encode(Ping(1, 1)), encode(WELCOME)])
 def test_a_first_message_that_holds_no_hello(hello: bytes) -> None:
-    event = the(Failed, make_server(Suite.PLAIN).receive_data(pack_frame(control_header(Suite.PLAIN, "robot1"), hello)))
+    event = the(
+        Failed,
+        make_server(CipherSuite.PLAIN).receive_data(pack_frame(control_header(CipherSuite.PLAIN, "robot1"), hello)),
+    )
     assert says(event.reason, Broken.INVALID_CONTROL_MESSAGE)
 
 
 def test_a_client_with_two_names() -> None:
-    (event,) = make_server(Suite.PLAIN).receive_data(pack_frame(control_header(Suite.PLAIN, "robot2"), encode(HELLO)))
+    (event,) = make_server(CipherSuite.PLAIN).receive_data(
+        pack_frame(control_header(CipherSuite.PLAIN, "robot2"), encode(HELLO))
+    )
     assert event == Failed(Broken.NAMES_DIFFER(preamble="robot2", hello="robot1"))
 
 
 @pytest.mark.parametrize(
     ("frame", "broken", "parameters"),
     [
-        (preamble_frame(Kind.DATA), Broken.UNEXPECTED_IN_PREAMBLE, {"kind": "DATA"}),
-        (preamble_frame(Kind.REFUSE), Broken.UNKNOWN_REFUSAL, {}),
-        (preamble_frame(Kind.REFUSE, b"\x63words"), Broken.UNKNOWN_REFUSAL, {}),
-        (preamble_frame(Kind.ACCEPT, b"short"), Broken.HANDSHAKE_TOO_SHORT, {"length": 5}),
+        (preamble_frame(PreambleKind.DATA), Broken.UNEXPECTED_IN_PREAMBLE, {"kind": "DATA"}),
+        (preamble_frame(PreambleKind.REFUSE), Broken.UNKNOWN_REFUSAL, {}),
+        (preamble_frame(PreambleKind.REFUSE, b"\x63words"), Broken.UNKNOWN_REFUSAL, {}),
+        (preamble_frame(PreambleKind.ACCEPT, b"short"), Broken.HANDSHAKE_TOO_SHORT, {"length": 5}),
         (b"SSH-2.0-OpenSSH", Broken.FOREIGN, {}),
     ],
 )
@@ -96,14 +101,14 @@ def test_a_refusal_s_message_is_bounded_and_printable() -> None:
     client, _ = ready_to_accept()
     words = "\x1b[2J" + "ü" * 400
     assert len(refuse_frame(RefusalCode.BUSY, words)) == 6 + 512
-    event = the(Refused, client.receive_data(pack_frame(refuse_frame(RefusalCode.BUSY, words))))
+    event = the(StreamRefused, client.receive_data(pack_frame(refuse_frame(RefusalCode.BUSY, words))))
     assert event.code is RefusalCode.BUSY
     assert event.message.startswith("\N{REPLACEMENT CHARACTER}[2Jü")
     assert len(event.message.encode()) <= 512 + 4
 
 
 @SUITES
-def test_damage_to_a_sealed_frame_ends_the_connection(suite: Suite) -> None:
+def test_damage_to_a_sealed_frame_ends_the_connection(suite: CipherSuite) -> None:
     client, server, _, _ = established(suite)
     frame = bytearray(client.send(Ping(1, 1)))
     frame[-1] ^= 1
@@ -114,11 +119,11 @@ def test_damage_to_a_sealed_frame_ends_the_connection(suite: Suite) -> None:
 
 
 @SUITES
-def test_a_sealed_frame_played_again_ends_the_connection(suite: Suite) -> None:
+def test_a_sealed_frame_played_again_ends_the_connection(suite: CipherSuite) -> None:
     client, server, _, _ = established(suite)
     frame = client.send(Ping(1, 1))
     events = server.receive_data(frame + frame)
-    assert [type(event) for event in events] == [Received, Failed]
+    assert [type(event) for event in events] == [MessageReceived, Failed]
 
 
 @pytest.mark.parametrize("frame", [b"", b"\x00", bytes(13), b"\x02" + bytes(30), bytes((0, 1)) + bytes(30)])
@@ -136,8 +141,8 @@ def test_a_control_frame_too_long_is_refused_before_it_comes() -> None:
 
 
 def test_an_empty_control_frame_later_is_no_message() -> None:
-    _, server, _, _ = established(Suite.PLAIN)
-    sealer = Sealer(Suite.PLAIN, None)
+    _, server, _, _ = established(CipherSuite.PLAIN)
+    sealer = Sealer(CipherSuite.PLAIN, None)
     sealer.sequence = 1
     event = the(Failed, server.receive_data(pack_frame(CONTROL_HEADER, sealer.seal(b"", CONTROL_HEADER))))
     assert says(event.reason, Broken.INVALID_CONTROL_MESSAGE)
@@ -146,7 +151,7 @@ def test_an_empty_control_frame_later_is_no_message() -> None:
 @st.composite
 def any_end(draw: st.DrawFn) -> End:
     """Either end of any stream, in any state it may be met in."""
-    suite = draw(st.sampled_from(Suite))
+    suite = draw(st.sampled_from(CipherSuite))
     client, server = ready_to_accept(suite)
     data = DataConnection(session_keys(suite, key_for(suite)), StreamName(1))
     live_client, live_server, _, _ = established(suite, multiplexed=draw(st.booleans()))
@@ -159,5 +164,5 @@ def test_garbage_gives_events_not_exceptions(end: End, garbage: list[bytes], fra
     events: list[Event] = []
     for piece in garbage:
         events += end.receive_data(pack_frame(piece) if framed else piece)
-    assert all(isinstance(event, Failed | Refused | DataFrame) for event in events)
-    assert sum(isinstance(event, Failed | Refused) for event in events) <= 1
+    assert all(isinstance(event, Failed | StreamRefused | DataFrame) for event in events)
+    assert sum(isinstance(event, Failed | StreamRefused) for event in events) <= 1

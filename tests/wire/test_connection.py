@@ -26,27 +26,27 @@ from tests.wire.links import (
 from rsb_bridge.model.fingerprints import fingerprint_of, format_fingerprint
 from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.connection import ClientConnection, ServerConnection
-from rsb_bridge.wire.events import Established, Event, Failed, Received, RefusalCode, Refused
+from rsb_bridge.wire.events import Established, Event, Failed, MessageReceived, RefusalCode, StreamRefused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, LENGTH, DataWriter, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake, ReplayCache
 from rsb_bridge.wire.messages import Hello, Ping, Pong, Ready, TopicList, Welcome
-from rsb_bridge.wire.preamble import Kind, Refusal, RefusalText, preamble_frame, refuse_frame
+from rsb_bridge.wire.preamble import PreambleKind, Refusal, RefusalText, preamble_frame, refuse_frame
 from rsb_bridge.wire.protocol_error import Broken, Misuse
 from rsb_bridge.wire.records import TopicEntry
 from rsb_bridge.wire.sealed_stream import Credential
-from rsb_bridge.wire.sealing import InvalidSeal, Role, Sealer, Suite
+from rsb_bridge.wire.sealing import CipherSuite, InvalidSeal, Role, Sealer
 
 ROLES: tuple[Role, ...] = ("client", "server")
 
 
 @SUITES
 @pytest.mark.parametrize("aes", [True, False])
-def test_both_sides_establish_and_hold_the_same_keys(suite: Suite, aes: bool) -> None:
+def test_both_sides_establish_and_hold_the_same_keys(suite: CipherSuite, aes: bool) -> None:
     connection = make_client(suite)
     assert connection.suite is suite
     client_events, server_events = shake_hands(connection, make_server(suite, aes=aes))
     client, server = the(Established, client_events), the(Established, server_events)
-    expected = Suite.CHACHAPOLY if suite is Suite.AESGCM and not aes else suite
+    expected = CipherSuite.CHACHAPOLY if suite is CipherSuite.AESGCM and not aes else suite
     assert connection.suite is expected
     assert (client.peer, server.peer) == (WELCOME, HELLO)
     for event in (client, server):
@@ -58,16 +58,16 @@ def test_both_sides_establish_and_hold_the_same_keys(suite: Suite, aes: bool) ->
 
 
 @SUITES
-def test_messages_cross_both_ways(suite: Suite) -> None:
+def test_messages_cross_both_ways(suite: CipherSuite) -> None:
     client, server, _, _ = established(suite)
     for n in range(3):
-        assert server.receive_data(client.send(Ping(n, 1))) == [Received(Ping(n, 1))]
-        assert client.receive_data(server.send(Pong(n, 1, 2, 3))) == [Received(Pong(n, 1, 2, 3))]
+        assert server.receive_data(client.send(Ping(n, 1))) == [MessageReceived(Ping(n, 1))]
+        assert client.receive_data(server.send(Pong(n, 1, 2, 3))) == [MessageReceived(Pong(n, 1, 2, 3))]
 
 
 @SUITES
 @given(data=st.data())
-def test_however_the_streams_are_cut_the_events_are_the_same(suite: Suite, data: st.DataObject) -> None:
+def test_however_the_streams_are_cut_the_events_are_the_same(suite: CipherSuite, data: st.DataObject) -> None:
     client, server = make_client(suite), make_server(suite, aes=data.draw(st.booleans()))
     client_events: list[Event] = []
     server_events: list[Event] = []
@@ -85,40 +85,40 @@ def test_however_the_streams_are_cut_the_events_are_the_same(suite: Suite, data:
     carry(b"".join(client.send(message) for message in messages), server, server_events)
     assert [type(event) for event in client_events] == [Established]
     assert [type(event) for event in server_events[:1]] == [Established]
-    assert server_events[1:] == [Received(message) for message in messages]
+    assert server_events[1:] == [MessageReceived(message) for message in messages]
 
 
 def test_send_keeps_the_order_of_what_was_not_fetched_yet() -> None:
     client, server = ready_to_accept()
     client.receive_data(server.data_to_send())
     events = server.receive_data(client.send(Ready(route=1, sources=1)))
-    assert [type(event) for event in events] == [Established, Received]
+    assert [type(event) for event in events] == [Established, MessageReceived]
     assert client.data_to_send() == b""
 
 
 # --- keys that do not fit: both sides explain it
 
 
-def refused(client: ClientConnection, server: ServerConnection) -> Refused:
+def refused(client: ClientConnection, server: ServerConnection) -> StreamRefused:
     """The one event on each side of a refusal by the server."""
     client_events, server_events = shake_hands(client, server)
-    ours, theirs = the(Refused, server_events), the(Refused, client_events)
+    ours, theirs = the(StreamRefused, server_events), the(StreamRefused, client_events)
     assert (ours.code, ours.message) == (theirs.code, theirs.message)
     return ours
 
 
-@pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
-def test_another_key(suite: Suite) -> None:
+@pytest.mark.parametrize("suite", [CipherSuite.AESGCM, CipherSuite.CHACHAPOLY])
+def test_another_key(suite: CipherSuite) -> None:
     refusal = refused(make_client(suite), make_server(suite, keys=(OTHER_KEY,)))
     ours, theirs = (format_fingerprint(fingerprint_of(key)) for key in (KEY, OTHER_KEY))
     words = RefusalText.KEYS_DIFFER(name="robot1", theirs=ours, there="client", ours=theirs, here="server")
-    assert refusal == Refused(RefusalCode.WRONG_KEY, words)
+    assert refusal == StreamRefused(RefusalCode.WRONG_KEY, words)
 
 
-@pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
+@pytest.mark.parametrize("suite", [CipherSuite.AESGCM, CipherSuite.CHACHAPOLY])
 @pytest.mark.parametrize("aes", [True, False])
 @pytest.mark.parametrize("key", [KEY, OTHER_KEY])
-def test_a_client_may_have_either_of_two_keys(suite: Suite, aes: bool, key: bytes) -> None:
+def test_a_client_may_have_either_of_two_keys(suite: CipherSuite, aes: bool, key: bytes) -> None:
     """For example while its key is being replaced."""
     client, server = make_client(suite, key=key), make_server(suite, keys=(KEY, OTHER_KEY), aes=aes)
     assert server.fingerprint == b""
@@ -142,21 +142,21 @@ def test_a_first_message_that_claims_the_other_valid_key_does_not_open() -> None
     """The server takes the key that the client claims to have; only the handshake proves it."""
     frame = make_client().start()
     ours, other = fingerprint_of(KEY), fingerprint_of(OTHER_KEY)
-    refusal = the(Refused, make_server(keys=(KEY, OTHER_KEY)).receive_data(frame.replace(ours, other)))
+    refusal = the(StreamRefused, make_server(keys=(KEY, OTHER_KEY)).receive_data(frame.replace(ours, other)))
     assert refusal.code is RefusalCode.WRONG_KEY
     assert refusal.message == RefusalText.FIRST_MESSAGE_FORGED(name="robot1")
 
 
 def test_a_client_that_names_no_key_though_it_encrypts() -> None:
     frame = make_client().start().replace(fingerprint_of(KEY), bytes(8))
-    refusal = the(Refused, make_server().receive_data(frame))
+    refusal = the(StreamRefused, make_server().receive_data(frame))
     assert refusal.code is RefusalCode.WRONG_KEY
     assert says(refusal.message, RefusalText.KEY_NOT_NAMED, name="robot1", there="client", here="server")
 
 
 def test_an_unencrypted_client_has_no_key_whatever_it_says() -> None:
-    server = make_server(Suite.PLAIN)
-    assert server.receive_data(make_client(Suite.PLAIN).start().replace(bytes(8), fingerprint_of(KEY))) == []
+    server = make_server(CipherSuite.PLAIN)
+    assert server.receive_data(make_client(CipherSuite.PLAIN).start().replace(bytes(8), fingerprint_of(KEY))) == []
     assert server.accepted
     assert server.fingerprint == b""
 
@@ -166,19 +166,19 @@ def test_a_first_message_that_claims_the_right_key_and_does_not_open() -> None:
     client, server = make_client(), make_server()
     frame = bytearray(client.start())
     frame[-1] ^= 1
-    refusal = the(Refused, server.receive_data(bytes(frame)))
+    refusal = the(StreamRefused, server.receive_data(bytes(frame)))
     assert refusal.code is RefusalCode.WRONG_KEY
     assert refusal.message == RefusalText.FIRST_MESSAGE_FORGED(name="robot1")
 
 
 def test_no_key_against_a_key() -> None:
-    refusal = refused(make_client(Suite.PLAIN), make_server())
+    refusal = refused(make_client(CipherSuite.PLAIN), make_server())
     assert refusal.code is RefusalCode.ENCRYPTION_REQUIRED
     assert refusal.message == RefusalText.ENCRYPTION_REQUIRED(name="robot1")
 
 
 def test_a_key_against_none() -> None:
-    refusal = refused(make_client(), make_server(Suite.PLAIN))
+    refusal = refused(make_client(), make_server(CipherSuite.PLAIN))
     assert refusal.code is RefusalCode.ENCRYPTION_NOT_POSSIBLE
     assert refusal.message == RefusalText.ENCRYPTION_NOT_POSSIBLE(name="robot1")
 
@@ -201,14 +201,16 @@ def test_a_busy_server() -> None:
 
 def test_a_server_that_answers_with_another_key() -> None:
     client, _ = ready_to_accept()
-    answer = pack_frame(preamble_frame(Kind.ACCEPT, NoiseHandshake(Suite.AESGCM, OTHER_KEY, b"").write(b"")))
+    answer = pack_frame(
+        preamble_frame(PreambleKind.ACCEPT, NoiseHandshake(CipherSuite.AESGCM, OTHER_KEY, b"").write(b""))
+    )
     text = RefusalText.ANSWER_SEALED_WITH_ANOTHER_KEY()
-    assert client.receive_data(answer) == [Refused(RefusalCode.WRONG_KEY, text)]
+    assert client.receive_data(answer) == [StreamRefused(RefusalCode.WRONG_KEY, text)]
 
 
 def test_a_plain_answer_to_an_encrypting_client_is_not_taken() -> None:
     client, _ = ready_to_accept()
-    event = the(Refused, client.receive_data(pack_frame(preamble_frame(Kind.ACCEPT, encode(WELCOME)))))
+    event = the(StreamRefused, client.receive_data(pack_frame(preamble_frame(PreambleKind.ACCEPT, encode(WELCOME)))))
     assert event.code is RefusalCode.WRONG_KEY
 
 
@@ -221,25 +223,27 @@ def other_version(frame: bytes, version: int = 9) -> bytes:
 
 def test_an_older_client() -> None:
     server = make_server()
-    (event,) = server.receive_data(other_version(preamble_frame(Kind.CONTROL, b"whatever"), 1))
-    assert event == Refused(RefusalCode.WRONG_VERSION, RefusalText.PEER_OLDER(ours=2, theirs=1))
+    (event,) = server.receive_data(other_version(preamble_frame(PreambleKind.CONTROL, b"whatever"), 1))
+    assert event == StreamRefused(RefusalCode.WRONG_VERSION, RefusalText.PEER_OLDER(ours=2, theirs=1))
 
 
 def test_a_client_of_another_version() -> None:
     server = make_server()
     words = RefusalText.THIS_SIDE_OLDER(ours=2, theirs=9)
-    (event,) = server.receive_data(other_version(preamble_frame(Kind.CONTROL, b"whatever that means in version 9")))
-    assert event == Refused(RefusalCode.WRONG_VERSION, words)
+    (event,) = server.receive_data(
+        other_version(preamble_frame(PreambleKind.CONTROL, b"whatever that means in version 9"))
+    )
+    assert event == StreamRefused(RefusalCode.WRONG_VERSION, words)
     assert server.data_to_send() == pack_frame(refuse_frame(RefusalCode.WRONG_VERSION, words))
 
 
-@pytest.mark.parametrize("kind", [Kind.ACCEPT, Kind.REFUSE])
-def test_a_server_of_another_version(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", [PreambleKind.ACCEPT, PreambleKind.REFUSE])
+def test_a_server_of_another_version(kind: PreambleKind) -> None:
     client = make_client()
     client.start()
     words = RefusalText.THIS_SIDE_OLDER(ours=2, theirs=9)
     events = client.receive_data(other_version(preamble_frame(kind, b"\x01whatever")))
-    assert events == [Refused(RefusalCode.WRONG_VERSION, words)]
+    assert events == [StreamRefused(RefusalCode.WRONG_VERSION, words)]
     assert client.data_to_send() == b""
 
 
@@ -249,21 +253,21 @@ def test_a_server_of_another_version(kind: Kind) -> None:
 @pytest.mark.parametrize("body", [b"", b"\x00", b"\x01", b"\x07"])
 def test_a_forged_retry_does_not_take_the_encryption_away(body: bytes) -> None:
     client, _ = ready_to_accept()
-    (event,) = client.receive_data(pack_frame(preamble_frame(Kind.RETRY, body)))
+    (event,) = client.receive_data(pack_frame(preamble_frame(PreambleKind.RETRY, body)))
     assert isinstance(event, Failed)
     assert client.data_to_send() == b""
 
 
-@pytest.mark.parametrize("suite", [Suite.PLAIN, Suite.CHACHAPOLY])
-def test_a_retry_without_cause_is_a_format_error(suite: Suite) -> None:
+@pytest.mark.parametrize("suite", [CipherSuite.PLAIN, CipherSuite.CHACHAPOLY])
+def test_a_retry_without_cause_is_a_format_error(suite: CipherSuite) -> None:
     client, _ = ready_to_accept(suite)
-    retry = pack_frame(preamble_frame(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
+    retry = pack_frame(preamble_frame(PreambleKind.RETRY, bytes((CipherSuite.CHACHAPOLY,))))
     assert client.receive_data(retry) == [Failed(Broken.UNEXPECTED_IN_PREAMBLE(kind="RETRY"))]
 
 
 def test_a_client_takes_one_retry() -> None:
     client, _ = ready_to_accept()
-    retry = pack_frame(preamble_frame(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
+    retry = pack_frame(preamble_frame(PreambleKind.RETRY, bytes((CipherSuite.CHACHAPOLY,))))
     assert client.receive_data(retry) == []
     assert client.data_to_send()
     assert [type(event) for event in client.receive_data(retry)] == [Failed]
@@ -279,8 +283,8 @@ def test_a_client_that_does_not_follow_a_retry() -> None:
 # --- a client is proven by its confirmation
 
 
-@pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
-def test_a_recorded_first_message_played_again_establishes_nothing(suite: Suite) -> None:
+@pytest.mark.parametrize("suite", [CipherSuite.AESGCM, CipherSuite.CHACHAPOLY])
+def test_a_recorded_first_message_played_again_establishes_nothing(suite: CipherSuite) -> None:
     client, server = make_client(suite), make_server(suite)
     recording = client.start()
     assert server.receive_data(recording) == []
@@ -314,9 +318,9 @@ def test_a_client_whose_link_is_shut_down_is_refused_once_it_has_proved_its_key(
     client = make_client()
     server = ServerConnection(lambda name: Credential((KEY,), ReplayCache()), lambda hello: shut_down, aes=True)
     client_events, server_events = shake_hands(client, server)
-    assert the(Refused, client_events) == Refused(RefusalCode.SHUT_DOWN, "shut down by anna on pts/3")
-    assert the(Refused, server_events).code is RefusalCode.SHUT_DOWN
-    assert the(Refused, server_events).peer == HELLO
+    assert the(StreamRefused, client_events) == StreamRefused(RefusalCode.SHUT_DOWN, "shut down by anna on pts/3")
+    assert the(StreamRefused, server_events).code is RefusalCode.SHUT_DOWN
+    assert the(StreamRefused, server_events).peer == HELLO
 
 
 def test_a_refuse_in_the_clear_cannot_say_that_a_link_is_shut_down() -> None:
@@ -333,9 +337,13 @@ def test_a_client_whose_name_is_taken_is_refused_once_it_has_proved_its_key() ->
     taken = msgspec.structs.replace(WELCOME, taken="'robot1' is linked already")
     server = ServerConnection(lambda name: Credential((KEY,), ReplayCache()), lambda hello: taken, aes=True)
     assert server.receive_data(client.start()) == []
-    assert client.receive_data(server.data_to_send()) == [Refused(RefusalCode.NAME_TAKEN, "'robot1' is linked already")]
+    assert client.receive_data(server.data_to_send()) == [
+        StreamRefused(RefusalCode.NAME_TAKEN, "'robot1' is linked already")
+    ]
     confirmation = client.data_to_send()
-    assert server.receive_data(confirmation) == [Refused(RefusalCode.NAME_TAKEN, "'robot1' is linked already", HELLO)]
+    assert server.receive_data(confirmation) == [
+        StreamRefused(RefusalCode.NAME_TAKEN, "'robot1' is linked already", HELLO)
+    ]
     assert server.receive_data(confirmation) == []
 
 
@@ -347,9 +355,9 @@ def make_accepted() -> ServerConnection:
 
 
 def test_a_first_frame_with_content_confirms_nothing() -> None:
-    client, server = ready_to_accept(Suite.PLAIN)
+    client, server = ready_to_accept(CipherSuite.PLAIN)
     client.receive_data(server.data_to_send())
-    sealed = Sealer(Suite.PLAIN, None).seal(encode(Ping(1, 1)), CONTROL_HEADER)
+    sealed = Sealer(CipherSuite.PLAIN, None).seal(encode(Ping(1, 1)), CONTROL_HEADER)
     (event,) = server.receive_data(pack_frame(CONTROL_HEADER, sealed))
     assert event == Failed(Broken.NOT_CONFIRMED(peer="client"))
 
@@ -357,7 +365,7 @@ def test_a_first_frame_with_content_confirms_nothing() -> None:
 def test_data_before_the_confirmation_have_no_place() -> None:
     client, server = make_client(multiplexed=True), make_server(multiplexed=True)
     server.receive_data(client.start())
-    event = the(Failed, server.receive_data(DataWriter(Sealer(Suite.AESGCM, KEY), 1).write(b"x", 0)))
+    event = the(Failed, server.receive_data(DataWriter(Sealer(CipherSuite.AESGCM, KEY), 1).write(b"x", 0)))
     assert event == Failed(Broken.NOT_CONFIRMED(peer="client"))
 
 
@@ -373,19 +381,19 @@ def test_who_has_not_confirmed_gets_the_room_of_a_handshake() -> None:
 
 
 def test_what_follows_the_confirmation_at_once_may_be_long() -> None:
-    client, server = ready_to_accept(Suite.AESGCM)
+    client, server = ready_to_accept(CipherSuite.AESGCM)
     client.receive_data(server.data_to_send())
     long = TopicList(1, tuple(TopicEntry(f"/topic{n}", "std_msgs/msg/String", "", None, 0, 0) for n in range(500)))
     confirmed, received = server.receive_data(client.send(long))
     assert isinstance(confirmed, Established)
-    assert received == Received(long)
+    assert received == MessageReceived(long)
 
 
 # --- sending
 
 
 def test_a_name_too_long_is_refused_with_the_remedy() -> None:
-    client = ClientConnection(Hello("0.1.0", "ü" * 128, "abc", 0), KEY, Suite.AESGCM)
+    client = ClientConnection(Hello("0.1.0", "ü" * 128, "abc", 0), KEY, CipherSuite.AESGCM)
     with pytest.raises(ValueError, match=pattern(Misuse.NAME_TOO_LONG, length=256, limit=255)):
         client.start()
 
@@ -406,14 +414,14 @@ def topic_list_of(size: int) -> TopicList:
 
 
 @SUITES
-def test_a_message_may_fill_a_control_frame_and_no_more(suite: Suite) -> None:
+def test_a_message_may_fill_a_control_frame_and_no_more(suite: CipherSuite) -> None:
     client, server, _, _ = established(suite)
     room = CONTROL_LIMIT - 14 - 16
     message = topic_list_of(room)
-    assert server.receive_data(client.send(message)) == [Received(message)]
+    assert server.receive_data(client.send(message)) == [MessageReceived(message)]
     with pytest.raises(ValueError, match=pattern(Misuse.CONTROL_MESSAGE_TOO_LONG, message="TopicList")):
         client.send(topic_list_of(room + 1))
-    assert server.receive_data(client.send(Ping(1, 1))) == [Received(Ping(1, 1))]
+    assert server.receive_data(client.send(Ping(1, 1))) == [MessageReceived(Ping(1, 1))]
 
 
 def test_a_server_that_waited_in_vain_for_the_confirmation_is_understood() -> None:
@@ -422,11 +430,13 @@ def test_a_server_that_waited_in_vain_for_the_confirmation_is_understood() -> No
     server.receive_data(client.start())
     the(Established, client.receive_data(server.data_to_send()))
     refusal = server.refuse(RefusalCode.BUSY, "too slow")
-    assert client.receive_data(refusal) == [Refused(RefusalCode.BUSY, "too slow")]
+    assert client.receive_data(refusal) == [StreamRefused(RefusalCode.BUSY, "too slow")]
     assert client.receive_data(refusal) == []
 
 
-@pytest.mark.parametrize("frame", [preamble_frame(Kind.ACCEPT), b"rsb", bytes(20)], ids=["ACCEPT", "cut off", "other"])
+@pytest.mark.parametrize(
+    "frame", [preamble_frame(PreambleKind.ACCEPT), b"rsb", bytes(20)], ids=["ACCEPT", "cut off", "other"]
+)
 def test_any_other_frame_in_the_clear_breaks_the_format(frame: bytes) -> None:
     client, *_ = established()
     assert isinstance(the(Failed, client.receive_data(pack_frame(frame))), Failed)

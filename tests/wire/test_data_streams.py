@@ -7,18 +7,27 @@ from tests.support.wording import says
 from tests.wire.links import OTHER_KEY, SUITES, WELCOME, established, make_server, the
 
 from rsb_bridge.wire.connection import DataConnection
-from rsb_bridge.wire.events import Accepted, Attach, DataFrame, Failed, Received, RefusalCode, Refused, StreamName
+from rsb_bridge.wire.events import (
+    Accepted,
+    Attach,
+    DataFrame,
+    Failed,
+    MessageReceived,
+    RefusalCode,
+    StreamName,
+    StreamRefused,
+)
 from rsb_bridge.wire.framing import LENGTH, DataReader, DataWriter, pack_frame
 from rsb_bridge.wire.messages import Ping
-from rsb_bridge.wire.preamble import Kind, preamble_frame
+from rsb_bridge.wire.preamble import PreambleKind, preamble_frame
 from rsb_bridge.wire.protocol_error import Broken
-from rsb_bridge.wire.sealing import SealError, Suite
+from rsb_bridge.wire.sealing import CipherSuite, SealError
 
 _NAME = StreamName(5, 4001, large=True)
 
 
 @SUITES
-def test_a_data_stream_is_attached(suite: Suite) -> None:
+def test_a_data_stream_is_attached(suite: CipherSuite) -> None:
     _, _, client_keys, server_keys = established(suite)
     data, server = DataConnection(client_keys, _NAME), make_server(suite)
     start = data.start()
@@ -39,12 +48,12 @@ def test_a_data_stream_is_attached(suite: Suite) -> None:
 
 
 def test_a_data_frame_that_ends_before_its_name_does() -> None:
-    event = the(Failed, make_server().receive_data(pack_frame(preamble_frame(Kind.DATA, bytes(14)))))
+    event = the(Failed, make_server().receive_data(pack_frame(preamble_frame(PreambleKind.DATA, bytes(14)))))
     assert event.reason == Broken.DATA_TOO_SHORT()
 
 
 @SUITES
-def test_a_route_moves_to_another_stream(suite: Suite) -> None:
+def test_a_route_moves_to_another_stream(suite: CipherSuite) -> None:
     """The frame that says so is sealed in order with the route's messages."""
     _, _, client_keys, server_keys = established(suite)
     writer = DataWriter(client_keys.route_sealer(3, "client"), 3)
@@ -66,8 +75,8 @@ def test_what_a_client_sends_after_its_data_preamble_is_left_over() -> None:
     assert server.leftover() == b"beyond"
 
 
-@pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
-def test_a_data_stream_of_another_link_has_no_proof(suite: Suite) -> None:
+@pytest.mark.parametrize("suite", [CipherSuite.AESGCM, CipherSuite.CHACHAPOLY])
+def test_a_data_stream_of_another_link_has_no_proof(suite: CipherSuite) -> None:
     _, _, _, server_keys = established(suite)
     stranger = session_keys(suite, OTHER_KEY, server_keys.link_id)
     server = make_server(suite)
@@ -81,7 +90,7 @@ def test_a_data_stream_is_turned_away() -> None:
     data, server = DataConnection(keys, _NAME), make_server()
     server.receive_data(data.start())
     answer = server.refuse(RefusalCode.NO_SUCH_ROUTE, "route 5 is not open")
-    refusal = Refused(RefusalCode.NO_SUCH_ROUTE, "route 5 is not open")
+    refusal = StreamRefused(RefusalCode.NO_SUCH_ROUTE, "route 5 is not open")
     assert data.receive_data(answer) == [refusal]
     for end in (data, server):
         assert end.receive_data(b"more") == []
@@ -92,7 +101,7 @@ def test_a_data_stream_is_offered_a_retry() -> None:
     _, _, keys, _ = established()
     data = DataConnection(keys, _NAME)
     data.start()
-    assert data.receive_data(pack_frame(preamble_frame(Kind.RETRY, b"\x02"))) == [
+    assert data.receive_data(pack_frame(preamble_frame(PreambleKind.RETRY, b"\x02"))) == [
         Failed(Broken.UNEXPECTED_IN_PREAMBLE(kind="RETRY"))
     ]
 
@@ -101,13 +110,13 @@ def test_a_data_stream_is_offered_a_retry() -> None:
 
 
 @SUITES
-def test_a_multiplexed_stream_carries_control_and_data(suite: Suite) -> None:
+def test_a_multiplexed_stream_carries_control_and_data(suite: CipherSuite) -> None:
     client, server, client_keys, server_keys = established(suite, multiplexed=True)
     writer = DataWriter(client_keys.route_sealer(3, "client"), 3)
     reader = StreamedReader(server_keys.stream_opener(3, "client"), 3)
     first, second = write_chunks(writer, b"payload", 9, 0, 4)
     events = server.receive_data(first + client.send(Ping(1, 1)) + second)
-    assert [type(event) for event in events] == [DataFrame, Received, DataFrame]
+    assert [type(event) for event in events] == [DataFrame, MessageReceived, DataFrame]
     frames = [event for event in events if isinstance(event, DataFrame)]
     assert [event.route for event in frames] == [3, 3]
     assert [reader.open_frames((event.frame,)) for event in frames] == [[], [(b"payload", 9, 0)]]

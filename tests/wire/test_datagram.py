@@ -18,20 +18,22 @@ from rsb_bridge.wire.datagram import (
 )
 from rsb_bridge.wire.framing import SOURCE_FLAGS, SOURCE_SHIFT, ZSTD, Budget
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
-from rsb_bridge.wire.sealing import PROBE_ROUTE, DatagramOpener, Sealer, Suite
+from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite, DatagramOpener, Sealer
 
 KEY = bytes(range(32))
 LINK = b"linklink"
 ROUTE = 7
 OVERHEAD = 38 + 16
 HEADER = struct.Struct(">BBHHI8sQIQ")
-SUITES = pytest.mark.parametrize("suite", list(Suite))
+SUITES = pytest.mark.parametrize("suite", list(CipherSuite))
 
 FLAGS = [0, ZSTD, SOURCE_FLAGS, ZSTD | 1 << SOURCE_SHIFT]
 
 
-def ends(suite: Suite = Suite.AESGCM, key: bytes = KEY, **limits: Any) -> tuple[DatagramWriter, DatagramReader]:
-    plain = suite is Suite.PLAIN
+def ends(
+    suite: CipherSuite = CipherSuite.AESGCM, key: bytes = KEY, **limits: Any
+) -> tuple[DatagramWriter, DatagramReader]:
+    plain = suite is CipherSuite.PLAIN
     return (
         DatagramWriter(Sealer(suite, None if plain else KEY), LINK, ROUTE),
         DatagramReader(DatagramOpener(suite, None if plain else key), ROUTE, **limits),
@@ -42,7 +44,7 @@ class Peer:
     """A peer that holds the key and says what it likes."""
 
     def __init__(self) -> None:
-        self.sealer = Sealer(Suite.AESGCM, KEY)
+        self.sealer = Sealer(CipherSuite.AESGCM, KEY)
 
     def datagram(
         self,
@@ -65,7 +67,7 @@ def test_a_datagram_is_as_the_document_says() -> None:
     first, second = writer.write(b"abc", 1234, ZSTD, OVERHEAD + 2)
     assert first[:38] == bytes((0xB5, 1)) + struct.pack(">HHI", 0, 2, ROUTE) + LINK + struct.pack(">QIQ", 0, 5, 1234)
     assert second[:38] == bytes((0xB5, 1)) + struct.pack(">HHI", 1, 2, ROUTE) + LINK + struct.pack(">QIQ", 1, 5, 1234)
-    sealer = Sealer(Suite.AESGCM, KEY)
+    sealer = Sealer(CipherSuite.AESGCM, KEY)
     assert first[38:] == sealer.seal(b"ab", first[:38])
     assert second[38:] == sealer.seal(b"c", second[:38])
     assert by_addressee([(second, 1)]) == {(ROUTE, LINK, 1): [second]}
@@ -85,7 +87,7 @@ def test_a_datagram_is_as_the_document_says() -> None:
     room=st.integers(2, 120),  # so that disorder stays within the replay window
 )
 def test_messages_come_whole_and_once_in_whatever_order(
-    suite: Suite, data: st.DataObject, sent: list[tuple[bytes, int, int]], room: int
+    suite: CipherSuite, data: st.DataObject, sent: list[tuple[bytes, int, int]], room: int
 ) -> None:
     writer, reader = ends(suite)
     size = 38 + suite.tag_length + room
@@ -219,7 +221,7 @@ def test_a_datagram_against_the_format_is_ignored(fields: dict[str, Any]) -> Non
 
 @SUITES
 @given(garbage=st.binary(max_size=100))
-def test_garbage_is_ignored(suite: Suite, garbage: bytes) -> None:
+def test_garbage_is_ignored(suite: CipherSuite, garbage: bytes) -> None:
     _, reader = ends(suite)
     for datagram in (garbage, b"\xb5" + garbage, HEADER.pack(0xB5, 0, 0, 1, ROUTE, LINK, 0, 1, 0) + garbage):
         assert reader.receive(datagram, 0.0) is None
@@ -279,10 +281,10 @@ def test_a_message_of_too_many_datagrams_is_refused_and_nothing_is_spent() -> No
 @given(st.booleans(), st.integers(0, 2**64 - 1))
 def test_probes_travel_on_their_own_route(pong: bool, opaque: int) -> None:
     probe = Probe(pong, opaque)
-    writer = DatagramWriter(Sealer(Suite.AESGCM, KEY), LINK, PROBE_ROUTE)
+    writer = DatagramWriter(Sealer(CipherSuite.AESGCM, KEY), LINK, PROBE_ROUTE)
     (datagram,) = writer.write(probe.pack(), 0, 0, 1400)
     assert list(by_addressee([(datagram, 0)])) == [(PROBE_ROUTE, LINK, 0)]
-    message = DatagramReader(DatagramOpener(Suite.AESGCM, KEY), PROBE_ROUTE).receive(datagram, 0.0)
+    message = DatagramReader(DatagramOpener(CipherSuite.AESGCM, KEY), PROBE_ROUTE).receive(datagram, 0.0)
     assert message is not None
     assert unpack_probe(message[0]) == probe
 

@@ -64,8 +64,8 @@ def test_every_field_is_documented_and_no_other(name: str) -> None:
     assert documented_fields()[name] == {field.name for field in msgspec.structs.fields(STRUCTS[name])}
 
 
-@pytest.mark.parametrize("kind", list(preamble.Kind))
-def test_every_preamble_frame_is_documented(kind: preamble.Kind) -> None:
+@pytest.mark.parametrize("kind", list(preamble.PreambleKind))
+def test_every_preamble_frame_is_documented(kind: preamble.PreambleKind) -> None:
     assert re.search(rf"^\| {kind.value} {kind.name} \| (client|server) \|", DOCUMENT, re.MULTILINE)
 
 

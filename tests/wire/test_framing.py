@@ -23,12 +23,12 @@ from rsb_bridge.wire.framing import (
     pack_frame,
 )
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
-from rsb_bridge.wire.sealing import InvalidSeal, Sealer, SealError, StreamOpener, Suite
+from rsb_bridge.wire.sealing import CipherSuite, InvalidSeal, Sealer, SealError, StreamOpener
 
 FLAGS = [0, ZSTD, SOURCE_FLAGS, ZSTD | 1 << SOURCE_SHIFT]
 KEY = bytes(range(32))
 ROUTE = 7
-SUITES = pytest.mark.parametrize("suite", list(Suite))
+SUITES = pytest.mark.parametrize("suite", list(CipherSuite))
 
 messages = st.lists(
     st.tuples(
@@ -49,11 +49,11 @@ def pieces(draw: st.DrawFn, stream: bytes) -> list[bytes]:
 
 
 def data_ends(
-    suite: Suite, route: int = ROUTE, limit: int = 1 << 20, key: bytes = KEY, budget: Budget | None = None
+    suite: CipherSuite, route: int = ROUTE, limit: int = 1 << 20, key: bytes = KEY, budget: Budget | None = None
 ) -> tuple[DataWriter, StreamedReader]:
     return (
-        DataWriter(Sealer(suite, None if suite is Suite.PLAIN else KEY), route),
-        StreamedReader(StreamOpener(suite, None if suite is Suite.PLAIN else key), route, limit, budget),
+        DataWriter(Sealer(suite, None if suite is CipherSuite.PLAIN else KEY), route),
+        StreamedReader(StreamOpener(suite, None if suite is CipherSuite.PLAIN else key), route, limit, budget),
     )
 
 
@@ -115,7 +115,7 @@ def test_a_large_frame_in_small_pieces_takes_linear_time() -> None:
 
 
 def test_a_data_frame_is_as_the_document_says() -> None:
-    writer, _ = data_ends(Suite.PLAIN)
+    writer, _ = data_ends(CipherSuite.PLAIN)
     header = bytes((1, 1)) + struct.pack(">IQ", ROUTE, 1234)
     content = b"payload"
     tag = struct.pack(">I", zlib.crc32(bytes(8) + header + content))
@@ -125,7 +125,7 @@ def test_a_data_frame_is_as_the_document_says() -> None:
 @SUITES
 @given(data=st.data(), sent=messages)
 def test_messages_come_out_as_they_went_in_however_the_stream_is_cut(
-    suite: Suite, data: st.DataObject, sent: list[Message]
+    suite: CipherSuite, data: st.DataObject, sent: list[Message]
 ) -> None:
     writer, reader = data_ends(suite)
     stream = writer.write_many(sent[:4]) + b"".join(writer.write(*message) for message in sent[4:])
@@ -134,7 +134,9 @@ def test_messages_come_out_as_they_went_in_however_the_stream_is_cut(
 
 @SUITES
 @given(data=st.data(), sent=messages, chunk_size=st.integers(1, 100))
-def test_chunks_are_put_together_again(suite: Suite, data: st.DataObject, sent: list[Message], chunk_size: int) -> None:
+def test_chunks_are_put_together_again(
+    suite: CipherSuite, data: st.DataObject, sent: list[Message], chunk_size: int
+) -> None:
     writer, reader = data_ends(suite)
     chunked = [write_chunks(writer, *message, chunk_size) for message in sent]
     for (payload, _, _), chunks in zip(sent, chunked, strict=True):
@@ -145,7 +147,7 @@ def test_chunks_are_put_together_again(suite: Suite, data: st.DataObject, sent: 
 
 
 def test_chunks_of_two_routes_may_alternate() -> None:
-    ends = [data_ends(Suite.AESGCM, route) for route in (1, 3)]
+    ends = [data_ends(CipherSuite.AESGCM, route) for route in (1, 3)]
     chunks = [write_chunks(writer, bytes((n,)) * 100, n, 0, 30) for n, (writer, _) in enumerate(ends)]
     out = []
     for pair in zip(*chunks, strict=True):
@@ -155,7 +157,7 @@ def test_chunks_of_two_routes_may_alternate() -> None:
 
 
 @SUITES
-def test_a_message_may_have_the_limit_and_no_byte_more(suite: Suite) -> None:
+def test_a_message_may_have_the_limit_and_no_byte_more(suite: CipherSuite) -> None:
     writer, reader = data_ends(suite, limit=100)
     assert reader.receive_data(writer.write(bytes(100), 0)) == [(bytes(100), 0, 0)]
     with pytest.raises(ProtocolError, match=pattern(Broken.FRAME_TOO_LONG)):
@@ -169,7 +171,7 @@ def test_a_message_may_have_the_limit_and_no_byte_more(suite: Suite) -> None:
 @SUITES
 @given(data=st.data(), sent=messages, chunk_size=st.integers(1, 100))
 def test_what_is_held_is_what_has_come_of_the_unfinished(
-    suite: Suite, data: st.DataObject, sent: list[Message], chunk_size: int
+    suite: CipherSuite, data: st.DataObject, sent: list[Message], chunk_size: int
 ) -> None:
     """Chunks and a frame that is cut; after any input, nothing is held once the reader is closed."""
     budget = Budget(1 << 20)
@@ -185,7 +187,7 @@ def test_what_is_held_is_what_has_come_of_the_unfinished(
 @pytest.mark.parametrize("began", ["a frame", "chunks"])
 def test_readers_hold_no_more_than_their_budget_together(began: str) -> None:
     budget = Budget(1000)
-    ends = [data_ends(Suite.AESGCM, route, budget=budget) for route in (1, 3)]
+    ends = [data_ends(CipherSuite.AESGCM, route, budget=budget) for route in (1, 3)]
     if began == "a frame":
         begun = [writer.write(bytes(700), 0)[:600] for writer, _ in ends]
     else:
@@ -201,12 +203,12 @@ def test_readers_hold_no_more_than_their_budget_together(began: str) -> None:
 
 
 def test_a_message_that_comes_at_once_costs_the_budget_nothing() -> None:
-    writer, reader = data_ends(Suite.AESGCM, budget=Budget(0))
+    writer, reader = data_ends(CipherSuite.AESGCM, budget=Budget(0))
     assert reader.receive_data(writer.write(bytes(5000), 0)) == [(bytes(5000), 0, 0)]
 
 
 def test_empty_chunks_are_harmless() -> None:
-    writer, reader = data_ends(Suite.AESGCM)
+    writer, reader = data_ends(CipherSuite.AESGCM)
     stream = writer.write(b"", 0, MORE) + writer.write(b"a", 0, MORE) + writer.write(b"", 5)
     assert reader.receive_data(stream) == [(b"a", 5, 0)]
 
@@ -219,35 +221,35 @@ def test_empty_chunks_are_harmless() -> None:
     ],
 )
 def test_a_frame_that_has_no_place_is_refused_in_words(header: bytes, parameters: dict[str, object]) -> None:
-    _, reader = data_ends(Suite.AESGCM)
-    sealed = Sealer(Suite.AESGCM, KEY).seal(b"content", header)
+    _, reader = data_ends(CipherSuite.AESGCM)
+    sealed = Sealer(CipherSuite.AESGCM, KEY).seal(b"content", header)
     with pytest.raises(ProtocolError, match=pattern(Broken.FRAME_OF_ANOTHER_STREAM, **parameters)):
         reader.receive_data(pack_frame(header, sealed))
 
 
 def test_a_frame_shorter_than_its_header_is_refused_in_words() -> None:
-    _, reader = data_ends(Suite.AESGCM)
+    _, reader = data_ends(CipherSuite.AESGCM)
     with pytest.raises(ProtocolError, match=pattern(Broken.DATA_FRAME_TOO_SHORT, length=13)):
         reader.receive_data(pack_frame(bytes(13)))
 
 
 def test_a_replayed_missing_or_foreign_frame_does_not_open() -> None:
-    writer, reader = data_ends(Suite.AESGCM)
+    writer, reader = data_ends(CipherSuite.AESGCM)
     first, second = writer.write(b"1", 0), writer.write(b"2", 0)
     reader.receive_data(first)
     with pytest.raises(SealError, match=pattern(InvalidSeal.FORGED)):
         reader.receive_data(first)
-    _, reader = data_ends(Suite.AESGCM)
+    _, reader = data_ends(CipherSuite.AESGCM)
     with pytest.raises(SealError, match=pattern(InvalidSeal.FORGED)):
         reader.receive_data(second)
-    _, reader = data_ends(Suite.AESGCM, key=bytes(32))
+    _, reader = data_ends(CipherSuite.AESGCM, key=bytes(32))
     with pytest.raises(SealError, match=pattern(InvalidSeal.FORGED)):
         reader.receive_data(first)
 
 
 @SUITES
 @given(data=st.data())
-def test_damage_anywhere_is_never_delivered(suite: Suite, data: st.DataObject) -> None:
+def test_damage_anywhere_is_never_delivered(suite: CipherSuite, data: st.DataObject) -> None:
     writer, reader = data_ends(suite)
     stream = bytearray(writer.write_many([(b"first", 1, 0), (b"second", 2, ZSTD)]))
     at = data.draw(st.integers(0, len(stream) - 1))

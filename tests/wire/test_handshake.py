@@ -10,7 +10,7 @@ from tests.support.wording import pattern
 
 from rsb_bridge.wire.handshake import NoiseHandshake, PlainHandshake, _hkdf
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
-from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
+from rsb_bridge.wire.sealing import CipherSuite, Sealer, SealError, StreamOpener
 
 PSK = bytes.fromhex("54686973206973206d7920417573747269616e20706572737065637469766521")
 PROLOGUE = bytes.fromhex("4a6f686e2047616c74")
@@ -28,7 +28,7 @@ PAYLOADS = [
     )
 ]
 CIPHERTEXTS = {
-    Suite.AESGCM: [
+    CipherSuite.AESGCM: [
         (
             "ca35def5ae56cec33dc2036731ab14896bc4c75dbb07a61f879f8e3afa4c7944"
             "7c37a89fc17813788d30df2d59501d6066f5f8aecc3406bbd9829f2d24a531b1"
@@ -42,7 +42,7 @@ CIPHERTEXTS = {
         "6cfc49a3e65472edc2d0152abe5ce950170a8a47c959f30bd48b5f0aacf29adbfd",
         "9bc86e6d974ed21ba04604a94aa68de21677eb409ead070c0cd569b069ee19ba142aa4c1a9",
     ],
-    Suite.CHACHAPOLY: [
+    CipherSuite.CHACHAPOLY: [
         (
             "ca35def5ae56cec33dc2036731ab14896bc4c75dbb07a61f879f8e3afa4c7944"
             "79b962b8aff8485742ac32f905ba45369e2465fb59e138a93d67a0d1266b6a54"
@@ -57,10 +57,10 @@ CIPHERTEXTS = {
         "0c01dc9cec1fe4ddd692e8dd32188aa351088dc91183639a53b57aa4692b5ebdef8b8ca111",
     ],
 }
-ENCRYPTED = [Suite.AESGCM, Suite.CHACHAPOLY]
+ENCRYPTED = [CipherSuite.AESGCM, CipherSuite.CHACHAPOLY]
 
 
-def ends(suite: Suite) -> tuple[NoiseHandshake, NoiseHandshake]:
+def ends(suite: CipherSuite) -> tuple[NoiseHandshake, NoiseHandshake]:
     return (
         NoiseHandshake(suite, PSK, PROLOGUE, X25519PrivateKey.from_private_bytes(CLIENT_EPHEMERAL)),
         NoiseHandshake(suite, PSK, PROLOGUE, X25519PrivateKey.from_private_bytes(SERVER_EPHEMERAL)),
@@ -68,7 +68,7 @@ def ends(suite: Suite) -> tuple[NoiseHandshake, NoiseHandshake]:
 
 
 @pytest.mark.parametrize("suite", ENCRYPTED)
-def test_published_vector(suite: Suite) -> None:
+def test_published_vector(suite: CipherSuite) -> None:
     client, server = ends(suite)
     expected = [bytes.fromhex(ciphertext) for ciphertext in CIPHERTEXTS[suite]]
 
@@ -90,7 +90,7 @@ def test_published_vector(suite: Suite) -> None:
 
 
 @pytest.mark.parametrize("suite", ENCRYPTED)
-def test_keys_are_new_each_time(suite: Suite) -> None:
+def test_keys_are_new_each_time(suite: CipherSuite) -> None:
     links = set()
     for _ in range(3):
         client, server = NoiseHandshake(suite, PSK, b""), NoiseHandshake(suite, PSK, b"")
@@ -104,7 +104,7 @@ def test_keys_are_new_each_time(suite: Suite) -> None:
 
 
 @pytest.mark.parametrize("suite", ENCRYPTED)
-def test_a_handshake_that_is_over_holds_no_secret(suite: Suite) -> None:
+def test_a_handshake_that_is_over_holds_no_secret(suite: CipherSuite) -> None:
     client, server = NoiseHandshake(suite, PSK, b""), NoiseHandshake(suite, PSK, b"")
     server.read(client.write(b""))
     client.read(server.write(b""))
@@ -116,7 +116,7 @@ def test_a_handshake_that_is_over_holds_no_secret(suite: Suite) -> None:
 
 
 @pytest.mark.parametrize("suite", ENCRYPTED)
-def test_another_key_or_another_prologue_does_not_open(suite: Suite) -> None:
+def test_another_key_or_another_prologue_does_not_open(suite: CipherSuite) -> None:
     message = NoiseHandshake(suite, PSK, PROLOGUE).write(b"hello")
     with pytest.raises(SealError):
         NoiseHandshake(suite, bytes(32), PROLOGUE).read(message)
@@ -125,7 +125,7 @@ def test_another_key_or_another_prologue_does_not_open(suite: Suite) -> None:
 
 
 @pytest.mark.parametrize("suite", ENCRYPTED)
-def test_every_byte_of_a_message_counts(suite: Suite) -> None:
+def test_every_byte_of_a_message_counts(suite: CipherSuite) -> None:
     message = NoiseHandshake(suite, PSK, PROLOGUE).write(b"hello")
     for at in range(len(message)):
         damaged = bytearray(message)
@@ -137,11 +137,11 @@ def test_every_byte_of_a_message_counts(suite: Suite) -> None:
 def test_a_message_too_short_is_a_format_error() -> None:
     for length in range(48):
         with pytest.raises(ProtocolError, match=pattern(Broken.HANDSHAKE_TOO_SHORT, length=length)):
-            NoiseHandshake(Suite.AESGCM, PSK, b"").read(bytes(length))
+            NoiseHandshake(CipherSuite.AESGCM, PSK, b"").read(bytes(length))
 
 
 def test_a_low_order_ephemeral_is_refused() -> None:
-    client = NoiseHandshake(Suite.AESGCM, PSK, b"")
+    client = NoiseHandshake(CipherSuite.AESGCM, PSK, b"")
     client.write(b"")
     with pytest.raises(ProtocolError, match=pattern(Broken.EPHEMERAL_KEY_INVALID)):
         client.read(bytes(48))
@@ -149,7 +149,7 @@ def test_a_low_order_ephemeral_is_refused() -> None:
 
 def test_a_key_of_another_length_is_refused() -> None:
     with pytest.raises(ValueError, match=pattern(Misuse.SESSION_KEY_LENGTH, expected=32, length=0)):
-        NoiseHandshake(Suite.AESGCM, b"", b"")
+        NoiseHandshake(CipherSuite.AESGCM, b"", b"")
 
 
 def test_plain_passes_payloads_through_and_has_no_keys() -> None:

@@ -9,7 +9,7 @@ from tests.support.wording import pattern
 from tests.wire.links import KEY, OTHER_KEY, make_client, make_server, the
 
 from rsb_bridge.model.fingerprints import fingerprint_of
-from rsb_bridge.wire.events import Admitted, Event, Failed, Opened, RefusalCode, Refused
+from rsb_bridge.wire.events import Admitted, Event, Failed, OperatorOpened, RefusalCode, StreamRefused
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake, ReplayCache
 from rsb_bridge.wire.operator_connection import (
@@ -22,7 +22,7 @@ from rsb_bridge.wire.operator_connection import (
     operator_header,
     parse_operator,
 )
-from rsb_bridge.wire.preamble import Kind, Refusal, parse_control, parse_preamble, preamble_frame, refuse_frame
+from rsb_bridge.wire.preamble import PreambleKind, Refusal, parse_control, parse_preamble, preamble_frame, refuse_frame
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 from rsb_bridge.wire.sealed_stream import Credential
 from rsb_bridge.wire.sealing import Sealer
@@ -57,8 +57,8 @@ def attached() -> tuple[OperatorConsole, OperatorEngine]:
 
 
 def contents(events: list[Event]) -> bytes:
-    assert all(isinstance(event, Opened) for event in events)
-    return b"".join(event.content for event in events if isinstance(event, Opened))
+    assert all(isinstance(event, OperatorOpened) for event in events)
+    return b"".join(event.content for event in events if isinstance(event, OperatorOpened))
 
 
 def first_message(*, header: bytes | None = None, host: bytes = b"") -> bytes:
@@ -92,7 +92,7 @@ def test_in_whatever_pieces_it_comes(size: int) -> None:
     rest = console.data_to_send() + console.send(b"look")
     for at in range(0, len(rest), size):
         events += engine.receive_data(rest[at : at + size])
-    assert events == [Admitted("anna", "pc", KEY), Opened(b"look")]
+    assert events == [Admitted("anna", "pc", KEY), OperatorOpened(b"look")]
 
 
 def test_a_long_host_name_is_cut() -> None:
@@ -122,10 +122,10 @@ def test_a_name_that_is_too_long(names: tuple[str, str]) -> None:
 # --- who does not get in
 
 
-def refusal(console: OperatorConsole, engine: OperatorEngine) -> tuple[Refused, Refused]:
+def refusal(console: OperatorConsole, engine: OperatorEngine) -> tuple[StreamRefused, StreamRefused]:
     """Return the reason of a refusal, after checking that both sides give the same."""
-    here = the(Refused, engine.receive_data(console.start()))
-    there = the(Refused, console.receive_data(engine.data_to_send()))
+    here = the(StreamRefused, engine.receive_data(console.start()))
+    there = the(StreamRefused, console.receive_data(engine.data_to_send()))
     assert (here.code, here.message) == (there.code, there.message)
     return here, there
 
@@ -150,7 +150,7 @@ def test_who_means_another_engine_is_refused_and_not_told_which_this_is() -> Non
 def test_a_key_that_only_claims_its_fingerprint_opens_nothing() -> None:
     header = operator_header(VERSION, "anna", "robot1", fingerprint_of(KEY))
     forged = pack_frame(header, NoiseHandshake(SUITE, OTHER_KEY, header).write(b""))
-    assert the(Refused, make_engine().receive_data(forged)).code is RefusalCode.WRONG_KEY
+    assert the(StreamRefused, make_engine().receive_data(forged)).code is RefusalCode.WRONG_KEY
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ def test_what_is_in_the_clear_is_bound(header: bytes) -> None:
     said = first_message(header=header)[LENGTH.size :]
     mine = operator_header(VERSION, "anna", "robot1", fingerprint_of(KEY))
     changed = pack_frame(mine, parse_operator(said).message)
-    assert the(Refused, make_engine().receive_data(changed)).code is RefusalCode.WRONG_KEY
+    assert the(StreamRefused, make_engine().receive_data(changed)).code is RefusalCode.WRONG_KEY
 
 
 def test_an_engine_with_the_same_key_cannot_answer_for_another() -> None:
@@ -174,11 +174,11 @@ def test_an_engine_with_the_same_key_cannot_answer_for_another() -> None:
     offer = parse_operator(console.start()[LENGTH.size :])
     header = operator_header(VERSION, "anna", "robot2", fingerprint_of(KEY))
     forwarded = pack_frame(header, offer.message)
-    assert the(Refused, make_engine(name="robot2").receive_data(forwarded)).code is RefusalCode.WRONG_KEY
+    assert the(StreamRefused, make_engine(name="robot2").receive_data(forwarded)).code is RefusalCode.WRONG_KEY
     other = make_console(engine="robot2")
     answering = make_engine(name="robot2")
     answering.receive_data(other.start())
-    refused = the(Refused, console.receive_data(answering.data_to_send()))
+    refused = the(StreamRefused, console.receive_data(answering.data_to_send()))
     assert refused.code is RefusalCode.WRONG_KEY
     assert console.data_to_send() == b""
 
@@ -190,7 +190,7 @@ def test_a_replayed_first_message_is_not_answered() -> None:
     assert engines[0].receive_data(first) == []
     the(Failed, engines[1].receive_data(first))
     kind, _ = parse_preamble(engines[1].data_to_send()[LENGTH.size :])
-    assert kind is Kind.REFUSE
+    assert kind is PreambleKind.REFUSE
 
 
 def test_a_replay_that_is_answered_confirms_nothing() -> None:
@@ -233,23 +233,25 @@ def test_a_long_record_in_the_place_of_the_confirmation_is_not_waited_for() -> N
 def test_a_link_is_none_of_an_operator_even_with_the_same_key() -> None:
     link, engine = make_client(), make_engine()
     the(Failed, engine.receive_data(link.start()))
-    assert isinstance(link.receive_data(engine.data_to_send())[0], Refused)
+    assert isinstance(link.receive_data(engine.data_to_send())[0], StreamRefused)
 
 
 def test_an_operator_has_no_link_even_with_the_same_key() -> None:
     console, server = make_console(), make_server()
     the(Failed, server.receive_data(console.start()))
-    the(Refused, console.receive_data(server.data_to_send()))
+    the(StreamRefused, console.receive_data(server.data_to_send()))
 
 
 def test_a_link_s_first_message_under_an_operator_s_header_does_not_open() -> None:
     offer = parse_control(make_client(SUITE).start()[LENGTH.size :])
     header = operator_header(VERSION, "anna", "robot1", offer.fingerprint)
-    assert the(Refused, make_engine().receive_data(pack_frame(header, offer.message))).code is RefusalCode.WRONG_KEY
+    assert (
+        the(StreamRefused, make_engine().receive_data(pack_frame(header, offer.message))).code is RefusalCode.WRONG_KEY
+    )
 
 
-@pytest.mark.parametrize("kind", [Kind.CONTROL, Kind.DATA, Kind.RETRY, Kind.OPERATOR])
-def test_an_engine_answers_with_accept_or_refuse(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", [PreambleKind.CONTROL, PreambleKind.DATA, PreambleKind.RETRY, PreambleKind.OPERATOR])
+def test_an_engine_answers_with_accept_or_refuse(kind: PreambleKind) -> None:
     console = make_console()
     console.start()
     the(Failed, console.receive_data(pack_frame(preamble_frame(kind, bytes(20)))))
@@ -258,13 +260,13 @@ def test_an_engine_answers_with_accept_or_refuse(kind: Kind) -> None:
 def test_another_version_is_said() -> None:
     frame = bytearray(make_console().start())
     frame[LENGTH.size + 3] += 1
-    assert the(Refused, make_engine().receive_data(bytes(frame))).code is RefusalCode.WRONG_VERSION
+    assert the(StreamRefused, make_engine().receive_data(bytes(frame))).code is RefusalCode.WRONG_VERSION
 
 
 def test_a_refusal_in_words() -> None:
     console, engine = make_console(), make_engine()
     console.start()
-    refused = the(Refused, console.receive_data(engine.refuse(RefusalCode.BUSY, "too many")))
+    refused = the(StreamRefused, console.receive_data(engine.refuse(RefusalCode.BUSY, "too many")))
     assert (refused.code, refused.message) == (RefusalCode.BUSY, "too many")
     assert engine.receive_data(console.start()) == []
 
@@ -272,7 +274,7 @@ def test_a_refusal_in_words() -> None:
 def test_a_refusal_from_the_way_ends_the_attempt_only() -> None:
     console = make_console()
     console.start()
-    the(Refused, console.receive_data(pack_frame(refuse_frame(RefusalCode.SHUT_DOWN, "stop"))))
+    the(StreamRefused, console.receive_data(pack_frame(refuse_frame(RefusalCode.SHUT_DOWN, "stop"))))
     assert console.receive_data(b"more") == []
 
 
@@ -297,7 +299,7 @@ def test_a_preamble_that_ends_early(length: int) -> None:
 def test_a_name_that_is_none(name: bytes) -> None:
     body = struct.pack(">H", VERSION) + bytes((len(name),)) + name + b"\6robot1" + bytes(8)
     with pytest.raises(ProtocolError):
-        parse_operator(preamble_frame(Kind.OPERATOR, body))
+        parse_operator(preamble_frame(PreambleKind.OPERATOR, body))
 
 
 # --- records

@@ -10,7 +10,7 @@ from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.operator_connection import OperatorConsole, OperatorEngine
 from rsb_bridge.wire.sealed_stream import Credential
-from rsb_bridge.wire.sealing import TAG_LENGTH, SampleTags, Suite
+from rsb_bridge.wire.sealing import TAG_LENGTH, CipherSuite, SampleTags
 
 SECRET, STREAM = bytes(range(32)), "5" * 16
 
@@ -40,7 +40,7 @@ def test_a_tag_is_of_one_kind_number_payload_stream_and_secret() -> None:
 
 def test_both_sides_of_a_link_have_one_secret() -> None:
     welcome = msgspec.structs.replace(WELCOME, at="a" * 16)
-    client = ClientConnection(HELLO, KEY, Suite.AESGCM)
+    client = ClientConnection(HELLO, KEY, CipherSuite.AESGCM)
     server = ServerConnection(lambda _: Credential((KEY,), ReplayCache()), lambda _: welcome, aes=True)
     server.receive_data(client.start())
     client.receive_data(server.data_to_send())
@@ -50,7 +50,7 @@ def test_both_sides_of_a_link_have_one_secret() -> None:
 
 
 def test_a_fork_takes_an_answer_and_leaves_the_first_untouched() -> None:
-    client = ClientConnection(HELLO, KEY, Suite.AESGCM)
+    client = ClientConnection(HELLO, KEY, CipherSuite.AESGCM)
     server = ServerConnection(lambda _: Credential((KEY,), ReplayCache()), lambda _: WELCOME, aes=True)
     server.receive_data(client.start())
     answer = server.data_to_send()

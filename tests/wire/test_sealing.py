@@ -15,6 +15,7 @@ from rsb_bridge.wire.protocol_error import Misuse
 from rsb_bridge.wire.sealing import (
     EPOCH_BITS,
     EPOCHS_AHEAD,
+    CipherSuite,
     DatagramOpener,
     InvalidSeal,
     Role,
@@ -22,37 +23,36 @@ from rsb_bridge.wire.sealing import (
     SealError,
     SessionKeys,
     StreamOpener,
-    Suite,
 )
 
 KEY = bytes(range(32))
 EPOCH = 1 << EPOCH_BITS
-SUITES = pytest.mark.parametrize("suite", list(Suite))
-ENCRYPTED = pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
+SUITES = pytest.mark.parametrize("suite", list(CipherSuite))
+ENCRYPTED = pytest.mark.parametrize("suite", [CipherSuite.AESGCM, CipherSuite.CHACHAPOLY])
 
 
-def key_for(suite: Suite) -> bytes | None:
-    return None if suite is Suite.PLAIN else KEY
+def key_for(suite: CipherSuite) -> bytes | None:
+    return None if suite is CipherSuite.PLAIN else KEY
 
 
-def sealed_at(suite: Suite, sequence: int, content: bytes = b"content", associated: bytes = b"header") -> bytes:
+def sealed_at(suite: CipherSuite, sequence: int, content: bytes = b"content", associated: bytes = b"header") -> bytes:
     sealer = Sealer(suite, key_for(suite))
     sealer.sequence = sequence
     return sealer.seal(content, associated)
 
 
-def by_the_book(suite: Suite, key: bytes, sequence: int, content: bytes, associated: bytes) -> bytes:
+def by_the_book(suite: CipherSuite, key: bytes, sequence: int, content: bytes, associated: bytes) -> bytes:
     """PROTOCOL.md 1.4, written out again."""
-    if suite is Suite.AESGCM:
+    if suite is CipherSuite.AESGCM:
         return AESGCM(key).encrypt(bytes(4) + struct.pack(">Q", sequence), content, associated)
-    if suite is Suite.CHACHAPOLY:
+    if suite is CipherSuite.CHACHAPOLY:
         return ChaCha20Poly1305(key).encrypt(bytes(4) + struct.pack("<Q", sequence), content, associated)
     return content + struct.pack(">I", zlib.crc32(struct.pack(">Q", sequence) + associated + content))
 
 
 @SUITES
 @given(messages=st.lists(st.tuples(st.binary(), st.binary()), max_size=5))
-def test_what_is_sealed_opens_in_order(suite: Suite, messages: list[tuple[bytes, bytes]]) -> None:
+def test_what_is_sealed_opens_in_order(suite: CipherSuite, messages: list[tuple[bytes, bytes]]) -> None:
     sealer, opener = Sealer(suite, key_for(suite)), StreamOpener(suite, key_for(suite))
     for n, (content, associated) in enumerate(messages):
         sealed = sealer.seal(content, associated)
@@ -63,7 +63,7 @@ def test_what_is_sealed_opens_in_order(suite: Suite, messages: list[tuple[bytes,
 
 
 @SUITES
-def test_every_byte_counts(suite: Suite) -> None:
+def test_every_byte_counts(suite: CipherSuite) -> None:
     sealed = Sealer(suite, key_for(suite)).seal(b"content", b"header")
     for at in range(len(sealed)):
         damaged = bytearray(sealed)
@@ -76,13 +76,13 @@ def test_every_byte_counts(suite: Suite) -> None:
 
 @SUITES
 @given(garbage=st.binary(max_size=64))
-def test_garbage_does_not_open(suite: Suite, garbage: bytes) -> None:
+def test_garbage_does_not_open(suite: CipherSuite, garbage: bytes) -> None:
     with pytest.raises(SealError):
         StreamOpener(suite, key_for(suite)).open(garbage, b"header")
 
 
 @SUITES
-def test_a_stream_opens_nothing_out_of_order_and_goes_on_after_it(suite: Suite) -> None:
+def test_a_stream_opens_nothing_out_of_order_and_goes_on_after_it(suite: CipherSuite) -> None:
     sealer, opener = Sealer(suite, key_for(suite)), StreamOpener(suite, key_for(suite))
     first, second = sealer.seal(b"1", b""), sealer.seal(b"2", b"")
     with pytest.raises(SealError):
@@ -95,18 +95,18 @@ def test_a_stream_opens_nothing_out_of_order_and_goes_on_after_it(suite: Suite) 
 
 @pytest.mark.parametrize("key", [None, b"", KEY[1:]])
 @ENCRYPTED
-def test_a_cipher_takes_a_whole_key(suite: Suite, key: bytes | None) -> None:
+def test_a_cipher_takes_a_whole_key(suite: CipherSuite, key: bytes | None) -> None:
     with pytest.raises(ValueError, match=pattern(Misuse.KEY_LENGTH, expected=32)):
         Sealer(suite, key)
 
 
-def rekeyed(suite: Suite, key: bytes) -> bytes:
+def rekeyed(suite: CipherSuite, key: bytes) -> bytes:
     """REKEY of the Noise specification, 4.2."""
     return by_the_book(suite, key, 2**64 - 1, bytes(32), b"")[:32]
 
 
 @SUITES
-def test_each_epoch_has_the_key_that_rekey_gives(suite: Suite) -> None:
+def test_each_epoch_has_the_key_that_rekey_gives(suite: CipherSuite) -> None:
     keys = [KEY]
     while len(keys) < 4:
         keys.append(rekeyed(suite, keys[-1]))
@@ -120,7 +120,7 @@ def test_each_epoch_has_the_key_that_rekey_gives(suite: Suite) -> None:
 
 
 @SUITES
-def test_memory_that_is_lent_is_sealed_and_opened_across_an_epoch_as_any_other(suite: Suite) -> None:
+def test_memory_that_is_lent_is_sealed_and_opened_across_an_epoch_as_any_other(suite: CipherSuite) -> None:
     sealer, opener = Sealer(suite, key_for(suite)), StreamOpener(suite, key_for(suite))
     sealer.sequence = opener.sequence = EPOCH - 1
     for sequence in range(EPOCH - 1, EPOCH + 1):
@@ -132,7 +132,7 @@ def test_memory_that_is_lent_is_sealed_and_opened_across_an_epoch_as_any_other(s
 
 
 @ENCRYPTED
-def test_the_keys_of_past_epochs_are_forgotten(suite: Suite) -> None:
+def test_the_keys_of_past_epochs_are_forgotten(suite: CipherSuite) -> None:
     opener = DatagramOpener(suite, KEY)
     opener.open(0, sealed_at(suite, 0), b"header")
     opener.open(5 * EPOCH, sealed_at(suite, 5 * EPOCH), b"header")
@@ -145,14 +145,14 @@ def test_the_keys_of_past_epochs_are_forgotten(suite: Suite) -> None:
 
 
 @SUITES
-def test_datagrams_open_across_an_epoch_in_any_order(suite: Suite) -> None:
+def test_datagrams_open_across_an_epoch_in_any_order(suite: CipherSuite) -> None:
     opener = DatagramOpener(suite, key_for(suite))
     for sequence in (EPOCH - 3, EPOCH + 1, EPOCH - 1, EPOCH, EPOCH - 2, 3 * EPOCH, 3 * EPOCH - 1):
         assert opener.open(sequence, sealed_at(suite, sequence), b"header") == b"content"
 
 
 @SUITES
-def test_a_datagram_too_many_epochs_ahead_is_refused_unopened(suite: Suite) -> None:
+def test_a_datagram_too_many_epochs_ahead_is_refused_unopened(suite: CipherSuite) -> None:
     opener = DatagramOpener(suite, key_for(suite))
     with pytest.raises(SealError, match=pattern(InvalidSeal.EPOCH_TOO_FAR_AHEAD)):
         opener.open((EPOCHS_AHEAD + 1) * EPOCH, b"", b"header")
@@ -163,7 +163,7 @@ def test_a_datagram_too_many_epochs_ahead_is_refused_unopened(suite: Suite) -> N
 
 
 @SUITES
-def test_a_forged_datagram_moves_nothing(suite: Suite) -> None:
+def test_a_forged_datagram_moves_nothing(suite: CipherSuite) -> None:
     opener = DatagramOpener(suite, key_for(suite))
     opener.open(7, sealed_at(suite, 7), b"header")
     for sequence in (9, 2000, 3 * EPOCH, 6):
@@ -180,7 +180,7 @@ def test_a_forged_datagram_moves_nothing(suite: Suite) -> None:
     leap=st.sampled_from([0, EPOCH - 15, 5 * EPOCH]),
 )
 def test_each_sequence_opens_once_and_only_within_the_window(
-    suite: Suite, window: int, arrivals: list[int], leap: int
+    suite: CipherSuite, window: int, arrivals: list[int], leap: int
 ) -> None:
     opener = DatagramOpener(suite, key_for(suite), window)
     opened, newest = set(), None
@@ -198,8 +198,10 @@ def test_each_sequence_opens_once_and_only_within_the_window(
                 opener.open(sequence, sealed, b"header")
 
 
-def session_keys(suite: Suite = Suite.AESGCM, export: bytes = KEY, routes: Iterable[int] = (1, 2, 3, 5)) -> SessionKeys:
-    return proposed(suite, None if suite is Suite.PLAIN else export, routes=routes)
+def session_keys(
+    suite: CipherSuite = CipherSuite.AESGCM, export: bytes = KEY, routes: Iterable[int] = (1, 2, 3, 5)
+) -> SessionKeys:
+    return proposed(suite, None if suite is CipherSuite.PLAIN else export, routes=routes)
 
 
 def expand(secret: bytes, label: bytes, info: bytes = b"") -> bytes:
@@ -219,7 +221,7 @@ def chain(proposer: int, proposals: int) -> bytes:
 @pytest.mark.parametrize(("role", "direction"), [("client", 0), ("server", 1)])
 @pytest.mark.parametrize(("route", "secret"), [(0, KEY), (1, chain(0, 0)), (5, chain(0, 2)), (2, chain(1, 0))])
 def test_data_keys_are_those_of_the_document(
-    suite: Suite, role: Role, direction: int, route: int, secret: bytes
+    suite: CipherSuite, role: Role, direction: int, route: int, secret: bytes
 ) -> None:
     sealed = session_keys(suite).route_sealer(route, role).seal(b"content", b"header")
     key = expand(secret, b"rsb data", struct.pack(">IB", route, direction))
@@ -227,14 +229,14 @@ def test_data_keys_are_those_of_the_document(
 
 
 @ENCRYPTED
-def test_attach_proof_is_that_of_the_document(suite: Suite) -> None:
+def test_attach_proof_is_that_of_the_document(suite: CipherSuite) -> None:
     proof = session_keys(suite).attach_proof(b"header", 5)
     key = expand(expand(KEY, b"rsb attach"), b"rsb stream", struct.pack(">I", 5))
     assert proof == by_the_book(suite, key, 0, b"", b"header")
 
 
 @SUITES
-def test_both_sides_derive_the_same_for_streams_and_datagrams(suite: Suite) -> None:
+def test_both_sides_derive_the_same_for_streams_and_datagrams(suite: CipherSuite) -> None:
     cases: tuple[tuple[int, Role], ...] = ((1, "client"), (1, "server"), (2, "client"))
     for route, role in cases:
         sealed = session_keys(suite).route_sealer(route, role).seal(b"content", b"header")
@@ -255,7 +257,7 @@ def test_both_sides_keep_in_step_whatever_crosses(taken: list[int], refused: set
 
 
 @ENCRYPTED
-def test_no_other_route_direction_or_link_opens_it(suite: Suite) -> None:
+def test_no_other_route_direction_or_link_opens_it(suite: CipherSuite) -> None:
     sealed = session_keys(suite).route_sealer(1, "client").seal(b"content", b"header")
     others: tuple[tuple[SessionKeys, int, Role], ...] = (
         (session_keys(suite), 3, "client"),
@@ -276,7 +278,7 @@ def held(thing: object) -> set[bytes]:
 
 
 @ENCRYPTED
-def test_who_takes_over_a_process_opens_nothing_earlier(suite: Suite) -> None:
+def test_who_takes_over_a_process_opens_nothing_earlier(suite: CipherSuite) -> None:
     """Neither what crossed before the epoch of an open route, nor what crossed on a closed one."""
     keys = session_keys(suite)
     early = [keys.route_sealer(route, "client").seal(b"content", b"header") for route in (0, 1, 3)]
@@ -294,7 +296,7 @@ def test_who_takes_over_a_process_opens_nothing_earlier(suite: Suite) -> None:
 
 
 @SUITES
-def test_both_sides_of_one_link_derive_the_same_secret_of_sample_tags(suite: Suite) -> None:
+def test_both_sides_of_one_link_derive_the_same_secret_of_sample_tags(suite: CipherSuite) -> None:
     ours, theirs, other = session_keys(suite), session_keys(suite), session_keys(suite, bytes(32))
     assert ours.sample_secret == theirs.sample_secret
     assert ours.sample_secret is None or ours.sample_secret != other.sample_secret
@@ -314,7 +316,7 @@ def test_each_key_is_handed_out_once() -> None:
 
 
 @SUITES
-def test_attach_proof_holds_for_its_header_and_route_only(suite: Suite) -> None:
+def test_attach_proof_holds_for_its_header_and_route_only(suite: CipherSuite) -> None:
     keys = session_keys(suite)
     proof = keys.attach_proof(b"header of 5", 5)
     session_keys(suite).check_attach_proof(b"header of 5", 5, proof)
@@ -322,6 +324,6 @@ def test_attach_proof_holds_for_its_header_and_route_only(suite: Suite) -> None:
         keys.check_attach_proof(b"header of 7", 5, proof)
     with pytest.raises(SealError):
         keys.check_attach_proof(b"header of 5", 5, b"")
-    if suite is not Suite.PLAIN:
+    if suite is not CipherSuite.PLAIN:
         with pytest.raises(SealError):
             keys.check_attach_proof(b"header of 5", 3, proof)

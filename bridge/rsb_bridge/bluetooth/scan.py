@@ -171,10 +171,10 @@ def _refusal(reply: Message) -> str:
     return ScanProblem.BLUEZ_REFUSED(reason=reason)
 
 
-__all__ = ["ANY_ADAPTER", "CHANNELS", "Adapter", "Device", "Scan", "Use", "held_channels", "scan"]
+__all__ = ["ANY_ADAPTER", "CHANNELS", "Adapter", "ChannelUse", "Device", "Scan", "held_channels", "scan"]
 
 
-class Use(StrEnum):
+class ChannelUse(StrEnum):
     """A channel's user."""
 
     FREE = "free"
@@ -196,7 +196,7 @@ class Scan:
     """
 
     adapters: tuple[Adapter, ...] = ()
-    channels: dict[str, dict[int, Use]] = field(default_factory=dict)
+    channels: dict[str, dict[int, ChannelUse]] = field(default_factory=dict)
     devices: tuple[Device, ...] = ()
     problems: tuple[str, ...] = ()
 
@@ -238,7 +238,9 @@ async def scan(adapter: str | None = None, own_channels: Collection[tuple[str, i
     try:
         for address in (*(one.address for one in chosen), ANY_ADAPTER):
             own = {number for held_on, number in own_channels if held_on.upper() == address}
-            channels[address] = {number: Use.OWN if number in own else _try(address, number) for number in CHANNELS}
+            channels[address] = {
+                number: ChannelUse.OWN if number in own else _try(address, number) for number in CHANNELS
+            }
     except NoBluetoothError as error:
         problems.append(ScanProblem.WITHOUT_CHANNELS(problem=error))
     names = {one.name for one in chosen}
@@ -272,14 +274,14 @@ def _blocked(name: str, kind: str) -> bool:
     return any(file.read_text().strip() == "1" for file in Path("/sys/class/bluetooth", name).glob(f"rfkill*/{kind}"))
 
 
-def _try(address: str, number: int) -> Use:
+def _try(address: str, number: int) -> ChannelUse:
     with hci.rfcomm_socket() as sock:
         try:
             sock.bind((address, number))
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
-                return Use.BUSY
+                return ChannelUse.BUSY
             raise NoBluetoothError(
                 NoBluetooth.CHANNEL_REFUSED(channel=number, address=address, reason=error.strerror)
             ) from None
-    return Use.FREE
+    return ChannelUse.FREE

@@ -53,7 +53,7 @@ class FieldType(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     nested_type_name: _Name
 
 
-class Field(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class MessageField(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A field of a message."""
 
     name: _Name
@@ -64,7 +64,7 @@ class MessageType(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One message type, without the types of its fields."""
 
     type_name: _Name
-    fields: tuple[Field, ...]
+    fields: tuple[MessageField, ...]
 
 
 class TypeDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

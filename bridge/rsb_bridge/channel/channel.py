@@ -75,7 +75,7 @@ class Counts(NamedTuple):
     expired: int = 0
 
 
-class Carrier(Protocol):
+class ChannelCarrier(Protocol):
     """The stream or socket of one or several channels; counts wire bytes."""
 
     @property
@@ -103,7 +103,7 @@ class DataChannel(Protocol):
         ...
 
     @property
-    def carrier(self) -> Carrier:
+    def carrier(self) -> ChannelCarrier:
         """The carrier below the channel."""
         ...
 

@@ -19,7 +19,7 @@ from msgspec.structs import fields
 from rsb_bridge.config.file_form import as_written
 from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.session import Armed, Grant
+from rsb_bridge.model.session import ArmedName, Grant
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence, Set
@@ -114,7 +114,8 @@ class _Merger:
         """Edit inside a value. Return False if the whole value must be replaced or removed instead."""
         if isinstance(node, yaml.SequenceNode) and isinstance(before, tuple):
             if any(
-                isinstance(each, msgspec.Struct) and not isinstance(each, Grant | Armed) for each in (*before, *after)
+                isinstance(each, msgspec.Struct) and not isinstance(each, Grant | ArmedName)
+                for each in (*before, *after)
             ):
                 self._entries(key, node, before, after)
                 return True

@@ -260,7 +260,7 @@ def uses(kind: Kind) -> tuple[May, May]:
     return TOPIC_USES if kind == "topic" else CALL_USES
 
 
-class Refusal(NamedTuple):
+class DeniedUse(NamedTuple):
     """A denied use.
 
     Attributes:
@@ -300,7 +300,7 @@ class Rights:
     listed: Set[Identity] | None = None
     bench: BenchmarkLimits | None = None
 
-    def refusal(self, use: Use) -> Refusal | None:
+    def refusal(self, use: Use) -> DeniedUse | None:
         """Return the reason why the peer may not do something, or None if it may."""
         if is_view_topic(use.topic):  # its viewer asks for topics, whose rights are checked then
             return None if use.may == "read" and use.kind == "topic" else self._reserved(use)
@@ -310,7 +310,7 @@ class Rights:
             return None if self.bench is not None else self._no_benchmark()
         for grant in self._about(self.deny, use, also=_meant_by(use)):
             if not grant.protocol or use.protocol in protocols_of(grant):
-                return Refusal(
+                return DeniedUse(
                     DeniedText.DENIED(owner=self.owner, use=use, peer=self.peer),
                     DeniedRemedy.CHANGE_DENY(place=self.place, entry=_text(grant)),
                 )
@@ -319,21 +319,21 @@ class Rights:
             if grant.protocol and use.protocol and use.protocol not in protocols_of(grant):
                 only = join_first(protocols_of(grant), _NAMED)
                 reason = DeniedText.OTHER_PROTOCOL(owner=self.owner, use=use, peer=self.peer, protocols=only)
-                return Refusal(reason, DeniedRemedy.CHANGE_ALLOW(place=self.place, entry=_text(grant)))
+                return DeniedUse(reason, DeniedRemedy.CHANGE_ALLOW(place=self.place, entry=_text(grant)))
         if allowing or self._by_default(use):
             return None
         reason = DeniedText.NOT_ALLOWED(owner=self.owner, peer=self.peer, may=use.may, use=use)
-        return Refusal(reason, self._remedy(use))
+        return DeniedUse(reason, self._remedy(use))
 
-    def _reserved(self, use: Use) -> Refusal:
+    def _reserved(self, use: Use) -> DeniedUse:
         """Return the refusal of a use that only this program's own topics could have."""
         reason = DeniedText.NOT_ALLOWED(owner=self.owner, peer=self.peer, may=use.may, use=use)
-        return Refusal(reason, DeniedRemedy.RENAME())
+        return DeniedUse(reason, DeniedRemedy.RENAME())
 
-    def _no_benchmark(self) -> Refusal:
+    def _no_benchmark(self) -> DeniedUse:
         reason = DeniedText.NO_BENCHMARK(owner=self.owner, peer=self.peer)
         where = f"to {self.place.removeprefix('of ')}" if self.place.startswith("of ") else self.place
-        return Refusal(reason, DeniedRemedy.ADD_BENCH(place=where))
+        return DeniedUse(reason, DeniedRemedy.ADD_BENCH(place=where))
 
     def max_rate(self, use: Use) -> float:
         """Return the limit of messages or calls in Hz, or 0 for none. Requests of either side share it."""
@@ -443,7 +443,7 @@ def _text(grant: Grant) -> str:
     return inline(plain)
 
 
-class Row(NamedTuple):
+class RightsRow(NamedTuple):
     """The rights of one peer to some topics or services.
 
     Attributes:
@@ -466,13 +466,13 @@ class Listing(NamedTuple):
     """All rights of one peer on this side.
 
     Attributes:
-        peer: as in `Row`.
+        peer: as in `RightsRow`.
         moves: the patterns of `MOVES_A_ROBOT` that it may publish.
         acts: the names that it may call, without those of `ONLY_READ`.
     """
 
     peer: str
-    rows: tuple[Row, ...]
+    rows: tuple[RightsRow, ...]
     moves: tuple[str, ...]
     acts: tuple[str, ...]
 
@@ -495,7 +495,7 @@ def _listing(rights: Rights, carried: Sequence[str], within: str, ports: str) ->
     rows = [*_rows(rights, TOPIC_USES, carried, within, ports)]
     if any(grant.may == "look" for grant in (*rights.allow, *rights.deny)):
         looked = _allowed(rights, "look", carried, within)
-        rows += [Row(rights.peer, "look", names, over, rate, ports) for names, over, rate in looked]
+        rows += [RightsRow(rights.peer, "look", names, over, rate, ports) for names, over, rate in looked]
     reliable = [name for name in carried if transports.named(name).reliable]
     rows += _rows(rights, CALL_USES, reliable, within, ports)
     return Listing(rights.peer, tuple(rows), tuple(_moves(rights, carried)), tuple(_acts(rights, reliable)))
@@ -503,13 +503,13 @@ def _listing(rights: Rights, carried: Sequence[str], within: str, ports: str) ->
 
 def _rows(
     rights: Rights, uses: tuple[May, May], carried: Sequence[str], within: str, ports: str
-) -> Iterator[Row]:  # fmt: skip
+) -> Iterator[RightsRow]:  # fmt: skip
     """Yield the rows of topics or of calls: one row for both rights if they have the same names."""
     first, second = ([*_allowed(rights, may, carried, within)] for may in uses)
     found = {", ".join(uses): first} if first == second else {uses[0]: first, uses[1]: second}
     for may, allowed in found.items():
         for names, over, rate in allowed:
-            yield Row(rights.peer, may, names, over, rate, ports)
+            yield RightsRow(rights.peer, may, names, over, rate, ports)
 
 
 def _allowed(rights: Rights, may: May, carried: Sequence[str], within: str) -> Iterator[tuple[str, str, str]]:

@@ -50,7 +50,7 @@ from rsb_bridge.model.names import is_prefix, well_formed
 from rsb_bridge.model.on_end import text_of
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO
-from rsb_bridge.model.session import Armed, Identity, Problem, Session, Topic, is_mac
+from rsb_bridge.model.session import ArmedName, Identity, Problem, Session, Topic, is_mac
 from rsb_bridge.model.text import is_clean
 from rsb_bridge.model.wording import Wording
 
@@ -585,12 +585,12 @@ def _clients(session: Session) -> Iterator[Problem]:
         yield from _topics(client.topics, location, session, client.name if use_name else None)
 
 
-def armed_problems(armed: Sequence[str | Armed]) -> Iterator[Problem]:
+def armed_problems(armed: Sequence[str | ArmedName]) -> Iterator[Problem]:
     """Yield the mistakes in a session's `armed`."""
-    known: dict[Armed, int] = {}
+    known: dict[ArmedName, int] = {}
     for at, each in enumerate(armed):
         here = join("armed", at)
-        entry = Armed(each) if isinstance(each, str) else each
+        entry = ArmedName(each) if isinstance(each, str) else each
         yield from form_problems(entry.name, here if isinstance(each, str) else join(here, "name"), hidden=True)
         yield from range_problems(entry, here)
         yield from on_end_problems(text_of(entry.on_end), join(here, "on_end"), entry.kind)

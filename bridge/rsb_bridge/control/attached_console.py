@@ -10,7 +10,7 @@ import msgspec
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
-from rsb_bridge.control.protocol import ProtocolError
+from rsb_bridge.control.protocol import ControlProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
 from rsb_bridge.control.tickets import TicketClock
 from rsb_bridge.model.by_hand import TICKET_LIFE
@@ -46,7 +46,7 @@ class RequestRefused(Wording):
     TOO_MANY_WAITING = "{count} requests already wait for an answer: try again later"
 
 
-class Connection(Protocol):
+class AcceptedConnection(Protocol):
     """A console's byte stream, and the operator at its other end. Belongs to one event loop."""
 
     @property
@@ -113,7 +113,7 @@ class ConsoleHost(Protocol):
         ...
 
 
-class Console:
+class AttachedConsole:
     """One console, from the start of its connection. The owner of the connection passes on its bytes, and its end.
 
     Args:
@@ -121,7 +121,7 @@ class Console:
         refusal: the reason to refuse it as soon as it says hello, or an empty string.
     """
 
-    def __init__(self, served: ConsoleHost, connection: Connection, refusal: str = "") -> None:
+    def __init__(self, served: ConsoleHost, connection: AcceptedConnection, refusal: str = "") -> None:
         self._served = served
         self._refusal = refusal
         self._engine = served.engine
@@ -194,18 +194,18 @@ class Console:
     # --- messages from it
 
     def _handle(self, message: ToBridge) -> None:
-        if isinstance(message, protocol.Hello):
+        if isinstance(message, protocol.ConsoleHello):
             if self._welcomed:  # it could end the read-only access that it began with
-                raise ProtocolError("a second hello")
+                raise ControlProtocolError("a second hello")
             self._greet(message)
         elif not self._welcomed:
-            raise ProtocolError("no hello")
+            raise ControlProtocolError("no hello")
         elif isinstance(message, protocol.PollState):
             if not self._looking:
                 self._looking = True
                 self._looked_at = self._loop.time()
                 self._tasks.spawn(self._show())
-        elif isinstance(message, protocol.Follow):
+        elif isinstance(message, protocol.FollowEvents):
             self._after = max(0, message.after)
             self._send_events()
         elif isinstance(message, protocol.Watch):
@@ -214,11 +214,11 @@ class Console:
         else:
             self._request(message)
 
-    def _greet(self, hello: protocol.Hello) -> None:
+    def _greet(self, hello: protocol.ConsoleHello) -> None:
         info = self._served.info
         versions = protocol.version_problem((protocol.VERSION, info.program), (hello.version, hello.program))
         if problem := self._refusal or versions:
-            self.send(protocol.Refused(problem))
+            self.send(protocol.HelloRefused(problem))
             self._connection.close()
             return
         self._welcomed = True
@@ -229,29 +229,33 @@ class Console:
         takes = changes or self._connection.never_takes_reason
         self._denied = {Right.MEASURE: read_only, Right.CHANGE: changes, Right.TAKE: takes}
         self._sender = Sender()
-        self.send(protocol.Welcome(info, bool(changes), may_take=not takes))
+        self.send(protocol.ConsoleWelcome(info, bool(changes), may_take=not takes))
 
-    def _request(self, request: protocol.Request) -> None:
+    def _request(self, request: protocol.CommandRequest) -> None:
         if reason := self._denied.get(request.command.right):
             asks = request.command.right is Right.TAKE and not self._denied[Right.CHANGE]
             text = RequestRefused.ASKS_FIRST if asks else RequestRefused.READ_ONLY
-            self.send(protocol.Failed(request.id, text(reason=reason)))
+            self.send(protocol.CommandFailed(request.id, text(reason=reason)))
         elif self._requests >= protocol.REQUESTS_WAITING:
-            self.send(protocol.Failed(request.id, RequestRefused.TOO_MANY_WAITING(count=protocol.REQUESTS_WAITING)))
+            self.send(
+                protocol.CommandFailed(request.id, RequestRefused.TOO_MANY_WAITING(count=protocol.REQUESTS_WAITING))
+            )
         elif request.command.expires and not 0 <= self._tickets.age(request.ticket) <= TICKET_LIFE:
-            self.send(protocol.Failed(request.id, RequestRefused.LATE(), late=True, ticket=self._tickets.issue()))
+            self.send(
+                protocol.CommandFailed(request.id, RequestRefused.LATE(), late=True, ticket=self._tickets.issue())
+            )
         else:
             self._requests += 1
             self._has_armed |= isinstance(request.command, ArmTopic | AskHolder | TakeArming)
             self._tasks.spawn(self._answer(request))
 
-    async def _answer(self, request: protocol.Request) -> None:
+    async def _answer(self, request: protocol.CommandRequest) -> None:
         try:
             with acting(self._operator), undoing(request.undo), on_console(self):
                 result = await self._execute(request.id, request.command)
-            reply: protocol.Reply | protocol.Failed = protocol.reply(request.id, result)
+            reply: protocol.Reply | protocol.CommandFailed = protocol.reply(request.id, result)
         except EngineError as error:
-            reply = protocol.Failed(request.id, str(error), isinstance(error, InvalidRequestError))
+            reply = protocol.CommandFailed(request.id, str(error), isinstance(error, InvalidRequestError))
         finally:
             self._requests -= 1
         if (
@@ -275,7 +279,7 @@ class Console:
     def _step(self, request: int, text: str) -> None:
         """Tell a step of a restart; called on the engine's thread."""
         with contextlib.suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self.send, protocol.Step(request, text))
+            self._loop.call_soon_threadsafe(self.send, protocol.RestartStep(request, text))
 
     # --- messages to it
 

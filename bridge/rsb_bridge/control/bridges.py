@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 from rsb_bridge import __version__
 from rsb_bridge.control import control_sockets, protocol
 from rsb_bridge.control.control_server import ControlServer
-from rsb_bridge.control.control_sockets import AttachProblem, ControlError, Listener, NotServedError, TakenError
-from rsb_bridge.control.protocol import BridgeInfo, ProtocolError, Refused, Welcome
+from rsb_bridge.control.control_sockets import AttachProblem, ControlError, ControlSocket, NotServedError, TakenError
+from rsb_bridge.control.protocol import BridgeInfo, ConsoleWelcome, ControlProtocolError, HelloRefused
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.text import encodable, one_line
 from rsb_bridge.model.wording import Wording
@@ -93,11 +93,11 @@ def ask(path: Path) -> RunningBridge:
             frames = protocol.frames_to_console()
             while data := connection.recv(_READ_SIZE):
                 for message in frames.feed(data):
-                    if isinstance(message, Welcome):
+                    if isinstance(message, ConsoleWelcome):
                         return RunningBridge(path, pid, message.bridge)
-                    if isinstance(message, Refused):
+                    if isinstance(message, HelloRefused):
                         return RunningBridge(path, pid, None, message.reason)
-        except (OSError, ProtocolError) as error:
+        except (OSError, ControlProtocolError) as error:
             problem = AttachProblem.SILENT() if isinstance(error, TimeoutError) else str(error)
             return RunningBridge(path, pid, None, problem)
     return RunningBridge(path, pid, None, AttachProblem.CLOSED_EARLY())
@@ -162,7 +162,7 @@ def _terminate() -> None:
     os.kill(os.getpid(), signal.SIGTERM)
 
 
-def _claim(info: BridgeInfo, environ: Mapping[str, str]) -> Listener:
+def _claim(info: BridgeInfo, environ: Mapping[str, str]) -> ControlSocket:
     """Listen on the first free socket of the session's name, if no other process runs the session."""
     for bridge in running_bridges(environ):
         if bridge.info is not None and _is_same(bridge.info, info):
@@ -171,7 +171,7 @@ def _claim(info: BridgeInfo, environ: Mapping[str, str]) -> Listener:
     for number in itertools.count(1):
         path = folder / f"{file_stem(info.name, number)}{control_sockets.SUFFIX}"
         try:
-            return Listener(path, make_folder=True)
+            return ControlSocket(path, make_folder=True)
         except TakenError:
             holder = _holder(path)
             if holder is not None and (holder.info is None or _is_same(holder.info, info)):
@@ -179,13 +179,13 @@ def _claim(info: BridgeInfo, environ: Mapping[str, str]) -> Listener:
     raise AssertionError("endless")
 
 
-def _claim_path(path: Path) -> Listener:
+def _claim_path(path: Path) -> ControlSocket:
     try:
-        return Listener(path, make_folder=False)
+        return ControlSocket(path, make_folder=False)
     except TakenError:
         bridge = _holder(path)
         if bridge is None:
-            return Listener(path, make_folder=False)
+            return ControlSocket(path, make_folder=False)
         raise AlreadyRunningError(bridge) from None
 
 

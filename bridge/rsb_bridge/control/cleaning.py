@@ -13,7 +13,15 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import msgspec
 
-from rsb_bridge.control.protocol import Events, Failed, Goodbye, ProtocolError, Refused, Reply, UnexpectedMessage
+from rsb_bridge.control.protocol import (
+    CommandFailed,
+    ControlProtocolError,
+    Events,
+    Goodbye,
+    HelloRefused,
+    Reply,
+    UnexpectedMessage,
+)
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.limits import TIME
 from rsb_bridge.model.text import UNPRINTABLE, sanitize_text
@@ -53,7 +61,7 @@ def clean(message: M) -> M:
     match message:
         case Reply(value=str(text)):
             cleaned = _replace(cleaned, {"value": _lines(text)})
-        case Failed(reason=reason) | Goodbye(reason=reason) | Refused(reason=reason):
+        case CommandFailed(reason=reason) | Goodbye(reason=reason) | HelloRefused(reason=reason):
             cleaned = _replace(cleaned, {"reason": _lines(reason[:TEXT])})
     return cast("M", cleaned)
 
@@ -75,7 +83,7 @@ class UntrustedMessages:
             ProtocolError: it is more than any engine sends.
         """
         if isinstance(message, Events) and not self._events.take(len(message.events), now):
-            raise ProtocolError(UnexpectedMessage.TOO_MANY_EVENTS())
+            raise ControlProtocolError(UnexpectedMessage.TOO_MANY_EVENTS())
         return clean(message)
 
 
@@ -87,7 +95,7 @@ def check_routes(messages: Sequence[msgspec.Raw]) -> None:
     """
     for each in messages:
         if (size := len(memoryview(each))) > ROUTE_BYTES:
-            raise ProtocolError(f"a route of {size:,} bytes; at most {ROUTE_BYTES:,} are allowed")
+            raise ControlProtocolError(f"a route of {size:,} bytes; at most {ROUTE_BYTES:,} are allowed")
 
 
 def check_length(length: int) -> None:
@@ -97,7 +105,7 @@ def check_length(length: int) -> None:
         ProtocolError: more than any engine does.
     """
     if length > MOST_ITEMS:
-        raise ProtocolError(f"a list of {length:,}; at most {MOST_ITEMS:,} are allowed")
+        raise ControlProtocolError(f"a list of {length:,}; at most {MOST_ITEMS:,} are allowed")
 
 
 def _clean(value: Any) -> Any:

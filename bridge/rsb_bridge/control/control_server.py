@@ -12,16 +12,16 @@ import threading
 from typing import TYPE_CHECKING
 
 from rsb_bridge.control import protocol
-from rsb_bridge.control.attached_console import Console
+from rsb_bridge.control.attached_console import AttachedConsole
 from rsb_bridge.control.control_sockets import AttachProblem, identify, may_control, peer_of, run_as, user_name
-from rsb_bridge.control.protocol import ProtocolError
+from rsb_bridge.control.protocol import ControlProtocolError
 from rsb_bridge.control.states import EncodedRoutes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.control.control_sockets import Listener
+    from rsb_bridge.control.control_sockets import ControlSocket
     from rsb_bridge.control.protocol import BridgeInfo
 
 _TURNS = 10
@@ -48,7 +48,9 @@ class ControlServer:
         loop: of the server's thread, from `start` on.
     """
 
-    def __init__(self, engine: EngineApi, listener: Listener, info: BridgeInfo, on_stop: Callable[[], None]) -> None:
+    def __init__(
+        self, engine: EngineApi, listener: ControlSocket, info: BridgeInfo, on_stop: Callable[[], None]
+    ) -> None:
         self.engine = engine
         self.info = info
         self.encoded = EncodedRoutes()
@@ -56,7 +58,7 @@ class ControlServer:
         self.loop: asyncio.AbstractEventLoop
         self._listener = listener
         self._on_stop = on_stop
-        self._consoles: set[Console] = set()
+        self._consoles: set[AttachedConsole] = set()
         self._summary, self._summed_at = b"", float("-inf")
         self._one_less = asyncio.Event()
         self._at_end: list[Callable[[], None]] = []
@@ -107,11 +109,11 @@ class ControlServer:
         """Return the number of consoles, over all kinds of connection."""
         return len(self._consoles)
 
-    def add(self, console: Console) -> None:
+    def add(self, console: AttachedConsole) -> None:
         """Count a console, and tell it of the end."""
         self._consoles.add(console)
 
-    def remove(self, console: Console) -> None:
+    def remove(self, console: AttachedConsole) -> None:
         """Forget a console whose connection has ended."""
         self._consoles.discard(console)
         self._one_less.set()
@@ -164,12 +166,12 @@ class ControlServer:
             writer.transport.abort()
             return
         _, uid, _ = peer_of(writer.get_extra_info("socket"))
-        console = Console(self, _OfThisMachine(writer), self.full() if may_control(uid) else _not_yours())
+        console = AttachedConsole(self, _OfThisMachine(writer), self.full() if may_control(uid) else _not_yours())
         self.add(console)
         try:
             while data := await reader.read(_READ_SIZE):
                 console.received(data)
-        except (OSError, ProtocolError):
+        except (OSError, ControlProtocolError):
             pass  # it is gone, or it is no console
         finally:
             self.remove(console)

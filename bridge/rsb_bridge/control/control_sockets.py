@@ -158,7 +158,7 @@ def run_as(uid: int) -> str:
         return f"sudo -u '#{uid}' rsb-console …"
 
 
-class Listener:
+class ControlSocket:
     """A socket that listens, mode 0600, and the file that leads to it.
 
     Args:

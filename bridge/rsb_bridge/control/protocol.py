@@ -3,9 +3,9 @@
 A frame is four bytes of length, big-endian, and a message in MessagePack. The types below and in the model are the
 definition: msgspec reads and writes them by their type hints.
 
-`Hello`, `Welcome` and `Refused` keep their fields in every version, so that two versions can tell each other apart. A
-release that adds or changes a message, a command or a field of a session raises `VERSION`, and a bridge refuses
-consoles of another one, with the words that tell which side to update.
+`ConsoleHello`, `ConsoleWelcome` and `HelloRefused` keep their fields in every version, so that two versions can tell
+each other apart. A release that adds or changes a message, a command or a field of a session raises `VERSION`, and a
+bridge refuses consoles of another one, with the words that tell which side to update.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ TO_BRIDGE_LIMIT = 64 << 10
 TO_CONSOLE_LIMIT = 16 << 20
 """Bytes of a frame to a console: the largest is the topics of a graph."""
 ROUTES_IN_STATE = 50
-"""Routes in one `State`; a snapshot of more comes in several."""
+"""Routes in one `StateChange`; a snapshot of more comes in several."""
 EVENTS_AT_ONCE = 500
 """Events in one `Events`."""
 TO_WATCHER_LIMIT = 64 << 10
-"""Bytes of a frame to a console that only watches: the largest is `Welcome`."""
+"""Bytes of a frame to a console that only watches: the largest is `ConsoleWelcome`."""
 SUMMARY_EVERY, SIGN_OF_LIFE_EVERY = 1.0, 5.0
 """s between two that differ at least, and between two at most."""
 REQUESTS_WAITING = 32
@@ -99,7 +99,7 @@ class UnexpectedMessage(Wording):
     ROUTE_TWICE = "a state that has a route twice"
 
 
-class ProtocolError(Exception):
+class ControlProtocolError(Exception):
     """A message of the other side that breaks this protocol; the error's text says how."""
 
 
@@ -110,7 +110,7 @@ class _Message(msgspec.Struct, frozen=True, tag_field="is", omit_defaults=True):
 # --- the beginning
 
 
-class Hello(_Message, frozen=True, tag="hello"):
+class ConsoleHello(_Message, frozen=True, tag="hello"):
     """The first message of a console.
 
     Attributes:
@@ -123,9 +123,9 @@ class Hello(_Message, frozen=True, tag="hello"):
     read_only: bool = False
 
 
-def hello(*, read_only: bool) -> Hello:
+def hello(*, read_only: bool) -> ConsoleHello:
     """Return the first message of a console of this version; `read_only` asks the bridge to refuse changes."""
-    return Hello(VERSION, __version__, read_only)
+    return ConsoleHello(VERSION, __version__, read_only)
 
 
 class BridgeInfo(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -154,8 +154,8 @@ class BridgeInfo(msgspec.Struct, frozen=True, omit_defaults=True):
     has_console: bool = False
 
 
-class Welcome(_Message, frozen=True, tag="welcome"):
-    """The answer to `Hello`.
+class ConsoleWelcome(_Message, frozen=True, tag="welcome"):
+    """The answer to `ConsoleHello`.
 
     Attributes:
         bridge: the one that answers.
@@ -168,8 +168,8 @@ class Welcome(_Message, frozen=True, tag="welcome"):
     may_take: bool = True
 
 
-class Refused(_Message, frozen=True, tag="refused"):
-    """The other answer to `Hello`; the connection closes."""
+class HelloRefused(_Message, frozen=True, tag="refused"):
+    """The other answer to `ConsoleHello`; the connection closes."""
 
     reason: str
 
@@ -177,8 +177,8 @@ class Refused(_Message, frozen=True, tag="refused"):
 # --- from a console
 
 
-class Request(_Message, frozen=True, tag="request"):
-    """A command; answered by a `Reply` or `Failed` of the same id.
+class CommandRequest(_Message, frozen=True, tag="request"):
+    """A command; answered by a `Reply` or `CommandFailed` of the same id.
 
     Attributes:
         id: of the console's choosing.
@@ -196,7 +196,7 @@ class PollState(_Message, frozen=True, tag="look"):
     """Asks for the state as soon as it differs from the one sent last; answered once."""
 
 
-class Follow(_Message, frozen=True, tag="follow"):
+class FollowEvents(_Message, frozen=True, tag="follow"):
     """Asks for the events from now on.
 
     Attributes:
@@ -210,13 +210,13 @@ class Watch(_Message, frozen=True, tag="watch"):
     """Asks for a `Summary` now and whenever it is another, for as long as the connection lasts."""
 
 
-ToBridge: TypeAlias = Hello | Request | PollState | Follow | Watch
+ToBridge: TypeAlias = ConsoleHello | CommandRequest | PollState | FollowEvents | Watch
 
 
 # --- from a bridge
 
 
-class State(_Message, frozen=True, tag="state"):
+class StateChange(_Message, frozen=True, tag="state"):
     """Changes of the engine's state since the last message.
 
     Attributes:
@@ -270,7 +270,7 @@ class Summary(_Message, frozen=True, tag="summary"):
     content: bytes
 
 
-class Step(_Message, frozen=True, tag="step"):
+class RestartStep(_Message, frozen=True, tag="step"):
     """A step of a restart."""
 
     id: int
@@ -304,7 +304,7 @@ class Reply(_Message, frozen=True, tag="reply"):
     ticket: int = 0
 
 
-class Failed(_Message, frozen=True, tag="failed"):
+class CommandFailed(_Message, frozen=True, tag="failed"):
     """A command is not done.
 
     Attributes:
@@ -326,7 +326,9 @@ class Goodbye(_Message, frozen=True, tag="goodbye"):
     reason: str
 
 
-ToConsole: TypeAlias = Welcome | Refused | State | Events | Summary | Step | Reply | Failed | Goodbye
+ToConsole: TypeAlias = (
+    ConsoleWelcome | HelloRefused | StateChange | Events | Summary | RestartStep | Reply | CommandFailed | Goodbye
+)
 
 _encoder = msgspec.msgpack.Encoder()
 _to_bridge: msgspec.msgpack.Decoder[ToBridge] = msgspec.msgpack.Decoder(ToBridge)
@@ -377,7 +379,7 @@ def result_of(command: Command[R], reply: Reply) -> R:
 
 
 def encode_route(route: RouteSnapshot) -> msgspec.Raw:
-    """Return a route as bytes for a `State`."""
+    """Return a route as bytes for a `StateChange`."""
     return msgspec.Raw(_encoder.encode(route))
 
 
@@ -414,7 +416,7 @@ class Frames(Generic[M]):
         while len(held) >= _LENGTH_BYTES:
             length = int.from_bytes(held[:_LENGTH_BYTES], "big")
             if length > self._limit:
-                raise ProtocolError(f"a message of {length:,} bytes; at most {self._limit:,} are allowed")
+                raise ControlProtocolError(f"a message of {length:,} bytes; at most {self._limit:,} are allowed")
             end = _LENGTH_BYTES + length
             if len(held) < end:
                 return
@@ -437,7 +439,7 @@ def _decoded(decoder: msgspec.msgpack.Decoder[M], body: bytes | msgspec.Raw) -> 
     try:
         return decoder.decode(body)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ProtocolError(f"an invalid message: {error}") from None
+        raise ControlProtocolError(f"an invalid message: {error}") from None
 
 
 def version_problem(bridge: tuple[int, str], console: tuple[int, str]) -> str:

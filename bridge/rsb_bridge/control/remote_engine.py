@@ -17,8 +17,16 @@ from rsb_bridge.control import protocol
 from rsb_bridge.control.cleaning import UntrustedMessages
 from rsb_bridge.control.connectors import UnixSocket
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError, NotServedError
-from rsb_bridge.control.protocol import Failed, ProtocolError, Reply, Request, RequestProblem, Step, UnexpectedMessage
-from rsb_bridge.control.states import Receiver, out_of_reach
+from rsb_bridge.control.protocol import (
+    CommandFailed,
+    CommandRequest,
+    ControlProtocolError,
+    Reply,
+    RequestProblem,
+    RestartStep,
+    UnexpectedMessage,
+)
+from rsb_bridge.control.states import StateReceiver, out_of_reach
 from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
@@ -88,7 +96,7 @@ class RemoteEngine(EngineApi):
         self._waits_for_operator = False
         self._lost = ""
         self._lost_at = 0.0
-        self._receiver: Receiver | None = None
+        self._receiver: StateReceiver | None = None
         self._started: Future[None] = Future()
         self._thread = threading.Thread(target=self._run, name="rsb-attached", daemon=True)
         self._loop: asyncio.AbstractEventLoop
@@ -203,7 +211,7 @@ class RemoteEngine(EngineApi):
                 reason = self._lost or str(error)  # the first reason says more
             except ControlError as error:
                 reason, failure = str(error), error
-            except ProtocolError as error:
+            except ControlProtocolError as error:
                 reason = AttachProblem.ON_SOCKET(where=self._way.text, problem=error)
             except TimeoutError:
                 reason = AttachProblem.ON_SOCKET(where=self._way.text, problem=AttachProblem.SILENT())
@@ -232,7 +240,7 @@ class RemoteEngine(EngineApi):
                 for message in frames.feed(data):
                     if self._untrusted is not None:
                         message = self._untrusted(message, time.monotonic())  # noqa: PLW2901 -- the same one, cleaned
-                    if isinstance(message, (protocol.Goodbye, protocol.Refused)):
+                    if isinstance(message, (protocol.Goodbye, protocol.HelloRefused)):
                         return message.reason
                     complete = self._handle(message) or complete
         finally:
@@ -241,12 +249,12 @@ class RemoteEngine(EngineApi):
     def _handle(self, message: ToConsole) -> bool:
         """Take a message; whether it completes a state."""
         match message:
-            case protocol.Welcome():
+            case protocol.ConsoleWelcome():
                 self.read_only, self.may_take = message.read_only, message.may_take
                 self._welcome(message.bridge)
-            case protocol.State():
+            case protocol.StateChange():
                 if self._receiver is None:
-                    raise ProtocolError(UnexpectedMessage.STATE_BEFORE_WELCOME())
+                    raise ControlProtocolError(UnexpectedMessage.STATE_BEFORE_WELCOME())
                 if self._receiver.take(message):
                     self._ticket = message.ticket
                     self._show(self._receiver)
@@ -255,17 +263,17 @@ class RemoteEngine(EngineApi):
                 for event in message.events:
                     self._log.append(event)
                     self._followed = event.number
-            case protocol.Failed(late=True):
+            case protocol.CommandFailed(late=True):
                 self._ticket = message.ticket
                 self._send_request(self._requests.again(message))
-            case protocol.Reply() | protocol.Failed():
+            case protocol.Reply() | protocol.CommandFailed():
                 self._ticket = message.ticket or self._ticket
                 self._requests.take(message)
-            case protocol.Step():
+            case protocol.RestartStep():
                 self._requests.take(message)
             case protocol.Summary():
-                raise ProtocolError(UnexpectedMessage.UNASKED_SUMMARY())
-            case protocol.Refused() | protocol.Goodbye():
+                raise ControlProtocolError(UnexpectedMessage.UNASKED_SUMMARY())
+            case protocol.HelloRefused() | protocol.Goodbye():
                 raise AssertionError("ends the connection")
         return False
 
@@ -277,11 +285,11 @@ class RemoteEngine(EngineApi):
         if self._lost:
             text = AttachedAgain.RESTARTED if another else AttachedAgain.SAME
             self._log.add(Level.INFO, EventCode.ATTACH_AGAIN, text(name=bridge.name, pid=bridge.pid))
-        self._receiver = Receiver(bridge, trusted=self._untrusted is None)
+        self._receiver = StateReceiver(bridge, trusted=self._untrusted is None)
         self._look()
-        self._send(protocol.Follow(self._followed))
+        self._send(protocol.FollowEvents(self._followed))
 
-    def _show(self, received: Receiver) -> None:
+    def _show(self, received: StateReceiver) -> None:
         assert received.snapshot is not None
         assert received.session is not None
         self._session = received.session
@@ -339,10 +347,10 @@ class RemoteEngine(EngineApi):
         try:
             size = len(protocol.encode(request))
         except UnicodeEncodeError:
-            self._requests.take(Failed(request.id, RequestProblem.NOT_UNICODE(), invalid=True))
+            self._requests.take(CommandFailed(request.id, RequestProblem.NOT_UNICODE(), invalid=True))
             return
         if size > protocol.TO_BRIDGE_LIMIT:  # the bridge would end the connection
-            self._requests.take(Failed(request.id, RequestProblem.TOO_LONG(length=size)))
+            self._requests.take(CommandFailed(request.id, RequestProblem.TOO_LONG(length=size)))
         else:
             self._send(request)
 
@@ -390,13 +398,13 @@ class _Requests:
         self._ids = itertools.count(1)
         self._waiting: dict[int, _Waiting[Any]] = {}
 
-    def new(self, waiting: _Waiting[Any], ticket: int) -> Request:
+    def new(self, waiting: _Waiting[Any], ticket: int) -> CommandRequest:
         """Return the message for a command."""
         number = next(self._ids)
         self._waiting[number] = waiting
-        return Request(number, cast("AnyCommand", waiting.command), waiting.undo, ticket)
+        return CommandRequest(number, cast("AnyCommand", waiting.command), waiting.undo, ticket)
 
-    def again(self, message: Failed) -> _Waiting[Any]:
+    def again(self, message: CommandFailed) -> _Waiting[Any]:
         """Return the command that a bridge refuses because it came late.
 
         Raises:
@@ -404,23 +412,23 @@ class _Requests:
         """
         waiting = self._waiting.pop(message.id, None)
         if waiting is None:
-            raise ProtocolError(UnexpectedMessage.UNASKED())
+            raise ControlProtocolError(UnexpectedMessage.UNASKED())
         return waiting
 
-    def take(self, message: Reply | Failed | Step) -> None:
+    def take(self, message: Reply | CommandFailed | RestartStep) -> None:
         """Pass on what the bridge reports of a command.
 
         Raises:
             ProtocolError: nobody has asked for that.
         """
-        if isinstance(message, Step):
+        if isinstance(message, RestartStep):
             if (waiting := self._waiting.get(message.id)) is not None and waiting.step is not None:
                 waiting.step(message.text)
             return
         waiting = self._waiting.pop(message.id, None)
         if waiting is None:
-            raise ProtocolError(UnexpectedMessage.UNASKED())
-        if isinstance(message, Failed):
+            raise ControlProtocolError(UnexpectedMessage.UNASKED())
+        if isinstance(message, CommandFailed):
             waiting.fail((InvalidRequestError if message.invalid else EngineError)(message.reason))
         else:
             waiting.take(message)

@@ -18,17 +18,17 @@ from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, TypeAlias, cast
 
 from rsb_bridge.control import protocol
-from rsb_bridge.control.attached_console import Console
+from rsb_bridge.control.attached_console import AttachedConsole
 from rsb_bridge.control.control_sockets import ControlError
-from rsb_bridge.control.protocol import ProtocolError
-from rsb_bridge.link.pending_connections import Limits, PendingConnection, PendingConnections, Stage
+from rsb_bridge.control.protocol import ControlProtocolError
+from rsb_bridge.link.pending_connections import ConnectionStage, Limits, PendingConnection, PendingConnections
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.streams import OpenNetworkTransport
-from rsb_bridge.wire.events import Admitted, Failed, Opened, RefusalCode, Refused
+from rsb_bridge.wire.events import Admitted, Failed, OperatorOpened, RefusalCode, StreamRefused
 from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.operator_connection import OperatorConsole, OperatorEngine
 from rsb_bridge.wire.preamble import Refusal
@@ -165,7 +165,7 @@ class SealedAcceptor:
 
 
 class SealedConsole(PendingConnection, asyncio.Protocol):
-    """A connection of an operator: pending at first, then a `rsb_bridge.control.attached_console.Connection`.
+    """A connection of an operator: pending at first, then a `rsb_bridge.control.attached_console.AcceptedConnection`.
 
     Attributes:
         when_attached: called once the operator has proven to have the key.
@@ -183,7 +183,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         self._peer = ""
         self._transport: asyncio.Transport
         self._granted: Granted | None = None
-        self._console: Console | None = None
+        self._console: AttachedConsole | None = None
         self._detached = False
 
     # --- what the stream calls
@@ -197,7 +197,11 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
             self.abort()
 
     def data_received(self, data: bytes) -> None:
-        if self._detached if self._console is not None else self.stage in (Stage.REFUSED, Stage.OVER):
+        if (
+            self._detached
+            if self._console is not None
+            else self.stage in (ConnectionStage.REFUSED, ConnectionStage.OVER)
+        ):
             return
         events = self._machine.receive_data(data)
         self.name = self._machine.name
@@ -206,9 +210,9 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
             match event:
                 case Admitted():
                     self._admit(event)
-                case Opened(content):
+                case OperatorOpened(content):
                     self._take(content)
-                case Refused(code, message):
+                case StreamRefused(code, message):
                     text = f"{message}: {remedy}" if (remedy := _REMEDIES.get(code)) else message
                     self._refuse(_CODES.get(code, EventCode.ATTACH_REJECTED), text, answer)
                 case Failed(reason):
@@ -217,7 +221,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
                     raise AssertionError("an event of links")
         if not events:
             self._transport.write(answer)
-            if self._machine.accepted and self.stage is Stage.WAITING:
+            if self._machine.accepted and self.stage is ConnectionStage.WAITING:
                 secret = self._machine.sample_secret
                 if secret is not None and isinstance(self._transport, OpenNetworkTransport):
                     self._transport.authenticate(secret, opener=False)
@@ -253,7 +257,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         place = f" from {admitted.host}" if admitted.host else ""
         self.operator = f"{self.name} (operator key){place}"
         server = self._acceptor.server
-        self._console = Console(server, self, server.full(_PLACES))
+        self._console = AttachedConsole(server, self, server.full(_PLACES))
         if isinstance(self._transport, OpenNetworkTransport):
             self._transport.when_doubted = self._console.doubted
         server.add(self._console)
@@ -265,7 +269,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         if self._console is not None:
             self._log(EventCode.ATTACH_REJECTED, reason)
             self.abort()
-        elif self.stage is not Stage.OVER:
+        elif self.stage is not ConnectionStage.OVER:
             self._refuse(EventCode.ATTACH_REJECTED, reason, answer)
 
     def _log(self, code: EventCode, message: str, cause: str = "", name: str = "") -> None:
@@ -343,7 +347,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
             return
         try:
             self._console.received(content)
-        except ProtocolError:  # as through the socket: what cannot be read ends it
+        except ControlProtocolError:  # as through the socket: what cannot be read ends it
             self.abort()
 
 
@@ -445,9 +449,9 @@ class _OperatorConnection(asyncio.Protocol):
                 case Admitted():
                     if not self.admitted.done():
                         self.admitted.set_result(None)
-                case Opened(content):
+                case OperatorOpened(content):
                     self._reader.feed_data(content)
-                case Refused() | Failed():
+                case StreamRefused() | Failed():
                     self._end(self._reason_of(event))
                 case _:
                     raise AssertionError("an event of links")
@@ -463,18 +467,18 @@ class _OperatorConnection(asyncio.Protocol):
                 transport.authenticate(machine.sample_secret, opener=True)
             return True
         for event in events:
-            if isinstance(event, Refused | Failed) and not self._refused:
+            if isinstance(event, StreamRefused | Failed) and not self._refused:
                 self._refused = True
                 asyncio.get_running_loop().call_later(_REFUSED_AFTER, self._refuse, event)
         return False
 
-    def _refuse(self, event: Refused | Failed) -> None:
+    def _refuse(self, event: StreamRefused | Failed) -> None:
         """End the connection because of a refusal that no other answer has followed in time."""
         if self._trial is not None and not self._ended:
             self._end(self._reason_of(event))
 
-    def _reason_of(self, event: Refused | Failed) -> str:
-        if isinstance(event, Refused):
+    def _reason_of(self, event: StreamRefused | Failed) -> str:
+        if isinstance(event, StreamRefused):
             remedy = _OPERATOR_REMEDIES.get(event.code, "")
             text = OperatorRefused.BY_ENGINE_WITH_REMEDY if remedy else OperatorRefused.BY_ENGINE
             return text(engine=self._engine, message=event.message, remedy=remedy)

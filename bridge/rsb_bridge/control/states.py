@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from rsb_bridge.control.cleaning import check_length, check_routes, clean
 from rsb_bridge.control.protocol import (
     ROUTES_IN_STATE,
-    ProtocolError,
-    State,
+    ControlProtocolError,
+    StateChange,
     UnexpectedMessage,
     decode_route,
     encode_route,
@@ -63,7 +63,7 @@ class Sender:
 
     def differences(
         self, snapshot: Snapshot, session: Session, *, waits_for_operator: bool, encoded: EncodedRoutes
-    ) -> Iterator[State]:
+    ) -> Iterator[StateChange]:
         """Yield the changes since `sent`, in messages that take little time to make. All of them have to be sent.
 
         Args:
@@ -74,10 +74,10 @@ class Sender:
         # An object that is the same has not changed: snapshots are immutable.
         changed = [route for route in snapshot.routes if self._routes.get(route.key) is not route]
         while len(changed) > ROUTES_IN_STATE:
-            yield State(routes=tuple(map(encoded.of, changed[:ROUTES_IN_STATE])), more=True)
+            yield StateChange(routes=tuple(map(encoded.of, changed[:ROUTES_IN_STATE])), more=True)
             del changed[:ROUTES_IN_STATE]
         keys = _keys(snapshot)
-        yield State(
+        yield StateChange(
             routes=tuple(map(encoded.of, changed)),
             keys=None if keys == self._keys else keys,
             time=snapshot.time,
@@ -94,7 +94,7 @@ class Sender:
         self._routes = {route.key: route for route in snapshot.routes}
 
 
-class Receiver:
+class StateReceiver:
     """The state of a bridge as a console has received it.
 
     Args:
@@ -115,7 +115,7 @@ class Receiver:
         self._routes: dict[str, RouteSnapshot] = {}
         self._keys: tuple[str, ...] = ()
 
-    def take(self, state: State) -> bool:
+    def take(self, state: StateChange) -> bool:
         """Take a message; whether it completes a state.
 
         Raises:
@@ -138,11 +138,11 @@ class Receiver:
         try:
             routes = tuple([self._routes[key] for key in self._keys])
         except KeyError as error:
-            raise ProtocolError(UnexpectedMessage.STATE_WITHOUT_ROUTE(key=error)) from None
+            raise ControlProtocolError(UnexpectedMessage.STATE_WITHOUT_ROUTE(key=error)) from None
         if self.session is None:
-            raise ProtocolError(UnexpectedMessage.STATE_WITHOUT_SESSION())
+            raise ControlProtocolError(UnexpectedMessage.STATE_WITHOUT_SESSION())
         if len(self._routes) != len(self._keys):
-            raise ProtocolError(UnexpectedMessage.ROUTE_TWICE())
+            raise ControlProtocolError(UnexpectedMessage.ROUTE_TWICE())
         self.waits_for_operator = state.waits_for_operator
         self.snapshot = Snapshot(
             time=state.time,

@@ -13,7 +13,7 @@ from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import DescriptionError, read_description
 from rsb_bridge.control import protocol
 from rsb_bridge.control.control_sockets import AttachProblem, ControlError
-from rsb_bridge.control.protocol import ProtocolError, UnexpectedMessage
+from rsb_bridge.control.protocol import ControlProtocolError, UnexpectedMessage
 from rsb_bridge.model.robot_summary import SUMMARY_BYTES, Battery, LossWindow, encode, of_engine
 from rsb_bridge.ros.known_messages import BATTERY_STATE
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.control.connectors import Connection, Connector
-    from rsb_bridge.model.robot_summary import Loss
+    from rsb_bridge.model.robot_summary import LostMessages
     from rsb_bridge.model.snapshot import PeekedMessage, RouteSnapshot, Snapshot
 
 _BATTERY_TOPIC: Final = "/battery_state"
@@ -126,7 +126,7 @@ class SummaryBuilder:
         self._version = version
         self._host = socket.gethostname()
         self._losses = LossWindow()
-        self._loss: dict[str, Loss] = {}
+        self._loss: dict[str, LostMessages] = {}
         self._batteries = Batteries(engine, of_own_robot=True)
 
     def __call__(self) -> bytes:
@@ -170,15 +170,15 @@ async def watch(connector: Connector, may_open: asyncio.Semaphore | None = None)
                 for message in frames.feed(data):
                     if isinstance(message, protocol.Summary) and len(message.content) <= SUMMARY_BYTES:
                         yield message.content
-                    elif isinstance(message, (protocol.Goodbye, protocol.Refused)):
+                    elif isinstance(message, (protocol.Goodbye, protocol.HelloRefused)):
                         raise ControlError(AttachProblem.ON_SOCKET(where=connector.text, problem=message.reason))
-                    elif not isinstance(message, protocol.Welcome):
+                    elif not isinstance(message, protocol.ConsoleWelcome):
                         raise ControlError(
                             AttachProblem.ON_SOCKET(where=connector.text, problem=UnexpectedMessage.UNASKED())
                         )
     except TimeoutError:
         raise ControlError(AttachProblem.ON_SOCKET(where=connector.text, problem=AttachProblem.SILENT())) from None
-    except ProtocolError as error:
+    except ControlProtocolError as error:
         raise ControlError(AttachProblem.ON_SOCKET(where=connector.text, problem=error)) from None
     except OSError as error:
         raise ControlError(AttachProblem.ON_SOCKET(where=connector.text, problem=error.strerror or error)) from None

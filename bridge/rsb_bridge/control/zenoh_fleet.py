@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.connectors import Connection
     from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.engine.access import Access
-    from rsb_bridge.transport.zenoh.endpoint import Endpoint, Seen
+    from rsb_bridge.transport.zenoh.endpoint import Seen, ZenohEndpoint
     from rsb_bridge.transport.zenoh.sample import Header
 
 ENGINE, CONSOLE = "engine", "console"
@@ -92,10 +92,10 @@ def announce(engine: EngineApi, server: ControlServer) -> None:
         server: serves it; it has been started.
     """
     if isinstance(engine, Engine) and engine.network is not None:
-        Announcement(server, engine.access, engine.network)
+        EngineAnnouncement(server, engine.access, engine.network)
 
 
-class Announcement:
+class EngineAnnouncement:
     """Announces an engine, and lets its operators in, until its server closes.
 
     Args:
@@ -112,7 +112,7 @@ class Announcement:
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE, Random())  # noqa: S311 -- jitter, no secret
         info = server.info
         self._label = f"{info.role} {info.program} {info.name}"
-        self._endpoint: Endpoint | None = None
+        self._endpoint: ZenohEndpoint | None = None
         self._task: asyncio.Task[None]
         server.at_end(self._close)
         server.loop.call_soon_threadsafe(self._begin)
@@ -167,7 +167,7 @@ class FleetPresence:
         self.changed: Callable[[Member, bool], None] = _nobody
         self._file = file
         self._network = Network(file.zenoh, file.base)
-        self._endpoint: Endpoint | None = None
+        self._endpoint: ZenohEndpoint | None = None
 
     async def join(self) -> None:
         """Be in the network, and know who is there.

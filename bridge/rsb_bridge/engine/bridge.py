@@ -29,7 +29,7 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
 from rsb_bridge.link.link import link_named, topics_of_peer
 from rsb_bridge.link.name_watch import NameWatch
-from rsb_bridge.link.reloading import Step
+from rsb_bridge.link.reloading import ReloadStep
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.model import commands
 from rsb_bridge.model.benchmark import Outcome, Usage
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.name_watch import Follower
     from rsb_bridge.model.benchmark import BenchmarkStep
     from rsb_bridge.model.commands import Command, R
-    from rsb_bridge.model.demands import Source
+    from rsb_bridge.model.demands import DemandSource
     from rsb_bridge.model.session import Client, Session
     from rsb_bridge.model.snapshot import RefusedClient
     from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RosInterface, Subscription
@@ -151,7 +151,7 @@ class Bridge:
             commands.ArmTopic: arming.arm,
             commands.Bench: self._bench,
             commands.Call: inspector.call,
-            commands.Describe: inspector.describe,
+            commands.DescribeType: inspector.describe,
             commands.AskHolder: arming.ask,
             commands.TakeArming: arming.take,
             commands.AnswerAsker: arming.answer,
@@ -160,15 +160,15 @@ class Bridge:
             commands.EditTopic: topics.edit,
             commands.EndLook: self._viewing.end,
             commands.KeepArmed: arming.keep,
-            commands.Look: self._viewing.look,
-            commands.Pause: topics.pause,
+            commands.LookAtTopics: self._viewing.look,
+            commands.PauseTopics: topics.pause,
             commands.Peek: inspector.peek,
             commands.Publish: self._publishing.publish,
             commands.ReleaseArmed: arming.release,
             commands.RemoveClient: self._remove_client,
             commands.RemoveTopic: topics.remove,
             commands.Retry: self._retry,
-            commands.ShutDown: self._shut_down,
+            commands.ShutDownLinks: self._shut_down,
             commands.Template: inspector.template,
             commands.Topics: self._topics,
         }
@@ -380,7 +380,7 @@ class Bridge:
     async def _end_motions(self, topics: set[str]) -> None:
         await self._publishing.end_motions(topics)
 
-    async def _shut_down(self, _: commands.ShutDown) -> None:
+    async def _shut_down(self, _: commands.ShutDownLinks) -> None:
         await self._publishing.end_motions()
         self._arming.end_all(Disarmed.REOPENED)
         self._log.add(EventCode.OPERATOR_SHUT_DOWN, "shut down on both sides")
@@ -413,7 +413,7 @@ class Bridge:
         self._arming.end_all(Disarmed.RELOADED)
         return await self._reload(session, keys)
 
-    def _dropped_by(self, session: Session) -> dict[Source, str]:
+    def _dropped_by(self, session: Session) -> dict[DemandSource, str]:
         """Return the demands that another session no longer makes, each with a text for operators."""
         demands = self.context.demands
         return {
@@ -430,7 +430,7 @@ class Bridge:
         is_reload = code is EventCode.OPERATOR_RELOADED
         why = f"reload by {operator()}: " if is_reload else ""
 
-        def take(step: Step) -> None:
+        def take(step: ReloadStep) -> None:
             try:
                 step.apply()
             except (LinkError, ListenError, RosError, ValueError) as error:
@@ -446,11 +446,11 @@ class Bridge:
             dropped = self._dropped_by(session) if is_reload else {}
             self.context.session = session
             permit = self.context.demands.permit
-            dropping = [Step(text, partial(permit, [source])) for source, text in dropped.items()]
+            dropping = [ReloadStep(text, partial(permit, [source])) for source, text in dropped.items()]
             await in_slices([*dropping, *steps], take)
         return done, failed
 
-    def _steps_to(self, session: Session, keys: Keys) -> list[Step]:
+    def _steps_to(self, session: Session, keys: Keys) -> list[ReloadStep]:
         old = self.context.session
         in_place = (
             (("stale_after", "stale_warnings", "late_after"), self._set_stale_after),
@@ -460,7 +460,9 @@ class Bridge:
             (("shutdown_topic",), self._change_shutdown_topic),
             *self._exporters.by_key,
         )
-        steps = [Step(", ".join(said), act) for names, act in in_place if (said := changes(old, session, only=names))]
+        steps = [
+            ReloadStep(", ".join(said), act) for names, act in in_place if (said := changes(old, session, only=names))
+        ]
         return steps + self._role.steps_to(session, keys)
 
     def _set_stale_after(self) -> None:

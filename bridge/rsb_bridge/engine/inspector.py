@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.engine.topic_commands import CommandLog
     from rsb_bridge.link.link import Link
-    from rsb_bridge.model.commands import Call, Describe, Peek, Template
+    from rsb_bridge.model.commands import Call, DescribeType, Peek, Template
     from rsb_bridge.model.snapshot import PeekedMessage
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.records import LaneEntry
@@ -67,7 +67,7 @@ class RouteInspector:
             raise LinkError(f"{route.local_topic} has calls, no messages")
         return await self.peeking.peek(route, kept=command.kept)
 
-    async def describe(self, command: Describe) -> str:
+    async def describe(self, command: DescribeType) -> str:
         link, route = self._find(command.key)
         return await link.type_questions.describe(route, linked=link.linked)
 

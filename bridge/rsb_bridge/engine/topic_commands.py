@@ -29,7 +29,7 @@ if TYPE_CHECKING:
         DisarmTopic,
         EditTopic,
         KeepArmed,
-        Pause,
+        PauseTopics,
         ReleaseArmed,
         RemoveTopic,
         TakeArming,
@@ -210,7 +210,7 @@ class TopicCommands:
         if route is not None and (listed := link.table.superseded.get(route.key)) is not None:
             link.table.superseded[route.key] = msgspec.structs.replace(listed, arm=False, deadman=None)
 
-    async def pause(self, command: Pause) -> None:
+    async def pause(self, command: PauseTopics) -> None:
         key, paused = command.key, command.paused
         routes = await self._stopped(key)
         code = EventCode.OPERATOR_PAUSED if paused else EventCode.OPERATOR_RESUMED

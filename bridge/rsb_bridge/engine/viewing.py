@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.link_views import PeerView
-    from rsb_bridge.model.commands import EndLook, Look
+    from rsb_bridge.model.commands import EndLook, LookAtTopics
 
 VIEWS = 8
 """Views of all consoles at the same time."""
@@ -67,7 +67,7 @@ class _View:
 
 
 class Viewing:
-    """Answers `Look` and `EndLook`."""
+    """Answers `LookAtTopics` and `EndLook`."""
 
     def __init__(
         self, context: Context, links: Callable[[], Sequence[Link]], spawn: Callable[..., asyncio.Task[None]]
@@ -77,7 +77,7 @@ class Viewing:
         self._spawn = spawn
         self._views: dict[str, _View] = {}
 
-    async def look(self, command: Look) -> Viewed | None:
+    async def look(self, command: LookAtTopics) -> Viewed | None:
         """Return a console's next picture, or None if there is none for some time.
 
         Raises:
@@ -106,7 +106,7 @@ class Viewing:
         if (view := self._views.pop(command.viewer, None)) is not None:
             view.close()
 
-    async def _next(self, view: _View, command: Look) -> Viewed | None:
+    async def _next(self, view: _View, command: LookAtTopics) -> Viewed | None:
         place = command.link, command.topics
         if view.place != place:
             view.close()
@@ -130,7 +130,7 @@ class Viewing:
         age = max(0.0, self._context.wall() - picture.taken / 1e9) if picture.taken else None
         return Viewed(picture, "", age, len(encode_picture(picture)))
 
-    async def _open(self, view: _View, command: Look) -> None:
+    async def _open(self, view: _View, command: LookAtTopics) -> None:
         check_names(command.topics)
         link = await self._place(command.topics[0], command.link)
         if link is not None:

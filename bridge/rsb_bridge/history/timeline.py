@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
-from rsb_bridge.history.track_record import OUTAGES_OF_ONE, Ended, Series, Time, TrackRecord
+from rsb_bridge.history.track_record import OUTAGES_OF_ONE, Ended, MinuteSeries, Time, TrackRecord
 from rsb_bridge.model import history as model
 from rsb_bridge.model.history import KEPT_FOR, LINK, Gap, HistoryReport
 from rsb_bridge.model.session import Kind
@@ -313,7 +313,7 @@ class Timeline:
         for each in saved.subjects[:MOST_TRACKS]:
             key: Key = (each.link, each.kind, each.topic, each.outgoing) if each.topic else _key_of(each.link)
             record = TrackRecord(*key)
-            record.series = Series.load(each.first, each.rates, each.up, each.out, each.waiting)
+            record.series = MinuteSeries.load(each.first, each.rates, each.up, each.out, each.waiting)
             record.outages.extend(each.outages[-OUTAGES_OF_ONE:])
             timeline._records[key] = record
         timeline._runs.extend(saved.runs)

@@ -46,7 +46,7 @@ _WORST_FIRST = tuple(State)
 _figures = re.compile(r"\d+(\.\d+)?")
 
 
-class Series:
+class MinuteSeries:
     """Rates, and how long it was fine, not fine, or waiting, minute by minute.
 
     A minute's number is its time divided by 60 s.
@@ -140,7 +140,7 @@ class Series:
         return self.first, self._rates.tobytes(), bytes(self._up), bytes(self._out), bytes(self._waiting)
 
     @classmethod
-    def load(cls, first: int, rates: bytes, up: bytes, out: bytes, waiting: bytes) -> Series:
+    def load(cls, first: int, rates: bytes, up: bytes, out: bytes, waiting: bytes) -> MinuteSeries:
         """Restore what `dump` has returned.
 
         Raises:
@@ -227,7 +227,7 @@ class TrackRecord:
         self.dropped = 0
         self.dropped_at = 0.0
         self.outages: deque[Ended] = deque()
-        self.series = Series()
+        self.series = MinuteSeries()
         self._state = State.OK
         self._seen = self._born = 0.0
         self._opening = False

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Coroutine, Iterator
 
-    from rsb_bridge.channel.channel import Carrier
+    from rsb_bridge.channel.channel import ChannelCarrier
     from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.config.rights import Rights
@@ -571,7 +571,7 @@ class BaseLink(ABC):
         """The fault of the path while the link is up, or None."""
         return self.path.fault
 
-    def carriers(self) -> set[Carrier]:
+    def carriers(self) -> set[ChannelCarrier]:
         """Return all carriers of the present connection's bytes."""
         return self.channels.carriers(self.control)
 

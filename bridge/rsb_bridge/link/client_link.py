@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
     from rsb_bridge.wire.messages import Hello, Propose
-    from rsb_bridge.wire.sealing import Suite
+    from rsb_bridge.wire.sealing import CipherSuite
 
 _HANDSHAKE_TIMEOUT = 5.0
 _FIRST_DELAY = 0.5
@@ -61,7 +61,7 @@ _LONGEST_RETRY_AFTER = 60.0
 class ClientLink(Link):
     """The one link of a client."""
 
-    def __init__(self, context: Context, hello: Hello, key: Key | None, suite: Suite) -> None:
+    def __init__(self, context: Context, hello: Hello, key: Key | None, suite: CipherSuite) -> None:
         session = context.session
         super().__init__(context, session.name, is_client=True, encrypted=key is not None)
         self.host, self.port = session.server_ip, session.server_port
@@ -141,7 +141,7 @@ class ClientLink(Link):
         """Connect to the server, or to the announced one that proves the key; return the failure, or None."""
         secret = key.secret if key else None
 
-        def begin(suite: Suite | None) -> ClientConnection:
+        def begin(suite: CipherSuite | None) -> ClientConnection:
             return ClientConnection(self._hello, secret, suite or self._suite, multiplexed=self.transport.multiplexed)
 
         if key is not None:
@@ -154,7 +154,7 @@ class ClientLink(Link):
         connection, host = begin(None), self.transport.host(self.context.session)
         return await self._open(self.transport, host, self.port, connection, partial(self._linked, connection))
 
-    async def _find(self, hosts: list[str], begin: Callable[[Suite | None], ClientConnection]) -> Failure | None:
+    async def _find(self, hosts: list[str], begin: Callable[[CipherSuite | None], ClientConnection]) -> Failure | None:
         """Connect to the announced server that proves the key. Return the failure, or None if the link is up."""
         remedied = partial(with_remedy, name=self.name, has_key=True)
         proven, failures, unproven = await self._search.find(hosts, begin, remedied)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 from rsb_bridge.link.refused_clients import CAUSES
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.events import Accepted, Established, Event, Failed, Refused
+from rsb_bridge.wire.events import Accepted, Established, Event, Failed, StreamRefused
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -99,7 +99,7 @@ class ConnectAttempt(StreamHandler):
                     stream.trust()
                     self._let_in(stream, event, events[index + 1 :])
                     return
-                case Refused():
+                case StreamRefused():
                     stream.close("refused")  # after the remaining bytes
                     self._finish(failure_of(event, self._address, self._refusal_message))
                 case Failed():
@@ -160,7 +160,7 @@ def failure_of(event: Event, address: str, refusal_message: Callable[[RefusalCod
         refusal_message: gives the text for operators about a refusal.
     """
     match event:
-        case Refused(code, message):
+        case StreamRefused(code, message):
             return Failure(refusal_message(code, message), CAUSES.get(code, LinkCause.REFUSED), code)
         case Failed(_, str() as foreign):
             return Failure(_not_a_bridge(address, foreign), LinkCause.NOT_A_BRIDGE)

@@ -23,7 +23,7 @@ from rsb_bridge.wire.records import FullRecord
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
-    from rsb_bridge.channel.channel import Carrier
+    from rsb_bridge.channel.channel import ChannelCarrier
     from rsb_bridge.context import Context
     from rsb_bridge.link.keepalive import Keepalive
     from rsb_bridge.route.route import Route
@@ -234,7 +234,7 @@ class Contention:
         self,
         context: Context,
         routes: Callable[[], Iterable[Route]],
-        carriers: Callable[[], Collection[Carrier]],
+        carriers: Callable[[], Collection[ChannelCarrier]],
         fullness: LinkFullness,
     ) -> None:
         self.sending, self.receiving = Throughput(), Throughput()

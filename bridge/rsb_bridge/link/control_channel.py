@@ -14,7 +14,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.codec import decode_in_parts, invalid
-from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused, Undecoded
+from rsb_bridge.wire.events import DataFrame, Event, Failed, MessageReceived, StreamRefused, Undecoded
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import Describe, Shutdown
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -190,7 +190,7 @@ class ControlChannel(StreamHandler):
                 units -= 1 + self._do_slice(self._work, now) // _ENTRIES_A_UNIT
                 if self._work is not None:
                     units = 0  # it was a whole slice
-            elif isinstance(self._events[0], Received | Undecoded) and not self._allowance.take(1, now):
+            elif isinstance(self._events[0], MessageReceived | Undecoded) and not self._allowance.take(1, now):
                 delay = (1 - self._allowance.left(now)) / _MESSAGES_A_SECOND
                 break
             else:
@@ -237,13 +237,13 @@ class ControlChannel(StreamHandler):
                     self._broken(error)
                     return 1
                 return self._take_message(message) + len(content) // _BYTES_A_UNIT
-            case Received(message):
+            case MessageReceived(message):
                 return self._take_message(message)
             case DataFrame(_, frame):
                 self._take_data(frame)
             case Failed(reason):
                 self.abort(f"the peer broke the format: {reason}")
-            case Refused(_, reason):
+            case StreamRefused(_, reason):
                 self.abort(reason)
         return 1
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Iterator
 
-    from rsb_bridge.channel.channel import Carrier
+    from rsb_bridge.channel.channel import ChannelCarrier
     from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.channel.data_stream import DataStream, RouteNumbers
     from rsb_bridge.channel.udp_channel import BufferShortage, UdpChannel
@@ -277,9 +277,9 @@ class DataChannels:
         if self._book is not None:
             self._book.report()
 
-    def carriers(self, control: ControlChannel | None) -> set[Carrier]:
+    def carriers(self, control: ControlChannel | None) -> set[ChannelCarrier]:
         """Return all streams and UDP channels, including the control connection's."""
-        carriers: set[Carrier] = {each.stream for each in self._streams()}
+        carriers: set[ChannelCarrier] = {each.stream for each in self._streams()}
         if control is not None:
             carriers.add(control.stream)
         return carriers.union(self.udp.all())

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from rsb_bridge.link.pending_connections import Limits, PendingConnection, PendingConnections, Rejected, Stage
+from rsb_bridge.link.pending_connections import ConnectionStage, Limits, PendingConnection, PendingConnections, Rejected
 from rsb_bridge.link.refused_clients import CAUSES
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.events import Attach, Established, Event, Failed, RefusalCode, Refused
+from rsb_bridge.wire.events import Attach, Established, Event, Failed, RefusalCode, StreamRefused
 from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.preamble import Refusal
 
@@ -138,7 +138,7 @@ class _InboundStream(PendingConnection, StreamHandler):
 
     def received(self, data: bytes) -> None:
         stream, connection = self._stream, self._connection
-        if stream is None or self.stage in (Stage.REFUSED, Stage.OVER):
+        if stream is None or self.stage in (ConnectionStage.REFUSED, ConnectionStage.OVER):
             return
         events = connection.receive_data(data)
         self.name = connection.name
@@ -153,13 +153,13 @@ class _InboundStream(PendingConnection, StreamHandler):
                     self._leave()
                     self._attach(stream, event)
                     return
-                case Refused(code, message, None):
+                case StreamRefused(code, message, None):
                     message = self._for_operator(code, message)
                     self.name = self._admission.refused(self.name, stream, code, message)
                     cause = CAUSES.get(code, LinkCause.REFUSED)
                     self._refuse(_CODES.get(code, EventCode.LINK_REJECTED), message, answer, cause)
                     return
-                case Refused(code, message, Hello() as peer):
+                case StreamRefused(code, message, Hello() as peer):
                     self._leave()
                     self._refuse_proven(stream, Refusal(code, message), peer)
                     return
@@ -173,7 +173,7 @@ class _InboundStream(PendingConnection, StreamHandler):
                 case _:
                     pass
         stream.write(answer)
-        if connection.accepted and self.stage < Stage.ACCEPTED:
+        if connection.accepted and self.stage < ConnectionStage.ACCEPTED:
             stream.authenticate(connection.sample_secret, opener=False)
             self._accept()
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Collection
 
-    from rsb_bridge.channel.channel import Carrier
+    from rsb_bridge.channel.channel import ChannelCarrier
     from rsb_bridge.context import Context
 
 DEAD_AFTER = 5.0
@@ -39,7 +39,7 @@ class Keepalive:
     """
 
     def __init__(
-        self, context: Context, carriers: Callable[[], Collection[Carrier]], patience: float | None = None
+        self, context: Context, carriers: Callable[[], Collection[ChannelCarrier]], patience: float | None = None
     ) -> None:
         """Begin.
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from rsb_bridge.context import Context
-    from rsb_bridge.model.demands import Source
+    from rsb_bridge.model.demands import DemandSource
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import TopicInfo
 
@@ -113,7 +113,7 @@ class Link(BaseLink):
         """
         return self.patterns.add(topic) if topic.is_pattern else self.proposed.add(topic).key
 
-    def demand_sources(self) -> Iterable[Source]:
+    def demand_sources(self) -> Iterable[DemandSource]:
         """Yield the entries that demand arming, as operators have left them."""
         use_name = not self.is_client and self.use_name
         return sources_of_entries(self.listed_topics(), self.name, on_server=not self.is_client, use_name=use_name)
@@ -122,7 +122,7 @@ class Link(BaseLink):
         """Reopen the routes whose demands have changed."""
         self.table.apply_demands()
 
-    def demand_dropped(self, source: Source) -> None:
+    def demand_dropped(self, source: DemandSource) -> None:
         """Tell the other side that an operator drops a demand."""
         self.table.arming.demand_dropped(source)
 

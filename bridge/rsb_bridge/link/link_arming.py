@@ -14,7 +14,7 @@ from rsb_bridge.model.demands import (
     NO_DEMAND,
     PEER_DEMANDS,
     Demands,
-    Source,
+    DemandSource,
     default_max_age,
     full_type,
     smallest_max_age,
@@ -23,7 +23,7 @@ from rsb_bridge.model.on_end import suits
 from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.arming import ANSWERED_WITHIN, DISARM_TEXT, Disarmed
-from rsb_bridge.route.lease import BEAT, Lease, Standstill
+from rsb_bridge.route.lease import BEAT, LeaseHalf, Standstill
 from rsb_bridge.wire import messages as wire
 from rsb_bridge.wire.messages import Arm, Armed, Disarm
 
@@ -72,7 +72,7 @@ class LinkLease:
         beat: Callable[[], None],
         disarm: Callable[[Standstill], None],
     ) -> None:
-        self.state = Lease(context.clock.steady, context.ros.turns, self._over)
+        self.state = LeaseHalf(context.clock.steady, context.ros.turns, self._over)
         self._loop = context.loop
         self._peer = peer
         self._is_needed = is_needed
@@ -238,10 +238,10 @@ class LinkArming:
     def keep_demand(self, route: Route, topic: Topic) -> None:
         """Keep the demand of an entry that is not added because the other side bridges the same."""
         key, max_age = ("", route.local_topic), default_max_age(topic.max_age, armed=True)
-        source = Source(key, route.local_topic, topic.deadman_seconds, max_age=max_age, limits=topic.limits)
+        source = DemandSource(key, route.local_topic, topic.deadman_seconds, max_age=max_age, limits=topic.limits)
         self._context.demands.keep(source, acting_operator())
 
-    def demand_dropped(self, source: Source) -> None:
+    def demand_dropped(self, source: DemandSource) -> None:
         """Tell the other side that an operator of this side drops a demand on names of its routes."""
         demands = Demands([source])
         for route in self._routes():

@@ -26,7 +26,7 @@ from rsb_bridge.model.benchmark import (
 )
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.ros.synthetic import Arrived, resources, synthetic_of
+from rsb_bridge.ros.synthetic import SyntheticArrivals, resources, synthetic_of
 from rsb_bridge.wire.messages import BenchAnswer, BenchAsk
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.proposed_topics import ProposedTopics
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.benchmark import BenchmarkLimits, BenchmarkStep
-    from rsb_bridge.ros.synthetic import Drain, Source
+    from rsb_bridge.ros.synthetic import SyntheticReader, SyntheticSource
     from rsb_bridge.route.route import Route
 
 HOUR = 3600.0
@@ -150,9 +150,9 @@ class LinkBench(Extension):
         self._used_at = 0.0
         self._stopped_until = float("-inf")
         self._busy = False
-        self._seen: dict[Drain, int] = {}
+        self._seen: dict[SyntheticReader, int] = {}
         """Messages of the peer by drain, as of the last tick."""
-        self._own: set[Drain] = set()
+        self._own: set[SyntheticReader] = set()
         """Drains of this side's own runs, which the peer's limits do not cover."""
         self._ends_soon = False
         if self._synthetic is not None:
@@ -188,7 +188,7 @@ class LinkBench(Extension):
         if ask.reset and drain is not None:
             drain.reset()
         problem = self._send_for_peer(ask, route, source) if ask.count else ""
-        usage, arrived = self.usage(), drain.arrived if drain is not None else Arrived(0, (0.0, 0.0, 0.0))
+        usage, arrived = self.usage(), drain.arrived if drain is not None else SyntheticArrivals(0, (0.0, 0.0, 0.0))
         leave = self._link.rights.bench
         busy = source is not None and source.busy
         return BenchAnswer(
@@ -205,7 +205,7 @@ class LinkBench(Extension):
             0.0 if leave is None else leave.max_rate,
         )
 
-    def _send_for_peer(self, ask: BenchAsk, route: Route, source: Source | None) -> str:
+    def _send_for_peer(self, ask: BenchAsk, route: Route, source: SyntheticSource | None) -> str:
         """Begin to send for the peer; return why this is not possible, or an empty string."""
         if source is None or route.proposed_here:  # whose topic it is orders the runs
             return "the side that asks sends on this route itself"
@@ -226,7 +226,7 @@ class LinkBench(Extension):
             return None
         return lambda size: self._budget.take(self._link.rights.bench, wire=size) or self._end_soon()
 
-    def _admits(self, drain: Drain, size: int) -> bool:
+    def _admits(self, drain: SyntheticReader, size: int) -> bool:
         """Whether an unpacked message may come to a measuring topic."""
         if drain in self._own:
             return True
@@ -430,7 +430,7 @@ class LinkBench(Extension):
             answer = newer
         return answer
 
-    async def _settled_here(self, drain: Drain, order: BenchmarkStep) -> None:
+    async def _settled_here(self, drain: SyntheticReader, order: BenchmarkStep) -> None:
         come, grown = drain.count, self._now()
         deadline, interval = self._deadline(order), max(_QUIET, 2 / order.rate)
         while come < order.count and self._now() < min(grown + interval, deadline):
@@ -451,7 +451,7 @@ class LinkBench(Extension):
             if each.proposed_here == proposed_here and is_bench_topic(each.local_topic)
         ]
 
-    def _ends(self, route: Route) -> tuple[Source | None, Drain | None]:
+    def _ends(self, route: Route) -> tuple[SyntheticSource | None, SyntheticReader | None]:
         if self._synthetic is None:
             return None, None
         end = route.local_topic, self._link.name

@@ -27,7 +27,7 @@ from rsb_bridge.wire.events import RefusalCode
 from rsb_bridge.wire.messages import Hello, Welcome
 from rsb_bridge.wire.preamble import LINK_ID_LENGTH, Refusal
 from rsb_bridge.wire.sealed_stream import Credential
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -103,8 +103,8 @@ class Server:
     async def _with_the_key_of(self, entry: ClientEntry, hosts: list[str]) -> list[str]:
         hello = Hello(__version__, entry.client.name, os.urandom(8).hex(), 0)
 
-        def begin(suite: Suite | None) -> ClientConnection:
-            return ClientConnection(hello, entry.keys[-1].secret, suite or Suite.AESGCM)
+        def begin(suite: CipherSuite | None) -> ClientConnection:
+            return ClientConnection(hello, entry.keys[-1].secret, suite or CipherSuite.AESGCM)
 
         search = ServerSearch(self._transport, self.context.now, _PROVES_WITHIN)
         proven, _, _ = await search.find(hosts, begin, lambda _, message: message)

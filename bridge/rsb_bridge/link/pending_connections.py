@@ -34,7 +34,7 @@ class Rejected(Wording):
     SERVER_STOPS = "the server stops"
 
 
-class Stage(IntEnum):
+class ConnectionStage(IntEnum):
     """The progress of a connection. If there are too many, the lowest stage is rejected first."""
 
     REFUSED = auto()  # the peer does not know yet
@@ -48,7 +48,8 @@ class Limits(NamedTuple):
 
     Attributes:
         of_one_host: of one host, where a host cannot choose its address.
-        accepted: in stage `Stage.ACCEPTED` under one name; more only come if somebody plays first messages again.
+        accepted: in stage `ConnectionStage.ACCEPTED` under one name; more only come if somebody plays first messages
+            again.
         when_scarce: in all while file descriptors are scarce, or None for `total`.
     """
 
@@ -119,7 +120,7 @@ class PendingConnections:
 
     def accepted(self, pending: PendingConnection) -> None:
         """Reject older connections of a name if too many of its first messages open under its key."""
-        same = [each for each in self._present if each.name == pending.name and each.stage is Stage.ACCEPTED]
+        same = [each for each in self._present if each.name == pending.name and each.stage is ConnectionStage.ACCEPTED]
         for oldest in same[: -self._limits.accepted]:
             oldest.reject(Rejected.SUPERSEDED())
 
@@ -144,7 +145,7 @@ class PendingConnection(ABC):
     rejected_code: ClassVar[EventCode]
 
     def __init__(self, pending: PendingConnections) -> None:
-        self.stage = Stage.WAITING
+        self.stage = ConnectionStage.WAITING
         self.host = self.network = self.name = ""
         self._pending = pending
         self._deadline: asyncio.TimerHandle | None = None
@@ -165,14 +166,14 @@ class PendingConnection(ABC):
 
     def _accept(self) -> None:
         """Note that the peer's first message opens under its key."""
-        self.stage = Stage.ACCEPTED
+        self.stage = ConnectionStage.ACCEPTED
         self._pending.accepted(self)
 
     def reject(self, message: str, cause: str = "") -> None:
         """Refuse the connection and close it, unless it is over."""
-        if self.stage is Stage.OVER:
+        if self.stage is ConnectionStage.OVER:
             return
-        if self.stage is not Stage.REFUSED:
+        if self.stage is not ConnectionStage.REFUSED:
             self._log(self.rejected_code, message, cause)
             self._refusal = self._busy(message), message
         self._tell()
@@ -183,7 +184,7 @@ class PendingConnection(ABC):
         refusals.failed(self.host)
         self._log(code, message, cause, self.name)
         self._stop_waiting()
-        self.stage, self._refusal = Stage.REFUSED, (answer, message)
+        self.stage, self._refusal = ConnectionStage.REFUSED, (answer, message)
         if delay := refusals.delay(self.host):
             self._deadline = asyncio.get_running_loop().call_later(delay, self._tell)
             self._pause_reading()
@@ -197,7 +198,7 @@ class PendingConnection(ABC):
 
     def _leave(self) -> None:
         """Be pending no more: the peer has authenticated, or the connection is being closed."""
-        self.stage = Stage.OVER
+        self.stage = ConnectionStage.OVER
         self._pending.remove(self)
         self._stop_waiting()
         if self._counted:

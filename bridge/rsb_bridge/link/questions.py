@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.ros.type_descriptions import TypeDescriptions
     from rsb_bridge.route.route import Route
-    from rsb_bridge.route.type_versions import MessageType
+    from rsb_bridge.route.type_versions import TypeVersion
     from rsb_bridge.wire.messages import ControlMessage
 
 T = TypeVar("T")
@@ -217,7 +217,7 @@ class TypeQuestions(Extension):
             raise LinkError(Denied.TYPE_NOT_INSTALLED(type_name=route.type_name))
         return text
 
-    def compare(self, route_id: int, types: Sequence[MessageType], tell: Callable[[str], None]) -> None:
+    def compare(self, route_id: int, types: Sequence[TypeVersion], tell: Callable[[str], None]) -> None:
         """Implement `rsb_bridge.route.type_versions.CompareTypes`."""
         installed = {each.type_hash: self._known.installed(each.name) for each in types}
         here = {type_hash: text for type_hash, text in installed.items() if text is not None}

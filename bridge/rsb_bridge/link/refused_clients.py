@@ -89,7 +89,7 @@ class SameName(Wording):
 
 
 @dataclass(frozen=True, slots=True)
-class ShutDown:
+class LinkShutdown:
     """A link's shutdown by an operator.
 
     Attributes:

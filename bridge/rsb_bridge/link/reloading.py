@@ -41,7 +41,7 @@ _NOT_IN_FILE = "removed from the session file"
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ReloadStep:
     """One change.
 
     Attributes:
@@ -53,7 +53,7 @@ class Step:
     apply: Callable[[], object]
 
 
-def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterator[Step]:
+def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterator[ReloadStep]:
     """Yield the changes of a client.
 
     Args:
@@ -61,21 +61,21 @@ def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterato
     """
     if link.key != key:
         effect = "the link is closed, and connects again with the new key"
-        yield Step(f"{_key_change(link.key, key)}: {effect}", partial(link.change_key, key))
+        yield ReloadStep(f"{_key_change(link.key, key)}: {effect}", partial(link.change_key, key))
     yield from _topic_steps(link, session.topics)
     listed = {topic.identity for topic in session.topics}
     own = {route.spec.identity for route in link.routes.values() if route.proposed_here}
     for identity in sorted(link.table.listed - listed - own):  # the other side has removed it already
         kind, name, direction = identity
         text = f"{named(Topic(name, direction, kind=kind))}: no longer listed"
-        yield Step(text, partial(link.table.listed.discard, identity))
+        yield ReloadStep(text, partial(link.table.listed.discard, identity))
     differs = changes(link.context.session, session, only=("allow", "deny", "bench"))
     effect = _denial_effect(link, rights_of_server(session, listed))
     if differs or effect:
-        yield Step(": ".join(filter(None, (", ".join(differs), effect))), partial(link.change_listed, listed))
+        yield ReloadStep(": ".join(filter(None, (", ".join(differs), effect))), partial(link.change_listed, listed))
 
 
-def server_steps(server: Server, entries: list[ClientEntry]) -> Iterator[Step]:
+def server_steps(server: Server, entries: list[ClientEntry]) -> Iterator[ReloadStep]:
     """Yield the changes of a server.
 
     Args:
@@ -85,22 +85,22 @@ def server_steps(server: Server, entries: list[ClientEntry]) -> Iterator[Step]:
     for name, entry in server.entries.items():
         if name not in wanted:
             text = ClientStep.REMOVED_WHILE_LINKED if server.links[name].linked else ClientStep.REMOVED
-            yield Step(text(name=name), partial(server.remove_client, name))
+            yield ReloadStep(text(name=name), partial(server.remove_client, name))
         elif parts := _client_changes(entry, wanted[name]):
             link = server.links[name]
             effect = _client_effect(link, wanted[name])
-            yield Step(f"client {name}: {', '.join(parts)}{effect}", partial(server.change_client, wanted[name]))
+            yield ReloadStep(f"client {name}: {', '.join(parts)}{effect}", partial(server.change_client, wanted[name]))
     for name, entry in wanted.items():
         if name not in server.entries:
-            yield Step(
+            yield ReloadStep(
                 f"client {name}: added, key {', next key '.join(entry.fingerprints) or 'none'}",
                 partial(server.add_client, entry),
             )
             for topic in entry.client.topics:
-                yield Step(f"client {name}: {_added(topic)}", partial(_add_to_client, server, name, topic))
+                yield ReloadStep(f"client {name}: {_added(topic)}", partial(_add_to_client, server, name, topic))
         else:
             for step in _topic_steps(server.links[name], entry.client.topics):
-                yield Step(f"client {name}: {step.text}", step.apply)
+                yield ReloadStep(f"client {name}: {step.text}", step.apply)
 
 
 def _client_changes(old: ClientEntry, new: ClientEntry) -> list[str]:
@@ -131,7 +131,7 @@ def _denial_effect(link: Link, rights: Rights) -> str:
 # --- the topics that one side of a link proposes
 
 
-def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[Step]:
+def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[ReloadStep]:
     topics = tuple(topics)
     yield from _pattern_steps(link, [topic for topic in topics if topic.is_pattern])
     wanted = {topic.identity: topic for topic in topics if not topic.is_pattern}
@@ -139,41 +139,41 @@ def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[Step]:
     superseded = {topic.identity: key for key, topic in link.table.superseded.items()}
     for identity, route in routes.items():
         if identity not in wanted:
-            yield Step(_removed(route.spec), partial(_remove, link, identity))
+            yield ReloadStep(_removed(route.spec), partial(_remove, link, identity))
     for identity, key in superseded.items():
         if identity not in wanted:
-            yield Step(_removed(link.table.superseded[key]), partial(_drop_superseded, link, key))
+            yield ReloadStep(_removed(link.table.superseded[key]), partial(_drop_superseded, link, key))
     for identity, topic in wanted.items():
         if identity in routes:
             route = routes[identity]
             if route.spec != topic:
                 effect = "" if link.proposed.can_amend(route, topic) else "; reopened, counted from 0"
                 text = f"{named(topic)}: {', '.join(changes(route.spec, topic))}{effect}"
-                yield Step(text, partial(_replace, link, topic))
+                yield ReloadStep(text, partial(_replace, link, topic))
         elif identity in superseded:
             key = superseded[identity]
             if differs := changes(link.table.superseded[key], topic):
                 text = f"{named(topic)}: {', '.join(differs)}; the client's own entry takes precedence"
-                yield Step(text, partial(_change_superseded, link, key, topic))
+                yield ReloadStep(text, partial(_change_superseded, link, key, topic))
         else:
-            yield Step(_added(topic), partial(_add, link, topic))
+            yield ReloadStep(_added(topic), partial(_add, link, topic))
 
 
-def _pattern_steps(link: Link, topics: Sequence[Topic]) -> Iterator[Step]:
+def _pattern_steps(link: Link, topics: Sequence[Topic]) -> Iterator[ReloadStep]:
     patterns = link.patterns
     wanted, known = {topic.identity: topic for topic in topics}, {topic.identity: topic for topic in patterns.all()}
     for identity, topic in known.items():
         if identity not in wanted:
-            yield Step(_removed(topic), partial(patterns.remove, identity))
+            yield ReloadStep(_removed(topic), partial(patterns.remove, identity))
     for identity, topic in wanted.items():
         if identity not in known:
-            yield Step(_added(topic), partial(patterns.add, topic))
+            yield ReloadStep(_added(topic), partial(patterns.add, topic))
         elif known[identity] != topic:
             text = f"{named(topic)}: {', '.join(changes(known[identity], topic))}"
-            yield Step(text, partial(patterns.replace, identity, topic))
+            yield ReloadStep(text, partial(patterns.replace, identity, topic))
     stay = [identity for identity in known if identity in wanted]
     if [*stay, *(identity for identity in wanted if identity not in known)] != [*wanted]:
-        yield Step("the order of the patterns", partial(patterns.arrange, tuple(wanted)))
+        yield ReloadStep("the order of the patterns", partial(patterns.arrange, tuple(wanted)))
 
 
 def _added(topic: Topic) -> str:

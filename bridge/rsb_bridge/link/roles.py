@@ -16,7 +16,7 @@ from rsb_bridge.config.rights import rights_of_client
 from rsb_bridge.link.client_link import ClientLink
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.link_server import Server
-from rsb_bridge.link.reloading import Step, client_steps, server_steps
+from rsb_bridge.link.reloading import ReloadStep, client_steps, server_steps
 from rsb_bridge.link.server_link import ClientEntry
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
@@ -27,7 +27,7 @@ from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire.messages import Hello, Welcome
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
@@ -89,7 +89,7 @@ class BridgeRole(Protocol):
         """
         ...
 
-    def steps_to(self, session: Session, keys: Keys) -> list[Step]:
+    def steps_to(self, session: Session, keys: Keys) -> list[ReloadStep]:
         """Return the steps that bring topics and clients in line with a session."""
         ...
 
@@ -164,7 +164,7 @@ class ClientRole:
     def add(self, topic: Topic, link: str) -> tuple[Link, str, Topic]:
         return self._link, self._link.add_entry(topic), topic
 
-    def steps_to(self, session: Session, keys: Keys) -> list[Step]:
+    def steps_to(self, session: Session, keys: Keys) -> list[ReloadStep]:
         return list(client_steps(self._link, session, _own(keys, session)))
 
     def retry(self, link: str) -> None:
@@ -202,7 +202,7 @@ class ServerRole:
             lambda link_id, use_name: Welcome(
                 __version__, session.name, link_id, context.ros.instance_id, context.domain_id, use_name
             ),
-            aes=preferred_suite() is Suite.AESGCM,
+            aes=preferred_suite() is CipherSuite.AESGCM,
         )
         self._tasks = Tasks(context.loop, lambda: self._bind_later("internal error"))
         self._restarting = asyncio.Lock()
@@ -255,7 +255,7 @@ class ServerRole:
         topic = chosen.client_names(topic)
         return chosen, chosen.add_entry(topic), topic
 
-    def steps_to(self, session: Session, keys: Keys) -> list[Step]:
+    def steps_to(self, session: Session, keys: Keys) -> list[ReloadStep]:
         return list(server_steps(self._server, _entries(session, keys)))
 
     def _chosen(self, name: str, topic: str) -> ServerLink:
@@ -358,10 +358,10 @@ async def _until(condition: Callable[[], bool], otherwise: Callable[[], str]) ->
         raise LinkError(otherwise()) from None
 
 
-def preferred_suite() -> Suite:
+def preferred_suite() -> CipherSuite:
     """Return AES-GCM if the processor has AES instructions (a flag in /proc/cpuinfo), else ChaCha20-Poly1305."""
     try:
         flags = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").split()
     except OSError:
-        return Suite.CHACHAPOLY
-    return Suite.AESGCM if "aes" in flags else Suite.CHACHAPOLY
+        return CipherSuite.CHACHAPOLY
+    return CipherSuite.AESGCM if "aes" in flags else CipherSuite.CHACHAPOLY

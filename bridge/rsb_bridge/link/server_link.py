@@ -12,7 +12,7 @@ import msgspec
 from rsb_bridge.channel.udp_channel import ServerUdpChannel
 from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.refused_clients import ASKED_EVERY, DuplicateClients, ShutDown, name_taken
+from rsb_bridge.link.refused_clients import ASKED_EVERY, DuplicateClients, LinkShutdown, name_taken
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.fingerprints import format_fingerprint
 from rsb_bridge.model.limits import PORTS_PER_CLIENT, dds_ports, discovery_domain
@@ -248,7 +248,7 @@ class ServerLink(Link):
         self._seen_host = ""
         self._seen_key = ""
         self._told = Duplicate()  # on the present connection
-        self.shut_down_by: ShutDown | None = None
+        self.shut_down_by: LinkShutdown | None = None
         self.handlers |= {Duplicate: self._on_duplicate, Shutdown: self._on_shutdown}
 
     @property
@@ -294,7 +294,7 @@ class ServerLink(Link):
 
     def shut_down_for(self, who: str) -> None:
         """End the link, and refuse the client until `readmit`."""
-        self.shut_down_by = ShutDown(who, self.context.wall())
+        self.shut_down_by = LinkShutdown(who, self.context.wall())
         if self.control is not None:
             self.control.shut_down(self.shut_down_by.refusal(), retry_after=None, code=EventCode.LINK_SHUT_DOWN)
             self._awaits_question()

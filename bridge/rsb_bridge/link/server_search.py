@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.transport import StreamTransport
     from rsb_bridge.wire.connection import ClientConnection
     from rsb_bridge.wire.events import Event, RefusalCode
-    from rsb_bridge.wire.sealing import Suite
+    from rsb_bridge.wire.sealing import CipherSuite
 
 _REFUSED_AFTER = 1.5
 """s from a refusal, which anybody can forge, until it counts: the server's own answer may follow."""
@@ -83,7 +83,7 @@ class _Try(StreamHandler):
         host: str,
         address: str,
         refusal_message: Callable[[RefusalCode, str], str],
-        asked_for: Callable[[Suite], None],
+        asked_for: Callable[[CipherSuite], None],
         finish: Callable[[ProvenServer | Failure], None],
     ) -> None:
         self._connection = connection
@@ -161,7 +161,7 @@ class ServerSearch:
     async def find(
         self,
         hosts: Collection[str],
-        connect: Callable[[Suite | None], ClientConnection],
+        connect: Callable[[CipherSuite | None], ClientConnection],
         refusal_message: Callable[[RefusalCode, str], str],
     ) -> tuple[list[ProvenServer], list[Failure], int]:
         """Find the servers that prove the key.
@@ -184,17 +184,17 @@ class ServerSearch:
     async def _attempt(
         self,
         host: str,
-        connect: Callable[[Suite | None], ClientConnection],
+        connect: Callable[[CipherSuite | None], ClientConnection],
         refusal_message: Callable[[RefusalCode, str], str],
     ) -> ProvenServer:
         outcome: asyncio.Future[ProvenServer] = asyncio.get_running_loop().create_future()
         address = self._transport.format_address((host, 0))
         tries: list[_Try] = []
-        asked: asyncio.Queue[Suite | None] = asyncio.Queue()
-        offered: set[Suite | None] = set()
+        asked: asyncio.Queue[CipherSuite | None] = asyncio.Queue()
+        offered: set[CipherSuite | None] = set()
         asked.put_nowait(None)
 
-        def ask(suite: Suite | None) -> None:
+        def ask(suite: CipherSuite | None) -> None:
             if suite not in offered:
                 offered.add(suite)
                 asked.put_nowait(suite)

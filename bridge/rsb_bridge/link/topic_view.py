@@ -19,7 +19,7 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_graph import agreed_type
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.view.worker import Sample, Task
+from rsb_bridge.view.worker import TakenSample, Task
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Coroutine, Hashable, Iterable, Sequence
@@ -108,12 +108,12 @@ class _Feed:
             while len(self._kept) > 1 and (self._bytes > KEPT_BYTES or len(self._kept) > KEPT_MESSAGES):
                 self._bytes -= len(self._kept.popleft().payload)
 
-    def take(self) -> list[Sample]:
+    def take(self) -> list[TakenSample]:
         """Return the kept messages, and keep none."""
         with self._lock:
             kept, self._kept, self._bytes = self._kept, deque(), 0
         name, author_of = self.viewable.type_name, self.authors.get
-        return [Sample(self.topic, name, each.payload, each.stamp, author_of(each.gid, "")) for each in kept]
+        return [TakenSample(self.topic, name, each.payload, each.stamp, author_of(each.gid, "")) for each in kept]
 
     def close(self) -> None:
         if self.subscription is not None:
@@ -218,7 +218,7 @@ class TopicView:
         self._has_news = False
 
     async def _draw(self, topics: tuple[str, ...]) -> Picture:
-        samples: list[Sample] = []
+        samples: list[TakenSample] = []
         seen, size, problem = self._seen_before, 0, ""
         feeds = [feed for topic in topics if (feed := self._feeds.get(topic)) is not None]
         for feed in feeds:

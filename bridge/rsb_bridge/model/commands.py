@@ -1,7 +1,8 @@
 """Commands to an engine. Consoles make them, and `rsb_bridge.engine.bridge.Bridge.do` executes them.
 
 A command names the type of its result as the parameter of `Command`, and declares the right that it needs. The control
-socket sends commands as they are (`rsb_bridge.control.protocol.Request`), so tags and fields are part of its protocol.
+socket sends commands as they are (`rsb_bridge.control.protocol.CommandRequest`), so tags and fields are part of its
+protocol.
 """
 
 from __future__ import annotations
@@ -100,7 +101,7 @@ class RemoveTopic(Command[None], frozen=True, tag="remove"):
     drop_arm: bool = False
 
 
-class Pause(Command[None], frozen=True, tag="pause"):
+class PauseTopics(Command[None], frozen=True, tag="pause"):
     """Stop or resume carrying the messages of a topic, or of all topics that a pattern matches, on both sides."""
 
     one_at_a_time = True
@@ -252,7 +253,7 @@ class Retry(Command[None], frozen=True, tag="retry"):
     link: str = ""
 
 
-class ShutDown(Command[None], frozen=True, tag="shut_down"):
+class ShutDownLinks(Command[None], frozen=True, tag="shut_down"):
     """Close the sockets on both sides until an operator restarts, as the shutdown topic does."""
 
 
@@ -300,7 +301,7 @@ class Peek(Command[PeekedMessage | None], frozen=True, tag="peek"):
     kept: bool = False
 
 
-class Look(Command[Viewed | None], frozen=True, tag="look"):
+class LookAtTopics(Command[Viewed | None], frozen=True, tag="look"):
     """Wait for the next picture of topics, drawn by the side that publishes them.
 
     The result is None if there is no new one within some seconds: ask again. The view ends some seconds after the last
@@ -385,7 +386,7 @@ class Publish(Command[Published], frozen=True, tag="publish"):
         return True
 
 
-class Describe(Command[str], frozen=True, tag="describe"):
+class DescribeType(Command[str], frozen=True, tag="describe"):
     """Find the description of a topic's type (`rsb_bridge.cdr.description`) on either side."""
 
     right = Right.LOOK
@@ -454,7 +455,7 @@ AnyCommand: TypeAlias = (
     AddTopic
     | EditTopic
     | RemoveTopic
-    | Pause
+    | PauseTopics
     | Acknowledge
     | ArmTopic
     | AskHolder
@@ -467,16 +468,16 @@ AnyCommand: TypeAlias = (
     | ChangeClient
     | RemoveClient
     | Retry
-    | ShutDown
+    | ShutDownLinks
     | Restart
     | Reload
     | Topics
     | Peek
     | EndLook
-    | Look
+    | LookAtTopics
     | DraftMessage
     | Publish
-    | Describe
+    | DescribeType
     | Template
     | Call
     | History

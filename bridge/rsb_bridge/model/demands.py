@@ -14,7 +14,7 @@ from rsb_bridge.model.names import expand_type_name, server_topic
 from rsb_bridge.model.on_end import NONE, more_careful, suits, text_of
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.qos import AUTO
-from rsb_bridge.model.session import DEADMAN, Armed, Client, Identity, Kind, Session, Topic
+from rsb_bridge.model.session import DEADMAN, ArmedName, Client, Identity, Kind, Session, Topic
 from rsb_bridge.model.velocity_limits import VelocityLimits, is_as_small, smallest
 from rsb_bridge.model.wording import Wording
 
@@ -43,7 +43,7 @@ SourceKey: TypeAlias = tuple[str, Identity | str]
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class DemandSource:
     """One line of a session that demands arming, a `max_age` or `limits`.
 
     Attributes:
@@ -92,10 +92,10 @@ class Demand:
 
     deadman: float
     max_age: float | None
-    sources: tuple[Source, ...]
+    sources: tuple[DemandSource, ...]
     on_end: str = ""
     limits: VelocityLimits | None = None
-    limited_by: tuple[Source, ...] = ()
+    limited_by: tuple[DemandSource, ...] = ()
 
     @property
     def arm(self) -> bool:
@@ -120,14 +120,16 @@ def local_name(topic: Topic, client: str, *, on_server: bool, use_name: bool) ->
     return topic.remote_topic or (server_topic(topic.topic, client) if use_name else topic.topic)
 
 
-def sources_of_entries(topics: Iterable[Topic], client: str, *, on_server: bool, use_name: bool) -> Iterator[Source]:
+def sources_of_entries(
+    topics: Iterable[Topic], client: str, *, on_server: bool, use_name: bool
+) -> Iterator[DemandSource]:
     """Yield the entries of one link that demand anything; `local_name` has the same arguments."""
     for topic in topics:
         if topic.arm or topic.max_age is not None or topic.limits is not None:
             name = local_name(topic, client, on_server=on_server, use_name=use_name)
             key = client if on_server else "", topic.identity
             type_name = full_type(topic.type) if topic.is_pattern else ""
-            yield Source(
+            yield DemandSource(
                 key,
                 name,
                 topic.deadman_seconds if topic.arm else 0.0,
@@ -142,15 +144,15 @@ def sources_of_entries(topics: Iterable[Topic], client: str, *, on_server: bool,
             )
 
 
-def sources_of_names(armed: Iterable[str | Armed]) -> Iterator[Source]:
+def sources_of_names(armed: Iterable[str | ArmedName]) -> Iterator[DemandSource]:
     """Yield what a session's `armed` demands."""
     for each in armed:
-        entry = Armed(each) if isinstance(each, str) else each
+        entry = ArmedName(each) if isinstance(each, str) else each
         key = "", f"{entry.kind or ''} {entry.type or ''} {entry.name}".strip()
         max_age = default_max_age(entry.max_age, armed=True)
         type_name = full_type(entry.type or AUTO)
         on_end = text_of(entry.on_end)
-        yield Source(
+        yield DemandSource(
             key,
             entry.name,
             entry.deadman_seconds,
@@ -162,7 +164,7 @@ def sources_of_names(armed: Iterable[str | Armed]) -> Iterator[Source]:
         )
 
 
-def sources_of(session: Session) -> Iterator[Source]:
+def sources_of(session: Session) -> Iterator[DemandSource]:
     """Yield every line of a session that demands anything."""
     yield from sources_of_names(session.armed)
     if session.role == "client":
@@ -180,11 +182,11 @@ class Demands:
         sources: the lines, in any order: all that match a name count.
     """
 
-    def __init__(self, sources: Iterable[Source] = ()) -> None:
+    def __init__(self, sources: Iterable[DemandSource] = ()) -> None:
         self.sources = tuple(dict.fromkeys(sources))
-        self._by_name: dict[str, list[Source]] = {}
-        self._patterns: list[tuple[str, Pattern, Pattern, tuple[Pattern, ...], Source]] = []
-        self._of_client: dict[str, list[Source]] = {}
+        self._by_name: dict[str, list[DemandSource]] = {}
+        self._patterns: list[tuple[str, Pattern, Pattern, tuple[Pattern, ...], DemandSource]] = []
+        self._of_client: dict[str, list[DemandSource]] = {}
         for source in self.sources:
             if source.is_pattern:
                 excepts = tuple(map(_pattern, source.excepts))
@@ -229,7 +231,7 @@ class Demands:
             tuple(each for each in found if limits is not None and each.limits and each.limits.are_in(limits)),
         )
 
-    def _matching(self, kind: Kind | None, name: str) -> Iterator[Source]:
+    def _matching(self, kind: Kind | None, name: str) -> Iterator[DemandSource]:
         for source in self._by_name.get(name, ()):
             if source.kind in (None, kind):
                 yield source
@@ -241,17 +243,17 @@ class Demands:
                 if all(each.match(client_name) is None for each in excepts):
                     yield source
 
-    def _matching_of_client(self, kind: Kind, client: str, name: str) -> Iterator[Source]:
+    def _matching_of_client(self, kind: Kind, client: str, name: str) -> Iterator[DemandSource]:
         for source in self._of_client.get(client, ()):
             if source.kind not in (None, kind) or not _matches(source.on_client, name):
                 continue
             if not any(_matches(each, name) for each in source.excepts):
                 yield source
 
-    def _covers(self, old: Source) -> bool:
+    def _covers(self, old: DemandSource) -> bool:
         """Whether every name of a source is demanded by one of these, at least as carefully."""
         if old.is_pattern:
-            found: Iterable[Source] = (
+            found: Iterable[DemandSource] = (
                 new for *_, new in self._patterns if new.name == old.name and set(new.excepts) <= set(old.excepts)
             )
         else:
@@ -268,11 +270,11 @@ class Demands:
             if new.arm and new.kind in (None, old.kind) and new.type in ("", old.type)
         )
 
-    def missing(self, old: Iterable[Source]) -> dict[Source, tuple[Source, ...]]:
+    def missing(self, old: Iterable[DemandSource]) -> dict[DemandSource, tuple[DemandSource, ...]]:
         """Return the sources whose demand for arming these do not cover, each with sources that demand the rest."""
         by_key = {source.key: source for source in self.sources if source.arm}
         unchanged = set(self.sources)
-        found: dict[Source, tuple[Source, ...]] = {}
+        found: dict[DemandSource, tuple[DemandSource, ...]] = {}
         for source in old:
             if not source.arm or source in unchanged or self._covers(source):
                 continue
@@ -301,11 +303,11 @@ def demand_on_entry(demands: Demands, session: Session, client: Client | None, t
     return demands.of(topic.kind, name, topic.type, client=owner, client_name=topic.topic) or NO_DEMAND
 
 
-def _kept(source: Source, name: str) -> Source:
+def _kept(source: DemandSource, name: str) -> DemandSource:
     """Return a source for `armed` that demands a name, as carefully as another source."""
     max_age = _unless(source.max_age, ARMED)
     deadman = _unless(source.deadman, DEADMAN)
-    entry = Armed(name, deadman=deadman, max_age=max_age, on_end=source.on_end or None, limits=source.limits)
+    entry = ArmedName(name, deadman=deadman, max_age=max_age, on_end=source.on_end or None, limits=source.limits)
     if is_pattern(name):
         entry = msgspec.structs.replace(entry, kind=source.kind, type=source.type or None)
     return next(sources_of_names([entry]))
@@ -320,17 +322,17 @@ def _is_as_short(new: float, old: float) -> bool:
     return not old or 0 < new <= old
 
 
-def kept_whole(source: Source) -> Source:
+def kept_whole(source: DemandSource) -> DemandSource:
     """Return a source for `armed` that demands all that another one does."""
     return _kept(source, source.name)
 
 
-def as_armed(source: Source) -> str | Armed:
+def as_armed(source: DemandSource) -> str | ArmedName:
     """Return the entry of `armed` for one of its sources."""
     deadman, max_age = _unless(source.deadman, DEADMAN), _unless(source.max_age, ARMED)
     on_end, type_name = source.on_end or None, source.type or None
-    entry = Armed(source.name, source.kind, type_name, deadman, max_age, on_end, source.limits)
-    return source.name if entry == Armed(source.name) else entry
+    entry = ArmedName(source.name, source.kind, type_name, deadman, max_age, on_end, source.limits)
+    return source.name if entry == ArmedName(source.name) else entry
 
 
 def full_type(name: str) -> str:
@@ -343,7 +345,7 @@ def full_type(name: str) -> str:
         return name
 
 
-def _on_this_side(name: str, source: Source) -> str | None:
+def _on_this_side(name: str, source: DemandSource) -> str | None:
     """Return this side's name for a name that a pattern leaves out on the client, or None if that is not certain."""
     if source.name == source.on_client:
         return name
@@ -382,7 +384,7 @@ def _related(kind: Kind, name: str, client_name: str) -> Iterator[tuple[Kind, st
                 yield "service", name + lane.suffix, client_name + lane.suffix
 
 
-def describe(source: Source, places: Mapping[SourceKey, str]) -> str:
+def describe(source: DemandSource, places: Mapping[SourceKey, str]) -> str:
     """Return a line that demands something, for an operator: ``pattern /cmd* in robot.yaml:20``.
 
     Args:
@@ -435,7 +437,7 @@ MOST_ARMED: Final = 1000
 class Holder(Protocol):
     """A link, which has a part of the session's entries."""
 
-    def demand_sources(self) -> Iterable[Source]:
+    def demand_sources(self) -> Iterable[DemandSource]:
         """Yield the entries that demand arming, as operators have left them."""
         ...
 
@@ -443,7 +445,7 @@ class Holder(Protocol):
         """Reopen the routes whose demands have changed."""
         ...
 
-    def demand_dropped(self, source: Source) -> None:
+    def demand_dropped(self, source: DemandSource) -> None:
         """Tell the other side that an operator drops a demand."""
         ...
 
@@ -462,11 +464,11 @@ class RunningDemands:
 
     def __init__(
         self,
-        armed: Callable[[], tuple[str | Armed, ...]],
-        set_armed: Callable[[tuple[str | Armed, ...]], None],
+        armed: Callable[[], tuple[str | ArmedName, ...]],
+        set_armed: Callable[[tuple[str | ArmedName, ...]], None],
         soon: Callable[[], object],
-        kept: Callable[[Source, str], None],
-        dropped: Callable[[Source, str], None],
+        kept: Callable[[DemandSource, str], None],
+        dropped: Callable[[DemandSource, str], None],
     ) -> None:
         self._armed = armed
         self._set_armed = set_armed
@@ -475,11 +477,11 @@ class RunningDemands:
         self._dropped = dropped
         self._holders: list[Holder] = []
         self._settled = Demands()
-        self._given: tuple[str | Armed, ...] = ()
+        self._given: tuple[str | ArmedName, ...] = ()
         self._is_stale = True
         self._is_due = self._differs = False
         self._depth = 0
-        self._permitted: set[Source] = set()
+        self._permitted: set[DemandSource] = set()
         self._places: Mapping[SourceKey, str] = {}
         self._changed_by: dict[SourceKey, str] = {}
 
@@ -515,12 +517,12 @@ class RunningDemands:
         return demands.of(kind, name, type_name, client=client, client_name=client_name)
 
     @property
-    def sources(self) -> tuple[Source, ...]:
+    def sources(self) -> tuple[DemandSource, ...]:
         """The lines that demand arming now."""
         self._settle()
         return self._settled.sources
 
-    def keep(self, source: Source, who: str) -> None:
+    def keep(self, source: DemandSource, who: str) -> None:
         """Demand what an entry demands that cannot be added; `who` wants it."""
         self._keep([source], who)
         self.changed()
@@ -552,7 +554,7 @@ class RunningDemands:
                 self._changed_by |= dict.fromkeys(new, who)
                 self.apply()
 
-    def permit(self, sources: Collection[Source]) -> None:
+    def permit(self, sources: Collection[DemandSource]) -> None:
         """Let demands go in the present change, as an operator has agreed to by name.
 
         The other side learns of it now, before the change closes the routes: nothing may refuse the change after this.
@@ -574,7 +576,7 @@ class RunningDemands:
         for holder in tuple(self._holders) if differs else ():
             holder.apply_demands()
 
-    def _present(self) -> Iterator[Source]:
+    def _present(self) -> Iterator[DemandSource]:
         yield from sources_of_names(self._armed())
         for holder in self._holders:
             yield from holder.demand_sources()
@@ -602,7 +604,7 @@ class RunningDemands:
         before, self._settled = self._settled, now if self._given == armed else Demands(self._present())
         self._differs |= before.sources != self._settled.sources
 
-    def _keep(self, sources: Iterable[Source], who: str) -> None:
+    def _keep(self, sources: Iterable[DemandSource], who: str) -> None:
         armed = self._armed()
         for source in sources:
             if (entry := as_armed(source)) not in armed:
@@ -620,7 +622,7 @@ class RunningDemands:
         self._differs = True
         self.changed()
 
-    def origin(self, source: Source) -> str:
+    def origin(self, source: DemandSource) -> str:
         """Return a line that demands something, for an operator."""
         if (who := self._changed_by.get(source.key)) is not None:
             text = OriginText.ADDED if isinstance(source.key[1], tuple) else OriginText.KEPT

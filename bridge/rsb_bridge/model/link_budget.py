@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 K = TypeVar("K", bound="Hashable")
 
 
-class Wish(NamedTuple):
+class TopicDemand(NamedTuple):
     """The demand of one topic.
 
     Attributes:
@@ -39,7 +39,7 @@ class Wish(NamedTuple):
     bytes_per_second: float
 
 
-def allot(capacity: float, wishes: Mapping[K, Wish]) -> dict[K, float]:
+def allot(capacity: float, wishes: Mapping[K, TopicDemand]) -> dict[K, float]:
     """Divide a link by the weights of priorities, as its scheduler does (weighted max-min fairness).
 
     A topic that wants less than its share gets all it wants, and the others share the rest.
@@ -60,7 +60,7 @@ def allot(capacity: float, wishes: Mapping[K, Wish]) -> dict[K, float]:
     return shares
 
 
-def _per_weight(item: tuple[object, Wish]) -> float:
+def _per_weight(item: tuple[object, TopicDemand]) -> float:
     return item[1].bytes_per_second / weight_of(item[1].rank)
 
 
@@ -108,7 +108,7 @@ class LoadSource(StrEnum):
     UNKNOWN = "unknown"
 
 
-class Load(NamedTuple):
+class LinkLoad(NamedTuple):
     """The load that a topic puts on a link.
 
     Attributes:
@@ -154,7 +154,7 @@ class Cost(NamedTuple):
         sufferers: topics that would get less.
     """
 
-    load: Load
+    load: LinkLoad
     used: float
     capacity: Capacity | None
     gets: float
@@ -197,11 +197,13 @@ def cost_of(
         for route in now.routes
         if route.link == link and route.outgoing == outgoing and route.key != replaces and route.calls is None
     ]
-    wishes: dict[str, Wish] = {route.key: Wish(RANKS[route.spec.priority], _wire_rate(route)) for route in routes}
+    wishes: dict[str, TopicDemand] = {
+        route.key: TopicDemand(RANKS[route.spec.priority], _wire_rate(route)) for route in routes
+    }
     used = sum(wish.bytes_per_second for wish in wishes.values())
     if capacity is not None and capacity.source == CapacitySource.SEEN and capacity.bytes_per_second < used:
         capacity = msgspec.structs.replace(capacity, bytes_per_second=used)  # more than before crosses right now
-    own = Wish(RANKS[topic.priority], load.bytes_per_second)
+    own = TopicDemand(RANKS[topic.priority], load.bytes_per_second)
     if capacity is None or (
         # So little has crossed, as on a link that has just come up, that it tells nothing about this topic.
         capacity.source == CapacitySource.SEEN and capacity.bytes_per_second < own.bytes_per_second
@@ -218,17 +220,17 @@ def cost_of(
 
 def load_of(
     now: Snapshot, topic: Topic, *, type_name: str = "", rate: float | None = None, size: float | None = None
-) -> Load:
+) -> LinkLoad:
     """Estimate the load of a topic; `cost_of` describes the arguments."""
     type_name = _full_name(type_name or ("" if topic.type == "auto" else topic.type), now.routes)
     rate = rate or topic.expected_rate
     found = _measured(now.routes, topic, type_name)
     if found is None and type_name in TYPICAL:
-        found = Load(*TYPICAL[type_name], LoadSource.TYPICAL)
+        found = LinkLoad(*TYPICAL[type_name], LoadSource.TYPICAL)
     if rate is not None and size is not None:
-        found = Load(rate, size, LoadSource.GIVEN)
+        found = LinkLoad(rate, size, LoadSource.GIVEN)
     elif found is None:
-        return Load(rate or 0.0, size or 0.0, LoadSource.UNKNOWN)
+        return LinkLoad(rate or 0.0, size or 0.0, LoadSource.UNKNOWN)
     found = found._replace(rate=rate or found.rate, size=size or found.size)
     return found if topic.max_rate is None else found._replace(rate=min(found.rate, topic.max_rate))
 
@@ -239,7 +241,7 @@ def _full_name(name: str, routes: Iterable[RouteSnapshot]) -> str:
     return found.pop() if "/" not in name and len(found) == 1 else name
 
 
-def _measured(routes: Iterable[RouteSnapshot], topic: Topic, type_name: str) -> Load | None:
+def _measured(routes: Iterable[RouteSnapshot], topic: Topic, type_name: str) -> LinkLoad | None:
     alike = None
     for route in routes:
         if route.calls is not None:
@@ -250,7 +252,7 @@ def _measured(routes: Iterable[RouteSnapshot], topic: Topic, type_name: str) -> 
             rate, size = route.expected_rate, route.bytes_total / route.messages_total
         else:
             continue
-        load = Load(rate, size, LoadSource.HERE, route.topic)
+        load = LinkLoad(rate, size, LoadSource.HERE, route.topic)
         if (route.spec.topic, route.spec.direction) == (topic.topic, topic.direction):
             return load
         if type_name and route.type_name == type_name and alike is None:
@@ -328,7 +330,7 @@ def describe_cost(cost: Cost, now: float) -> tuple[str, ...]:
     return first, (CostText.PERHAPS_TOO_MUCH if effects else CostText.PERHAPS_CARRIED)(amount=over, effects=effects)
 
 
-def _source(load: Load) -> str:
+def _source(load: LinkLoad) -> str:
     return CostText[load.source.name](topic=load.like)
 
 

@@ -107,7 +107,7 @@ class Battery(NamedTuple):
     time: float
 
 
-class Loss(NamedTuple):
+class LostMessages(NamedTuple):
     """Messages that did not arrive.
 
     Attributes:
@@ -167,7 +167,7 @@ class RobotSummary(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     messages_to_robot: float = 0.0
     bytes_from_robot: float = 0.0
     bytes_to_robot: float = 0.0
-    loss: Loss | None = None
+    loss: LostMessages | None = None
     battery: Battery | None = None
 
 
@@ -183,7 +183,7 @@ class LossWindow:
     def __init__(self) -> None:
         self._marks: dict[str, deque[_Mark]] = {}
 
-    def take(self, snapshot: Snapshot) -> dict[str, Loss]:
+    def take(self, snapshot: Snapshot) -> dict[str, LostMessages]:
         """Take a snapshot, newer than the one before; gives the loss of each link that has a figure."""
         now = snapshot.time
         lost, settled, since = Counter[str](), Counter[str](), dict[str, float]()
@@ -196,7 +196,7 @@ class LossWindow:
                 lost[route.link] += max(0, total - first.lost)
                 settled[route.link] += total + route.ledger.delivered - first.settled
                 since[route.link] = min(first.time, since.get(route.link, now))
-        return {link: Loss(lost[link] / count, now - since[link]) for link, count in settled.items() if count}
+        return {link: LostMessages(lost[link] / count, now - since[link]) for link, count in settled.items() if count}
 
     def _first_mark(self, route: RouteSnapshot, now: float) -> _Mark:
         """Return the counts of a route at the beginning of the window."""
@@ -216,7 +216,7 @@ def _lost(ledger: Ledger) -> int:
 
 
 def of_clients(
-    snapshot: Snapshot, session: Session, losses: Mapping[str, Loss], batteries: Mapping[str, Battery]
+    snapshot: Snapshot, session: Session, losses: Mapping[str, LostMessages], batteries: Mapping[str, Battery]
 ) -> list[RobotSummary]:
     """Summarize the clients of a server, one for each link.
 
@@ -250,7 +250,7 @@ def of_engine(
     *,
     host: str,
     version: str,
-    losses: Mapping[str, Loss],
+    losses: Mapping[str, LostMessages],
     battery: Battery | None,
 ) -> RobotSummary:
     """Summarize an engine for its own announcement.
@@ -502,7 +502,7 @@ def decode(data: bytes) -> RobotSummary:
         messages_to_robot=_within(summary.messages_to_robot),
         bytes_from_robot=_within(summary.bytes_from_robot),
         bytes_to_robot=_within(summary.bytes_to_robot),
-        loss=None if loss is None else Loss(_within(loss.share, 1.0), _within(loss.span)),
+        loss=None if loss is None else LostMessages(_within(loss.share, 1.0), _within(loss.span)),
         battery=None if battery is None else Battery(_within(battery.charge, 1.0), _within(battery.time)),
     )
 

@@ -87,7 +87,7 @@ class Problem:
         return one_line(f"{place}: {self.message}" if place else self.message)  # it may quote keys of the file
 
 
-def _write_out(entry: Topic | Armed) -> None:
+def _write_out(entry: Topic | ArmedName) -> None:
     """Have `on_end` as one text, so that entries can be compared and hashed."""
     if isinstance(entry.on_end, dict):
         msgspec.structs.force_setattr(entry, "on_end", text_of(entry.on_end))
@@ -264,7 +264,7 @@ class Operator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_def
     may: OperatorMay = "look"
 
 
-class Armed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class ArmedName(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """A name that requires arming on this side, on every route.
 
     Attributes:
@@ -356,7 +356,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     metrics: str | None = None
     on_fault: str | tuple[str, ...] | None = None
     topics: tuple[Topic, ...] = ()
-    armed: tuple[str | Armed, ...] = ()
+    armed: tuple[str | ArmedName, ...] = ()
     clients: tuple[Client, ...] | None = None
     allow: tuple[str | Grant, ...] = ()
     deny: tuple[str | Grant, ...] = ()

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
         Sink,
         Subscription,
     )
-    from rsb_bridge.ros.service_endpoints import Client, Server, TypedClient, TypedServer
+    from rsb_bridge.ros.service_endpoints import RawServiceClient, RawServiceServer, TypedClient, TypedServer
     from rsb_bridge.ros.topic_endpoints import Reader, Writer
 
 _Key: TypeAlias = "tuple[str, Hashable]"
@@ -397,7 +397,7 @@ class ServerDrain(Drain[Request]):
 
     def __init__(
         self,
-        server: Server | TypedServer,
+        server: RawServiceServer | TypedServer,
         sink: RequestSink,
         on_failure: OnFailure | None,
         retire: Callable[[Drain[Any]], None],
@@ -412,7 +412,7 @@ class ClientDrain(Drain[Response]):
 
     def __init__(
         self,
-        client: Client | TypedClient,
+        client: RawServiceClient | TypedClient,
         sink: ResponseSink,
         on_failure: OnFailure | None,
         retire: Callable[[Drain[Any]], None],

@@ -14,7 +14,14 @@ from rsb_bridge.model.limits import DOMAIN, TOPIC_LENGTH
 from rsb_bridge.model.names import is_topic_name
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.distribution import described
-from rsb_bridge.ros.native.extension import (
+from rsb_bridge.ros.native.librcl import (
+    TakeBuffer,
+    WaitSetHead,
+    add_guard_condition,
+    graph_guard_condition,
+    reset_error,
+)
+from rsb_bridge.ros.native.rclpy_extension import (
     PUBLISHERS,
     SERVICES,
     SUBSCRIPTIONS,
@@ -27,26 +34,19 @@ from rsb_bridge.ros.native.extension import (
     safe_type_name,
     wait_set,
 )
-from rsb_bridge.ros.native.librcl import (
-    TakeBuffer,
-    WaitSetHead,
-    add_guard_condition,
-    graph_guard_condition,
-    reset_error,
-)
 from rsb_bridge.ros.native.rosidl_descriptions import ask_node
 from rsb_bridge.ros.raw_types import borrow_service, borrow_type
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, RosProblem
 from rsb_bridge.ros.self_test import ARGUMENTS, findings
-from rsb_bridge.ros.service_endpoints import Client, Server, TypedClient, TypedServer
+from rsb_bridge.ros.service_endpoints import RawServiceClient, RawServiceServer, TypedClient, TypedServer
 from rsb_bridge.ros.service_graph import CallerTable, callers, servers
 from rsb_bridge.ros.topic_endpoints import Reader, Writer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.ros.native.extension import Entity, Kind, Question
     from rsb_bridge.ros.native.named_types import BorrowedType
+    from rsb_bridge.ros.native.rclpy_extension import Entity, Kind, Question
 
 _TRY_AGAIN_NS = 100_000_000  # after which answers that are kept are tried again, if nothing happens before
 _KEPT = 5000  # messages: Fast DDS's limit on a history that keeps all
@@ -106,7 +106,7 @@ class Participant:
         self._adding: list[tuple[Callable[[Any], object], Any]] = []  # the wait set's methods, and what they add
         self._kinds: tuple[str, ...] = ()
         self._graph_version = 0
-        self._late: dict[Server, None] = {}
+        self._late: dict[RawServiceServer, None] = {}
         self._waits = self._wait_set(self._capacity)
         self._buffer = TakeBuffer()
         # The middleware has a participant's entities locked while it asks a type support that is in Python, where the
@@ -181,7 +181,7 @@ class Participant:
         asked = kept if qos.history == "keep_all" else qos
         return Writer(self._create("publisher", topic, borrow_type(type_name, type_hash), asked))
 
-    def create_server(self, service: str, type_name: str, type_hash: str) -> Server | TypedServer:
+    def create_server(self, service: str, type_name: str, type_hash: str) -> RawServiceServer | TypedServer:
         """Create a raw service; errors as `create_reader`."""
         borrowed = borrow_service(type_name, type_hash)
         handle = self._create("service", service, borrowed.type, _CALLS)
@@ -189,14 +189,14 @@ class Participant:
         if not borrowed.raw:
             return TypedServer(handle, name, borrowed.type.interface)
         callers_of = CallerTable(self._ask_dds, name, _CALLS, lambda: self._graph_version)
-        return Server(handle, name, callers_of, self._have_tried)
+        return RawServiceServer(handle, name, callers_of, self._have_tried)
 
-    def create_client(self, service: str, type_name: str, type_hash: str) -> Client | TypedClient:
+    def create_client(self, service: str, type_name: str, type_hash: str) -> RawServiceClient | TypedClient:
         """Create a raw client of a service; errors as `create_reader`."""
         borrowed = borrow_service(type_name, type_hash)
         handle = self._create("client", service, borrowed.type, _CALLS)
         name: str = handle.rclpy.service_name
-        return Client(handle, name) if borrowed.raw else TypedClient(handle, name, borrowed.type.interface)
+        return RawServiceClient(handle, name) if borrowed.raw else TypedClient(handle, name, borrowed.type.interface)
 
     def wait(self, endpoints: tuple[Incoming, ...], longest: float | None = None) -> tuple[list[int], bool]:
         """Block until something came to an endpoint, the graph changes, `wake` is called, or `longest` s are over.
@@ -257,7 +257,7 @@ class Participant:
             services=capacity["service"],
         )
 
-    def _have_tried(self, server: Server) -> None:
+    def _have_tried(self, server: RawServiceServer) -> None:
         """Have `wait` try a server's late answers again."""
         self._late[server] = None
         self.wake()

@@ -22,16 +22,6 @@ from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.distribution import described, package_of
 from rsb_bridge.ros.known_messages import STRING
 from rsb_bridge.ros.native.cyclone_dds import CYCLONE_DDS
-from rsb_bridge.ros.native.extension import (
-    PUBLISHERS,
-    SUBSCRIPTIONS,
-    ExtensionNode,
-    Handle,
-    PublicNode,
-    ask,
-    reason_of,
-    wait_set,
-)
 from rsb_bridge.ros.native.fast_cdr import copies_calls
 from rsb_bridge.ros.native.librcl import (
     PUBLICATION_NUMBERS,
@@ -43,17 +33,27 @@ from rsb_bridge.ros.native.librcl import (
     reset_error,
 )
 from rsb_bridge.ros.native.named_types import named_services, named_types
+from rsb_bridge.ros.native.rclpy_extension import (
+    PUBLISHERS,
+    SUBSCRIPTIONS,
+    ExtensionNode,
+    Handle,
+    PublicNode,
+    ask,
+    reason_of,
+    wait_set,
+)
 from rsb_bridge.ros.native.typesupport import HASH_PREFIX, installed_class, type_support_of
 from rsb_bridge.ros.ros_interface import RosError, RosProblem
-from rsb_bridge.ros.service_endpoints import Client, Server
+from rsb_bridge.ros.service_endpoints import RawServiceClient, RawServiceServer
 from rsb_bridge.ros.service_graph import CallerTable
 from rsb_bridge.ros.topic_endpoints import Reader, Writer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from rsb_bridge.ros.native.extension import Kind, OwnNode
     from rsb_bridge.ros.native.named_types import NamedTypes
+    from rsb_bridge.ros.native.rclpy_extension import Kind, OwnNode
 
 ARGUMENTS = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs", "--disable-external-lib-logs"]
 """ROS arguments of ours alone, not the process's; and no log line of rcl's may garble a terminal user interface."""
@@ -281,9 +281,9 @@ def _calls_cross(endpoints: _Endpoints, interface: type) -> None:
     def ask_dds(question: Callable[..., Any], topic: str) -> Any:
         return ask(question, endpoints.node.handle, topic, True)
 
-    server = Server(served, _NAME, CallerTable(ask_dds, _NAME, _QOS, lambda: 0), lambda _: None)
+    server = RawServiceServer(served, _NAME, CallerTable(ask_dds, _NAME, _QOS, lambda: 0), lambda _: None)
     endpoints.closed_at_end(server)
-    client = Client(called, _NAME)
+    client = RawServiceClient(called, _NAME)
     endpoints.closed_at_end(client)
     number = client.call(_PAYLOAD)
     request = endpoints.wait("service", served, lambda: server.take(1))

@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from rclpy.serialization import deserialize_message
 
-from rsb_bridge.ros.native.extension import reason_of
 from rsb_bridge.ros.native.fast_cdr import outgoing
 from rsb_bridge.ros.native.librcl import (
     CALL_INFO,
@@ -40,12 +39,13 @@ from rsb_bridge.ros.native.librcl import (
     take_request,
     take_response,
 )
+from rsb_bridge.ros.native.rclpy_extension import reason_of
 from rsb_bridge.ros.ros_interface import Request, Response, RosError, RosProblem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from rsb_bridge.ros.native.extension import Handle
+    from rsb_bridge.ros.native.rclpy_extension import Handle
     from rsb_bridge.ros.service_graph import CallerTable
 
 _CALLERS_REMEMBERED = 1024
@@ -93,7 +93,7 @@ class ServiceEndpoint:
         return RosError(f"{self.name}: {failed} (rcl error {code})")
 
 
-class Server(ServiceEndpoint):
+class RawServiceServer(ServiceEndpoint):
     """A raw service.
 
     Attributes:
@@ -102,7 +102,9 @@ class Server(ServiceEndpoint):
 
     kind: Literal["service"] = "service"
 
-    def __init__(self, handle: Handle, name: str, callers: CallerTable, have_tried: Callable[[Server], None]) -> None:
+    def __init__(
+        self, handle: Handle, name: str, callers: CallerTable, have_tried: Callable[[RawServiceServer], None]
+    ) -> None:
         """Begin to offer it.
 
         Args:
@@ -178,7 +180,7 @@ class Server(ServiceEndpoint):
         return not code
 
 
-class Client(ServiceEndpoint):
+class RawServiceClient(ServiceEndpoint):
     """A raw client of a service.
 
     Attributes:
@@ -307,7 +309,7 @@ _asked: OrderedDict[bytes, Any] = OrderedDict()
 
 
 class TypedServer(ServiceEndpoint):
-    """A service whose package is installed, where its calls cannot be carried raw; as `Server`.
+    """A service whose package is installed, where its calls cannot be carried raw; as `RawServiceServer`.
 
     With another middleware, or another version of it, rclpy takes and sends the messages, and they are serialized here.
     That costs some 10 µs to ms a call, by the size of its messages. It is left to the middleware whether an answer
@@ -345,7 +347,7 @@ class TypedServer(ServiceEndpoint):
 
 
 class TypedClient(ServiceEndpoint):
-    """A client of a service; as `Client`."""
+    """A client of a service; as `RawServiceClient`."""
 
     kind: Literal["client"] = "client"
 

@@ -12,7 +12,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.model.qos import incompatible
-from rsb_bridge.ros.native.extension import PUBLISHERS, SUBSCRIPTIONS, endpoint_of
+from rsb_bridge.ros.native.rclpy_extension import PUBLISHERS, SUBSCRIPTIONS, endpoint_of
 from rsb_bridge.ros.native.typesupport import joined_hash
 
 if TYPE_CHECKING:

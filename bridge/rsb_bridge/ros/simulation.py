@@ -168,7 +168,7 @@ class Motion:
         return _CIRCLE * _TURNS * max(0.0, math.cos(wrong)), max(-1.0, min(1.0, 2 * wrong))
 
 
-class Robot(Simulation):
+class SimulatedRobot(Simulation):
     """Drives a circle in a room: scan, odometry, a latched map, the battery, a camera; takes goals.
 
     It has a light, switched by a service, and a parameter: its speed.
@@ -268,7 +268,7 @@ class Desk(Simulation):
         return goal
 
 
-class Listener(Simulation):
+class FleetListener(Simulation):
     """The control side of a fleet: subscribes to its robots' topics."""
 
     def __init__(self, domain_id: int, topics: Iterable[str]) -> None:
@@ -302,8 +302,8 @@ def main() -> None:
 
 def _part(name: str, domain: int, topics: Sequence[str]) -> Simulation:
     if name == "listener":
-        return Listener(domain, topics)
-    return Robot(domain) if name == "robot" else Desk(domain)
+        return FleetListener(domain, topics)
+    return SimulatedRobot(domain) if name == "robot" else Desk(domain)
 
 
 def _report(simulation: Simulation) -> None:

@@ -36,7 +36,7 @@ _LATE, _LATE_SECONDS = 2, 0.5
 _BYTES_PER_KB = 1024
 
 
-class Arrived(NamedTuple):
+class SyntheticArrivals(NamedTuple):
     """Messages that have arrived on a topic since its last reset.
 
     Attributes:
@@ -56,7 +56,7 @@ class Time:
         self.sleep = time.sleep
 
 
-class Source:
+class SyntheticSource:
     """Makes the messages of one topic, as the ROS thread does for ordinary topics."""
 
     def __init__(self, sink: Sink, clocks: Time, closed: Callable[[], None]) -> None:
@@ -113,7 +113,7 @@ class Source:
         self._closed()
 
 
-class Drain:
+class SyntheticReader:
     """Takes the messages of one topic where they arrive.
 
     Args:
@@ -131,7 +131,7 @@ class Drain:
     acknowledged = True
 
     def __init__(
-        self, clocks: Time, closed: Callable[[], None], admits: Callable[[Drain, int], bool] = lambda *_: True
+        self, clocks: Time, closed: Callable[[], None], admits: Callable[[SyntheticReader, int], bool] = lambda *_: True
     ) -> None:
         self._clocks = clocks
         self._closed = closed
@@ -158,11 +158,11 @@ class Drain:
         self._latencies.clear()
 
     @property
-    def arrived(self) -> Arrived:
+    def arrived(self) -> SyntheticArrivals:
         """Messages since the last reset."""
         self._latencies.sort()  # the peer may ask often, and what is sorted already takes a tenth of the time
         p50, p99, p999 = (each / 1e9 for each in percentiles(self._latencies))
-        return Arrived(self.count, (p50, p99, p999))
+        return SyntheticArrivals(self.count, (p50, p99, p999))
 
     def close(self) -> None:
         """Stop taking messages."""
@@ -201,7 +201,7 @@ class PictureSink:
 
     Attributes:
         taken: called with each picture; set by the user.
-        gid: as of `Drain`.
+        gid: as of `SyntheticReader`.
     """
 
     subscriber_count = 1
@@ -235,12 +235,12 @@ class Synthetic:
     def __init__(self, ros: RosInterface, clocks: Time) -> None:
         self._ros = ros
         self._clocks = clocks
-        self.sources: dict[tuple[str, Hashable], Source] = {}
-        self.drains: dict[tuple[str, Hashable], Drain] = {}
-        self.admits: dict[Hashable, Callable[[Drain, int], bool]] = {}
+        self.sources: dict[tuple[str, Hashable], SyntheticSource] = {}
+        self.drains: dict[tuple[str, Hashable], SyntheticReader] = {}
+        self.admits: dict[Hashable, Callable[[SyntheticReader, int], bool]] = {}
         self.picture_sources: dict[tuple[str, Hashable], PictureSource] = {}
         self.picture_sinks: dict[tuple[str, Hashable], PictureSink] = {}
-        self._opened: defaultdict[Hashable, list[Drain]] = defaultdict(list)
+        self._opened: defaultdict[Hashable, list[SyntheticReader]] = defaultdict(list)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._ros, name)
@@ -269,7 +269,7 @@ class Synthetic:
             return picture_source
         if not is_bench_topic(topic):
             return self._ros.subscribe(topic, type_name, type_hash, qos, sink, origin, on_failure)
-        source = self.sources[key] = Source(sink, self._clocks, lambda: _forget(self.sources, key, source))
+        source = self.sources[key] = SyntheticSource(sink, self._clocks, lambda: _forget(self.sources, key, source))
         return source
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
@@ -280,7 +280,7 @@ class Synthetic:
             return picture_sink
         if not is_bench_topic(topic):
             return self._ros.advertise(topic, type_name, type_hash, qos, origin)
-        drain = self.drains[key] = Drain(
+        drain = self.drains[key] = SyntheticReader(
             self._clocks,
             lambda: _forget(self.drains, key, drain),
             lambda of, size: origin not in self.admits or self.admits[origin](of, size),
@@ -288,7 +288,7 @@ class Synthetic:
         self._opened[origin].append(drain)
         return drain
 
-    def opened(self, origin: Hashable) -> list[Drain]:
+    def opened(self, origin: Hashable) -> list[SyntheticReader]:
         """Return a link's drains that were opened since the last call, including closed ones."""
         return self._opened.pop(origin, [])
 

@@ -11,7 +11,6 @@ import time
 from typing import TYPE_CHECKING, Literal
 
 from rsb_bridge.ros.native import cyclone_dds
-from rsb_bridge.ros.native.extension import reason_of
 from rsb_bridge.ros.native.librcl import (
     INFO_ROOM,
     MESSAGE_INFO,
@@ -25,13 +24,14 @@ from rsb_bridge.ros.native.librcl import (
     take_message,
     wait_for_all_acked,
 )
+from rsb_bridge.ros.native.rclpy_extension import reason_of
 from rsb_bridge.ros.ros_interface import RawMessage, RosError, RosProblem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
-    from rsb_bridge.ros.native.extension import Handle
     from rsb_bridge.ros.native.librcl import TakeBuffer
+    from rsb_bridge.ros.native.rclpy_extension import Handle
 
 _PUBLISHERS_REMEMBERED = 1024
 _DISCOVERED_WITHIN = 5.0  # s: how long a publisher that was there before may take to be found
@@ -74,7 +74,7 @@ class Reader:
         self._last_size = 0  # bytes that the last message had
         self._last: dict[bytes, int] = {}  # newest sequence number by publisher
         self._earlier = earlier
-        self._guid_of = cyclone_dds.Publishers(handle.address).guid_of if cyclone_dds.is_used() else None
+        self._guid_of = cyclone_dds.SubscriptionPublishers(handle.address).guid_of if cyclone_dds.is_used() else None
         self._made_at = time.monotonic()
 
     def take(self, limit: int, skip: Collection[bytes]) -> list[RawMessage]:

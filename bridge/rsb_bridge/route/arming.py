@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.velocity_limits import VelocityLimits
-    from rsb_bridge.route.lease import Lease
+    from rsb_bridge.route.lease import LeaseHalf
     from rsb_bridge.wire.framing import Message
 
 ANSWERED_WITHIN = 5.0
@@ -153,7 +153,7 @@ class Arming:
         self.demanded_by: tuple[str, ...] = ()
         self.why = Disarmed.NOT_YET
         self.reason = DISARM_TEXT[self.why]
-        self.lease: Lease | None = None
+        self.lease: LeaseHalf | None = None
         self._first = 0  # the lease's number when somebody armed it
         self._answered: Callable[[], None] | None = None
         self.question: Question | None = None

@@ -119,7 +119,7 @@ class CombinedVerdict:
         """The cause that was shown last, or an empty string."""
         return "" if self._shows is None else self._shows[1]
 
-    def announce(self, own: Verdict, now: float, path: PathFault | None = None) -> Announcement | None:
+    def announce(self, own: Verdict, now: float, path: PathFault | None = None) -> StateEvent | None:
         """Return the event to log, if any; a fault of the link's path is logged once, for the link.
 
         Called once a second.
@@ -167,7 +167,7 @@ def node_names(endpoints: Iterable[Endpoint]) -> tuple[str, ...]:
     return tuple([sanitize_text(name, _NODE_LENGTH) for name in names[:_NODES]])
 
 
-class Announcement(NamedTuple):
+class StateEvent(NamedTuple):
     """An event."""
 
     level: Level
@@ -190,7 +190,7 @@ class Announcer:
         self._said_at: dict[tuple[EventCode, str], float] = {}
         self._heard = False
 
-    def tick(self, verdict: Verdict, now: float) -> Announcement | None:
+    def tick(self, verdict: Verdict, now: float) -> StateEvent | None:
         """Take the present verdict at `now` (s); what to say about it, if anything."""
         if (verdict.state, verdict.cause) != (self._candidate.state, self._candidate.cause):
             self._since = now
@@ -208,13 +208,13 @@ class Announcer:
             return None  # nobody has been there yet, which the screen shows
         return self._say(Level.WARNING, EventCode.ROUTE_FAULT, verdict, now)
 
-    def _waiting(self, verdict: Verdict, now: float) -> Announcement | None:
+    def _waiting(self, verdict: Verdict, now: float) -> StateEvent | None:
         level = _MENDABLE.get(verdict.cause)
         if level is None or now - self._since < _WAITS:
             return None
         return self._say(level, EventCode.ROUTE_WAITING, verdict, now)
 
-    def _say(self, level: Level, code: EventCode, verdict: Verdict, now: float) -> Announcement | None:
+    def _say(self, level: Level, code: EventCode, verdict: Verdict, now: float) -> StateEvent | None:
         what = code, verdict.cause
         if what == self._said_as or now - self._said_at.get(what, float("-inf")) < _AGAIN_AFTER:
             return None
@@ -222,10 +222,10 @@ class Announcer:
         if len(self._said_at) >= _MOST_SAID:  # a peer may make up causes
             self._said_at.clear()
         self._said_at[what] = now
-        return Announcement(level, code, f"{verdict.state.upper()}: {verdict.said(now)}", verdict.cause)
+        return StateEvent(level, code, f"{verdict.state.upper()}: {verdict.said(now)}", verdict.cause)
 
-    def _over(self) -> Announcement | None:
+    def _over(self) -> StateEvent | None:
         said, self._said, self._said_as = self._said, FINE, None
         if said.state is State.OK:
             return None
-        return Announcement(Level.INFO, EventCode.ROUTE_RECOVERED, f"no longer {said.state}", said.cause)
+        return StateEvent(Level.INFO, EventCode.ROUTE_RECOVERED, f"no longer {said.state}", said.cause)

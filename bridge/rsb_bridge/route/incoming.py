@@ -26,7 +26,7 @@ from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import THROTTLED, reported_ledger
-from rsb_bridge.route.lifecycle import Event
+from rsb_bridge.route.lifecycle import RouteEvent
 from rsb_bridge.route.message_check import (
     BACKLOG_FULL,
     Backlog,
@@ -46,7 +46,7 @@ from rsb_bridge.route.source_publishers import (
 )
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.route.topic_verdict import TopicProgress
-from rsb_bridge.route.type_versions import CompareTypes, MessageType, TypeClash, unknown_difference
+from rsb_bridge.route.type_versions import CompareTypes, TypeClash, TypeVersion, unknown_difference
 from rsb_bridge.wire.framing import HISTORY, LEASED, SOURCE_SHIFT, ZSTD, Message
 from rsb_bridge.wire.headers import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
 from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
@@ -162,7 +162,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def described(self, description: Describe) -> None:
         """Make the publishers for the messages that the sender describes, or refuse the route."""
         first = not self.life.described
-        if not self.life.take(Event.DESCRIBE):
+        if not self.life.take(RouteEvent.DESCRIBE):
             return
         if not self._agrees(description):
             return
@@ -188,7 +188,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             newest = self._outputs.opened()
             self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.transport.name} connected ({description.type})")
         self.peer.send(Ready(route=self.id, sources=len(self._outputs), before=self._counted_before(), newest=newest))
-        self.life.take(Event.READY)
+        self.life.take(RouteEvent.READY)
         self._verdict = None
         self.advance()
 
@@ -214,7 +214,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
                 hashes = TypeClash.HASHES(there=description.type_hash, here=installed)
                 self._refuse_type(TypeClash.VERSIONS(type=description.type, difference=difference or hashes))
 
-        self.compare_types(opening, (MessageType(description.type, description.type_hash),), refuse)
+        self.compare_types(opening, (TypeVersion(description.type, description.type_hash),), refuse)
         return False
 
     def _refuse_type(self, reason: str) -> None:

@@ -50,7 +50,7 @@ class Marked(Protocol):
 M = TypeVar("M", bound=Marked)
 
 
-class Lease:
+class LeaseHalf:
     """One side's half. It belongs to the I/O loop, except `newest_before`.
 
     Args:
@@ -200,7 +200,7 @@ class Marker:
         batch: most messages taken at once; after that many there may be more, which the next turn takes.
     """
 
-    def __init__(self, lease: Lease, turns: RosTurns, batch: int) -> None:
+    def __init__(self, lease: LeaseHalf, turns: RosTurns, batch: int) -> None:
         self._lease = lease
         self._turns = turns
         self._batch = batch

@@ -9,7 +9,7 @@ from __future__ import annotations
 from enum import Enum, auto
 
 
-class Phase(Enum):
+class RoutePhase(Enum):
     """Progress of the agreement between the two sides, in this order; `REFUSED` and `CLOSED` lie outside it."""
 
     CLOSED = auto()
@@ -26,7 +26,7 @@ class Phase(Enum):
     """The receiver has the publisher: messages may be sent."""
 
 
-class Event(Enum):
+class RouteEvent(Enum):
     """Event in the life of a route."""
 
     OPEN = auto()
@@ -43,15 +43,19 @@ class Event(Enum):
     """The opening ends for no fault of the route's: the link is lost, or the route is opened again."""
 
 
-_END = {Event.REFUSE: Phase.REFUSED, Event.CLOSE: Phase.CLOSED}
+_END = {RouteEvent.REFUSE: RoutePhase.REFUSED, RouteEvent.CLOSE: RoutePhase.CLOSED}
 
-TRANSITIONS: dict[Phase, dict[Event, Phase]] = {
-    Phase.CLOSED: {Event.OPEN: Phase.PROPOSED, **_END},
-    Phase.REFUSED: {Event.OPEN: Phase.PROPOSED, Event.REFUSE: Phase.REFUSED, Event.CLOSE: Phase.REFUSED},
-    Phase.PROPOSED: {Event.ACCEPT: Phase.ACCEPTED, **_END},
-    Phase.ACCEPTED: {Event.DESCRIBE: Phase.DESCRIBED, **_END},
-    Phase.DESCRIBED: {Event.DESCRIBE: Phase.DESCRIBED, Event.READY: Phase.READY, **_END},
-    Phase.READY: {Event.DESCRIBE: Phase.DESCRIBED, Event.READY: Phase.READY, **_END},
+TRANSITIONS: dict[RoutePhase, dict[RouteEvent, RoutePhase]] = {
+    RoutePhase.CLOSED: {RouteEvent.OPEN: RoutePhase.PROPOSED, **_END},
+    RoutePhase.REFUSED: {
+        RouteEvent.OPEN: RoutePhase.PROPOSED,
+        RouteEvent.REFUSE: RoutePhase.REFUSED,
+        RouteEvent.CLOSE: RoutePhase.REFUSED,
+    },
+    RoutePhase.PROPOSED: {RouteEvent.ACCEPT: RoutePhase.ACCEPTED, **_END},
+    RoutePhase.ACCEPTED: {RouteEvent.DESCRIBE: RoutePhase.DESCRIBED, **_END},
+    RoutePhase.DESCRIBED: {RouteEvent.DESCRIBE: RoutePhase.DESCRIBED, RouteEvent.READY: RoutePhase.READY, **_END},
+    RoutePhase.READY: {RouteEvent.DESCRIBE: RoutePhase.DESCRIBED, RouteEvent.READY: RoutePhase.READY, **_END},
 }
 
 
@@ -66,15 +70,15 @@ class Lifecycle:
     """
 
     def __init__(self) -> None:
-        self.phase = Phase.CLOSED
+        self.phase = RoutePhase.CLOSED
         self.accepted = self.described = self.ready = False
         self.refusal = ""
 
-    def take(self, event: Event, reason: str = "") -> bool:
+    def take(self, event: RouteEvent, reason: str = "") -> bool:
         """Move to the next phase.
 
         Args:
-            reason: reason of `Event.REFUSE`.
+            reason: reason of `RouteEvent.REFUSE`.
 
         Returns:
             Whether the event belongs into this phase; if not, nothing changes. A peer can send its messages in any
@@ -84,12 +88,12 @@ class Lifecycle:
         if new is None:
             return False
         self.phase = new
-        self.ready = new is Phase.READY
-        self.described = self.ready or new is Phase.DESCRIBED
-        self.accepted = self.described or new is Phase.ACCEPTED
-        if event is Event.REFUSE:
+        self.ready = new is RoutePhase.READY
+        self.described = self.ready or new is RoutePhase.DESCRIBED
+        self.accepted = self.described or new is RoutePhase.ACCEPTED
+        if event is RouteEvent.REFUSE:
             self.refusal = reason
-        elif event is Event.OPEN:
+        elif event is RouteEvent.OPEN:
             self.refusal = ""
         return True
 

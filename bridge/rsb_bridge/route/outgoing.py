@@ -21,7 +21,7 @@ from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.lateness import QUEUE, WAY, Unreported, delay_of_sender
 from rsb_bridge.route.ledger import RouteLedger, reported_drops
-from rsb_bridge.route.lifecycle import Event
+from rsb_bridge.route.lifecycle import RouteEvent
 from rsb_bridge.route.loop_filter import LoopFilter
 from rsb_bridge.route.peer import TypeUse
 from rsb_bridge.route.resolving import Resolver
@@ -29,7 +29,7 @@ from rsb_bridge.route.sending import OutgoingPath
 from rsb_bridge.route.topic_route import MEASURED_FOR, TopicRoute
 from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
 from rsb_bridge.route.topic_verdict import LATELY, TopicProgress
-from rsb_bridge.route.type_versions import MessageType
+from rsb_bridge.route.type_versions import TypeVersion
 from rsb_bridge.telemetry.watches import LossWatch, SlowWatch, StopWatch
 from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.fields import MOST_PUBLISHERS
@@ -171,7 +171,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def peer_ready(self, ready: Ready) -> None:
         """Subscribe: the peer has publishers. Its counts of the previous opening settle the ledger."""
         again = self.life.ready
-        if not self.life.take(Event.READY):
+        if not self.life.take(RouteEvent.READY):
             return
         if not self._ledger.settle(ready.before, self.peer.instance):
             self.notices.doubt(self.peer.instance, _LIMITED)
@@ -232,7 +232,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             return
         if described != self._described:
             self._unsubscribe()
-            self.life.take(Event.DESCRIBE)
+            self.life.take(RouteEvent.DESCRIBE)
             self._describe(described)
         if not self.life.ready:
             return
@@ -254,7 +254,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def _resolve(self) -> Describe | None:
         """Return the description to send, or None if type or QoS is unknown."""
-        resolved = self._resolver.resolve(MessageType(self.type_name, self.type_hash), self._loop_filter)
+        resolved = self._resolver.resolve(TypeVersion(self.type_name, self.type_hash), self._loop_filter)
         self.notices.set_warning(resolved.warning if resolved else "")
         if resolved is None:
             unresolved = self._resolver.unresolved
@@ -445,7 +445,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if self._ledger.received_now:
             self.losses.arrived()
         if (report.type, report.type_hash) != self._resolver.hint:
-            self._resolver.hint = MessageType(report.type, report.type_hash)
+            self._resolver.hint = TypeVersion(report.type, report.type_hash)
             self.advance()
         if report.latency is not None and abs(report.latency) <= _LONGEST_DELAY:
             self._reported_delay = report.latency, self.context.now()
@@ -492,9 +492,9 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         )
 
     @property
-    def known_type(self) -> MessageType:
+    def known_type(self) -> TypeVersion:
         """The type of its messages, or else of the subscriptions on the other side; without a name if it is unknown."""
-        return MessageType(self.type_name, self.type_hash) if self.type_name else self._resolver.hint
+        return TypeVersion(self.type_name, self.type_hash) if self.type_name else self._resolver.hint
 
     def takes(self, gid: bytes) -> bool:
         """Whether messages of a publisher here are taken now, or held until it is known where they come from."""

@@ -15,7 +15,7 @@ from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.topic_verdict import no_publisher
-from rsb_bridge.route.type_versions import MessageType
+from rsb_bridge.route.type_versions import TypeVersion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -67,7 +67,7 @@ class Resolver:
     """
 
     def __init__(self, context: Context, proposal: Propose) -> None:
-        self.hint = MessageType()
+        self.hint = TypeVersion()
         self.publisher_qos: Qos | None = None
         self.unresolved: UnresolvedError | None = None
         self._context = context
@@ -82,7 +82,7 @@ class Resolver:
             self._nodes = frozenset([each.node for each in publishers])
         self.publisher_qos = match_publishers([each.qos for each in publishers]) if publishers else None
 
-    def resolve(self, used: MessageType, loop_filter: LoopFilter) -> Resolved | None:
+    def resolve(self, used: TypeVersion, loop_filter: LoopFilter) -> Resolved | None:
         """Return type and QoS, or None if one is unknown; `unresolved` then has the reason.
 
         Args:
@@ -124,8 +124,8 @@ def resolve(
     proposal: Propose,
     publishers: Sequence[Endpoint],
     publisher_qos: Qos | None,
-    used: MessageType,
-    hint: MessageType,
+    used: TypeVersion,
+    hint: TypeVersion,
     ros: RosInterface,
 ) -> Resolved:
     """Find type and QoS of a route's messages.
@@ -160,10 +160,10 @@ def resolve(
 def choose_type(
     publishers: Sequence[Endpoint],
     wanted: str,
-    used: MessageType,
-    hint: MessageType,
+    used: TypeVersion,
+    hint: TypeVersion,
     installed_hash: Callable[[str], str | None],
-) -> MessageType:
+) -> TypeVersion:
     """Choose the type to send.
 
     If the publishers disagree, the type in use stays, so that a node with a wrong type does not stop the topic.
@@ -190,9 +190,9 @@ def choose_type(
     if len(versions) > 1:  # DDS compares names only, and would mix their messages
         raise _clash(f"publishers have different versions of {name}: {_named(versions)}: install one version")
     if versions or not name:
-        return MessageType(name, next(iter(versions), ""))
-    hints = (MessageType(name, installed_hash(name) or ""), hint, used)
-    return next((each for each in hints if each.name == name and each.type_hash), MessageType(name))
+        return TypeVersion(name, next(iter(versions), ""))
+    hints = (TypeVersion(name, installed_hash(name) or ""), hint, used)
+    return next((each for each in hints if each.name == name and each.type_hash), TypeVersion(name))
 
 
 def left_out(publishers: Sequence[Endpoint], wanted: str, sent: str) -> str:

@@ -23,11 +23,11 @@ from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import DISARM_TEXT, Arming, Disarmed, Settling
 from rsb_bridge.route.blocking_rules import DATA_CONNECTION, LossyPath, RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict
-from rsb_bridge.route.lifecycle import Event, Lifecycle, PauseState
+from rsb_bridge.route.lifecycle import Lifecycle, PauseState, RouteEvent
 from rsb_bridge.route.notices import ChannelLosses, Notices, timed_out
 from rsb_bridge.route.peer import Peer
 from rsb_bridge.route.rate_limit import RateLimit, limits_changed
-from rsb_bridge.route.type_versions import MessageType
+from rsb_bridge.route.type_versions import TypeVersion
 from rsb_bridge.telemetry.meters import RateMeter
 from rsb_bridge.wire.messages import Close, Propose
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.ros_interface import Endpoint
-    from rsb_bridge.route.combined_verdict import Announcement
+    from rsb_bridge.route.combined_verdict import StateEvent
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
@@ -197,7 +197,7 @@ class Route:
 
     def on_accepted(self) -> None:
         """Go on after both sides have accepted the route."""
-        if self.life.take(Event.ACCEPT):
+        if self.life.take(RouteEvent.ACCEPT):
             self.advance()
 
     @property
@@ -227,9 +227,9 @@ class Route:
         return self.topic if self.outgoing else self.remote_topic
 
     @property
-    def message_types(self) -> tuple[MessageType, ...]:
+    def message_types(self) -> tuple[TypeVersion, ...]:
         """The types of its messages; of calls, those of their requests and responses, too."""
-        return (MessageType(self.type_name, self.type_hash),)
+        return (TypeVersion(self.type_name, self.type_hash),)
 
     @property
     def far_topic(self) -> str:
@@ -262,7 +262,7 @@ class Route:
         self.opened_at = self.context.now()
         self.limit.opened()
         self._verdict = None
-        self.life.take(Event.OPEN)
+        self.life.take(RouteEvent.OPEN)
         self.judged.take(None, self.context.now())
         self._may_flow()
 
@@ -281,7 +281,7 @@ class Route:
         self.notices.closed()
         self.judged.take(None, self.context.now())
         self._verdict = None
-        self.life.take(Event.CLOSE)
+        self.life.take(RouteEvent.CLOSE)
         self.closed_at = self.context.now()
 
     def destroy(self) -> None:
@@ -299,7 +299,7 @@ class Route:
         """End the present opening and show the reason; this side opens it again later if it proposed it."""
         self.close(reason)
         self._verdict = None
-        self.life.take(Event.REFUSE, reason)
+        self.life.take(RouteEvent.REFUSE, reason)
         self.retry_at = self.context.now() + self._backoff.next()
 
     def awaited_until(self, linked_at: float) -> float:
@@ -570,7 +570,7 @@ class Route:
         """Make a new verdict when the next one is asked for."""
         self._verdict = None
 
-    def _about(self, said: Announcement, now: float) -> About:
+    def _about(self, said: StateEvent, now: float) -> About:
         """Return the fields of an event about the shown verdict."""
         verdict, from_peer = self.judged.shown(self.verdict())
         since = self.context.wall() - (now - self.judged.since(verdict, now))

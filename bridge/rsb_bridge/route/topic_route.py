@@ -16,7 +16,7 @@ from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.topic_verdict import LOSS_CAUSES, Facts, judge, topic_stages
 from rsb_bridge.route.traffic import TrafficMeter
-from rsb_bridge.route.type_versions import MessageType
+from rsb_bridge.route.type_versions import TypeVersion
 from rsb_bridge.telemetry.meters import LatencyMeter, StaleWatch
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ _CALM = frozenset({State.OK, State.WAITING, State.UNHEARD, State.PAUSED})
 _UNUSUAL = frozenset({Cause.LATE, *LOSS_CAUSES, *EXPIRES})
 
 
-class Silence:
+class SilenceWatch:
     """Warns of a route's silence after the time that its topic's entry or the session says.
 
     Args:
@@ -146,7 +146,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.qos: Qos | None = None
         self.latency = LatencyMeter(_LATENCY_TICKS)
-        self.silence = Silence(self.log, context.now())
+        self.silence = SilenceWatch(self.log, context.now())
         self.lateness = LateWatch()
         self._flows_since = context.now()
         self._full_at: float | None = None  # s, when the link was last full in this direction
@@ -173,9 +173,9 @@ class TopicRoute(Route, Generic[ChannelT]):
     # --- what is the same for both
 
     @property
-    def known_type(self) -> MessageType:
+    def known_type(self) -> TypeVersion:
         """The type of its messages, without a name if it is unknown."""
-        return MessageType(self.type_name, self.type_hash)
+        return TypeVersion(self.type_name, self.type_hash)
 
     @property
     def on_end(self) -> str:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, Subscription
-    from rsb_bridge.route.lease import Lease
+    from rsb_bridge.route.lease import LeaseHalf
     from rsb_bridge.route.sending import OutgoingPath
     from rsb_bridge.telemetry.meters import RateMeter
 
@@ -64,7 +64,7 @@ class TopicSubscription:
         automatic: bool,
         expected_rate: float | None,
         known: Mapping[bytes, int],
-        marks: Callable[[], Lease | None] = lambda: None,
+        marks: Callable[[], LeaseHalf | None] = lambda: None,
     ) -> None:
         """Subscribe to nothing yet.
 

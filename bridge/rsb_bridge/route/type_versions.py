@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 
-class MessageType(NamedTuple):
+class TypeVersion(NamedTuple):
     """A message type and its version.
 
     Attributes:
@@ -31,22 +31,22 @@ class TypeClash(Wording):
     HASHES = "{there} there, {here} here"
 
 
-CompareTypes: TypeAlias = "Callable[[int, Sequence[MessageType], Callable[[str], None]], None]"
+CompareTypes: TypeAlias = "Callable[[int, Sequence[TypeVersion], Callable[[str], None]], None]"
 """Tells how the other side's versions of types differ from the installed ones, now or in some seconds: takes the id of
 the route, the types there, and a function to be called with the differences, or with an empty string."""
 
 
-def unknown_difference(_route_id: int, _types: Sequence[MessageType], tell: Callable[[str], None]) -> None:
+def unknown_difference(_route_id: int, _types: Sequence[TypeVersion], tell: Callable[[str], None]) -> None:
     """Tell at once that nobody can be asked."""
     tell("")
 
 
-def messages_of(type_name: str, type_hash: str) -> tuple[MessageType, ...]:
+def messages_of(type_name: str, type_hash: str) -> tuple[TypeVersion, ...]:
     """Return the request and the response of a service's type, whose hash has both theirs, or a message's type."""
     request, is_service, response = type_hash.partition("+")
     if not is_service:
-        return (MessageType(type_name, type_hash),)
-    return MessageType(f"{type_name}_Request", request), MessageType(f"{type_name}_Response", response)
+        return (TypeVersion(type_name, type_hash),)
+    return TypeVersion(f"{type_name}_Request", request), TypeVersion(f"{type_name}_Response", response)
 
 
 def hashes_text(type_name: str, there: str, here: str) -> str:

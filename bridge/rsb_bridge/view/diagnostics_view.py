@@ -10,7 +10,7 @@ from rsb_bridge.view.drawing import Drawn, View, elements, number, text
 if TYPE_CHECKING:
     from rsb_bridge.cdr.decoder import Message
     from rsb_bridge.model.pictures import Wish
-    from rsb_bridge.view.drawing import Received
+    from rsb_bridge.view.drawing import TakenMessage
 
 STATUSES = 2000
 """Statuses that are remembered."""
@@ -36,7 +36,7 @@ class DiagnosticsView(View):
         self._statuses: dict[str, _Status] = {}
         self._newest = 0.0
 
-    def take(self, received: Received) -> None:
+    def take(self, received: TakenMessage) -> None:
         self._newest = max(self._newest, received.time)
         message = received.message
         for each in elements(message, "status") if "status" in message else [message]:

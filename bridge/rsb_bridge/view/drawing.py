@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.pictures import Cells, Pixels, Series, Wish
 
 
-class Received(NamedTuple):
+class TakenMessage(NamedTuple):
     """A message that a view takes.
 
     Attributes:
@@ -56,13 +56,13 @@ class View(ABC):
     they may have any values that their types allow, NaN, wrong lengths and huge sizes included.
 
     Attributes:
-        now: s since the epoch on the clock of `Received.time` when the picture is wanted, or 0.
+        now: s since the epoch on the clock of `TakenMessage.time` when the picture is wanted, or 0.
     """
 
     now = 0.0
 
     @abstractmethod
-    def take(self, received: Received) -> None:
+    def take(self, received: TakenMessage) -> None:
         """Take a message. Called for every message, or, if they are large or many, for the newest ones.
 
         Raises:

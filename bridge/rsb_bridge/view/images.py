@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.decoder import Message
     from rsb_bridge.model.pictures import Wish
-    from rsb_bridge.view.drawing import Received
+    from rsb_bridge.view.drawing import TakenMessage
 
     Array = NDArray[Any]
 
@@ -111,7 +111,7 @@ class ImageView(View):
     def __init__(self) -> None:
         self._message: Message | None = None
 
-    def take(self, received: Received) -> None:
+    def take(self, received: TakenMessage) -> None:
         self._message = received.message
 
     def draw(self, wish: Wish) -> Drawn:

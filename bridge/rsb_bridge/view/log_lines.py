@@ -11,7 +11,7 @@ from rsb_bridge.view.drawing import Drawn, View, number, text
 
 if TYPE_CHECKING:
     from rsb_bridge.model.pictures import Wish
-    from rsb_bridge.view.drawing import Received
+    from rsb_bridge.view.drawing import TakenMessage
 
 LINES = 2000
 """Lines that are remembered."""
@@ -39,7 +39,7 @@ class LogView(View):
     def __init__(self) -> None:
         self._lines: deque[tuple[_Line, int]] = deque(maxlen=LINES)
 
-    def take(self, received: Received) -> None:
+    def take(self, received: TakenMessage) -> None:
         message = received.message
         level = number(message, "level")
         line = _Line(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.decoder import Message
     from rsb_bridge.model.pictures import Wish
-    from rsb_bridge.view.drawing import Received
+    from rsb_bridge.view.drawing import TakenMessage
 
     Floats = NDArray[np.float64]
 
@@ -134,7 +134,7 @@ class MapView(View):
         """Frames that TF has; of others, an odometry gives the pose."""
         self._topics: list[str] = []
 
-    def take(self, received: Received) -> None:
+    def take(self, received: TakenMessage) -> None:
         message, name = received.message, received.type_name.rpartition("/")[2]
         if received.topic not in self._topics:
             self._topics.append(received.topic)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.decoder import Message, Value
     from rsb_bridge.model.pictures import Wish
-    from rsb_bridge.view.drawing import Received
+    from rsb_bridge.view.drawing import TakenMessage
 
 CURVES = 4
 """Numbers that are plotted if none are chosen."""
@@ -79,7 +79,7 @@ class PlotView(View):
         self._type_name = ""
         self._newest = 0.0
 
-    def take(self, received: Received) -> None:
+    def take(self, received: TakenMessage) -> None:
         self._type_name = received.type_name
         self._newest = max(self._newest, received.time)
         for path, value in _numbers(received.message, "", _element_names(received.message)):

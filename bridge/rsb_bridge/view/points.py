@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.decoder import Message
     from rsb_bridge.model.pictures import Wish
-    from rsb_bridge.view.drawing import Received
+    from rsb_bridge.view.drawing import TakenMessage
 
     Floats = NDArray[np.float32]
 
@@ -132,7 +132,7 @@ class PointsView(View):
         self._points: Points | None = None
         self._reach: float | None = None
 
-    def take(self, received: Received) -> None:
+    def take(self, received: TakenMessage) -> None:
         read = scan_points if "ranges" in received.message else cloud_points
         self._points = read(received.message)
 

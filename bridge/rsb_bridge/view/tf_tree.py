@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from rsb_bridge.model.pictures import Wish
-    from rsb_bridge.view.drawing import Received
+    from rsb_bridge.view.drawing import TakenMessage
 
 FRAMES = 1000
 """Frames that are remembered."""
@@ -59,7 +59,7 @@ class TfTree(View):
         self._newest = 0.0
         self._too_many = False
 
-    def take(self, received: Received) -> None:
+    def take(self, received: TakenMessage) -> None:
         self._newest = max(self._newest, received.time)
         static = received.topic.endswith("tf_static")
         for each in elements(received.message, "transforms"):

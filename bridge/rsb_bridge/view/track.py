@@ -12,7 +12,7 @@ from rsb_bridge.view.drawing import Drawn, UndrawableError, View, number
 
 if TYPE_CHECKING:
     from rsb_bridge.model.pictures import Wish
-    from rsb_bridge.view.drawing import Received
+    from rsb_bridge.view.drawing import TakenMessage
 
 POSITIONS = 5000
 """Positions that are remembered; when there are more, every second one is forgotten."""
@@ -35,7 +35,7 @@ class TrackView(View):
         self._positions: list[tuple[float, float]] = []
         self._note = ""
 
-    def take(self, received: Received) -> None:
+    def take(self, received: TakenMessage) -> None:
         latitude, longitude = number(received.message, "latitude"), number(received.message, "longitude")
         status = number(received.message, "status.status")
         self._note = _STATUS.get(int(status), "") if math.isfinite(status) else ""

@@ -22,7 +22,7 @@ from rsb_bridge.model.pictures import PICTURE_LIMIT, Picture, Wish
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.confinement import confine
-from rsb_bridge.view.drawing import Received, UndrawableError, number
+from rsb_bridge.view.drawing import TakenMessage, UndrawableError, number
 
 if TYPE_CHECKING:
     from rsb_bridge.cdr.decoder import Message
@@ -63,7 +63,7 @@ _MAPPED = (
 VIEWS: dict[str, str] = {
     **{f"{package}/msg/{name}": "plots:PlotView" for package, names in _PLOTTED.items() for name in names},
     "plot": "plots:PlotView",
-    "tree": "fields:FieldsView",
+    "tree": "field_tree:FieldsView",
     **dict.fromkeys(_MAPPED, "map_view:MapView"),
     "map": "map_view:MapView",
     "tf2_msgs/msg/TFMessage": "tf_tree:TfTree",
@@ -91,7 +91,7 @@ class Undrawable(Wording):
     UNKNOWN_HOW = "there is no view {how!r}: choose one of {known}"
 
 
-class Sample(msgspec.Struct, frozen=True, array_like=True):
+class TakenSample(msgspec.Struct, frozen=True, array_like=True):
     """A message as it was taken from DDS.
 
     Attributes:
@@ -125,7 +125,7 @@ class Task(msgspec.Struct, frozen=True, array_like=True):
     view: int
     type_name: str
     wish: Wish
-    samples: tuple[Sample, ...] = ()
+    samples: tuple[TakenSample, ...] = ()
     seen: int = 0
     size: int = 0
     descriptions: tuple[tuple[str, str, str], ...] = ()
@@ -183,7 +183,9 @@ class Artist:
                 continue
             try:
                 time = sample.stamp / 1e9
-                self._view(task).take(Received(sample.topic, sample.type_name, decoded.message, time, sample.author))
+                self._view(task).take(
+                    TakenMessage(sample.topic, sample.type_name, decoded.message, time, sample.author)
+                )
                 taken, _ = self._newest.get(task.view, (0, 0))
                 self._newest[task.view] = max(taken, sample.stamp), _stamp_of(decoded.message)
             except UndrawableError as error:

@@ -1,7 +1,7 @@
 """The state machines of a stream: bytes in, events out (PROTOCOL.md, 1).
 
 The caller reads a socket, passes the bytes to `receive_data`, acts on the events, and writes what `data_to_send` and
-`send` return, in the order of the calls. After `Refused` or `Failed` a connection ignores further bytes.
+`send` return, in the order of the calls. After `StreamRefused` or `Failed` a connection ignores further bytes.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from rsb_bridge.wire.events import (
     Attach,
     DataFrame,
     Established,
-    Received,
+    MessageReceived,
     RefusalCode,
-    Refused,
+    StreamRefused,
     Undecoded,
 )
 from rsb_bridge.wire.framing import CONTROL, CONTROL_LIMIT, DATA, HEADER, pack_frame
 from rsb_bridge.wire.preamble import (
     MAGIC,
     ControlPreamble,
-    Kind,
-    Phase,
+    PreambleKind,
+    PreamblePhase,
     PreambleStream,
     Refusal,
     RefusalText,
@@ -41,7 +41,7 @@ from rsb_bridge.wire.preamble import (
 )
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 from rsb_bridge.wire.sealed_stream import AcceptingStream, ConnectingStream, Credential, SealedStream, handshake_of
-from rsb_bridge.wire.sealing import SessionKeys, Suite
+from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -75,7 +75,7 @@ class _Control(SealedStream):
             RuntimeError: the connection was never `Established`.
         """
         content = encode(message)
-        if HEADER.size + len(content) + Suite.AESGCM.tag_length > CONTROL_LIMIT:
+        if HEADER.size + len(content) + CipherSuite.AESGCM.tag_length > CONTROL_LIMIT:
             raise ValueError(
                 Misuse.CONTROL_MESSAGE_TOO_LONG(
                     message=type(message).__name__, length=len(content), limit=CONTROL_LIMIT
@@ -85,7 +85,7 @@ class _Control(SealedStream):
         return self.data_to_send()
 
     def _on_content(self, content: bytes) -> None:
-        self._events.append(Received(decode(content)) if self.decodes else Undecoded(content))
+        self._events.append(MessageReceived(decode(content)) if self.decodes else Undecoded(content))
 
     def _on_other_frame(self, frame: memoryview) -> None:
         header = frame[: HEADER.size]
@@ -97,7 +97,7 @@ class _Control(SealedStream):
 class ClientConnection(_Control, ConnectingStream):
     """The client's end of a control connection."""
 
-    def __init__(self, hello: Hello, key: bytes | None, suite: Suite, *, multiplexed: bool = False) -> None:
+    def __init__(self, hello: Hello, key: bytes | None, suite: CipherSuite, *, multiplexed: bool = False) -> None:
         """Prepare to connect.
 
         Args:
@@ -109,11 +109,11 @@ class ClientConnection(_Control, ConnectingStream):
         self._multiplexed = multiplexed
         self._hello = hello
         self._key = key
-        self._suite = Suite.PLAIN if key is None else suite
+        self._suite = CipherSuite.PLAIN if key is None else suite
         self._heard = False  # a sealed frame: so the server has this side's confirmation
 
     @property
-    def suite(self) -> Suite:
+    def suite(self) -> CipherSuite:
         """The cipher suite that was offered last; the server may have asked for another than at first."""
         return self._suite
 
@@ -127,9 +127,13 @@ class ClientConnection(_Control, ConnectingStream):
         header = control_header(self._suite, self._hello.name, mark)
         return self._first_message(self._suite, self._key, header, encode(self._hello))
 
-    def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
-        if kind is Kind.RETRY and self._suite is Suite.AESGCM and parse_suite(body) is Suite.CHACHAPOLY:
-            self._suite = Suite.CHACHAPOLY
+    def _on_preamble(self, kind: PreambleKind, body: bytes, frame: bytes) -> None:
+        if (
+            kind is PreambleKind.RETRY
+            and self._suite is CipherSuite.AESGCM
+            and parse_suite(body) is CipherSuite.CHACHAPOLY
+        ):
+            self._suite = CipherSuite.CHACHAPOLY
             self._outbox += self.start()
         else:
             super()._on_preamble(kind, body, frame)
@@ -142,7 +146,7 @@ class ClientConnection(_Control, ConnectingStream):
         """Take a REFUSE of a server that has accepted and then missed this side's confirmation."""
         if not self._heard and frame[: len(MAGIC)] == MAGIC:
             kind, body = parse_preamble(bytes(frame))
-            if kind is Kind.REFUSE:
+            if kind is PreambleKind.REFUSE:
                 self._refused_by_peer(body)
                 return
         super()._on_other_frame(frame)
@@ -199,16 +203,16 @@ class ServerConnection(AcceptingStream, _Control):
 
     def accept_attach(self) -> bytes:
         """Accept the data stream; return the bytes to write. `leftover` has the bytes after the preamble."""
-        self._outbox += pack_frame(preamble_frame(Kind.ACCEPT))
+        self._outbox += pack_frame(preamble_frame(PreambleKind.ACCEPT))
         return self.data_to_send()
 
-    def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
+    def _on_preamble(self, kind: PreambleKind, body: bytes, frame: bytes) -> None:
         match kind:
-            case Kind.CONTROL:
+            case PreambleKind.CONTROL:
                 self._on_offer(parse_control(frame))
-            case Kind.DATA:
+            case PreambleKind.DATA:
                 link_id, name, header, proof = parse_data(frame)
-                self._phase = Phase.HANDED_OVER
+                self._phase = PreamblePhase.HANDED_OVER
                 self._events.append(Attach(link_id, name, proof, header))
             case _:
                 raise ProtocolError(Broken.UNEXPECTED_IN_PREAMBLE(kind=kind.name))
@@ -216,17 +220,17 @@ class ServerConnection(AcceptingStream, _Control):
     def _on_offer(self, offer: ControlPreamble) -> None:
         self.name = offer.name
         keys, replays = self._identity(offer.name)
-        if not keys and offer.suite is not Suite.PLAIN:
+        if not keys and offer.suite is not CipherSuite.PLAIN:
             raise Refusal(
                 RefusalCode.ENCRYPTION_NOT_POSSIBLE,
                 RefusalText.ENCRYPTION_NOT_POSSIBLE(name=offer.name),
             )
-        if keys and offer.suite is Suite.PLAIN:
+        if keys and offer.suite is CipherSuite.PLAIN:
             raise Refusal(
                 RefusalCode.ENCRYPTION_REQUIRED,
                 RefusalText.ENCRYPTION_REQUIRED(name=offer.name),
             )
-        if offer.suite is Suite.AESGCM and not self._aes:
+        if offer.suite is CipherSuite.AESGCM and not self._aes:
             self._retry()
         else:
             key = key_of(keys, offer.fingerprint, offer.name, "client", "server") if keys else None
@@ -236,7 +240,7 @@ class ServerConnection(AcceptingStream, _Control):
         if self._retried:
             raise ProtocolError(Broken.RETRY_IGNORED())
         self._retried = True
-        self._outbox += pack_frame(preamble_frame(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
+        self._outbox += pack_frame(preamble_frame(PreambleKind.RETRY, bytes((CipherSuite.CHACHAPOLY,))))
 
     def _welcome(self, offer: ControlPreamble, key: bytes | None, replays: ReplayCache) -> None:
         handshake = handshake_of(offer.suite, key, offer.header)
@@ -247,11 +251,11 @@ class ServerConnection(AcceptingStream, _Control):
             raise ProtocolError(Broken.NAMES_DIFFER(preamble=offer.name, hello=hello.name))
         welcome = self._make_welcome(hello)
         answer, keys = handshake.write(encode(welcome)), handshake.split()
-        outcome: Established | Refused
+        outcome: Established | StreamRefused
         if welcome.taken:
-            outcome = Refused(RefusalCode.NAME_TAKEN, welcome.taken, hello)
+            outcome = StreamRefused(RefusalCode.NAME_TAKEN, welcome.taken, hello)
         elif welcome.shut_down:
-            outcome = Refused(RefusalCode.SHUT_DOWN, welcome.shut_down, hello)
+            outcome = StreamRefused(RefusalCode.SHUT_DOWN, welcome.shut_down, hello)
         else:
             outcome = Established(hello, SessionKeys(offer.suite, keys.export, welcome.link_id))
         self._fingerprint = b"" if key is None else offer.fingerprint
@@ -270,12 +274,12 @@ class DataConnection(PreambleStream):
         """Return the bytes to write first."""
         return self._beginning
 
-    def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
+    def _on_preamble(self, kind: PreambleKind, body: bytes, frame: bytes) -> None:
         match kind:
-            case Kind.ACCEPT:
-                self._phase = Phase.HANDED_OVER
+            case PreambleKind.ACCEPT:
+                self._phase = PreamblePhase.HANDED_OVER
                 self._events.append(Accepted())
-            case Kind.REFUSE:
+            case PreambleKind.REFUSE:
                 self._refused_by_peer(body)
             case _:
                 raise ProtocolError(Broken.UNEXPECTED_IN_PREAMBLE(kind=kind.name))

@@ -40,7 +40,7 @@ class Established:
 
 
 @dataclass(frozen=True, slots=True)
-class Received:
+class MessageReceived:
     """A control message came."""
 
     message: ControlMessage
@@ -103,7 +103,7 @@ class Accepted:
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class StreamRefused:
     """One side refused the stream. Send the remaining bytes, then close it.
 
     Attributes:
@@ -143,12 +143,21 @@ class Admitted:
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
+class OperatorOpened:
     """The next bytes of an operator's connection."""
 
     content: bytes = field(repr=False)
 
 
 Event: TypeAlias = (
-    Established | Received | Undecoded | DataFrame | Attach | Accepted | Refused | Failed | Admitted | Opened
+    Established
+    | MessageReceived
+    | Undecoded
+    | DataFrame
+    | Attach
+    | Accepted
+    | StreamRefused
+    | Failed
+    | Admitted
+    | OperatorOpened
 )

@@ -10,11 +10,11 @@ from typing import NamedTuple, Protocol
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
-from rsb_bridge.wire.sealing import KEY_LENGTH, Sealer, StreamOpener, Suite
+from rsb_bridge.wire.sealing import KEY_LENGTH, CipherSuite, Sealer, StreamOpener
 
 _NAMES = {
-    Suite.AESGCM: b"Noise_NNpsk0_25519_AESGCM_SHA256",
-    Suite.CHACHAPOLY: b"Noise_NNpsk0_25519_ChaChaPoly_SHA256",
+    CipherSuite.AESGCM: b"Noise_NNpsk0_25519_AESGCM_SHA256",
+    CipherSuite.CHACHAPOLY: b"Noise_NNpsk0_25519_ChaChaPoly_SHA256",
 }
 _DH_LENGTH = 32
 _HASH_LENGTH = 32
@@ -75,7 +75,9 @@ class NoiseHandshake:
     is always 0: a fresh `Sealer`.
     """
 
-    def __init__(self, suite: Suite, psk: bytes, prologue: bytes, ephemeral: X25519PrivateKey | None = None) -> None:
+    def __init__(
+        self, suite: CipherSuite, psk: bytes, prologue: bytes, ephemeral: X25519PrivateKey | None = None
+    ) -> None:
         """Start either end.
 
         Args:

@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, format_fingerprint
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.text import is_clean, sanitize_text
-from rsb_bridge.wire.events import Admitted, Opened, RefusalCode
-from rsb_bridge.wire.preamble import PREFIX_LENGTH, Kind, Refusal, RefusalText, key_of, preamble_frame
+from rsb_bridge.wire.events import Admitted, OperatorOpened, RefusalCode
+from rsb_bridge.wire.preamble import PREFIX_LENGTH, PreambleKind, Refusal, RefusalText, key_of, preamble_frame
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 from rsb_bridge.wire.sealed_stream import AcceptingStream, ConnectingStream, SealedStream, handshake_of
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.wire.sealed_stream import Credential
 
-SUITE = Suite.CHACHAPOLY
+SUITE = CipherSuite.CHACHAPOLY
 RECORD_CONTENT = 16 << 10
 """Bytes of a record's content at most."""
 _RECORD_HEADER = b""
@@ -66,7 +66,7 @@ def operator_header(version: int, operator: str, engine: str, fingerprint: bytes
         if len(encoded) > NAME_BYTES:
             raise ValueError(Misuse.NAME_TOO_LONG(length=len(encoded), limit=NAME_BYTES))
         body += bytes((len(encoded),)) + encoded
-    return preamble_frame(Kind.OPERATOR, body + fingerprint)
+    return preamble_frame(PreambleKind.OPERATOR, body + fingerprint)
 
 
 def parse_operator(frame: bytes) -> OperatorPreamble:
@@ -120,7 +120,7 @@ class _Records(SealedStream):
     def _on_content(self, content: bytes) -> None:
         if not content:
             raise ProtocolError(Broken.EMPTY_RECORD())
-        self._events.append(Opened(content))
+        self._events.append(OperatorOpened(content))
 
 
 class OperatorConsole(_Records, ConnectingStream):
@@ -175,8 +175,8 @@ class OperatorEngine(AcceptingStream, _Records):
         self._at = at
         self._engine = engine
 
-    def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
-        if kind is not Kind.OPERATOR:
+    def _on_preamble(self, kind: PreambleKind, body: bytes, frame: bytes) -> None:
+        if kind is not PreambleKind.OPERATOR:
             raise ProtocolError(Broken.UNEXPECTED_FROM_OPERATOR(kind=kind.name))
         offer = parse_operator(frame)
         if offer.engine != self._engine:

@@ -12,10 +12,10 @@ from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, fo
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.text import is_clean, sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.wire.events import Event, Failed, RefusalCode, Refused, StreamName
+from rsb_bridge.wire.events import Event, Failed, RefusalCode, StreamName, StreamRefused
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
 from rsb_bridge.wire.protocol_error import Broken, ForeignProtocolError, Misuse, ProtocolError
-from rsb_bridge.wire.sealing import SealError, Suite
+from rsb_bridge.wire.sealing import CipherSuite, SealError
 
 if TYPE_CHECKING:
     from typing import Self
@@ -67,7 +67,7 @@ PREFIX_LENGTH = 5
 _DATA = struct.Struct(f">{LINK_ID_LENGTH}sIH?")
 
 
-class Kind(IntEnum):
+class PreambleKind(IntEnum):
     """The kind of a preamble frame."""
 
     CONTROL = 1
@@ -153,7 +153,7 @@ class ControlPreamble(NamedTuple):
         message: the first handshake message.
     """
 
-    suite: Suite
+    suite: CipherSuite
     name: str
     fingerprint: bytes
     header: bytes
@@ -196,12 +196,12 @@ def take_frame(stream: bytearray) -> bytes | None:
     return frame
 
 
-def preamble_frame(kind: Kind, body: bytes = b"") -> bytes:
+def preamble_frame(kind: PreambleKind, body: bytes = b"") -> bytes:
     """Return a preamble frame, without its length."""
     return MAGIC + bytes((VERSION, kind)) + body
 
 
-def control_header(suite: Suite, name: str, fingerprint: bytes = bytes(FINGERPRINT_LENGTH)) -> bytes:
+def control_header(suite: CipherSuite, name: str, fingerprint: bytes = bytes(FINGERPRINT_LENGTH)) -> bytes:
     """Return the part of a CONTROL frame before its handshake message; `fingerprint` is of the key, zeros for none.
 
     Raises:
@@ -210,20 +210,20 @@ def control_header(suite: Suite, name: str, fingerprint: bytes = bytes(FINGERPRI
     encoded = name.encode()
     if len(encoded) > NAME_BYTES:
         raise ValueError(Misuse.NAME_TOO_LONG(length=len(encoded), limit=NAME_BYTES))
-    return preamble_frame(Kind.CONTROL, bytes((suite, len(encoded))) + encoded + fingerprint)
+    return preamble_frame(PreambleKind.CONTROL, bytes((suite, len(encoded))) + encoded + fingerprint)
 
 
 def data_header(link_id: bytes, name: StreamName) -> bytes:
     """Return the part of a DATA frame before its proof."""
-    return preamble_frame(Kind.DATA, _DATA.pack(link_id, *name))
+    return preamble_frame(PreambleKind.DATA, _DATA.pack(link_id, *name))
 
 
 def refuse_frame(code: RefusalCode, message: str) -> bytes:
     """Return a REFUSE frame; a message that is too long is cut."""
-    return preamble_frame(Kind.REFUSE, bytes((code,)) + message.encode(errors="replace")[:MESSAGE_LIMIT])
+    return preamble_frame(PreambleKind.REFUSE, bytes((code,)) + message.encode(errors="replace")[:MESSAGE_LIMIT])
 
 
-def parse_preamble(frame: bytes) -> tuple[Kind, bytes]:
+def parse_preamble(frame: bytes) -> tuple[PreambleKind, bytes]:
     """Read the part of a preamble frame that is the same in every version.
 
     Returns:
@@ -241,7 +241,7 @@ def parse_preamble(frame: bytes) -> tuple[Kind, bytes]:
         text = RefusalText.THIS_SIDE_OLDER if version > VERSION else RefusalText.PEER_OLDER
         raise Refusal(RefusalCode.WRONG_VERSION, text(ours=VERSION, theirs=version))
     try:
-        return Kind(kind), frame[PREFIX_LENGTH:]
+        return PreambleKind(kind), frame[PREFIX_LENGTH:]
     except ValueError:
         raise ProtocolError(Broken.UNKNOWN_PREAMBLE(kind=kind)) from None
 
@@ -279,14 +279,14 @@ def parse_data(frame: bytes) -> DataPreamble:
     return DataPreamble(link_id, StreamName(*name), frame[:end], frame[end:])
 
 
-def parse_suite(body: bytes) -> Suite:
+def parse_suite(body: bytes) -> CipherSuite:
     """Read the cipher suite at the beginning of a CONTROL or RETRY frame's body.
 
     Raises:
         ProtocolError: there is no such suite.
     """
     try:
-        return Suite(body[0])
+        return CipherSuite(body[0])
     except (IndexError, ValueError):
         raise ProtocolError(Broken.UNKNOWN_SUITE()) from None
 
@@ -306,7 +306,7 @@ def parse_refuse(body: bytes) -> tuple[RefusalCode, str]:
     return code, sanitize_text(body[1 : 1 + MESSAGE_LIMIT].decode(errors="replace"))
 
 
-class Phase(Enum):
+class PreamblePhase(Enum):
     """The expected part of a stream."""
 
     PREAMBLE = auto()  # preamble frames, one by one
@@ -321,7 +321,7 @@ class PreambleStream(ABC):
     _is_server = False
 
     def __init__(self) -> None:
-        self._phase = Phase.PREAMBLE
+        self._phase = PreamblePhase.PREAMBLE
         self._inbox = bytearray()
         self._outbox = bytearray()
         self._events: list[Event] = []
@@ -333,9 +333,9 @@ class PreambleStream(ABC):
             self._take_in(data)
         except Refusal as refusal:
             self._refuse(refusal.code, refusal.message)
-            self._end(Refused(refusal.code, refusal.message))
+            self._end(StreamRefused(refusal.code, refusal.message))
         except (ProtocolError, SealError) as error:
-            if self._is(Phase.PREAMBLE):
+            if self._is(PreamblePhase.PREAMBLE):
                 self._refuse(RefusalCode.BAD_FORMAT, str(error))
             foreign = error.protocol if isinstance(error, ForeignProtocolError) else None
             self._end(Failed(str(error), foreign))
@@ -358,17 +358,17 @@ class PreambleStream(ABC):
         return data
 
     def _take_in(self, data: Buffer) -> None:
-        if self._is(Phase.OVER):
+        if self._is(PreamblePhase.OVER):
             return
         self._inbox += data
-        while self._is(Phase.PREAMBLE) and (frame := take_frame(self._inbox)) is not None:
+        while self._is(PreamblePhase.PREAMBLE) and (frame := take_frame(self._inbox)) is not None:
             self._on_preamble(*parse_preamble(frame), frame)
 
-    def _is(self, phase: Phase) -> bool:
+    def _is(self, phase: PreamblePhase) -> bool:
         return self._phase is phase
 
     @abstractmethod
-    def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
+    def _on_preamble(self, kind: PreambleKind, body: bytes, frame: bytes) -> None:
         """Act on one preamble frame; `frame` is the whole of it."""
 
     def _refuse(self, code: RefusalCode, message: str) -> None:
@@ -377,8 +377,8 @@ class PreambleStream(ABC):
 
     def _refused_by_peer(self, body: bytes) -> None:
         code, message = parse_refuse(body)
-        self._end(Refused(code, message))
+        self._end(StreamRefused(code, message))
 
     def _end(self, event: Event) -> None:
-        self._phase = Phase.OVER
+        self._phase = PreamblePhase.OVER
         self._events.append(event)

@@ -8,10 +8,18 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.wire.events import Failed, RefusalCode, Refused
+from rsb_bridge.wire.events import Failed, RefusalCode, StreamRefused
 from rsb_bridge.wire.framing import FrameReader, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake, PlainHandshake
-from rsb_bridge.wire.preamble import Kind, Phase, PreambleStream, Refusal, RefusalText, preamble_frame, take_frame
+from rsb_bridge.wire.preamble import (
+    PreambleKind,
+    PreamblePhase,
+    PreambleStream,
+    Refusal,
+    RefusalText,
+    preamble_frame,
+    take_frame,
+)
 from rsb_bridge.wire.protocol_error import Broken, ForeignProtocolError, Misuse, ProtocolError
 from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, derive_sample_secret
 
@@ -21,7 +29,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.wire.events import Event
     from rsb_bridge.wire.handshake import Handshake, HandshakeKeys, ReplayCache
-    from rsb_bridge.wire.sealing import Buffer, Suite
+    from rsb_bridge.wire.sealing import Buffer, CipherSuite
 
 
 class Credential(NamedTuple):
@@ -57,10 +65,10 @@ class SealedStream(PreambleStream):
         """The secret of the stream's sample tags, or None before the handshake or without encryption."""
         return self._sample_secret
 
-    def _start_sealing(self, suite: Suite, keys: HandshakeKeys) -> None:
+    def _start_sealing(self, suite: CipherSuite, keys: HandshakeKeys) -> None:
         sending, receiving = (keys.server, keys.client) if self._is_server else (keys.client, keys.server)
         self._sealer, self._opener = Sealer(suite, sending), StreamOpener(suite, receiving)
-        self._phase = Phase.SEALED
+        self._phase = PreamblePhase.SEALED
         if keys.export is not None:
             self._sample_secret = derive_sample_secret(keys.export)
 
@@ -75,7 +83,7 @@ class SealedStream(PreambleStream):
 
     def _take_in(self, data: Buffer) -> None:
         super()._take_in(data)
-        if self._is(Phase.SEALED):
+        if self._is(PreamblePhase.SEALED):
             self._open_frames()
 
     def _open_frames(self) -> None:
@@ -84,7 +92,7 @@ class SealedStream(PreambleStream):
                 self._on_content(self._open(frame))
             else:
                 self._on_other_frame(frame)
-                if not self._is(Phase.SEALED):
+                if not self._is(PreamblePhase.SEALED):
                     return
 
     @abstractmethod
@@ -121,15 +129,15 @@ class ConnectingStream(SealedStream):
         other._handshake = handshake
         return other
 
-    def _first_message(self, suite: Suite, key: bytes | None, header: bytes, payload: bytes) -> bytes:
+    def _first_message(self, suite: CipherSuite, key: bytes | None, header: bytes, payload: bytes) -> bytes:
         self._handshake = handshake_of(suite, key, header)
         return pack_frame(header, self._handshake.write(payload))
 
-    def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
+    def _on_preamble(self, kind: PreambleKind, body: bytes, frame: bytes) -> None:
         match kind:
-            case Kind.ACCEPT:
+            case PreambleKind.ACCEPT:
                 self._on_accept(body)
-            case Kind.REFUSE:
+            case PreambleKind.REFUSE:
                 self._refused_by_peer(body)
             case _:
                 raise ProtocolError(Broken.UNEXPECTED_IN_PREAMBLE(kind=kind.name))
@@ -179,11 +187,11 @@ class AcceptingStream(SealedStream):
     @property
     def accepted(self) -> bool:
         """Whether the first message opens under the key. Somebody may have recorded and sent it again."""
-        return self._is(Phase.SEALED)
+        return self._is(PreamblePhase.SEALED)
 
     def refuse(self, code: RefusalCode, message: str) -> bytes:
         """Refuse the stream: the bytes to write before closing it."""
-        self._phase = Phase.OVER
+        self._phase = PreamblePhase.OVER
         self._refuse(code, message)
         return self.data_to_send()
 
@@ -197,16 +205,16 @@ class AcceptingStream(SealedStream):
         if not replays.is_new(message):
             raise ProtocolError(Broken.HANDSHAKE_REPLAYED(name=self.name))
 
-    def _accept(self, suite: Suite, keys: HandshakeKeys, answer: bytes, outcome: Event) -> None:
+    def _accept(self, suite: CipherSuite, keys: HandshakeKeys, answer: bytes, outcome: Event) -> None:
         """Answer a first message that opens. What it says counts once the other end has confirmed."""
-        self._outbox += pack_frame(preamble_frame(Kind.ACCEPT, answer))
+        self._outbox += pack_frame(preamble_frame(PreambleKind.ACCEPT, answer))
         self._start_sealing(suite, keys)
         self._unconfirmed = outcome
 
     def _open_frames(self) -> None:
         if self._unconfirmed is not None and not self._take_confirmation(self._unconfirmed):
             return
-        if self._is(Phase.SEALED):
+        if self._is(PreamblePhase.SEALED):
             super()._open_frames()
 
     def _take_confirmation(self, outcome: Event) -> bool:
@@ -220,13 +228,13 @@ class AcceptingStream(SealedStream):
         if not frame.startswith(self._header) or self._open(frame):
             raise ProtocolError(Broken.NOT_CONFIRMED(peer=self._peer))
         self._unconfirmed = None
-        if isinstance(outcome, Refused):
+        if isinstance(outcome, StreamRefused):
             self._end(outcome)
         else:
             self._events.append(outcome)
         return True
 
 
-def handshake_of(suite: Suite, key: bytes | None, prologue: bytes) -> Handshake:
+def handshake_of(suite: CipherSuite, key: bytes | None, prologue: bytes) -> Handshake:
     """Return one end of a handshake, which seals nothing without a key."""
     return PlainHandshake() if key is None else NoiseHandshake(suite, key, prologue)

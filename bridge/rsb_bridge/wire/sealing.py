@@ -32,7 +32,7 @@ _REKEY_SEQUENCE = 2**64 - 1
 _DIRECTIONS: dict[Role, int] = {"client": 0, "server": 1}
 
 
-class Suite(IntEnum):
+class CipherSuite(IntEnum):
     """A cipher suite."""
 
     PLAIN = 0
@@ -42,7 +42,7 @@ class Suite(IntEnum):
     @property
     def tag_length(self) -> int:
         """Bytes that sealing adds."""
-        return 4 if self is Suite.PLAIN else 16
+        return 4 if self is CipherSuite.PLAIN else 16
 
 
 class InvalidSeal(Wording):
@@ -98,24 +98,24 @@ class _Checksum:
 
 
 _NONCES = {
-    Suite.PLAIN: struct.Struct(">Q").pack,
-    Suite.AESGCM: struct.Struct(">4xQ").pack,
-    Suite.CHACHAPOLY: struct.Struct("<4xQ").pack,
+    CipherSuite.PLAIN: struct.Struct(">Q").pack,
+    CipherSuite.AESGCM: struct.Struct(">4xQ").pack,
+    CipherSuite.CHACHAPOLY: struct.Struct("<4xQ").pack,
 }
 
 
-def _cipher(suite: Suite, key: bytes | None) -> _Cipher:
-    if suite is Suite.PLAIN:
+def _cipher(suite: CipherSuite, key: bytes | None) -> _Cipher:
+    if suite is CipherSuite.PLAIN:
         return _Checksum()
     if key is None or len(key) != KEY_LENGTH:
         raise ValueError(Misuse.KEY_LENGTH(suite=suite.name, expected=KEY_LENGTH))
-    return AESGCM(key) if suite is Suite.AESGCM else ChaCha20Poly1305(key)
+    return AESGCM(key) if suite is CipherSuite.AESGCM else ChaCha20Poly1305(key)
 
 
 class _Epochs:
     """The ciphers of one key, one for each epoch; the next epoch's key is REKEY of this one's (Noise, 4.2)."""
 
-    def __init__(self, suite: Suite, key: bytes | None) -> None:
+    def __init__(self, suite: CipherSuite, key: bytes | None) -> None:
         self._suite = suite
         self._first = 0
         self._ciphers = [_cipher(suite, key)]
@@ -147,7 +147,7 @@ class _Epochs:
 class _StreamState:
     """The common part of sealing and opening in order: the implied sequence number and its epoch's cipher."""
 
-    def __init__(self, suite: Suite, key: bytes | None) -> None:
+    def __init__(self, suite: CipherSuite, key: bytes | None) -> None:
         self.suite = suite
         self.sequence = 0
         self._nonce = _NONCES[suite]
@@ -176,7 +176,7 @@ class Sealer(_StreamState):
             associated: is authenticated only, and sent in the clear.
 
         Returns:
-            The sealed content, `Suite.tag_length` bytes longer.
+            The sealed content, `CipherSuite.tag_length` bytes longer.
         """
         sequence = self.sequence
         self.sequence = sequence + 1  # used up, whatever happens
@@ -240,7 +240,7 @@ class DatagramOpener:
         newest: the highest sequence number opened, or -1 if none was.
     """
 
-    def __init__(self, suite: Suite, key: bytes | None, window: int = 1024) -> None:
+    def __init__(self, suite: CipherSuite, key: bytes | None, window: int = 1024) -> None:
         self._nonce = _NONCES[suite]
         self._epochs = _Epochs(suite, key)
         self._current = self._epochs.cipher(0)
@@ -295,7 +295,7 @@ class SessionKeys:
         sample_secret: the secret of sample tags (`SampleTags`), or None without encryption.
     """
 
-    def __init__(self, suite: Suite, export: bytes | None, link_id: bytes) -> None:
+    def __init__(self, suite: CipherSuite, export: bytes | None, link_id: bytes) -> None:
         self.suite = suite
         self.link_id = link_id
         self.sample_secret = None if export is None else derive_sample_secret(export)

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from rsb_bridge.model.snapshot import Snapshot
-    from rsb_console.bench.results import Ends
+    from rsb_console.bench.results import BenchEnds
 
 TOPIC = "/bench"
-TRAFFIC = "rsb_bridge.ros.traffic"
+TRAFFIC = "rsb_bridge.ros.measured_stream"
 ZenohPath: TypeAlias = Literal["", "peer", "router"]
 """How two sides meet over Zenoh: not at all, the client connects to the server, or both to a router."""
 _TYPE = "std_msgs/msg/String"
@@ -296,10 +296,10 @@ class Loopback:
     def ways(self) -> list[Way]:
         return [Way(transport, "transmit") for transport in self._transports]
 
-    def baseline(self, sizes: list[int]) -> AbstractContextManager[Ends]:
+    def baseline(self, sizes: list[int]) -> AbstractContextManager[BenchEnds]:
         return direct(self._near, sizes)
 
-    def open(self, way: Way, sizes: list[int]) -> AbstractContextManager[Ends]:
+    def open(self, way: Way, sizes: list[int]) -> AbstractContextManager[BenchEnds]:
         return bridged(way.transport, self._near, self._far, sizes)
 
     def many(self, count: int) -> Many:

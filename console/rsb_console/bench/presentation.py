@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from typing import Literal
 
-    from rsb_console.bench.results import Point, Report
+    from rsb_console.bench.results import BenchReport, Point
 
 _LIMITS = {
     "loss": "",
@@ -60,7 +60,7 @@ class JudgingText(Wording):
     )
 
 
-def lines_of(report: Report) -> Iterator[str]:
+def lines_of(report: BenchReport) -> Iterator[str]:
     """Yield all tables, each with a line about it."""
     yield f"{report.over}; {report.machine}"
     if report.points:
@@ -130,7 +130,7 @@ def _latencies_by_rate(points: Sequence[Point]) -> Iterator[str]:
     yield from _aligned(rows)
 
 
-def _sides(report: Report) -> Iterator[str]:
+def _sides(report: BenchReport) -> Iterator[str]:
     started = any(side.first is not None for sides in report.sides.values() for side in sides)
     if started:
         yield "Each bridge: s until it listens, and until the first message is through; % of a core while idle; memory"
@@ -145,7 +145,7 @@ def _sides(report: Report) -> Iterator[str]:
     yield from _aligned(rows)
 
 
-def _many(report: Report) -> Iterator[str]:
+def _many(report: BenchReport) -> Iterator[str]:
     yield "Topics at 1 Hz each: s until all carry messages; memory (MB) and CPU (% of a core), sends / receives"
     rows: list[tuple[str, ...]] = [("topics", "all carry", "memory", "CPU")]
     for each in report.many:
@@ -272,21 +272,21 @@ def _load(judged: Judged) -> str:
     return f"{load.topic} ({byte_count(round(load.size))} at {expected(load.rate)} Hz by {judged.transport})"
 
 
-class Curve(NamedTuple):
+class CapacityCurve(NamedTuple):
     """One transport and direction: bytes, and bytes a second that are carried without a loss."""
 
     name: str
     points: tuple[tuple[float, float], ...]
 
 
-def _curves(points: Sequence[Point]) -> list[Curve]:
+def _curves(points: Sequence[Point]) -> list[CapacityCurve]:
     two_ways = len({each.direction for each in points}) > 1
     found: dict[str, list[tuple[float, float]]] = {}
     for each in points:
         if each.best is not None:
             name = f"{each.transport} {each.direction}" if two_ways else each.transport
             found.setdefault(name, []).append((each.size, each.best.rate * each.size))
-    return [Curve(name, tuple(sorted(values))) for name, values in found.items()]
+    return [CapacityCurve(name, tuple(sorted(values))) for name, values in found.items()]
 
 
 class _Axis:
@@ -304,7 +304,7 @@ class _Axis:
         return [10.0**power for power in range(self.low, self.high + 1)]
 
 
-def _axes(lines: Sequence[Curve]) -> tuple[_Axis, _Axis]:
+def _axes(lines: Sequence[CapacityCurve]) -> tuple[_Axis, _Axis]:
     return tuple(_Axis([point[at] for line in lines for point in line.points]) for at in (0, 1))  # type: ignore[return-value]
 
 

@@ -173,7 +173,7 @@ class Judged:
 
 
 @dataclass(slots=True)
-class Report:
+class BenchReport:
     """All results. It is filled while the benchmark runs, so that an interrupted one keeps its results so far.
 
     Attributes:
@@ -200,18 +200,18 @@ class Report:
     ended: Literal["complete", "interrupted", "time", "stopped"] = "complete"
 
 
-def as_json(report: Report) -> str:
+def as_json(report: BenchReport) -> str:
     """Format a report as one line of JSON."""
     return escape_json(msgspec.json.encode(report).decode())
 
 
-def from_json(text: str) -> Report:
+def from_json(text: str) -> BenchReport:
     """Read a report from JSON; the inverse of `as_json`.
 
     Raises:
         msgspec.ValidationError: it is no report.
     """
-    return msgspec.json.decode(text, type=Report)
+    return msgspec.json.decode(text, type=BenchReport)
 
 
 class BenchProblem(Wording):
@@ -238,7 +238,7 @@ class StoppedError(Exception):
     """The peer, or its limits, ended a benchmark; the message has the reason. Results so far are kept."""
 
 
-class Ends(Protocol):
+class BenchEnds(Protocol):
     """The two ends between which messages are measured."""
 
     def send(self, rate: float, seconds: float, size: int) -> Run:
@@ -275,7 +275,7 @@ class Way:
     direction: str
 
 
-class Place(Protocol):
+class BenchPlace(Protocol):
     """The place of a benchmark: this machine, or a running bridge's link."""
 
     @property
@@ -283,11 +283,11 @@ class Place(Protocol):
         """Return the transports and directions to measure, in order."""
         ...
 
-    def baseline(self, sizes: list[int]) -> AbstractContextManager[Ends] | None:
+    def baseline(self, sizes: list[int]) -> AbstractContextManager[BenchEnds] | None:
         """Open the ends without a bridge for comparison, or return None if that is impossible."""
         ...
 
-    def open(self, way: Way, sizes: list[int]) -> AbstractContextManager[Ends]:
+    def open(self, way: Way, sizes: list[int]) -> AbstractContextManager[BenchEnds]:
         """Set up the ends for one transport and direction.
 
         Raises:

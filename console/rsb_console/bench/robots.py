@@ -1,6 +1,6 @@
 """Robots in one process, each with its own bridge: ``python -m rsb_console.bench.robots LOAD SESSION...``.
 
-LOAD is the JSON of a `Load`. The bridges are the real ones, over real sockets; their ROS is a stand-in
+LOAD is the JSON of a `RobotTraffic`. The bridges are the real ones, over real sockets; their ROS is a stand-in
 (`rsb_bridge.ros.stand_in`). A bridge with operators in its session is served on the socket ``NAME.sock`` in its file's
 folder. The process takes commands as lines, answers with lines of JSON, and ends with its standard input:
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _ATTEMPTS = (EventCode.LINK_UNREACHABLE, EventCode.LINK_REFUSED)
 
 
-class Load(msgspec.Struct, frozen=True):
+class RobotTraffic(msgspec.Struct, frozen=True):
     """The traffic of each robot's node.
 
     Attributes:
@@ -55,7 +55,7 @@ class Load(msgspec.Struct, frozen=True):
         return sum(talk.rate for talk in self.talks)
 
 
-class Robot(msgspec.Struct):
+class RobotRecord(msgspec.Struct):
     """The record of one robot's bridge. Times are s since the epoch.
 
     Attributes:
@@ -80,17 +80,17 @@ class Robot(msgspec.Struct):
 class RobotRecords(msgspec.Struct):
     """The robots of a process, by name."""
 
-    robots: dict[str, Robot]
+    robots: dict[str, RobotRecord]
 
 
 class _Bridged:
-    def __init__(self, path: Path, load_: Load) -> None:
+    def __init__(self, path: Path, load_: RobotTraffic) -> None:
         self._path = path
         self._session = load(path)
         self._load = load_
         self.name = self._session.name
         self.ros = StandIn(self.name, load_.talks, load_.hears)
-        self._robot = Robot()
+        self._robot = RobotRecord()
         self._engine: Engine | None = None
         self._server: ControlServer | None = None
         self._followed = 0
@@ -124,7 +124,7 @@ class _Bridged:
         """End the process of a robot that has its own."""
         threading.Thread(target=self.stop, daemon=True).start()
 
-    def look(self) -> Robot:
+    def look(self) -> RobotRecord:
         self._follow()
         robot, ros = self._robot, self.ros
         robot.published = sum(ros.published.values())
@@ -144,7 +144,7 @@ class _Bridged:
 
 
 def main(arguments: Sequence[str]) -> None:
-    load_ = msgspec.json.decode(arguments[0], type=Load)
+    load_ = msgspec.json.decode(arguments[0], type=RobotTraffic)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     robots = {robot.name: robot for robot in (_Bridged(Path(path), load_) for path in arguments[1:])}
     metronome = Metronome(Random())  # noqa: S311 -- phases, no secret

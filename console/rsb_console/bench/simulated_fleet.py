@@ -21,7 +21,7 @@ from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
 from rsb_console.bench.processes import Process
 from rsb_console.bench.results import BenchError, BenchProblem
-from rsb_console.bench.robots import Load, Robot, RobotRecords
+from rsb_console.bench.robots import RobotRecord, RobotRecords, RobotTraffic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 ROBOTS = "rsb_console.bench.robots"
-USUAL = Load((Talk("/pose", 10.0, 200), Talk("/status", 1.0, 200), Talk("/scan", 5.0, 2500)), ("/goal",))
-WITH_BATTERY = Load((*USUAL.talks, Talk("/battery_state", 1.0, 0, BATTERY_STATE)), USUAL.hears)
+USUAL = RobotTraffic((Talk("/pose", 10.0, 200), Talk("/status", 1.0, 200), Talk("/scan", 5.0, 2500)), ("/goal",))
+WITH_BATTERY = RobotTraffic((*USUAL.talks, Talk("/battery_state", 1.0, 0, BATTERY_STATE)), USUAL.hears)
 MOST_IN_ONE = 50
 """Most robots in one process."""
 _OPERATOR, _OPERATOR_KEY = "operator", "operator.key"
@@ -64,7 +64,7 @@ class Router:
 
 
 @dataclass(slots=True)
-class Way:
+class FleetNetwork:
     """The network of the links.
 
     Attributes:
@@ -77,28 +77,28 @@ class Way:
 
 
 @contextlib.contextmanager
-def tcp() -> Iterator[Way]:
+def tcp() -> Iterator[FleetNetwork]:
     """Robots connect to the control side."""
-    yield Way({"server_ip": _HOST, "server_port": _free_port()})
+    yield FleetNetwork({"server_ip": _HOST, "server_port": _free_port()})
 
 
 @contextlib.contextmanager
-def zenoh() -> Iterator[Way]:
+def zenoh() -> Iterator[FleetNetwork]:
     """Robots and the control side connect to a router."""
     router = Router()
     try:
         settings = ZenohSettings((router.endpoint,), fleet="simulated")
-        yield Way({"server_ip": ZENOH_HOST, "zenoh": settings}, router)
+        yield FleetNetwork({"server_ip": ZENOH_HOST, "zenoh": settings}, router)
     finally:
         router.process.stop()
 
 
-WAYS: dict[str, Callable[[], AbstractContextManager[Way]]] = {"tcp": tcp, "zenoh": zenoh}
+WAYS: dict[str, Callable[[], AbstractContextManager[FleetNetwork]]] = {"tcp": tcp, "zenoh": zenoh}
 """Networks of the links by name; each starts the processes that it needs."""
 
 
 @dataclass(slots=True)
-class Fleet:
+class SimulatedFleet:
     """A running fleet.
 
     Attributes:
@@ -115,7 +115,7 @@ class Fleet:
 
     folder: Path
     names: Sequence[str]
-    load: Load
+    load: RobotTraffic
     session: Path
     command: Sequence[str]
     router: Router | None = None
@@ -161,11 +161,11 @@ class Fleet:
         """Send a command to a robot (`bench.robots`)."""
         self._in[name].ask(" ".join((command, name, *words)))
 
-    def look(self) -> dict[str, Robot]:
+    def look(self) -> dict[str, RobotRecord]:
         """Return the record of each robot."""
         for process in self.processes:
             process.tell("look")
-        found: dict[str, Robot] = {}
+        found: dict[str, RobotRecord] = {}
         for process in self.processes:
             answer = process.line()
             if not answer:
@@ -173,7 +173,7 @@ class Fleet:
             found |= msgspec.json.decode(answer, type=RobotRecords).robots
         return found
 
-    def wait(self, done: Callable[[Robot], bool], within: float) -> dict[str, Robot]:
+    def wait(self, done: Callable[[RobotRecord], bool], within: float) -> dict[str, RobotRecord]:
         """Wait until something is true of each robot.
 
         Raises:
@@ -206,11 +206,11 @@ def fleet(
     *,
     domain: int,
     over: str = "tcp",
-    load: Load = USUAL,
+    load: RobotTraffic = USUAL,
     control: Sequence[str] = ("-m", "rsb_console"),
     groups: Sequence[str] = (),
     operated: bool = False,
-) -> Iterator[Fleet]:
+) -> Iterator[SimulatedFleet]:
     """Write the sessions and keys of a fleet; on exit, end all processes that were started.
 
     Args:
@@ -254,7 +254,7 @@ def fleet(
         )
         session_file.save(control_side, path)
         file = _operators_file(folder, way.fields["zenoh"]) if operated else None
-        running = Fleet(folder, names, load, path, control, way.router, file)
+        running = SimulatedFleet(folder, names, load, path, control, way.router, file)
         try:
             yield running
         finally:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
-    from rsb_console.bench.results import Ends, Limit, Place, Report
+    from rsb_console.bench.results import BenchEnds, BenchPlace, BenchReport, Limit
 
 _FIRST_BYTES = 50e6
 """First rate of a search, in bytes a second."""
@@ -77,7 +77,7 @@ class Suite:
     """
 
     def __init__(
-        self, place: Place, plan: Plan, report: Report, clock: Callable[[], float], say: Callable[[str], None]
+        self, place: BenchPlace, plan: Plan, report: BenchReport, clock: Callable[[], float], say: Callable[[str], None]
     ) -> None:
         self._place = place
         self._plan = plan
@@ -149,7 +149,9 @@ class Suite:
         except BenchError as error:
             self._report.notes.append(f"{way.transport} {way.direction}: {error}")
 
-    def _point(self, ends: Ends, way: Way, size: int, base: tuple[float, float, float] | None, first: float) -> Point:
+    def _point(
+        self, ends: BenchEnds, way: Way, size: int, base: tuple[float, float, float] | None, first: float
+    ) -> Point:
         plan = self._plan
         what = f"{way.transport} {way.direction}, {byte_count(size)}"
         self._say(f"{what}, latency")
@@ -182,7 +184,7 @@ class Suite:
             full = ends.send(rate, max(plan.run, _LEAST_MESSAGES / rate), size)
         return Point(way.transport, way.direction, size, gentle, base, best, found.limit, full, paced)
 
-    def _paced(self, ends: Ends, what: str, size: int, highest: float) -> tuple[Run, ...]:
+    def _paced(self, ends: BenchEnds, what: str, size: int, highest: float) -> tuple[Run, ...]:
         """Send at the plan's rates as far as they are carried, and as time remains."""
         runs = []
         for rate in self._plan.paced:
@@ -192,7 +194,7 @@ class Suite:
             runs.append(ends.send(rate, self._plan.run, size))
         return tuple(runs)
 
-    def _gentle(self, ends: Ends, size: int) -> float:
+    def _gentle(self, ends: BenchEnds, size: int) -> float:
         return max(1.0, min(self._plan.gentle, _GENTLE_BYTES / size, ends.most(size)))
 
     def _many(self) -> None:
@@ -301,7 +303,7 @@ class OverLink:
         return None
 
     @contextlib.contextmanager
-    def open(self, way: Way, sizes: list[int]) -> Iterator[Ends]:
+    def open(self, way: Way, sizes: list[int]) -> Iterator[BenchEnds]:
         ends = _LinkEnds(self._engine, self._link, way)
         ends.send(10.0, 0.2, sizes[0])  # opens the topic
         yield ends

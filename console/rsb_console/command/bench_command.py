@@ -20,7 +20,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import one_line
 from rsb_console.bench.loopback import Loopback, machine, ros_problem
 from rsb_console.bench.presentation import USUAL, as_svg, in_terminal, in_words, judge, lines_of
-from rsb_console.bench.results import BenchError, Report, as_json
+from rsb_console.bench.results import BenchError, BenchReport, as_json
 from rsb_console.bench.suite import FULL, QUICK, OverLink, Plan, Suite, loads_of, loads_of_all, ways_of
 from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, TERMINATED, USAGE, print_error, print_line, print_lines
 from rsb_console.command.target import UsageError, attached, check_link, failed, reported
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
-    from rsb_console.bench.results import Load, Place
+    from rsb_console.bench.results import BenchPlace, Load
 
 _ERASE = "\r\x1b[K"
 _BOTH = ("transmit", "receive")
@@ -112,7 +112,7 @@ def _on_this_machine(arguments: Namespace) -> int:
     if arguments.direction != "transmit":
         return failed(arguments, "on one machine both directions are the same: leave --direction out", USAGE)
     loads = _loads_of_running_bridges()
-    report = Report("This machine, two bridges over loopback", machine())
+    report = BenchReport("This machine, two bridges over loopback", machine())
     code = _measure(Loopback(transports, (near, far)), report, _plan(arguments))
     return _finish(report, loads or USUAL, "this machine", arguments, code, together=bool(loads))
 
@@ -124,7 +124,9 @@ def _over_link(arguments: Namespace) -> int:
         loads = loads_of(engine.snapshot(), link.name)
         directions = _BOTH if arguments.direction == "both" else (arguments.direction,)
         place = OverLink(engine, link.name, ways_of(link, arguments.transports, directions))
-        report = Report(f"The link of {engine.bridge.name} with {link.peer or link.name}", f"{machine()} on this side")
+        report = BenchReport(
+            f"The link of {engine.bridge.name} with {link.peer or link.name}", f"{machine()} on this side"
+        )
         try:
             code = _measure(place, report, replace(_plan(arguments), many=()))
         finally:
@@ -196,7 +198,7 @@ def _loads_of_running_bridges() -> list[Load]:
     return loads_of_all(snapshots)
 
 
-def _measure(place: Place, report: Report, plan: Plan) -> int:
+def _measure(place: BenchPlace, report: BenchReport, plan: Plan) -> int:
     """Fill the report and return the exit code; after an interrupt, keep the results so far."""
     with Progress(getattr(sys.stderr, "raw", sys.stderr)) as progress:
         try:
@@ -224,7 +226,7 @@ def _plan(arguments: Namespace) -> Plan:
 
 
 def _finish(
-    report: Report, loads: Sequence[Load], over: str, arguments: Namespace, code: int, *, together: bool
+    report: BenchReport, loads: Sequence[Load], over: str, arguments: Namespace, code: int, *, together: bool
 ) -> int:
     """Judge, print and draw. Return the exit code."""
     if not (report.points or arguments.json or report.ended == "interrupted"):
@@ -254,7 +256,7 @@ def _finish(
     return code
 
 
-def _ending(report: Report) -> list[str]:
+def _ending(report: BenchReport) -> list[str]:
     if report.ended == "interrupted":
         return ["interrupted: these are the figures so far" if report.points else "interrupted: nothing was measured"]
     if report.ended == "time":

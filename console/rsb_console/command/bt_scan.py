@@ -7,7 +7,7 @@ import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Scan, Use, scan
+from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, ChannelUse, Scan, scan
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def _lines(found: Scan) -> Iterator[str]:
     if found.channels:
         yield f"any   {ANY_ADAPTER}"
         yield from _channels(found, ANY_ADAPTER)
-        free = [number for number in CHANNELS if all(use[number] is Use.FREE for use in found.channels.values())]
+        free = [number for number in CHANNELS if all(use[number] is ChannelUse.FREE for use in found.channels.values())]
         yield f"channels to choose from: {_ranges(free)}"
     for device in found.devices:
         states = ", ".join(word for word in ("paired", "connected") if getattr(device, word))
@@ -53,7 +53,7 @@ def _lines(found: Scan) -> Iterator[str]:
 
 def _channels(found: Scan, address: str) -> Iterator[str]:
     use = found.channels.get(address, {})
-    busy = [number for number in use if use[number] is Use.BUSY]
+    busy = [number for number in use if use[number] is ChannelUse.BUSY]
     if use:
         yield f"      busy: {_ranges(busy)}"
 

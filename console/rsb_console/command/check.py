@@ -43,14 +43,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
-    from rsb_bridge.model.demands import Demand, Source, SourceKey
+    from rsb_bridge.model.demands import Demand, DemandSource, SourceKey
     from rsb_bridge.model.profiles import Compression, LinkProfile
     from rsb_bridge.model.session import Client, Session, Topic
 
 _NAMED = 6
 
 
-class CheckText(Wording):
+class SessionCheckText(Wording):
     """Warnings and hints of `rsb-console check`."""
 
     NO_CLIENTS = "accepts nobody yet: `rsb-console client add NAME` adds a client"
@@ -111,7 +111,7 @@ def summary(session: Session, places: Mapping[SourceKey, str] | None = None) -> 
     if session.role == "server" and session.clients is None:
         yield f"  accepts {session.name}: everything"
     if session.clients == ():
-        yield f"  {CheckText.NO_CLIENTS()}"
+        yield f"  {SessionCheckText.NO_CLIENTS()}"
     for source in filter(lambda each: each.arm, demands.sources):
         yield f"  requires arming on all its routes: {_demanded(source, places or {})}"
 
@@ -126,7 +126,7 @@ def _demands_on(
     limit = f", dropped if older than {demand.max_age:g} s" if demand.max_age and not topic.max_age else ""
     if demand.limits is not None:
         lines = ", ".join(describe(source, places) for source in demand.limited_by)
-        limit += CheckText.LIMITED(limits=demand.limits, lines=lines)
+        limit += SessionCheckText.LIMITED(limits=demand.limits, lines=lines)
     if not demand.arm:
         return limit
     keys = f"within {demand.deadman:g} s" if demand.deadman else "never"
@@ -142,23 +142,23 @@ def _end_of(demand: Demand, topic: Topic, places: Mapping[SourceKey, str]) -> st
     if line is not None:
         place = describe(line, places)
         if demand.on_end == CANCEL:
-            return CheckText.CANCELS(line=place)
-        return CheckText.ENDS_WITH(message=demand.on_end, line=place) if topic.kind == "topic" else ""
+            return SessionCheckText.CANCELS(line=place)
+        return SessionCheckText.ENDS_WITH(message=demand.on_end, line=place) if topic.kind == "topic" else ""
     if topic.kind == "action":
-        return CheckText.GOALS_GO_ON()
+        return SessionCheckText.GOALS_GO_ON()
     type_name = full_type(topic.type)
     if not type_name:
-        return CheckText.ENDS_BY_TYPE()
-    return CheckText.ENDS_WITH_ZERO() if type_name in DRIVING_TYPES else CheckText.ENDS_WITH_NOTHING()
+        return SessionCheckText.ENDS_BY_TYPE()
+    return SessionCheckText.ENDS_WITH_ZERO() if type_name in DRIVING_TYPES else SessionCheckText.ENDS_WITH_NOTHING()
 
 
-def _demanded(source: Source, places: Mapping[SourceKey, str]) -> str:
+def _demanded(source: DemandSource, places: Mapping[SourceKey, str]) -> str:
     kind = f"{source.kind} " if source.kind not in (None, "topic") else ""
     excepts = f", not {join_first(source.excepts, _NAMED)}" if source.excepts else ""
-    limits = "" if source.limits is None else f", {CheckText.LIMITED_PATTERN(limits=source.limits)}"
+    limits = "" if source.limits is None else f", {SessionCheckText.LIMITED_PATTERN(limits=source.limits)}"
     if source.on_end:
         line = describe(source, places)
-        ends = CheckText.CANCELS if source.on_end == CANCEL else CheckText.ENDS_WITH
+        ends = SessionCheckText.CANCELS if source.on_end == CANCEL else SessionCheckText.ENDS_WITH
         return f"{kind}{source.name}{excepts}{limits}{ends(message=source.on_end, line=line)}"
     place = f" ({places[source.key]})" if source.key in places else ""
     return f"{kind}{source.name}{excepts}{limits}{place}"
@@ -179,7 +179,7 @@ def _grants(entries: Iterable[str | Grant]) -> str:
 def rights(session: Session) -> Iterator[str]:
     """Yield a table of each peer's rights on this side, and warnings about rights that move or change a robot."""
     found = list(listings(session))
-    heads = ("may do here", "", "what", "over", "rate", CheckText.OWN_PORTS())
+    heads = ("may do here", "", "what", "over", "rate", SessionCheckText.OWN_PORTS())
     rows: list[tuple[str, ...]] = [heads, *(row for listing in found for row in listing.rows)]
     rows = rows if session.role == "server" else [row[:-1] for row in rows]  # a client binds none
     widths = [max(len(row[at]) for row in rows) for at in range(len(rows[0]))]
@@ -187,24 +187,24 @@ def rights(session: Session) -> Iterator[str]:
         yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
     for listing in found:
         if listing.moves:
-            yield f"  {CheckText.MAY_MOVE(peer=listing.peer, names=', '.join(listing.moves))}"
+            yield f"  {SessionCheckText.MAY_MOVE(peer=listing.peer, names=', '.join(listing.moves))}"
         if listing.acts:
             acts = join_first(listing.acts, _NAMED)
-            yield f"  {CheckText.MAY_ACT(peer=listing.peer, names=acts)}"
+            yield f"  {SessionCheckText.MAY_ACT(peer=listing.peer, names=acts)}"
     yield from _leaves(session)
     if session.role == "client":
-        yield f"  {CheckText.SERVER_MAY_STOP()}"
+        yield f"  {SessionCheckText.SERVER_MAY_STOP()}"
     if session.shutdown_topic is not None:
-        yield f"  {CheckText.NODES_MAY_STOP(topic=session.shutdown_topic)}"
+        yield f"  {SessionCheckText.NODES_MAY_STOP(topic=session.shutdown_topic)}"
 
 
 def hints(session: Session) -> Iterator[str]:
     """Yield advice about a session without mistakes."""
     if alone := tuple(dict.fromkeys(guarded_here_alone(session))):
-        yield CheckText.NO_OTHER_GUARD(names=join_first(alone, _NAMED))
+        yield SessionCheckText.NO_OTHER_GUARD(names=join_first(alone, _NAMED))
     if old := tuple(dict.fromkeys(without_max_age(session))):
         names = join_first(old, _NAMED)
-        yield f"  {CheckText.MAX_AGE_MISSING(names=names)}"
+        yield f"  {SessionCheckText.MAX_AGE_MISSING(names=names)}"
 
 
 def _leaves(session: Session) -> Iterator[str]:
@@ -214,7 +214,7 @@ def _leaves(session: Session) -> Iterator[str]:
     for name, leave in holders:
         if leave is not None:
             limits = {"seconds": leave.seconds, "rate": leave.max_rate, "megabytes": leave.megabytes}
-            yield f"  {CheckText.MAY_MEASURE(peer=name, **limits)}"
+            yield f"  {SessionCheckText.MAY_MEASURE(peer=name, **limits)}"
 
 
 def _domain(session: Session) -> str:
@@ -227,7 +227,7 @@ def _domain(session: Session) -> str:
 
 def _prefix(session: Session) -> str:
     if session.role == "client" and not session.use_name:
-        return CheckText.PREFIX_IF_USED(name=session.name)
+        return SessionCheckText.PREFIX_IF_USED(name=session.name)
     return _prefix_of(session.name if session.clients is None else "<name>", use_name=session.use_name)
 
 
@@ -269,7 +269,7 @@ def _details(topic: Topic, compression: Compression) -> Iterator[str]:
         keys = f"within {topic.deadman_seconds:g} s" if topic.deadman_seconds else "never"
         yield f"has to be armed (keys needed: {keys})"
     if topic.limits is not None and topic.is_pattern:
-        yield CheckText.LIMITED_PATTERN(limits=topic.limits)
+        yield SessionCheckText.LIMITED_PATTERN(limits=topic.limits)
 
 
 def check_session(arguments: Namespace) -> int:
@@ -287,9 +287,9 @@ def check_session(arguments: Namespace) -> int:
     for line in _key_lines(session, keys):
         print_line(line)
     for warning in chain(_warnings(session, keys), fault_command_warnings(session, path)):
-        print_line(CheckText.WARNING(problem=warning))
+        print_line(SessionCheckText.WARNING(problem=warning))
     if problem := _shared_keys(session, keys):
-        print_error(CheckText.DOES_NOT_START(problem=problem))
+        print_error(SessionCheckText.DOES_NOT_START(problem=problem))
         return USAGE
     return NO_KEY if any(isinstance(key, KeyFileError) for key in keys.values()) else OK
 
@@ -297,13 +297,13 @@ def check_session(arguments: Namespace) -> int:
 def print_mistakes(error: SessionError) -> int:
     """Print the mistakes of a session file, as a whole or by line."""
     in_lines = any(problem.line for problem in error.problems)
-    print_error(CheckText.MISTAKES(problems=error) if in_lines else str(error))
+    print_error(SessionCheckText.MISTAKES(problems=error) if in_lines else str(error))
     return USAGE
 
 
 def _warnings(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Iterator[str]:
     """Yield the warnings that running the session would give."""
-    yield from (CheckText.KEY_MISSING(problem=key) for key in keys.values() if isinstance(key, KeyFileError))
+    yield from (SessionCheckText.KEY_MISSING(problem=key) for key in keys.values() if isinstance(key, KeyFileError))
     valid = {
         name: tuple(key for file in files if isinstance(key := keys.get(file), Key))
         for name, files in key_files_by_client(session).items()
@@ -321,7 +321,7 @@ def _key_lines(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Iter
     users = key_users(session)
     for file, key in keys.items():
         if isinstance(key, Key):
-            yield CheckText.KEY(
+            yield SessionCheckText.KEY(
                 file=file, users=users[file], fingerprint=fingerprint(key), age=written(key, time.time())
             )
 

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.snapshot import Event, LinkSnapshot
-    from rsb_console.session.client_files import Changed
+    from rsb_console.session.client_files import ChangedFile
 
 
 class ClientCommandProblem(Wording):
@@ -226,7 +226,7 @@ def _last_key(server: str, name: str, fingerprints: set[str]) -> Event | None:
     return last_key((event for files in kept for event in read_events(files.events, 0.0)), name, fingerprints)
 
 
-def _rotated(arguments: Namespace, changed: Changed, told: str, what: str, steps: Sequence[str] = ()) -> int:
+def _rotated(arguments: Namespace, changed: ChangedFile, told: str, what: str, steps: Sequence[str] = ()) -> int:
     """Print the result of a change of a client's keys and the next steps."""
     file, client, key_at, key = changed
     assert key is not None
@@ -253,7 +253,7 @@ def _show(arguments: Namespace) -> int:
     key, problem = client_files.fingerprint_or_problem(key_at)
     if key is None and key_at is not None:
         raise ClientError(problem)
-    return _handed_out(arguments, client_files.Changed(file, client, key_at, key), "")
+    return _handed_out(arguments, client_files.ChangedFile(file, client, key_at, key), "")
 
 
 def _remove(arguments: Namespace) -> int:
@@ -417,7 +417,7 @@ def _links(path: Path, control: Path | None) -> dict[str, LinkSnapshot]:
         engine.stop()
 
 
-def _handed_out(arguments: Namespace, changed: Changed, told: str) -> int:
+def _handed_out(arguments: Namespace, changed: ChangedFile, told: str) -> int:
     """Print the robot's session on standard output and advice on standard error."""
     file, client, key_at, key = changed
     text = client_files.robot_file(file.session, client, arguments.address)

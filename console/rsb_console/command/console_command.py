@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.control_server import ControlServer
     from rsb_bridge.model.session import Session
     from rsb_console.command.target import Attach
-    from rsb_console.fleet.fleet import Fleet
+    from rsb_console.fleet.fleet import RobotFleet
     from rsb_console.terminal_app import TerminalApp
 
 T = TypeVar("T")
@@ -122,7 +122,7 @@ def _finish(app: ConsoleApp, on_hangup: str) -> int:
 
 
 def run_fleet(
-    fleet: Fleet,
+    fleet: RobotFleet,
     *,
     readonly: bool,
     ascii_only: bool,

@@ -23,7 +23,7 @@ from rsb_console.bench.results import BenchError
 from rsb_console.bench.simulated_fleet import WITH_BATTERY, fleet, listening
 from rsb_console.command.headless import Signals, bridge_until_told
 from rsb_console.command.shell import FAILURE, HUNG_UP, INTERRUPTED, OK, print_error, print_line
-from rsb_console.fleet.fleet import Fleet, Memory
+from rsb_console.fleet.fleet import Memory, RobotFleet
 from rsb_console.fleet.server_source import ServerFleet
 from rsb_console.fleet.zenoh_source import ZenohFleet
 from rsb_console.session.demo_session import SimulatedPart, need_ros, own_domain, running_demo
@@ -31,7 +31,7 @@ from rsb_console.session.demo_session import SimulatedPart, need_ros, own_domain
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from rsb_console.bench.simulated_fleet import Fleet as Simulated
+    from rsb_console.bench.simulated_fleet import SimulatedFleet as Simulated
     from rsb_console.fleet.fleet import FleetSource, Robot
     from rsb_console.session.demo_session import Demo
 
@@ -166,11 +166,11 @@ def simulated(robots: int) -> Iterator[Simulated]:
 
 
 @contextlib.contextmanager
-def seen(running: Simulated) -> Iterator[Fleet]:
+def seen(running: Simulated) -> Iterator[RobotFleet]:
     """Open the fleet as an operator's console does: over Zenoh all engines, otherwise the server's clients."""
     source: FleetSource
     source = ServerFleet("control", running.socket) if running.file is None else ZenohFleet(load_fleet(running.file))
-    shown = Fleet([source], Memory(None), Clock())
+    shown = RobotFleet([source], Memory(None), Clock())
     shown.start()
     try:
         yield shown
@@ -244,7 +244,7 @@ def trouble(running: Simulated, over: Callable[[], bool]) -> bool:
     return troubled
 
 
-def heard(shown: Fleet, engines: int, as_they_are: Callable[[], bool]) -> list[Robot]:
+def heard(shown: RobotFleet, engines: int, as_they_are: Callable[[], bool]) -> list[Robot]:
     """Wait until each engine has reported, and return the robots.
 
     A busy machine keeps robots from publishing, or from answering, for some seconds. So if nothing is meant to be

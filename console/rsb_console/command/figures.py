@@ -75,7 +75,7 @@ class Figures:
         return f"{text}, dropped: {formats.hertz(self.dropped / self.seconds)} Hz" if self.dropped else text
 
 
-class Window:
+class SnapshotWindow:
     """The last snapshots of one topic.
 
     Args:
@@ -153,7 +153,7 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
             print_line(_where(route, other_side(engine, route.link)))
             sys.stdout.flush()
         ends = None if arguments.lasts is None else time.monotonic() + arguments.lasts
-        window, printed, messages = Window(arguments.window), 0, 0
+        window, printed, messages = SnapshotWindow(arguments.window), 0, 0
         moment = 0.0
         due = time.monotonic()
         while (arguments.count is None or printed < arguments.count) and (ends is None or due <= ends):
@@ -174,7 +174,7 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
 
 def measured(engine: RemoteEngine, route: RouteSnapshot, seconds: float) -> Figures | None:
     """Take figures of a topic over some seconds, or None if its bridge has no newer snapshots of it."""
-    window, ends = Window(round(seconds) + 1), time.monotonic() + seconds + 1
+    window, ends = SnapshotWindow(round(seconds) + 1), time.monotonic() + seconds + 1
     first = engine.snapshot()
     if (route_first := _same_route(first, route)) is None:
         return None

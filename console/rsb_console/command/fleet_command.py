@@ -23,7 +23,7 @@ from rsb_console.command.formatting import json_line
 from rsb_console.command.remote_arguments import IN_FLEET
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
 from rsb_console.command.target import NoBridgeError, UsageError, agreed, chosen_bridge, fleet_file, reported
-from rsb_console.fleet.fleet import Fleet, Memory, UnknownRobotError, memory_path
+from rsb_console.fleet.fleet import Memory, RobotFleet, UnknownRobotError, memory_path
 from rsb_console.fleet.rolling import Rollout, names_of, report, said, way_back
 from rsb_console.fleet.server_source import ServerFleet
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from rsb_console.fleet.fleet import FleetSource, Robot
-    from rsb_console.fleet.rolling import Outcome, Step
+    from rsb_console.fleet.rolling import RobotChange, RolloutOutcome
 
 _LOOK_EVERY = 0.5
 
@@ -94,14 +94,14 @@ def sources_of(arguments: Namespace) -> list[FleetSource]:
 
 
 @contextlib.contextmanager
-def _fleet(arguments: Namespace, *, wait: bool = True) -> Iterator[Fleet]:
+def _fleet(arguments: Namespace, *, wait: bool = True) -> Iterator[RobotFleet]:
     """Open the fleet that the arguments name, for the duration of a block.
 
     Args:
         arguments: arguments of the command.
         wait: until the robots have said how they are.
     """
-    fleet = Fleet(sources_of(arguments), Memory(memory_path()), Clock())
+    fleet = RobotFleet(sources_of(arguments), Memory(memory_path()), Clock())
     fleet.start()
     try:
         if wait:
@@ -255,7 +255,7 @@ def _plain(line: str) -> object:
     return parsed
 
 
-def _chosen(fleet: Fleet, arguments: Namespace) -> list[Robot]:
+def _chosen(fleet: RobotFleet, arguments: Namespace) -> list[Robot]:
     """Return the robots that the arguments name; print and skip any that is not connected.
 
     Raises:
@@ -318,27 +318,27 @@ def _interruptible(rollout: Rollout) -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _planned(step: Step) -> dict[str, object]:
+def _planned(step: RobotChange) -> dict[str, object]:
     return {"robot": step.name, "server": step.robot.source.name, "changes": step.changes, "problem": step.problem}
 
 
-def _told(step: Step, what: str) -> None:
+def _told(step: RobotChange, what: str) -> None:
     print_line(f"{step.name}: {what}")
     sys.stdout.flush()
 
 
-def _silent(_: Step, __: str) -> None:
+def _silent(_: RobotChange, __: str) -> None:
     pass
 
 
-def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequence[Step]) -> int:
+def _ended(arguments: Namespace, rollout: Rollout, outcome: RolloutOutcome, steps: Sequence[RobotChange]) -> int:
     """Report the outcome, and undo the change if the operator wants it. Return the exit code."""
     stopped = outcome.failed is not None or bool(outcome.left)
     unreached = [step for step in steps if not step.reached]
     lines = list(report(rollout, outcome)) if stopped else []
     for line in () if arguments.json else lines:
         print_error(line)
-    kept: list[tuple[Step, str]] = []
+    kept: list[tuple[RobotChange, str]] = []
     undone = False
     if stopped and outcome.changed:
         undone = arguments.undo or (

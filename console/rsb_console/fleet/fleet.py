@@ -108,7 +108,7 @@ class Robot(NamedTuple):
         return natural_order(self.summary.name), self.source.name
 
 
-class Fleet:
+class RobotFleet:
     """The robots of some sources. `robots`, `chosen` and `dismiss` may be called from any thread.
 
     Args:

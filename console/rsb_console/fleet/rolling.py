@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.robot_summary import RobotSummary
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.model.snapshot import RouteSnapshot
-    from rsb_console.fleet.fleet import Fleet, Robot
+    from rsb_console.fleet.fleet import Robot, RobotFleet
 
 ANSWERED_WITHIN = 60.0
 PATIENCE = 30.0
@@ -50,7 +50,7 @@ def bridged_by(robot: Robot) -> list[Bridged]:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class RobotChange:
     """The planned change of one robot.
 
     Attributes:
@@ -75,7 +75,7 @@ class Step:
         return self.robot.summary.name
 
     @property
-    def reversed(self) -> Step:
+    def reversed(self) -> RobotChange:
         """The step that restores the earlier values."""
         if self.old is None or self.new is None:
             return self
@@ -89,7 +89,7 @@ class Step:
 
 
 @dataclass
-class Outcome:
+class RolloutOutcome:
     """The progress of a change.
 
     Attributes:
@@ -100,14 +100,14 @@ class Outcome:
         left: robots that are not changed yet.
     """
 
-    done: list[Step] = field(default_factory=list)
-    failed: Step | None = None
+    done: list[RobotChange] = field(default_factory=list)
+    failed: RobotChange | None = None
     why: str = ""
     was_changed: bool = False
-    left: list[Step] = field(default_factory=list)
+    left: list[RobotChange] = field(default_factory=list)
 
     @property
-    def changed(self) -> list[Step]:
+    def changed(self) -> list[RobotChange]:
         """The robots that have the change, the last one first."""
         return [*([self.failed] if self.failed is not None and self.was_changed else []), *reversed(self.done)]
 
@@ -125,7 +125,7 @@ class Rollout:
 
     def __init__(
         self,
-        fleet: Fleet,
+        fleet: RobotFleet,
         robots: Sequence[Robot],
         topic: str,
         keys: Sequence[str],
@@ -140,37 +140,39 @@ class Rollout:
         self.cancelled = False
         """Whether to begin no further robot; set on another thread."""
 
-    def plan(self) -> list[Step]:
+    def plan(self) -> list[RobotChange]:
         """Ask each robot for the effect of the change, without changing it. Cancelling asks no further robot."""
         return [self._planned(robot) for robot in self._robots if not self.cancelled]
 
-    def _planned(self, robot: Robot) -> Step:
+    def _planned(self, robot: Robot) -> RobotChange:
         try:
             engine = robot.source.open(robot.summary.name, read_only=True)
         except EngineError as error:
-            return Step(robot, problem=str(error), reached=False)
+            return RobotChange(robot, problem=str(error), reached=False)
         try:
             return self._step(robot, engine)
         except (TypedError, EngineError) as error:
-            return Step(robot, problem=str(error))
+            return RobotChange(robot, problem=str(error))
         finally:
             engine.stop()
 
-    def _step(self, robot: Robot, engine: EngineApi) -> Step:
+    def _step(self, robot: Robot, engine: EngineApi) -> RobotChange:
         routes = [route for route in engine.snapshot().routes if self.topic in (route.spec.topic, route.topic)]
         if not routes:
             known = [route.spec.topic for route in engine.snapshot().routes]
-            return Step(robot, problem=f"{self.topic} is not bridged{suggestion(self.topic, known)}")
+            return RobotChange(robot, problem=f"{self.topic} is not bridged{suggestion(self.topic, known)}")
         if len(routes) > 1:
-            return Step(robot, problem=f"{self.topic} is bridged {len(routes)} times: edit it on the robot itself")
+            return RobotChange(
+                robot, problem=f"{self.topic} is bridged {len(routes)} times: edit it on the robot itself"
+            )
         old = routes[0].spec
         new = typed_topic(values_of(old), self.keys, engine.session, old)
         if new.identity != old.identity:
-            return Step(robot, problem="its direction cannot change: remove the topic, and add it again")
+            return RobotChange(robot, problem="its direction cannot change: remove the topic, and add it again")
         differs = tuple(changes(old, new))
-        return Step(robot, routes[0].key, old, new if differs else None, differs)
+        return RobotChange(robot, routes[0].key, old, new if differs else None, differs)
 
-    def run(self, steps: Sequence[Step], tell: Callable[[Step, str], None]) -> Outcome:
+    def run(self, steps: Sequence[RobotChange], tell: Callable[[RobotChange, str], None]) -> RolloutOutcome:
         """Change one robot after the other, and stop at the first that gets worse.
 
         Args:
@@ -178,7 +180,7 @@ class Rollout:
             tell: gets each robot and the present action in words.
         """
         left = [step for step in steps if step.new is not None]
-        outcome = Outcome()
+        outcome = RolloutOutcome()
         while left:
             if self.cancelled:
                 outcome.why, outcome.left = "stopped by the operator", left
@@ -200,7 +202,7 @@ class Rollout:
             tell(step, "done")
         return outcome
 
-    def undo(self, outcome: Outcome, tell: Callable[[Step, str], None]) -> list[tuple[Step, str]]:
+    def undo(self, outcome: RolloutOutcome, tell: Callable[[RobotChange, str], None]) -> list[tuple[RobotChange, str]]:
         """Restore the previous settings, the last robot first. Return the robots that failed, with the reasons."""
         failed = []
         for step in outcome.changed:
@@ -211,7 +213,7 @@ class Rollout:
                 failed.append((step, str(error) or "the bridge does not answer"))
         return failed
 
-    def _apply(self, step: Step, topic: Topic | None, *, drop_arm: bool = False) -> None:
+    def _apply(self, step: RobotChange, topic: Topic | None, *, drop_arm: bool = False) -> None:
         """Change a robot's route to a topic.
 
         Args:
@@ -233,7 +235,7 @@ class Rollout:
         finally:
             engine.stop()
 
-    def _worse(self, step: Step, before: RobotSummary) -> str:
+    def _worse(self, step: RobotChange, before: RobotSummary) -> str:
         """Wait until a robot has been as well as before for long enough; return the problem if it has not."""
         assert step.old is not None
         assert step.new is not None
@@ -266,12 +268,12 @@ class Rollout:
         return next(found, robot.summary)
 
 
-def said(step: Step) -> str:
+def said(step: RobotChange) -> str:
     """Describe the change that a step makes."""
     return step.problem or ", ".join(step.changes) or "nothing to change"
 
 
-def report(rollout: Rollout, outcome: Outcome) -> Iterator[str]:
+def report(rollout: Rollout, outcome: RolloutOutcome) -> Iterator[str]:
     """Report where and why a change stopped, and the robots with and without it."""
     if outcome.failed is not None:
         has_it = f"it has {' '.join(rollout.keys)}" if outcome.was_changed else "it is as it was"
@@ -282,7 +284,7 @@ def report(rollout: Rollout, outcome: Outcome) -> Iterator[str]:
     yield f"not begun: {names_of(outcome.left) or 'none'}"
 
 
-def way_back(rollout: Rollout, outcome: Outcome, file: str = "FILE") -> Iterator[str]:
+def way_back(rollout: Rollout, outcome: RolloutOutcome, file: str = "FILE") -> Iterator[str]:
     """Yield the commands that restore the previous settings; `file` is the fleet file, for robots over Zenoh."""
     over = f" --fleet {file}" if any(step.robot.source.kind == "fleet" for step in outcome.changed) else ""
     by_keys: dict[str, list[str]] = {}
@@ -292,5 +294,5 @@ def way_back(rollout: Rollout, outcome: Outcome, file: str = "FILE") -> Iterator
         yield f"to go back: rsb-console fleet edit {' '.join(names)} {rollout.topic} {keys}{over}"
 
 
-def names_of(steps: Sequence[Step]) -> str:
+def names_of(steps: Sequence[RobotChange]) -> str:
     return ", ".join(step.name for step in steps)

@@ -11,7 +11,7 @@ import msgspec
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.summaries import Batteries
-from rsb_bridge.model.commands import AddTopic, History, Reload, Restart, Retry, ShutDown, Stop
+from rsb_bridge.model.commands import AddTopic, History, Reload, Restart, Retry, ShutDownLinks, Stop
 from rsb_bridge.model.robot_summary import LossWindow, of_clients
 
 if TYPE_CHECKING:
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.history import HistoryReport
-    from rsb_bridge.model.robot_summary import Loss, RobotSummary
+    from rsb_bridge.model.robot_summary import LostMessages, RobotSummary
     from rsb_bridge.model.snapshot import Event, Snapshot
 
 
 _CONCERNS_ALL: Final[dict[type, str]] = {
-    ShutDown: "shutting down",
+    ShutDownLinks: "shutting down",
     Restart: "restarting",
     Reload: "reading the session file again",
     Stop: "stopping",
@@ -50,7 +50,7 @@ class ServerFleet:
         self._batteries = Batteries(self._engine)
         self._shown: Snapshot | None = None
         self._robots: list[RobotSummary] = []
-        self._loss: dict[str, Loss] = {}
+        self._loss: dict[str, LostMessages] = {}
 
     @property
     def problem(self) -> str:

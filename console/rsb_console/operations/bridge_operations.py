@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.by_hand import Held
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.console_api import Console
-    from rsb_console.screens.topic_form import Draft
+    from rsb_console.screens.topic_form import TopicDraft
 
 _LINES_SHOWN = 12
 
@@ -205,7 +205,7 @@ class BridgeOperations:
             self._console.notify(OperationText.NO_CLIENT(), severity="warning", markup=False, timeout=8)
             return
 
-        async def add(draft: Draft) -> None:
+        async def add(draft: TopicDraft) -> None:
             now, since = engine.snapshot(), _last_event(engine)
             key = await asyncio.wrap_future(engine.add_topic(draft.topic, draft.link))
             link = draft.link or now.links[0].name
@@ -227,7 +227,7 @@ class BridgeOperations:
         if route is None or engine is None:
             return
 
-        async def edit(draft: Draft) -> None:
+        async def edit(draft: TopicDraft) -> None:
             if draft.topic == route.spec:
                 return
             now, since, new = engine.snapshot(), _last_event(engine), draft.topic

@@ -10,7 +10,7 @@ from textual.binding import Binding
 from textual.containers import Vertical
 from textual.screen import ModalScreen
 
-from rsb_bridge.bluetooth.scan import ANY_ADAPTER, Adapter, Device, Scan, Use, held_channels, scan
+from rsb_bridge.bluetooth.scan import ANY_ADAPTER, Adapter, ChannelUse, Device, Scan, held_channels, scan
 from rsb_console.widgets.form import Notice
 from rsb_console.widgets.lines import Line, LiveLines, fit
 from rsb_console.widgets.selectable_list import SelectableList
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rsb_console.console_api import Console
 
 CHANNELS_A_LINE = 15
-SIGNS = {Use.FREE: ("·", "dim"), Use.BUSY: ("✗", "down"), Use.OWN: ("●", "ok")}
+SIGNS = {ChannelUse.FREE: ("·", "dim"), ChannelUse.BUSY: ("✗", "down"), ChannelUse.OWN: ("●", "ok")}
 
 
 class Machines(SelectableList):
@@ -99,7 +99,7 @@ def _channel_lines(found: Scan) -> Iterator[Line]:
     names = {one.address: one.name for one in found.adapters} | {ANY_ADAPTER: "any"}
     yield (
         ("   CHANNELS    ", "head"),
-        *((piece, look) for use in Use for piece, look in (SIGNS[use], (f" {use.value}  ", "dim"))),
+        *((piece, look) for use in ChannelUse for piece, look in (SIGNS[use], (f" {use.value}  ", "dim"))),
     )
     for address, uses in found.channels.items():
         numbers = list(uses)

@@ -66,7 +66,7 @@ class CallText(Wording):
     ROUTE_GONE = "{sign} it is no longer bridged"
 
 
-class Request(NamedTuple):
+class PlannedCall(NamedTuple):
     """A call that is to be made.
 
     Attributes:
@@ -86,7 +86,7 @@ class Request(NamedTuple):
     sets: bool
 
 
-class Verdict(NamedTuple):
+class CallResult(NamedTuple):
     """The result of a call.
 
     Attributes:
@@ -97,7 +97,7 @@ class Verdict(NamedTuple):
     look: str
 
 
-class CallScreen(FormScreen[Request]):
+class CallScreen(FormScreen[PlannedCall]):
     """Asks for a request, calls once the operator has confirmed, and shows the answer; it stays open for more.
 
     Args:
@@ -115,7 +115,7 @@ class CallScreen(FormScreen[Request]):
         self.console, self._route = console, route
         self._templates: dict[str, str] = {}
         self._answer = ""
-        self._verdict: Verdict | None = None
+        self._verdict: CallResult | None = None
         self._under_way_since: float | None = None
         self._state, self._pane = Notice("call-state"), ScrolledLines(id="answer")
         self._laid_out: tuple[object, ...] = ()
@@ -202,16 +202,16 @@ class CallScreen(FormScreen[Request]):
             found[key] = str(error)
         return found
 
-    def result(self, values: Mapping[str, str]) -> Request:
+    def result(self, values: Mapping[str, str]) -> PlannedCall:
         name = self._route.topic
         if self._lane == _SET:
             made = set_request(values["name"], values["value"])
             means = f"{CallText.VALUE_SENT(where=self._where)}\n{made.meaning}"
-            return Request(_SET_LANE, made.text, f"Set {values['name']} of {name}?", means, "Set", sets=True)
+            return PlannedCall(_SET_LANE, made.text, f"Set {values['name']} of {name}?", means, "Set", sets=True)
         service = f"{self._lane} of {name}" if self._lane else name
         fields = beginning(values["request"]) or CallText.ALL_DEFAULTS()
         means = f"{CallText.REQUEST_SENT(where=self._where)}\n{fields}"
-        return Request(self._lane, values["request"], f"Call {service}?", means, "Call", sets=False)
+        return PlannedCall(self._lane, values["request"], f"Call {service}?", means, "Call", sets=False)
 
     @property
     def _where(self) -> str:
@@ -224,7 +224,7 @@ class CallScreen(FormScreen[Request]):
         self.submit()
 
     @work(group=DIALOG)
-    async def accept(self, result: Request) -> None:
+    async def accept(self, result: PlannedCall) -> None:
         if self._under_way_since is not None:
             self.notify(CallText.STILL_CALLING(), timeout=3)
         elif await self.console.ask(GuardedConfirmScreen(result.question, result.means, result.yes)):
@@ -232,7 +232,7 @@ class CallScreen(FormScreen[Request]):
             self._call(result)
 
     @work(group="call")
-    async def _call(self, request: Request) -> None:
+    async def _call(self, request: PlannedCall) -> None:
         """Wait for the answer. Closing the form ends the wait, but not the call."""
         began = self._under_way_since = time.monotonic()
         self._set_answer("", None)
@@ -241,22 +241,22 @@ class CallScreen(FormScreen[Request]):
                 raise EngineError("no session runs")
             answer = await asyncio.wrap_future(self.console.engine.call(self._route.key, request.text, request.lane))
         except EngineError as error:
-            self._set_answer("", Verdict(f"{FAILED} {_clean(str(error))}", "down"))
+            self._set_answer("", CallResult(f"{FAILED} {_clean(str(error))}", "down"))
         else:
             report = answered(self._route, time.monotonic() - began)
             refused = refusal(answer) if request.sets else None
             if refused is not None:
                 refusal_text = CallText.VALUE_REFUSED(sign=FAILED, report=report, why=_clean(refused))
-                self._set_answer(answer, Verdict(refusal_text, "down"))
+                self._set_answer(answer, CallResult(refusal_text, "down"))
             else:
                 done = CallText.VALUE_SET if request.sets else CallText.ANSWERED
-                self._set_answer(answer, Verdict(_clean(done(sign=DONE, report=report)), "ok"))
+                self._set_answer(answer, CallResult(_clean(done(sign=DONE, report=report)), "ok"))
         finally:
             self._under_way_since = None
         self._draw()
         self._pane.scroll_home(animate=False)
 
-    def _set_answer(self, answer: str, verdict: Verdict | None) -> None:
+    def _set_answer(self, answer: str, verdict: CallResult | None) -> None:
         self._answer, self._verdict = answer, verdict
         self._draw()
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import Event, Snapshot
     from rsb_console.console_api import Console
-    from rsb_console.session.client_files import Changed
+    from rsb_console.session.client_files import ChangedFile
 
 _BETWEEN = re.compile(r"[\s,]+")
 PREFIXES = (("", "as the server's"), ("yes", "yes"), ("no", "no"))
@@ -77,7 +77,7 @@ class _ClientChange(Change):
     listed: Client
     running: Client
 
-    def _change_file(self, change: Callable[[], Changed]) -> None:
+    def _change_file(self, change: Callable[[], ChangedFile]) -> None:
         """Change the session file.
 
         Raises:
@@ -230,7 +230,7 @@ def _saved_path(console: Console) -> Path | None:
     return console.path
 
 
-def _remember(console: Console, changed: Changed, *, is_known: bool) -> None:
+def _remember(console: Console, changed: ChangedFile, *, is_known: bool) -> None:
     """Continue with the changed file; if others changed it, too, the next save still reports that."""
     if is_known:
         console.saved_to(changed.file.session, changed.file.path)
@@ -300,7 +300,7 @@ class HandoutScreen(ModalScreen[None]):
 
     BINDINGS: ClassVar = [Binding("escape,q,enter", "dismiss", show=False), Binding("y", "copy", show=False)]
 
-    def __init__(self, title: str, handed: Sequence[Changed]) -> None:
+    def __init__(self, title: str, handed: Sequence[ChangedFile]) -> None:
         super().__init__()
         self._title = title
         self._handed = handed
@@ -313,7 +313,7 @@ class HandoutScreen(ModalScreen[None]):
                     yield Static(self._about(changed), markup=False)
             yield Static("y copy the session files   ↑ ↓ scroll   esc close", classes="hint keys")
 
-    def _about(self, changed: Changed) -> str:
+    def _about(self, changed: ChangedFile) -> str:
         mark = "" if changed.key is None else f"key {changed.key_path}, fingerprint {fingerprint(changed.key)}\n"
         advice = client_files.copy_advice(changed.client, changed.key_path)
         return f"{_robot_text(changed)}\n{mark}For {changed.client.name}: {advice}.\n"
@@ -323,5 +323,5 @@ class HandoutScreen(ModalScreen[None]):
         self.notify("the session files are copied", timeout=3)
 
 
-def _robot_text(changed: Changed) -> str:
+def _robot_text(changed: ChangedFile) -> str:
     return client_files.robot_file(changed.file.session, changed.client)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_console.console_api import ConsoleShell
-    from rsb_console.fleet.fleet import Fleet, Robot
+    from rsb_console.fleet.fleet import Robot, RobotFleet
     from rsb_console.widgets.selectable_list import SelectableList
 
 _NAMED = 5
@@ -46,7 +46,7 @@ class FleetScreen(Screen[None]):
     def __init__(
         self,
         console: ConsoleShell,
-        fleet: Fleet,
+        fleet: RobotFleet,
         view: FleetView,
         open_robot: Callable[[Robot], None],
         change_rate: Callable[[int], None],

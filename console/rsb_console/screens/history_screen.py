@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.history import HistoryReport, Track
     from rsb_console.console_api import Console
-    from rsb_console.widgets.filter import Pattern
+    from rsb_console.widgets.filter import RowFilter
 
 SPANS = (3600.0, 8 * 3600.0, 24 * 3600.0)
 _RENEWED_EVERY = 5.0
@@ -52,7 +52,7 @@ class HistoryText(Wording):
     OUTAGES_LEFT_OUT = "at least {more}, dropped for lack of room"
 
 
-class Row(NamedTuple):
+class HistoryRow(NamedTuple):
     """One event or outage.
 
     Attributes:
@@ -83,11 +83,11 @@ class Row(NamedTuple):
         return f"{self.robot} {self.topic} {self.state} {self.text}"
 
 
-def rows_of(report: HistoryReport) -> list[Row]:
+def rows_of(report: HistoryReport) -> list[HistoryRow]:
     """Return the events and outages, newest first. An outage that only followed its link's has no row of its own."""
     tracks = {each.subject: each for each in report.tracks}
     rows = [
-        Row(
+        HistoryRow(
             f"{each.link}{history_report.what(each)}{each.start:.0f}", each.start,
             f"{history_report.length(each.seconds)}{' …' if each.ongoing else ''}", each.link,
             history_report.what(each),
@@ -97,12 +97,12 @@ def rows_of(report: HistoryReport) -> list[Row]:
         for each in history_report.own(report.outages)
     ]  # fmt: skip
     rows += [
-        Row(f"event{each.time}{each.text}", each.time, "", each.link, each.topic,
+        HistoryRow(f"event{each.time}{each.text}", each.time, "", each.link, each.topic,
             history_report.who(each), "key", history_report.did(each), None)
         for each in report.actions
     ]  # fmt: skip
     rows += [
-        Row(f"gap{gap.start:.0f}", gap.start, history_report.length(gap.seconds), "", "", "unknown", "dim",
+        HistoryRow(f"gap{gap.start:.0f}", gap.start, history_report.length(gap.seconds), "", "", "unknown", "dim",
             HistoryText.GAP(), None)
         for gap in report.gaps
     ]  # fmt: skip
@@ -114,16 +114,16 @@ class HistoryTable(SelectableList):
 
     def __init__(self) -> None:
         super().__init__(id="history")
-        self._rows: dict[str, Row] = {}
+        self._rows: dict[str, HistoryRow] = {}
         self._now = 0.0
 
-    def show(self, rows: list[Row], now: float) -> None:
+    def show(self, rows: list[HistoryRow], now: float) -> None:
         self._now = now
         self._rows = {row.key: row for row in rows}
         self.show_keys(list(self._rows))
 
     @property
-    def selected(self) -> Row | None:
+    def selected(self) -> HistoryRow | None:
         return None if self.cursor_key is None else self._rows.get(self.cursor_key)
 
     def line(self, index: int) -> Line:
@@ -185,7 +185,7 @@ class HistoryScreen(ModalScreen[None]):
         self.console = console
         self.summary, self.table, self.detail = Lines(id="history-summary"), HistoryTable(), Lines(id="history-detail")
         self.prompt = Prompt()
-        self.pattern: Pattern | None = None
+        self.pattern: RowFilter | None = None
         self._span = SPANS[0]
         self._by_topic = False
         self._report: HistoryReport | None = None
@@ -239,7 +239,7 @@ class HistoryScreen(ModalScreen[None]):
         self.table.show(rows, report.time)
         self._show_detail()
 
-    def _totals(self, report: HistoryReport, rows: list[Row]) -> Iterator[Line]:
+    def _totals(self, report: HistoryReport, rows: list[HistoryRow]) -> Iterator[Line]:
         if self._problem:
             yield ((self._problem, "down"),)
         lines = history_report.totals(report)
@@ -310,7 +310,7 @@ def _state_words(state: str) -> str:
     return state.upper() if known is None else f"{STATE_SIGN[known]} {STATE_WORD[known]}"
 
 
-def _detail(row: Row, width: int, span: float) -> Iterator[Line]:
+def _detail(row: HistoryRow, width: int, span: float) -> Iterator[Line]:
     """Yield the whole text, and the rate over the span."""
     whole = textwrap.wrap(row.text, max(20, width - _LABEL)) or [""]
     for number, line in enumerate(whole[:_DETAIL_LINES]):

@@ -17,7 +17,7 @@ from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.worker import VIEWS
 from rsb_console.screens.dialog import Dialog
-from rsb_console.widgets.filter import Pattern
+from rsb_console.widgets.filter import RowFilter
 from rsb_console.widgets.picker import Suggestion, SuggestionList
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ _ASKED_EVERY = 3.0
 _LAYERS = {"sensor_msgs/msg/LaserScan", "tf2_msgs/msg/TFMessage"}
 
 
-class LookText(Wording):
+class LookScreenText(Wording):
     """Texts of the screen."""
 
     ASKING = "asking both sides …"
@@ -121,8 +121,8 @@ class LookScreen(ModalScreen[Subject]):
     @on(Input.Changed)
     def _list(self) -> None:
         problems = "".join(f"; {problem}" for problem in self._problems)
-        empty = LookText.ASKING() if self._asking else LookText.NOTHING(problems=problems)
-        self.list.show(list(self._suggestions()), Pattern.or_plain(self.text.value), escape_text(empty))
+        empty = LookScreenText.ASKING() if self._asking else LookScreenText.NOTHING(problems=problems)
+        self.list.show(list(self._suggestions()), RowFilter.or_plain(self.text.value), escape_text(empty))
 
     def _suggestions(self) -> Iterator[Suggestion]:
         found = [
@@ -137,7 +137,7 @@ class LookScreen(ModalScreen[Subject]):
             layers = (each.topic for each in self._found[side] if is_layer(each.type_name) and each.publishers)
             others = tuple(topic for topic in layers if topic != info.topic)
             self._subjects[key] = Subject((info.topic,), side, info.type_name, others)
-            shown = escape_text(other_side(role, side) if side else LookText.HERE())[: _SIDE - 1]
+            shown = escape_text(other_side(role, side) if side else LookScreenText.HERE())[: _SIDE - 1]
             line: Line = (
                 (f"{escape_text(info.topic):<{_TOPIC}} ", ""),
                 (f"{shown:<{_SIDE}}", "dim"),

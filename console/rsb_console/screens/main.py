@@ -19,7 +19,7 @@ from rsb_console.actions import ACTIONS, BY_ID, Group, bindings
 from rsb_console.look import formats
 from rsb_console.look.formats import PatternRow
 from rsb_console.screens.dialog import Dialog
-from rsb_console.widgets.bars import KeyBar, KeyEntry, StatusBar, View, state_counts, warning_count
+from rsb_console.widgets.bars import BarState, KeyBar, KeyEntry, StatusBar, state_counts, warning_count
 from rsb_console.widgets.columns import is_armed
 from rsb_console.widgets.detail import DetailPane
 from rsb_console.widgets.fault_pane import Fault, FaultLines, MoreKeys, faults_of
@@ -148,14 +148,14 @@ class MainScreen(Screen[None]):
         self._frozen_since = None
         self.log_pane.clear()
 
-    def _view(self, snapshot: Snapshot) -> View:
+    def _view(self, snapshot: Snapshot) -> BarState:
         session = "" if self.console.path is None else self.console.path.stem
         console, engine = self.console, self.console.engine
         way_on = "" if snapshot.running or engine is None else self._way_on()
         lost = "" if engine is None or not engine.unreachable else f"✗ NOT ATTACHED: {engine.unreachable}"
         attached = bool(console.attached_to)
         note = console.note or lost
-        return View(
+        return BarState(
             session, console.refresh_rate, self._frozen_since, console.readonly, note, way_on, attached=attached
         )
 

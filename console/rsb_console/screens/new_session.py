@@ -19,7 +19,15 @@ from rsb_console.screens.clients_screen import HandoutScreen, words
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.screens.save_screens import save_asking
-from rsb_console.screens.session_files import FileText, Opened, is_file, is_path, no_suggestion, suggestions, yaml_files
+from rsb_console.screens.session_files import (
+    FileText,
+    OpenedFile,
+    is_file,
+    is_path,
+    no_suggestion,
+    suggestions,
+    yaml_files,
+)
 from rsb_console.session.client_files import handed_out, key_file_name
 from rsb_console.session.saving import path_problem
 from rsb_console.terminal.input_queue import DIALOG
@@ -253,7 +261,7 @@ def _key_problem(path: Path) -> str:
     return ""
 
 
-class ImportScreen(FormScreen[Opened]):
+class ImportScreen(FormScreen[OpenedFile]):
     """A form that imports and saves a session, and returns it if it should run.
 
     Args:
@@ -325,12 +333,12 @@ class ImportScreen(FormScreen[Opened]):
             return {key: _few(lines) for key, lines in problems.items()}
         return {}
 
-    def result(self, values: Mapping[str, str]) -> Opened:
+    def result(self, values: Mapping[str, str]) -> OpenedFile:
         assert self._made is not None
-        return Opened(self._made, typed_path(values["path"]))
+        return OpenedFile(self._made, typed_path(values["path"]))
 
     @work(group=DIALOG)
-    async def accept(self, result: Opened) -> None:
+    async def accept(self, result: OpenedFile) -> None:
         """Save the session, show the differences, and ask whether to run it."""
         if await save_asking(self.console, result.session, result.path):
             summary = "\n".join(

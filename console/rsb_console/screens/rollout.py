@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_console.console_api import ConsoleShell
-    from rsb_console.fleet.fleet import Fleet, Robot
-    from rsb_console.fleet.rolling import Bridged, Outcome, Step
+    from rsb_console.fleet.fleet import Robot, RobotFleet
+    from rsb_console.fleet.rolling import Bridged, RobotChange, RolloutOutcome
 
 _NAME, _COUNT, _RATE, _TYPE = (18, 40), 16, 14, 20
 """Cells of a topic's columns; the name gets the rest of the line, within bounds."""
@@ -269,7 +269,7 @@ def _value_line(value: str, label: str, _width: int) -> Line:
     return (*padded(value, _KEY, "strong"), (label, "dim")) if value else ((label, "strong"),)
 
 
-class Phase(Enum):
+class RolloutPhase(Enum):
     TYPING = auto()
     PLANNING = auto()
     ASKING = auto()
@@ -278,11 +278,11 @@ class Phase(Enum):
 
 
 _KEYS = {
-    Phase.TYPING: "↑ ↓ ⏎ pick   ⏎ on a whole change: show its effect   esc close",
-    Phase.PLANNING: "looking …   esc close",
-    Phase.ASKING: "y change them, one after the other   esc back",
-    Phase.RUNNING: "esc stop after this robot",
-    Phase.ENDED: "esc close",
+    RolloutPhase.TYPING: "↑ ↓ ⏎ pick   ⏎ on a whole change: show its effect   esc close",
+    RolloutPhase.PLANNING: "looking …   esc close",
+    RolloutPhase.ASKING: "y change them, one after the other   esc back",
+    RolloutPhase.RUNNING: "esc stop after this robot",
+    RolloutPhase.ENDED: "esc close",
 }
 
 
@@ -301,12 +301,14 @@ class RolloutScreen(ModalScreen[None]):
     ]
     AUTO_FOCUS = "ChangeField Input"
 
-    def __init__(self, console: ConsoleShell, fleet: Fleet, robots: Sequence[Robot], settle: float = SETTLE) -> None:
+    def __init__(
+        self, console: ConsoleShell, fleet: RobotFleet, robots: Sequence[Robot], settle: float = SETTLE
+    ) -> None:
         super().__init__()
         self.console, self._fleet, self._robots, self._settle = console, fleet, robots, settle
-        self.phase = Phase.TYPING
-        self.outcome: Outcome | None = None
-        self.steps: list[Step] = []
+        self.phase = RolloutPhase.TYPING
+        self.outcome: RolloutOutcome | None = None
+        self.steps: list[RobotChange] = []
         self._rollout: Rollout | None = None
         self._marks: dict[str, str] = {}
         self._put_back: set[str] = set()
@@ -323,7 +325,7 @@ class RolloutScreen(ModalScreen[None]):
             self._change,
             Static("", id="problem", classes="problem", markup=False),
             self._lines,
-            keys=_KEYS[Phase.TYPING],
+            keys=_KEYS[RolloutPhase.TYPING],
         )
 
     def on_mount(self) -> None:
@@ -354,12 +356,12 @@ class RolloutScreen(ModalScreen[None]):
 
     # -- phases -------------------------------------------------------------------------------------------------------
 
-    def _enter(self, phase: Phase) -> None:
+    def _enter(self, phase: RolloutPhase) -> None:
         self.phase = phase
-        can_undo = phase is Phase.ENDED and self.outcome is not None and bool(self.outcome.changed)
+        can_undo = phase is RolloutPhase.ENDED and self.outcome is not None and bool(self.outcome.changed)
         failed = can_undo and self.outcome is not None and bool(self.outcome.failed or self.outcome.left)
         self.query_one(".keys", Static).update(_CAN_UNDO if failed else _KEYS[phase])
-        self._change.list.display = phase is Phase.TYPING
+        self._change.list.display = phase is RolloutPhase.TYPING
         self._show()
 
     @on(Field.Changed)
@@ -374,7 +376,7 @@ class RolloutScreen(ModalScreen[None]):
     def _picked(self, event: PickField.Picked) -> None:
         """Continue the change with a picked suggestion; show the effect of a whole change."""
         event.stop()
-        if self.phase is not Phase.TYPING:
+        if self.phase is not RolloutPhase.TYPING:
             return
         if event.suggestion is not None:
             self._change.put(event.suggestion)
@@ -395,21 +397,21 @@ class RolloutScreen(ModalScreen[None]):
 
     @work(exclusive=True, exit_on_error=False)
     async def _plan(self, rollout: Rollout) -> None:
-        self._enter(Phase.PLANNING)
+        self._enter(RolloutPhase.PLANNING)
         self.steps = await asyncio.to_thread(rollout.plan)
         self._marks, self._put_back, self._below = {}, set(), []
         if any(step.new is not None for step in self.steps):
             self.set_focus(self._lines)
-            self._enter(Phase.ASKING)
+            self._enter(RolloutPhase.ASKING)
         else:
-            self._enter(Phase.TYPING)
+            self._enter(RolloutPhase.TYPING)
 
     @work(exclusive=True, exit_on_error=False)
     async def action_apply(self) -> None:
         """Change one robot after the other."""
-        if self.phase is not Phase.ASKING or self._rollout is None:
+        if self.phase is not RolloutPhase.ASKING or self._rollout is None:
             return
-        self._enter(Phase.RUNNING)
+        self._enter(RolloutPhase.RUNNING)
         self.outcome = await asyncio.to_thread(self._rollout.run, self.steps, self._tell)
         outcome = self.outcome
         if outcome.failed is not None:
@@ -418,14 +420,19 @@ class RolloutScreen(ModalScreen[None]):
             self._below = [*report(self._rollout, outcome), *way_back(self._rollout, outcome)]
         else:
             self._below = [f"done on {formats.counted(len(outcome.done), 'robot')}"]
-        self._enter(Phase.ENDED)
+        self._enter(RolloutPhase.ENDED)
 
     @work(exclusive=True, exit_on_error=False)
     async def action_undo(self) -> None:
         """Undo the change on all robots that have it."""
-        if self.phase is not Phase.ENDED or self._rollout is None or self.outcome is None or not self.outcome.changed:
+        if (
+            self.phase is not RolloutPhase.ENDED
+            or self._rollout is None
+            or self.outcome is None
+            or not self.outcome.changed
+        ):
             return
-        self._enter(Phase.RUNNING)
+        self._enter(RolloutPhase.RUNNING)
         failed = await asyncio.to_thread(self._rollout.undo, self.outcome, self._tell)
         names = join_first([step.name for step in self.outcome.changed], _NAMED)
         not_back = {step.robot.key for step, _ in failed}
@@ -435,35 +442,35 @@ class RolloutScreen(ModalScreen[None]):
         self._put_back = {step.robot.key for step in self.outcome.changed} - not_back
         self._below = [f"{step.name}: not restored: {why}" for step, why in failed] or [f"restored on {names}"]
         self.outcome = None
-        self._enter(Phase.ENDED)
+        self._enter(RolloutPhase.ENDED)
 
-    def _tell(self, step: Step, what: str) -> None:
+    def _tell(self, step: RobotChange, what: str) -> None:
         """Report an action; called on another thread."""
         self.app.call_later(self._told, step.robot.key, what)
 
     def _told(self, key: str, what: str) -> None:
-        if self.is_mounted and self.phase is Phase.RUNNING:
+        if self.is_mounted and self.phase is RolloutPhase.RUNNING:
             self._marks[key] = what
             self._show()
 
     def action_leave(self) -> None:
         """Close the screen; while robots change, stop after the present one; before that, return to typing."""
-        if self.phase is Phase.RUNNING:
+        if self.phase is RolloutPhase.RUNNING:
             if self._rollout is not None:
                 self._rollout.cancelled = True
-        elif self.phase is Phase.ASKING:
+        elif self.phase is RolloutPhase.ASKING:
             self.steps = []
             self.set_focus(self._change.control)
-            self._enter(Phase.TYPING)
+            self._enter(RolloutPhase.TYPING)
         else:
             self.dismiss()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Leave letters to the input while the operator types (Textual's)."""
         if action == "apply":
-            return self.phase is Phase.ASKING
+            return self.phase is RolloutPhase.ASKING
         if action == "undo":
-            return self.phase is Phase.ENDED
+            return self.phase is RolloutPhase.ENDED
         return super().check_action(action, parameters)
 
     # -- what is shown ------------------------------------------------------------------------------------------------
@@ -475,12 +482,12 @@ class RolloutScreen(ModalScreen[None]):
         self._lines.styles.height = min(len(lines), max(3, self.size.height - 12))
         self._lines.show(lines)
 
-    def _line(self, step: Step) -> Line:
+    def _line(self, step: RobotChange) -> Line:
         mark = self._marks.get(step.robot.key, "")
         sign, look = {
             "": (" ", ""), "done": (DONE, "ok"), "failed": (FAILED, "down"),
         }.get(mark, (UNDER_WAY, "waiting"))  # fmt: skip
         text = said(step.reversed if step.robot.key in self._put_back else step)
-        doing = f"  {mark} …" if mark and look == "waiting" and self.phase is Phase.RUNNING else ""
+        doing = f"  {mark} …" if mark and look == "waiting" and self.phase is RolloutPhase.RUNNING else ""
         of_text = "stale" if step.problem else "" if step.new is not None else "dim"
         return ((f"{sign} ", look), (f"{step.name:<14} ", "strong"), (text, of_text), (doing, "waiting"))

@@ -85,7 +85,7 @@ def remember(path: Path) -> None:
     replace_file(recents_path(), "".join(f"{each}\n" for each in newest).encode())
 
 
-class Opened(NamedTuple):
+class OpenedFile(NamedTuple):
     session: Session
     path: Path
 
@@ -128,7 +128,7 @@ def no_suggestion(text: str) -> str:
     return FileText.NOT_FOUND()
 
 
-class SessionsScreen(FormScreen[Opened | str]):
+class SessionsScreen(FormScreen[OpenedFile | str]):
     """Open a session, or choose another action, whose id it then returns.
 
     Args:
@@ -176,11 +176,11 @@ class SessionsScreen(FormScreen[Opened | str]):
         picked = self._field.picked
         return values["path"] if picked is None else picked.value
 
-    def accept(self, result: Opened | str) -> None:
+    def accept(self, result: OpenedFile | str) -> None:
         """Load the session; show its mistakes here, with the lines."""
         path = typed_path(str(result))
         try:
-            self.dismiss(Opened(load(path), path))
+            self.dismiss(OpenedFile(load(path), path))
         except SessionError as error:
             self.form.show_problems({"path": str(error)})
 

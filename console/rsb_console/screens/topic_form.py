@@ -165,7 +165,7 @@ def _protocol(kind: Kind, session: Session, *, has_radio: bool) -> Spec:
     return Spec("protocol", "Protocol", f"{meaning}{radio}.", options=tuple(carriers))
 
 
-class Draft(NamedTuple):
+class TopicDraft(NamedTuple):
     """The result of the form.
 
     Attributes:
@@ -176,7 +176,7 @@ class Draft(NamedTuple):
     link: str
 
 
-class TopicScreen(FormScreen[Draft]):
+class TopicScreen(FormScreen[TopicDraft]):
     """The form of a topic, a service, an action or a node's parameters.
 
     Args:
@@ -188,7 +188,7 @@ class TopicScreen(FormScreen[Draft]):
     BINDINGS: ClassVar = [Binding("f8", "unfold", show=False)]
 
     def __init__(
-        self, engine: EngineApi, do: Callable[[Draft], Awaitable[object]], route: RouteSnapshot | None = None
+        self, engine: EngineApi, do: Callable[[TopicDraft], Awaitable[object]], route: RouteSnapshot | None = None
     ) -> None:
         self._engine, self._do, self._route = engine, do, route
         now = engine.snapshot()
@@ -273,7 +273,7 @@ class TopicScreen(FormScreen[Draft]):
         cost = cost_of(now, draft.link, draft.topic, type_name=known or self._type_of(draft), replaces=replaces)
         return describe_cost(cost, now.time) if cost.load.source is not LoadSource.UNKNOWN else ()
 
-    def _type_of(self, draft: Draft) -> str:
+    def _type_of(self, draft: TopicDraft) -> str:
         """Return the type in the sending side's graph, or an empty string."""
         sends_here = (draft.topic.direction == "receive") == (self._engine.session.role == "server")
         found = self._found.get(None if sends_here else draft.link, ())
@@ -286,12 +286,12 @@ class TopicScreen(FormScreen[Draft]):
         renamed = {"direction": "provider"} if self._kind != "topic" else {}
         return {renamed.get(key, key): message for key, message in found.items()}
 
-    def result(self, values: Mapping[str, str]) -> Draft:
+    def result(self, values: Mapping[str, str]) -> TopicDraft:
         given = {key: value for key, value in values.items() if key != "link"}
-        return Draft(topic_of({"kind": self._kind, **given}), self._link)
+        return TopicDraft(topic_of({"kind": self._kind, **given}), self._link)
 
     @work(group=DIALOG)
-    async def accept(self, result: Draft) -> None:
+    async def accept(self, result: TopicDraft) -> None:
         """Add or change the topic. If the engine refuses, show the reason in the form."""
         try:
             await self._do(result)

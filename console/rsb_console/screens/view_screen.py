@@ -42,7 +42,7 @@ from rsb_console.screens.dialog import FullScreen
 from rsb_console.screens.drive_screen import drive, why_not_driven
 from rsb_console.screens.look_screen import is_map
 from rsb_console.screens.publish_screen import Message, PublishScreen
-from rsb_console.session.by_hand import POSE, Goal
+from rsb_console.session.manual_messages import POSE, Goal
 from rsb_console.session.picture_files import formats_of, picture_file
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil

@@ -61,7 +61,7 @@ class RobotFileText(Wording):
     COPY = "copy with `scp {files} USER@ROBOT:`"
 
 
-class Changed(NamedTuple):
+class ChangedFile(NamedTuple):
     """A changed session file of a server.
 
     Attributes:
@@ -108,7 +108,7 @@ def key_path_of(file: SessionFile, client: Client) -> Path | None:
     return None if name is None or not file.session.use_encryption else key_path(file.path.parent, name)
 
 
-def add_client(path: Path, client: Client) -> Changed:
+def add_client(path: Path, client: Client) -> ChangedFile:
     """Add a client to a server's session file, and create its key.
 
     Args:
@@ -135,7 +135,7 @@ def add_client(path: Path, client: Client) -> Changed:
         give_owner(key_at, path)  # the server's user has to read it
     try:
         _check_key_of_its_own(file, session, client, key)
-        return Changed(save(session, path, file), client, key_at, key)
+        return ChangedFile(save(session, path, file), client, key_at, key)
     except BaseException:
         if is_new and key_at is not None:
             key_at.unlink()
@@ -157,7 +157,7 @@ def _check_key_of_its_own(file: SessionFile, session: Session, client: Client, k
         raise ClientError(problem)
 
 
-def remove_client(path: Path, name: str) -> Changed:
+def remove_client(path: Path, name: str) -> ChangedFile:
     """Remove a client from a server's session file. Its key file stays.
 
     Raises:
@@ -167,10 +167,10 @@ def remove_client(path: Path, name: str) -> Changed:
     file = open_server(path)
     client = client_named(file.session, name)
     saved = save(without_client(file.session, name), path, file)
-    return Changed(saved, client, key_path_of(file, client), None)
+    return ChangedFile(saved, client, key_path_of(file, client), None)
 
 
-def rekey_client(path: Path, name: str) -> Changed:
+def rekey_client(path: Path, name: str) -> ChangedFile:
     """Create a new key for a client of a server's session file; all its earlier keys become invalid.
 
     A client that shared a key gets one of its own. A next key that it had is given up.
@@ -190,7 +190,7 @@ def rekey_client(path: Path, name: str) -> Changed:
         if client.next_key_file is not None:
             client = msgspec.structs.replace(client, next_key_file=None)
             file = save(with_changed_client(file.session, client), path, file)
-        return Changed(file, client, key_at, write_key(key_at, force=True))
+        return ChangedFile(file, client, key_at, write_key(key_at, force=True))
     renewed = msgspec.structs.replace(client, key_file=free_key_file(path.parent, name), next_key_file=None)
     key_at = key_path_of(file, renewed)
     assert key_at is not None
@@ -198,7 +198,7 @@ def rekey_client(path: Path, name: str) -> Changed:
     edited_text(session, path, file)  # before there is a key
     key = write_key(key_at)
     give_owner(key_at, path)
-    return Changed(save(session, path, file), renewed, key_at, key)
+    return ChangedFile(save(session, path, file), renewed, key_at, key)
 
 
 def key_places(file: SessionFile, client: Client) -> list[Path]:
@@ -229,10 +229,10 @@ def free_key_file(folder: Path, name: str) -> str:
 # --- what the robot needs
 
 
-def handed_out(file: SessionFile) -> list[Changed]:
+def handed_out(file: SessionFile) -> list[ChangedFile]:
     """Return the client's entry and key for each client of a server."""
     places = [(client, key_path_of(file, client)) for client in file.session.accepted_clients]
-    return [Changed(file, client, key_at, fingerprint_or_problem(key_at)[0]) for client, key_at in places]
+    return [ChangedFile(file, client, key_at, fingerprint_or_problem(key_at)[0]) for client, key_at in places]
 
 
 def split_address(address: str) -> tuple[str, int | None]:
@@ -338,7 +338,7 @@ def fingerprint_or_problem(key_at: Path | None) -> tuple[Key | None, str]:
         return None, str(error)
 
 
-def begin_rotation(path: Path, name: str) -> Changed:
+def begin_rotation(path: Path, name: str) -> ChangedFile:
     """Create a client's next key, valid together with the present one. Return the next key.
 
     Raises:
@@ -362,13 +362,13 @@ def begin_rotation(path: Path, name: str) -> Changed:
     key = write_key(key_at)
     try:
         give_owner(key_at, path)
-        return Changed(save(session, path, file), renewed, key_at, key)
+        return ChangedFile(save(session, path, file), renewed, key_at, key)
     except BaseException:
         key_at.unlink()
         raise
 
 
-def finish_rotation(path: Path, name: str) -> Changed:
+def finish_rotation(path: Path, name: str) -> ChangedFile:
     """Replace a client's old key by the next one, in the same file. Return that key.
 
     The old key's file is replaced first. If this ends before the session is saved, both files hold the new key, and it
@@ -399,4 +399,4 @@ def finish_rotation(path: Path, name: str) -> Changed:
     saved = save(session, path, file)
     if not is_shared:
         following.unlink(missing_ok=True)
-    return Changed(saved, renewed, following if is_shared else current, key)
+    return ChangedFile(saved, renewed, following if is_shared else current, key)

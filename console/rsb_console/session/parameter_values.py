@@ -13,7 +13,7 @@ from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.wording import Wording
 
 
-class Kind(NamedTuple):
+class ParameterKind(NamedTuple):
     """A type of parameter.
 
     Attributes:
@@ -32,7 +32,7 @@ class Kind(NamedTuple):
 
 
 KINDS = tuple(
-    Kind(number, name, words)
+    ParameterKind(number, name, words)
     for number, (name, words) in enumerate(
         (
             ("bool", "bool"),
@@ -113,7 +113,7 @@ def _node(value: str) -> yaml.Node:
     return node
 
 
-def _meant(node: yaml.Node, kind: str) -> tuple[Kind, Any]:
+def _meant(node: yaml.Node, kind: str) -> tuple[ParameterKind, Any]:
     if kind == "string" and isinstance(node, yaml.ScalarNode):
         return _NAMED[kind], str(node.value)  # `5`, too, and `true`
     plain = _plain(node)
@@ -127,7 +127,7 @@ def _meant(node: yaml.Node, kind: str) -> tuple[Kind, Any]:
     return shown, plain
 
 
-def _fits(elements: list[Any], kind: Kind) -> bool:
+def _fits(elements: list[Any], kind: ParameterKind) -> bool:
     if kind.name == "byte_array":
         return all(type(each) is int and 0 <= each <= 255 for each in elements)
     return all(_ELEMENTS.get(type(each)) == kind.name.removesuffix("_array") for each in elements)
@@ -163,7 +163,7 @@ def _integer(text: str) -> int:
     return number
 
 
-def _kind(plain: Any) -> Kind:
+def _kind(plain: Any) -> ParameterKind:
     if not isinstance(plain, list):
         return _NAMED[_ELEMENTS[type(plain)]]
     kinds = {type(each) for each in plain}

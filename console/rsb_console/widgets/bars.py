@@ -26,7 +26,7 @@ ROOMY = 100  # cells from which on there is room for small charts
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class BarState:
     """The console's own state, as the status bar shows it.
 
     Attributes:
@@ -82,7 +82,7 @@ class StatusBar(LiveLines):
         fits = sum(map(width_of, needed)) + len(_BETWEEN) * (len(needed) - 1) <= width
         return _as_many(self._totals if fits else [self._signs, *self._totals[1:]], width)
 
-    def show(self, snapshot: Snapshot, view: View) -> None:
+    def show(self, snapshot: Snapshot, view: BarState) -> None:
         if snapshot.running and snapshot.time - self._sampled >= 1.0:
             self._sampled = snapshot.time
             self._received.append(sum(link.rx_bytes_per_second for link in snapshot.links))
@@ -176,7 +176,7 @@ def _as_many(groups: list[Line], width: int) -> Line:
     return fit(line, width)
 
 
-def _identity(snapshot: Snapshot, view: View) -> list[tuple[int, tuple[str, str]]]:
+def _identity(snapshot: Snapshot, view: BarState) -> list[tuple[int, tuple[str, str]]]:
     """Return the link's name and state in pieces; pieces with the highest number are left out first."""
     if not snapshot.name:
         return [(0, (" rsb-console", "strong")), (0, (f"  {view.note}", "dim"))]
@@ -224,7 +224,7 @@ def _links_state(links: Sequence[LinkSnapshot], now: float) -> tuple[str, str]:
     )
 
 
-def _view(snapshot: Snapshot, view: View) -> Line:
+def _view(snapshot: Snapshot, view: BarState) -> Line:
     pieces = []
     if view.readonly:
         pieces.append(("read-only  ", "paused"))

@@ -47,7 +47,7 @@ class _Term(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Pattern:
+class RowFilter:
     """A filter: ``state:down robot1 !scan``. All terms must match; one with ``!`` must not.
 
     Each term is a regular expression without spaces. It searches one column if it begins with that column's name, and
@@ -64,7 +64,7 @@ class Pattern:
         object.__setattr__(self, "_terms", tuple(filter(None, map(_term, self.text.split()))))
 
     @classmethod
-    def or_plain(cls, text: str) -> Pattern:
+    def or_plain(cls, text: str) -> RowFilter:
         """Read `text` as a filter, or as plain words if it is not a valid one."""
         try:
             return cls(text)
@@ -112,7 +112,7 @@ class Prompt(Horizontal):
     class Changed(Message):
         """A valid pattern, or none, was typed."""
 
-        def __init__(self, pattern: Pattern | None) -> None:
+        def __init__(self, pattern: RowFilter | None) -> None:
             super().__init__()
             self.pattern = pattern
 
@@ -145,7 +145,7 @@ class Prompt(Horizontal):
         event.stop()
         problem = self.query_one("#problem", Static)
         try:
-            pattern = Pattern(event.value) or None
+            pattern = RowFilter(event.value) or None
         except PatternError as error:
             problem.update(str(error))
             return
@@ -157,7 +157,7 @@ class Prompt(Horizontal):
         self._close()
 
     def action_cancel(self) -> None:
-        self.post_message(self.Changed(Pattern(self._before) if self._before else None))
+        self.post_message(self.Changed(RowFilter(self._before) if self._before else None))
         self._close()
 
     def _close(self) -> None:

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from rsb_bridge.model.robot_summary import RobotSummary
-    from rsb_console.fleet.fleet import Fleet, Robot
-    from rsb_console.widgets.filter import Pattern
+    from rsb_console.fleet.fleet import Robot, RobotFleet
+    from rsb_console.widgets.filter import RowFilter
     from rsb_console.widgets.lines import Line
 
 ROBOT_SIGN = {
@@ -50,7 +50,7 @@ LOW_BATTERY = 0.2
 HIGH_LOSS = 0.05
 
 
-class Row(NamedTuple):
+class RobotRow(NamedTuple):
     """A robot as a line of the table.
 
     Attributes:
@@ -63,24 +63,24 @@ class Row(NamedTuple):
     now: float
 
 
-def messages(row: Row) -> float:
+def messages(row: RobotRow) -> float:
     """Hz, both ways."""
     return row.robot.summary.messages_from_robot + row.robot.summary.messages_to_robot
 
 
-def is_there(row: Row) -> bool:
+def is_there(row: RobotRow) -> bool:
     """Whether its rates have a meaning."""
     return row.robot.summary.links_up > 0
 
 
-def why(row: Row) -> str:
+def why(row: RobotRow) -> str:
     """Return the fault of a row, and how many others are acknowledged."""
     summary = row.robot.summary
     beside = summary.acknowledged if summary.state is not RobotState.ACKNOWLEDGED else 0
     return f"{summary.why} (+{beside} {ACK_WORD})" if beside else summary.why
 
 
-def _since(row: Row) -> float:
+def _since(row: RobotRow) -> float:
     """Return the seconds in the present state or, for a missing robot, since it was last seen."""
     summary = row.robot.summary
     since = summary.since if summary.state is not RobotState.MISSING or summary.seen is None else summary.seen
@@ -92,21 +92,21 @@ def percent(share: float) -> str:
     return "0" if share == 0 else f"{share:.1%}" if share < 0.00995 else f"{share:.0%}"
 
 
-def _loss(row: Row) -> float:
+def _loss(row: RobotRow) -> float:
     loss = row.robot.summary.loss
     return -1.0 if loss is None else loss.share
 
 
-def _charge(row: Row) -> float:
+def _charge(row: RobotRow) -> float:
     battery = row.robot.summary.battery
     return 2.0 if battery is None else battery.charge
 
 
-def _by_state(row: Row) -> tuple[object, ...]:
+def _by_state(row: RobotRow) -> tuple[object, ...]:
     return row.robot.summary.state.rank, row.robot.order
 
 
-COLUMNS: tuple[Column[Row], ...] = (
+COLUMNS: tuple[Column[RobotRow], ...] = (
     Column(
         "STATE", 9, lambda r: f"{ROBOT_SIGN[r.robot.summary.state]} {ROBOT_WORD[r.robot.summary.state]}", _by_state,
         right=False, from_width=WIDE,
@@ -145,7 +145,7 @@ DIM = frozenset({NAME, SERVER, GROUP})
 
 
 @cache
-def layout(width: int, *, servers: bool, grouped: bool) -> tuple[tuple[Column[Row], int], ...]:
+def layout(width: int, *, servers: bool, grouped: bool) -> tuple[tuple[Column[RobotRow], int], ...]:
     """Return the columns that fit, each with its width in cells.
 
     Args:
@@ -161,7 +161,7 @@ def layout(width: int, *, servers: bool, grouped: bool) -> tuple[tuple[Column[Ro
     return filled([each for each in COLUMNS if each.fits(width, calls=False) and each not in hidden], width)
 
 
-def cell(column: Column[Row], row: Row, text: str) -> str:
+def cell(column: Column[RobotRow], row: RobotRow, text: str) -> str:
     summary = row.robot.summary
     if column in {STATE, SIGN}:
         return ROBOT_LOOK[summary.state]
@@ -194,12 +194,12 @@ class FleetView:
     """
 
     cursor: str | None = None
-    pattern: Pattern | None = None
+    pattern: RowFilter | None = None
     faults_only: bool = False
     grouped: bool = False
     folded: set[str] = field(default_factory=set)
     marked: set[str] = field(default_factory=set)
-    sort_column: Column[Row] = STATE
+    sort_column: Column[RobotRow] = STATE
     reversed: bool = False
 
 
@@ -216,22 +216,22 @@ class FleetTable(SelectableList):
     def __init__(self, view: FleetView) -> None:
         super().__init__(id="fleet", classes="pane")
         self.view = view
-        self.rows: dict[str, Row] = {}
-        self._groups: dict[str, list[Row]] = {}
+        self.rows: dict[str, RobotRow] = {}
+        self._groups: dict[str, list[RobotRow]] = {}
         self._servers = False
         self._empty: list[str] = []
         self._restore = view.cursor
 
     # -- what is listed -----------------------------------------------------------------------------------------------
 
-    def show(self, fleet: Fleet, now: float) -> None:
+    def show(self, fleet: RobotFleet, now: float) -> None:
         """Show the present state of the robots.
 
         Args:
             fleet: fleet of the robots.
             now: s since the epoch.
         """
-        self.rows = {robot.key: Row(robot, fleet.rates(robot), now) for robot in fleet.robots()}
+        self.rows = {robot.key: RobotRow(robot, fleet.rates(robot), now) for robot in fleet.robots()}
         self._servers = len(fleet.sources) > 1
         self.view.marked.intersection_update(self.rows)
         self.relist()
@@ -262,7 +262,7 @@ class FleetTable(SelectableList):
         """Whether there are headings: if that is wanted, and any robot is in a group."""
         return self.view.grouped and any(row.robot.summary.group for row in self.rows.values())
 
-    def _wanted(self, row: Row) -> bool:
+    def _wanted(self, row: RobotRow) -> bool:
         summary, pattern = row.robot.summary, self.view.pattern
         if self.view.faults_only and not summary.state.is_wrong:
             return False
@@ -302,7 +302,7 @@ class FleetTable(SelectableList):
         return key.removeprefix(_GROUP) if key is not None and key.startswith(_GROUP) else None
 
     @property
-    def described(self) -> tuple[str, list[Row]]:
+    def described(self) -> tuple[str, list[RobotRow]]:
         """The name under the cursor and its robots, the worst first."""
         if (group := self.selected_group) is not None:
             rows = sorted(self._groups.get(group, ()), key=STATE.order)
@@ -383,7 +383,7 @@ class FleetTable(SelectableList):
         return bool(self.keys) and super().is_cursor(index)
 
     @property
-    def _layout(self) -> tuple[tuple[Column[Row], int], ...]:
+    def _layout(self) -> tuple[tuple[Column[RobotRow], int], ...]:
         return layout(self.width - _EDGE, servers=self._servers, grouped=self.grouped)
 
     def line(self, index: int) -> Line:
@@ -401,7 +401,7 @@ class FleetTable(SelectableList):
         mark = _MARKED if key in self.view.marked else " "
         return ((cursor, look), (mark, "key"), *(_cell(column, row, width) for column, width in self._layout))
 
-    def _heading(self, column: Column[Row], width: int) -> tuple[str, str]:
+    def _heading(self, column: Column[RobotRow], width: int) -> tuple[str, str]:
         arrow = ("▲" if self.view.reversed else "▼") if column is self.view.sort_column else ""
         title = clip(column.title + arrow, width)
         return (f"{title:>{width}} " if column.right else f"{title:<{width}} "), "head"
@@ -419,7 +419,7 @@ class FleetTable(SelectableList):
         return fit(tuple(pieces), self.width - 1)
 
 
-def _cell(column: Column[Row], row: Row, width: int) -> tuple[str, str]:
+def _cell(column: Column[RobotRow], row: RobotRow, width: int) -> tuple[str, str]:
     text = column.text(row)
     if len(text) > width:
         text = fit_middle(text, width) if column is NAME else f"{text[: width - 1]}…"
@@ -460,7 +460,7 @@ class FleetStatus(LiveLines):
     def line(self, index: int) -> Line:
         return fit(self._lines[index], self.width)
 
-    def show(self, table: FleetTable, fleet: Fleet, *, readonly: bool) -> None:
+    def show(self, table: FleetTable, fleet: RobotFleet, *, readonly: bool) -> None:
         """Show the state of all robots, even if the filter hides some."""
         robots = [row.robot for row in table.rows.values()]
         names = ", ".join(source.name for source in fleet.sources)
@@ -509,7 +509,7 @@ class RobotDetail(LiveLines):
     def line(self, index: int) -> Line:
         return fit(self._lines[index], self.width)
 
-    def show(self, title: str, rows: Sequence[Row]) -> None:
+    def show(self, title: str, rows: Sequence[RobotRow]) -> None:
         """Show a robot, or the faulty robots of a group.
 
         Args:
@@ -528,13 +528,13 @@ class RobotDetail(LiveLines):
         self.sync()
 
 
-def _in_a_line(row: Row) -> Line:
+def _in_a_line(row: RobotRow) -> Line:
     summary = row.robot.summary
     sign = (f" {ROBOT_SIGN[summary.state]} {ROBOT_WORD[summary.state]:<7} ", ROBOT_LOOK[summary.state])
     return (sign, (f"{summary.name} ", "strong"), (summary.why, ""))
 
 
-def _detail(row: Row, width: int) -> Iterator[Line]:
+def _detail(row: RobotRow, width: int) -> Iterator[Line]:
     summary = row.robot.summary
     sign = (f" {ROBOT_SIGN[summary.state]} {ROBOT_WORD[summary.state]} ", ROBOT_LOOK[summary.state])
     why = summary.why or ("never connected" if summary.seen is None else "nothing is wrong")

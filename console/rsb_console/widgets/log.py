@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from rsb_bridge.model.snapshot import Event
-    from rsb_console.widgets.filter import Pattern
+    from rsb_console.widgets.filter import RowFilter
     from rsb_console.widgets.lines import Line
 
 KEPT = 5000  # events
@@ -33,7 +33,7 @@ class LogPane(SelectableList):
         super().__init__(id="log")
         self.events: deque[Event] = deque(maxlen=KEPT)
         self.level = Level.INFO
-        self.pattern: Pattern | None = None
+        self.pattern: RowFilter | None = None
         self._shown: dict[str, Event] = {}
         self._room = 0
         """Cells of a line that no scrollbar covers."""

@@ -10,7 +10,7 @@ from textual import on
 from textual.binding import Binding
 from textual.widgets import Input
 
-from rsb_console.widgets.filter import Pattern
+from rsb_console.widgets.filter import RowFilter
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.form_inputs import FieldInput
 from rsb_console.widgets.lines import Line, fit
@@ -51,7 +51,7 @@ class SuggestionList(SelectableList, can_focus=False):
         self._empty = ""
         self.marks_cursor = True
 
-    def show(self, suggestions: Sequence[Suggestion], pattern: Pattern, empty: str) -> None:
+    def show(self, suggestions: Sequence[Suggestion], pattern: RowFilter, empty: str) -> None:
         """List the suggestions that match `pattern`, or show `empty` if none does."""
         self._empty = empty
         self._suggestions = {suggestion.key: suggestion for suggestion in suggestions if _matches(suggestion, pattern)}
@@ -82,7 +82,7 @@ class SuggestionList(SelectableList, can_focus=False):
         return self.marks_cursor and bool(self.keys) and super().is_cursor(index)
 
 
-def _matches(suggestion: Suggestion, pattern: Pattern) -> bool:
+def _matches(suggestion: Suggestion, pattern: RowFilter) -> bool:
     return pattern.matches({"": f"{suggestion.value} {''.join(piece for piece, _ in suggestion.line(WHOLE))}"})
 
 
@@ -143,7 +143,7 @@ class PickField(Field):
     def _relist(self) -> None:
         literal = self._is_literal(self.value)
         self.list.marks_cursor = self._entered or not literal
-        self.list.show(self._suggestions, Pattern.or_plain(self.filter_text()), self._empty(self.value))
+        self.list.show(self._suggestions, RowFilter.or_plain(self.filter_text()), self._empty(self.value))
 
     def filter_text(self) -> str:
         """Return the text that narrows the list of suggestions."""

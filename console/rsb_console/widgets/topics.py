@@ -15,7 +15,7 @@ from rsb_console.widgets.selectable_list import SelectableList
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.widgets.columns import Column
-    from rsb_console.widgets.filter import Pattern
+    from rsb_console.widgets.filter import RowFilter
     from rsb_console.widgets.lines import Line
 
 FAULTS = tuple(state for state in State if state not in (State.PAUSED, State.DISARMED, State.DISARMING, State.OK))
@@ -38,7 +38,7 @@ class TopicsTable(SelectableList):
         self.faults_only = False
         self.grouped = False
         """Whether the topics of each robot stand together."""
-        self.pattern: Pattern | None = None
+        self.pattern: RowFilter | None = None
         self._peers = self._calls = False
         self._empty: list[str] = []
 

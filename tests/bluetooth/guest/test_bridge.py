@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from msgspec import structs
 
-from rsb_bridge.bluetooth.scan import Scan, Use, held_channels, scan
+from rsb_bridge.bluetooth.scan import ChannelUse, Scan, held_channels, scan
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
@@ -226,9 +226,9 @@ def test_a_topic_with_a_channel_of_its_own(addresses: tuple[str, str], base: Pat
         wait_until(lambda: len(held_channels(listening, server.snapshot())) == 2, "the snapshot has both")
         with holding((addresses[0], 12, "listen")):
             found = asyncio.run(scan(own_channels=held_channels(listening, server.snapshot())))
-        assert _channels(found, addresses[0], Use.OWN) == {_CHANNEL, 11}
-        assert _channels(found, addresses[0], Use.BUSY) == {12}
-    assert not _channels(asyncio.run(scan()), addresses[0], Use.BUSY)
+        assert _channels(found, addresses[0], ChannelUse.OWN) == {_CHANNEL, 11}
+        assert _channels(found, addresses[0], ChannelUse.BUSY) == {12}
+    assert not _channels(asyncio.run(scan()), addresses[0], ChannelUse.BUSY)
 
 
 def test_a_topic_over_bluetooth_on_an_ip_link(addresses: tuple[str, str], base: Path) -> None:
@@ -313,7 +313,7 @@ def test_topics_share_a_channel_beside_an_ip_link(addresses: tuple[str, str], ba
         assert link(client).since == before
 
 
-def _channels(found: Scan, address: str, use: Use) -> set[int]:
+def _channels(found: Scan, address: str, use: ChannelUse) -> set[int]:
     return {number for number, what in found.channels[address].items() if what is use}
 
 

@@ -14,7 +14,7 @@ from tests.support.wording import says
 
 from rsb_bridge.bluetooth import hci
 from rsb_bridge.bluetooth.hci import NoBluetooth
-from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Scan, ScanProblem, Use, read_bluez, scan
+from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, ChannelUse, Scan, ScanProblem, read_bluez, scan
 from rsb_console.command.bt_scan import run_bt_scan
 
 from .conftest import holding, wait_until
@@ -28,7 +28,7 @@ def look(adapter: str | None = None, own: tuple[tuple[str, int], ...] = ()) -> S
 
 
 def busy(found: Scan, address: str) -> set[int]:
-    return {number for number, use in found.channels[address].items() if use is Use.BUSY}
+    return {number for number, use in found.channels[address].items() if use is ChannelUse.BUSY}
 
 
 def test_adapters_are_those_of_bluez(addresses: tuple[str, str]) -> None:
@@ -68,7 +68,7 @@ def test_own_channels_are_told_apart(addresses: tuple[str, str]) -> None:
         own.bind((first, 4))
         own.listen(1)
         found = look(own=((first.lower(), 4),))
-    assert found.channels[first][4] is Use.OWN
+    assert found.channels[first][4] is ChannelUse.OWN
     assert busy(found, first) == {5}
 
 

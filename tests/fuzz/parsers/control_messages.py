@@ -15,11 +15,11 @@ from tests.wire.test_messages import EXAMPLES, HELLO, WELCOME
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.text import is_clean
 from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
-from rsb_bridge.wire.events import DataFrame, Failed, Received, Refused
+from rsb_bridge.wire.events import DataFrame, Failed, MessageReceived, StreamRefused
 from rsb_bridge.wire.framing import HEADER, pack_frame
 from rsb_bridge.wire.messages import Report
 from rsb_bridge.wire.protocol_error import ProtocolError
-from rsb_bridge.wire.sealing import Sealer, Suite
+from rsb_bridge.wire.sealing import CipherSuite, Sealer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -70,9 +70,9 @@ def _read_sealed(data: bytes) -> None:
     The first byte of each frame decides whether it is sealed as a control frame, or used as it is.
     """
     choice = data[0] if data else 0
-    client, server, _, _ = established(Suite.PLAIN, multiplexed=bool(choice & 2))
+    client, server, _, _ = established(CipherSuite.PLAIN, multiplexed=bool(choice & 2))
     reader = client if choice & 1 else server
-    sealer = Sealer(Suite.PLAIN, None)
+    sealer = Sealer(CipherSuite.PLAIN, None)
     sealer.sequence = 0 if choice & 1 else 1  # the client's confirmation was the first
     events: list[Event] = []
     for frame in split_frames(data[1:]):
@@ -80,18 +80,18 @@ def _read_sealed(data: bytes) -> None:
         events += reader.receive_data(
             pack_frame(CONTROL_HEADER, sealed) if frame[:1] != b"\1" else pack_frame(frame[1:])
         )
-    ended = [event for event in events if isinstance(event, Failed | Refused)]
+    ended = [event for event in events if isinstance(event, Failed | StreamRefused)]
     assert len(ended) <= 1
     assert not ended or events[-1] is ended[0]
     for event in events:
         match event:
-            case Received(message):
+            case MessageReceived(message):
                 check_message(message)
             case DataFrame(_, frame_of_data):
                 assert len(frame_of_data) >= HEADER.size
             case Failed(reason):
                 assert is_clean(reason)
-            case Refused(_, message, _):
+            case StreamRefused(_, message, _):
                 assert is_clean(message)
             case _:
                 raise AssertionError(f"{type(event).__name__} once the link is up")

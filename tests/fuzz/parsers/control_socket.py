@@ -12,22 +12,22 @@ from tests.fuzz.parser import Parser
 from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import (
     BridgeInfo,
+    CommandFailed,
+    CommandRequest,
+    ConsoleHello,
+    ConsoleWelcome,
+    ControlProtocolError,
     Events,
-    Failed,
-    Follow,
+    FollowEvents,
     Goodbye,
-    Hello,
     PollState,
-    ProtocolError,
     Reply,
-    Request,
-    State,
+    StateChange,
     Summary,
     Watch,
-    Welcome,
 )
-from rsb_bridge.control.states import Receiver
-from rsb_bridge.model.commands import AddTopic, History, Pause, Restart, Topics
+from rsb_bridge.control.states import StateReceiver
+from rsb_bridge.model.commands import AddTopic, History, PauseTopics, Restart, Topics
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
@@ -38,16 +38,16 @@ _INFO = BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "x", "0.1.0")
 
 def _read(make: Callable[[], protocol.Frames[Any]], data: bytes) -> None:
     """Messages in pieces, as the first byte says; each is the same after another crossing."""
-    frames, receiver = make(), Receiver(_INFO)
+    frames, receiver = make(), StateReceiver(_INFO)
     size = data[0] if data and data[0] else len(data) or 1
     content = data[1:]
     try:
         for at in range(0, len(content), size):
             for message in frames.feed(content[at : at + size]):
                 _check_same(make, message)
-                if isinstance(message, State):
+                if isinstance(message, StateChange):
                     receiver.take(message)
-    except ProtocolError:
+    except ControlProtocolError:
         pass  # the connection ends
     if receiver.snapshot is not None:
         assert receiver.session is not None
@@ -63,7 +63,7 @@ def _state() -> bytes:
     engine = ScriptedEngine()
     routes = tuple(map(protocol.encode_route, engine.now.routes[:1]))
     keys = tuple(route.key for route in engine.now.routes[:1])
-    return protocol.encode(State(routes=routes, keys=keys, session=engine.session, links=engine.now.links[:1]))
+    return protocol.encode(StateChange(routes=routes, keys=keys, session=engine.session, links=engine.now.links[:1]))
 
 
 def _frames(messages: tuple[Any, ...]) -> bytes:
@@ -71,20 +71,20 @@ def _frames(messages: tuple[Any, ...]) -> bytes:
 
 
 _TO_BRIDGE = (
-    Hello(1, "0.1.0"),
-    Request(1, AddTopic(Topic("/scan", "transmit"))),
-    Request(2, Pause("/scan", paused=True)),
-    Request(3, Restart()),
-    Request(4, Topics()),
-    Request(5, History(3600.0)),
+    ConsoleHello(1, "0.1.0"),
+    CommandRequest(1, AddTopic(Topic("/scan", "transmit"))),
+    CommandRequest(2, PauseTopics("/scan", paused=True)),
+    CommandRequest(3, Restart()),
+    CommandRequest(4, Topics()),
+    CommandRequest(5, History(3600.0)),
     PollState(),
-    Follow(7),
+    FollowEvents(7),
     Watch(),
 )
 _TO_CONSOLE = (
-    Welcome(_INFO),
+    ConsoleWelcome(_INFO),
     Reply(1, "key"),
-    Failed(2, "no such topic"),
+    CommandFailed(2, "no such topic"),
     Events(()),
     Summary(b"figures"),
     Goodbye("the bridge ends"),

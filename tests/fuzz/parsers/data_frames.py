@@ -12,7 +12,7 @@ from tests.support.frames import StreamedReader, write_chunks
 from rsb_bridge.wire.framing import DATA, HEADER, HISTORY, MORE, Budget, DataWriter, FrameReader, pack_frame
 from rsb_bridge.wire.headers import CallFrame, HistoryHeader, What, split_history, unpack_call
 from rsb_bridge.wire.protocol_error import ProtocolError
-from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
+from rsb_bridge.wire.sealing import CipherSuite, Sealer, SealError, StreamOpener
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,8 +27,8 @@ def _read_stream(data: bytes) -> None:
     """Bytes as they come, in pieces as the first one says: a peer that seals as it should, or anything at all."""
     choice = data[0] if data else 0
     budget = Budget(_BUDGET)
-    reader = StreamedReader(StreamOpener(Suite.PLAIN, None), _ROUTE, _LONGEST, budget)
-    sealer = Sealer(Suite.PLAIN, None)
+    reader = StreamedReader(StreamOpener(CipherSuite.PLAIN, None), _ROUTE, _LONGEST, budget)
+    sealer = Sealer(CipherSuite.PLAIN, None)
     stream = data[1:]
     if choice & 1:
         stream = b"".join(_sealed(sealer, frame) for frame in split_frames(stream))
@@ -93,7 +93,7 @@ def _read_call(payload: bytes) -> None:
     assert (frame.what is What.MESSAGE) == (frame.call == 0)
 
 
-def _round_trip(suite: Suite, data: bytes) -> None:
+def _round_trip(suite: CipherSuite, data: bytes) -> None:
     """Check that one side reads what the other writes: in one frame or in chunks, interleaved."""
     choice = data[0] if data else 0
     payload = data[1:]
@@ -124,12 +124,12 @@ PARSERS = (
             b"\1" + _frame(0, b"a message") + _frame(HISTORY, _HISTORY + b"kept"),
             b"\1" + _frame(MORE, b"a ") + _frame(MORE, b"message ") + _frame(0, b"in chunks"),
             b"\7" + _frame(MORE, bytes(900)) + _frame(0, bytes(90)),
-            bytes(1) + DataWriter(Sealer(Suite.PLAIN, None), _ROUTE).write(b"a message", 9),
+            bytes(1) + DataWriter(Sealer(CipherSuite.PLAIN, None), _ROUTE).write(b"a message", 9),
         ),
         behind(1, edit_bytes),
     ),
     Parser("frames", _read_frames, (b"\3" + pack_frame(b"one") + pack_frame(b"") + pack_frame(b"three"),)),
     Parser("history_header", _read_history, (_HISTORY + b"content",)),
     Parser("call_frame", _read_call, tuple(_calls())),
-    Parser("data_round_trip", partial(_round_trip, Suite.AESGCM), (b"\3any content", bytes(40))),
+    Parser("data_round_trip", partial(_round_trip, CipherSuite.AESGCM), (b"\3any content", bytes(40))),
 )

@@ -20,7 +20,7 @@ from rsb_bridge.wire.datagram import (
 )
 from rsb_bridge.wire.framing import Budget
 from rsb_bridge.wire.protocol_error import ProtocolError
-from rsb_bridge.wire.sealing import DatagramOpener, Sealer, SealError, Suite
+from rsb_bridge.wire.sealing import CipherSuite, DatagramOpener, Sealer, SealError
 
 _BUDGET = 5000
 _LONGEST = 600
@@ -33,7 +33,7 @@ _PIECE = struct.Struct(">BBHHIIB")
 def _read(data: bytes) -> None:
     """Datagrams of a peer that has the key. The header's figures are as the input says, and the seal is right."""
     budget = Budget(_BUDGET)
-    reader = DatagramReader(DatagramOpener(Suite.PLAIN, None), _ROUTE, _LONGEST, budget)
+    reader = DatagramReader(DatagramOpener(CipherSuite.PLAIN, None), _ROUTE, _LONGEST, budget)
     now, sent = 0.0, 0
     while len(data) >= _PIECE.size:
         flags, wait, index, count, sequence, number, size = _PIECE.unpack_from(data)
@@ -54,7 +54,7 @@ def _read(data: bytes) -> None:
 
 
 def _seal(sequence: int, content: bytes, header: bytes) -> bytes:
-    sealer = Sealer(Suite.PLAIN, None)
+    sealer = Sealer(CipherSuite.PLAIN, None)
     sealer.sequence = sequence
     try:
         return sealer.seal(content, header)
@@ -64,11 +64,11 @@ def _seal(sequence: int, content: bytes, header: bytes) -> bytes:
 
 def _read_unsealed(data: bytes) -> None:
     """Read a datagram of a stranger: it has no message unless its seal is right."""
-    for suite in (Suite.PLAIN, Suite.AESGCM):
+    for suite in (CipherSuite.PLAIN, CipherSuite.AESGCM):
         reader = DatagramReader(DatagramOpener(suite, bytes(32)), _ROUTE)
         by_addressee([(data, None)])
         message = reader.receive(data, 0.0)
-        assert message is None or suite is Suite.PLAIN
+        assert message is None or suite is CipherSuite.PLAIN
         assert reader.receive(data, 0.0) is None, "a datagram is read twice"
 
 
@@ -84,8 +84,8 @@ def _round_trip(data: bytes) -> None:
     """Check that one side reads what the other writes, for any order of the datagrams."""
     choice = data[0] if data else 0
     payload = data[1:]
-    writer = DatagramWriter(Sealer(Suite.AESGCM, bytes(32)), _LINK, _ROUTE)
-    reader = DatagramReader(DatagramOpener(Suite.AESGCM, bytes(32)), _ROUTE)
+    writer = DatagramWriter(Sealer(CipherSuite.AESGCM, bytes(32)), _LINK, _ROUTE)
+    reader = DatagramReader(DatagramOpener(CipherSuite.AESGCM, bytes(32)), _ROUTE)
     datagrams = writer.write(payload, 5, choice & 1, 70 + choice)
     assert len(datagrams) == writer.datagrams(len(payload), 70 + choice)
     random.Random(choice).shuffle(datagrams)
@@ -111,7 +111,7 @@ PARSERS = (
         _read_unsealed,
         tuple(
             DatagramWriter(Sealer(suite, bytes(32)), _LINK, _ROUTE).write(b"a message", 5, 0, 1000)[0]
-            for suite in (Suite.PLAIN, Suite.CHACHAPOLY)
+            for suite in (CipherSuite.PLAIN, CipherSuite.CHACHAPOLY)
         ),
     ),
     Parser(

@@ -9,10 +9,10 @@ from tests.fuzz.editing import behind, edit_bytes
 from tests.fuzz.parser import Parser, check_text
 from tests.wire.test_operators import attached, make_console, make_engine
 
-from rsb_bridge.wire.events import Admitted, Failed, Opened, RefusalCode, Refused
+from rsb_bridge.wire.events import Admitted, Failed, OperatorOpened, RefusalCode, StreamRefused
 from rsb_bridge.wire.framing import PREAMBLE_LIMIT, pack_frame
 from rsb_bridge.wire.operator_connection import HOST_BYTES, RECORD_CONTENT, OperatorConsole, OperatorEngine
-from rsb_bridge.wire.preamble import MESSAGE_LIMIT, Kind, preamble_frame, refuse_frame
+from rsb_bridge.wire.preamble import MESSAGE_LIMIT, PreambleKind, preamble_frame, refuse_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -39,18 +39,18 @@ def _read(start: Callable[[], End], data: bytes) -> None:
 
 
 def _check(events: list[Event]) -> None:
-    ended = [event for event in events if isinstance(event, Failed | Refused)]
+    ended = [event for event in events if isinstance(event, Failed | StreamRefused)]
     assert len(ended) <= 1
     assert not ended or events[-1] is ended[0]
     for event in events:
         match event:
             case Failed(reason):
                 check_text(reason, MESSAGE_LIMIT)
-            case Refused(_, message, _):
+            case StreamRefused(_, message, _):
                 check_text(message, 2 * MESSAGE_LIMIT)
             case Admitted(_, host, _):
                 check_text(host, HOST_BYTES)
-            case Opened(content):
+            case OperatorOpened(content):
                 assert 0 < len(content) <= RECORD_CONTENT
             case _:
                 raise AssertionError("an event of links")
@@ -70,9 +70,9 @@ def _sealed(data: bytes) -> None:
     content, size = data[1:], (data[0] if data else 0) or 1
     stream = b"".join(console.send(content[at : at + size]) for at in range(0, len(content), size))
     events = engine.receive_data(stream)
-    assert b"".join(event.content for event in events if isinstance(event, Opened)) == content
+    assert b"".join(event.content for event in events if isinstance(event, OperatorOpened)) == content
     rest = engine.receive_data(data)
-    assert not any(isinstance(event, Opened | Admitted) for event in rest)
+    assert not any(isinstance(event, OperatorOpened | Admitted) for event in rest)
     _check(rest)
 
 
@@ -90,7 +90,7 @@ PARSERS = (
         partial(_read, _started),
         (
             bytes(1) + pack_frame(refuse_frame(RefusalCode.WRONG_KEY, "the keys of 'anna' differ")),
-            bytes(1) + pack_frame(preamble_frame(Kind.ACCEPT, bytes(48))),
+            bytes(1) + pack_frame(preamble_frame(PreambleKind.ACCEPT, bytes(48))),
         ),
         behind(1, edit_bytes),
     ),

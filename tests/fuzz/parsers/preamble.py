@@ -19,14 +19,14 @@ from rsb_bridge.wire.events import (
     DataFrame,
     Established,
     Failed,
-    Received,
+    MessageReceived,
     RefusalCode,
-    Refused,
     StreamName,
+    StreamRefused,
 )
 from rsb_bridge.wire.framing import PREAMBLE_LIMIT, pack_frame
-from rsb_bridge.wire.preamble import MESSAGE_LIMIT, Kind, data_header, preamble_frame, refuse_frame
-from rsb_bridge.wire.sealing import Suite
+from rsb_bridge.wire.preamble import MESSAGE_LIMIT, PreambleKind, data_header, preamble_frame, refuse_frame
+from rsb_bridge.wire.sealing import CipherSuite
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -47,7 +47,7 @@ def _pieces(content: bytes, size: int) -> Iterator[bytes]:
 
 def _check(events: list[Event], answer: bytes) -> None:
     assert len(answer) <= _ANSWER
-    ended = [event for event in events if isinstance(event, Failed | Refused)]
+    ended = [event for event in events if isinstance(event, Failed | StreamRefused)]
     assert len(ended) <= 1
     assert not ended or events[-1] is ended[0]
     for event in events:
@@ -55,19 +55,19 @@ def _check(events: list[Event], answer: bytes) -> None:
             case Failed(reason):
                 assert is_clean(reason)
                 assert len(reason) <= MESSAGE_LIMIT
-            case Refused(_, message, _):
+            case StreamRefused(_, message, _):
                 assert is_clean(message)
                 assert len(message) <= 2 * MESSAGE_LIMIT
             case Attach(link_id, _, _, _):
                 assert len(link_id) == 8
-            case Established() | Received() | DataFrame() | Accepted():
+            case Established() | MessageReceived() | DataFrame() | Accepted():
                 pass
 
 
-def _read(start: Callable[[Suite, bool], End], data: bytes) -> None:
+def _read(start: Callable[[CipherSuite, bool], End], data: bytes) -> None:
     """Read a beginning. Its first byte gives the suite, whether the stream is multiplexed, and its pieces."""
     choice = data[0] if data else 0
-    end = start(Suite(choice % 3), bool(choice & 4))
+    end = start(CipherSuite(choice % 3), bool(choice & 4))
     events: list[Event] = []
     answer = b""
     for piece in _pieces(data[1:], choice >> 3):
@@ -76,34 +76,34 @@ def _read(start: Callable[[Suite, bool], End], data: bytes) -> None:
     _check(events, answer)
 
 
-def _server(suite: Suite, multiplexed: bool) -> End:
+def _server(suite: CipherSuite, multiplexed: bool) -> End:
     return make_server(suite, aes=multiplexed, multiplexed=multiplexed)
 
 
-def _client(suite: Suite, multiplexed: bool) -> End:
+def _client(suite: CipherSuite, multiplexed: bool) -> End:
     client = make_client(suite, multiplexed=multiplexed)
     client.start()
     return client
 
 
-def _data_client(suite: Suite, _: bool) -> End:
+def _data_client(suite: CipherSuite, _: bool) -> End:
     connection = DataConnection(session_keys(suite, key_for(suite)), StreamName(1))
     connection.start()
     return connection
 
 
-def _seed(suite: Suite, *frames: bytes, multiplexed: bool = True) -> bytes:
+def _seed(suite: CipherSuite, *frames: bytes, multiplexed: bool = True) -> bytes:
     return bytes((suite + _choice(suite, multiplexed),)) + b"".join(map(pack_frame, frames))
 
 
-def _choice(suite: Suite, multiplexed: bool) -> int:
+def _choice(suite: CipherSuite, multiplexed: bool) -> int:
     """Return a summand that keeps a suite's number the rest of a division by 3."""
     return next(each for each in range(0, 8, 3) if bool((suite + each) & 4) is multiplexed)
 
 
 def _confirmed() -> bytes:
     """All that a client without encryption sends until the link is up."""
-    client, server = make_client(Suite.PLAIN), make_server(Suite.PLAIN)
+    client, server = make_client(CipherSuite.PLAIN), make_server(CipherSuite.PLAIN)
     first = client.start()
     server.receive_data(first)
     client.receive_data(server.data_to_send())
@@ -112,7 +112,7 @@ def _confirmed() -> bytes:
 
 def _answered() -> bytes:
     """All that a server without encryption sends until then."""
-    client, server = make_client(Suite.PLAIN), make_server(Suite.PLAIN)
+    client, server = make_client(CipherSuite.PLAIN), make_server(CipherSuite.PLAIN)
     server.receive_data(client.start())
     return server.data_to_send()
 
@@ -127,11 +127,11 @@ PARSERS = (
         (
             bytes(1) + _confirmed(),
             bytes((9,)) + _confirmed()[:40],
-            _seed(Suite.AESGCM, make_client(Suite.AESGCM).start()[4:]),
-            _seed(Suite.AESGCM, make_client(Suite.AESGCM).start()[4:], multiplexed=False),
-            _seed(Suite.CHACHAPOLY, make_client(Suite.CHACHAPOLY).start()[4:]),
-            _seed(Suite.AESGCM, _ATTACH),
-            _seed(Suite.AESGCM, b"rsb\x01\x01" + bytes(20)),
+            _seed(CipherSuite.AESGCM, make_client(CipherSuite.AESGCM).start()[4:]),
+            _seed(CipherSuite.AESGCM, make_client(CipherSuite.AESGCM).start()[4:], multiplexed=False),
+            _seed(CipherSuite.CHACHAPOLY, make_client(CipherSuite.CHACHAPOLY).start()[4:]),
+            _seed(CipherSuite.AESGCM, _ATTACH),
+            _seed(CipherSuite.AESGCM, b"rsb\x01\x01" + bytes(20)),
         ),
         behind(1, edit_bytes),
     ),
@@ -140,17 +140,20 @@ PARSERS = (
         partial(_read, _client),
         (
             bytes(1) + _answered(),
-            _seed(Suite.PLAIN, _REFUSED),
-            _seed(Suite.AESGCM, preamble_frame(Kind.RETRY, bytes((Suite.CHACHAPOLY,))), _REFUSED),
-            _seed(Suite.AESGCM, preamble_frame(Kind.ACCEPT, bytes(32) + encode(WELCOME) + bytes(16))),
-            _seed(Suite.PLAIN, preamble_frame(Kind.ACCEPT, encode(WELCOME)), _REFUSED),
+            _seed(CipherSuite.PLAIN, _REFUSED),
+            _seed(CipherSuite.AESGCM, preamble_frame(PreambleKind.RETRY, bytes((CipherSuite.CHACHAPOLY,))), _REFUSED),
+            _seed(CipherSuite.AESGCM, preamble_frame(PreambleKind.ACCEPT, bytes(32) + encode(WELCOME) + bytes(16))),
+            _seed(CipherSuite.PLAIN, preamble_frame(PreambleKind.ACCEPT, encode(WELCOME)), _REFUSED),
         ),
         behind(1, edit_bytes),
     ),
     Parser(
         "data_preamble",
         partial(_read, _data_client),
-        (_seed(Suite.AESGCM, preamble_frame(Kind.ACCEPT), b"sealed"), _seed(Suite.CHACHAPOLY, _REFUSED)),
+        (
+            _seed(CipherSuite.AESGCM, preamble_frame(PreambleKind.ACCEPT), b"sealed"),
+            _seed(CipherSuite.CHACHAPOLY, _REFUSED),
+        ),
         behind(1, edit_bytes),
     ),
 )

@@ -11,11 +11,11 @@ from tests.support.inside import clients_of
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, STATUS
 from rsb_bridge.model.demands import Demands, sources_of_names
-from rsb_bridge.model.session import Armed
+from rsb_bridge.model.session import ArmedName
 from rsb_bridge.ros.ros_interface import RawMessage, Response, RosError
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.goal_cancels import GoalCancels
-from rsb_bridge.route.calls.kept_calls import Question
+from rsb_bridge.route.calls.kept_calls import CallIdentity
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -50,7 +50,7 @@ def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingR
     """Makes an armed action, whose server has goals 1 and 3 of this link, of which 3 is not answered, and another 2."""
 
     def make(on_end: str | None = "cancel", there: str = "") -> ProvidingRoute:
-        context = make_context(armed=(Armed("/dock", on_end=on_end),))
+        context = make_context(armed=(ArmedName("/dock", on_end=on_end),))
         route = providing(context, arm=True)
         route.arming.own = context.demands.of("action", "/dock") or route.arming.own
         route.arming.peer_on_end = there
@@ -58,7 +58,7 @@ def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingR
         action: Any = route.action
         for number in (1, 3):
             action.goals.asked(goal(number))
-            action.answers.asked(Question(SEND_GOAL, goal(number)), number, frozenset())
+            action.answers.asked(CallIdentity(SEND_GOAL, goal(number)), number, frozenset())
         route.arming.take("anna", context.now())
         accept(route, 1)
         action.published(STATUS, [RawMessage(statuses((goal(1), "executing"), (goal(2), "executing")), 0)])
@@ -116,7 +116,7 @@ def test_the_more_careful_session_counts(
 
 
 def test_a_line_of_every_kind_is_for_those_that_it_suits() -> None:
-    demands = Demands(sources_of_names((Armed("/**", on_end="cancel"), Armed("/**", on_end="zero"))))
+    demands = Demands(sources_of_names((ArmedName("/**", on_end="cancel"), ArmedName("/**", on_end="zero"))))
     found = {kind: demands.of(kind, "/dock") for kind in ("topic", "action", "service", "parameters")}
     assert {kind: each and each.on_end for kind, each in found.items()} == {
         "topic": "zero", "action": "cancel", "service": "", "parameters": ""

@@ -19,7 +19,7 @@ from rsb_bridge.route.calls.goals import accepted_by
 from rsb_bridge.route.calls.kept_calls import KeptCall
 from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.calls.providing import ProvidingRoute
-from rsb_bridge.route.lease import BEAT, LASTS, Lease
+from rsb_bridge.route.lease import BEAT, LASTS, LeaseHalf
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.records import LaneEntry
@@ -107,7 +107,7 @@ def test_a_goal_that_may_have_begun_is_not_said_to_be_rejected(
 def test_an_old_goal_is_refused_however_it_was_held_up(make_context: Callable[..., Context], loop: VirtualLoop) -> None:
     context = make_context()
     route = providing(context, arm=True)
-    lease = route.arming.lease = Lease(context.clock.steady, RosTurns(), lambda: None)
+    lease = route.arming.lease = LeaseHalf(context.clock.steady, RosTurns(), lambda: None)
     lease.begin()
 
     def refusal(number: int) -> Refused | None:
@@ -134,7 +134,7 @@ def test_what_is_armed_is_not_said_to_be_disarmed_while_the_link_is_silent(
     """The caller got the advice to arm an armed action."""
     context = make_context()
     route = providing(context, arm=True)
-    lease = route.arming.lease = Lease(context.clock.steady, RosTurns(), lambda: None)
+    lease = route.arming.lease = LeaseHalf(context.clock.steady, RosTurns(), lambda: None)
     lease.begin()
     assert route.held_now(SEND_GOAL) is Refused.DISARMED
     route.arming.take("anna", context.now())

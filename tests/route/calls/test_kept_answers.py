@@ -13,8 +13,8 @@ from rsb_bridge.route.calls.kept_calls import (
     INTERRUPTION,
     SENT_KEPT,
     AnswerAction,
+    CallIdentity,
     KeptAnswers,
-    Question,
     question_of,
     result_request,
 )
@@ -24,14 +24,14 @@ NEW_SERVERS = frozenset([b"new server"])
 RESULT = result_response("succeeded", b"a result")
 
 
-def asks(lane: int, number: int = 1) -> Question:
+def asks(lane: int, number: int = 1) -> CallIdentity:
     payload = cancel_request(goal(number)) if lane == CANCEL_GOAL else goal_request(goal(number))
     question = question_of(lane, payload)
     assert question is not None
     return question
 
 
-def interrupted_after_asking(question: Question) -> KeptAnswers:
+def interrupted_after_asking(question: CallIdentity) -> KeptAnswers:
     """Call 1 made this side ask, under number 7; the link went at 100 s."""
     answers = KeptAnswers()
     assert answers.take(question, 1, again=False) is AnswerAction.ASK

@@ -11,7 +11,7 @@ import pytest
 from tests.support.held import held_by
 from tests.support.inside import timer_of
 
-from rsb_bridge.route.calls.pending_calls import Call, PendingCalls
+from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
 from rsb_bridge.route.peer import CallBudget
 
 if TYPE_CHECKING:
@@ -26,16 +26,16 @@ class Held:
         self.budget = CallBudget(0.0)
         self.expired: list[tuple[int, float]] = []
         self.ended: list[int] = []
-        self.calls: PendingCalls[Call] = PendingCalls(loop, self.budget, self._expired, self.ended.append)
+        self.calls: PendingCalls[PendingCall] = PendingCalls(loop, self.budget, self._expired, self.ended.append)
 
     def begin(self, number: int, timeout: float | None, size: int = 10) -> None:
         assert self.budget.take(size, self.loop.time()) is None
-        self.calls.add(number, Call(0, size, self.loop.time()), timeout)
+        self.calls.add(number, PendingCall(0, size, self.loop.time()), timeout)
 
     def pass_time(self, seconds: float) -> None:
         self.loop.run_until_complete(asyncio.sleep(seconds))
 
-    def _expired(self, number: int, call: Call) -> None:
+    def _expired(self, number: int, call: PendingCall) -> None:
         assert number not in self.calls
         self.expired.append((number, self.loop.time()))
 

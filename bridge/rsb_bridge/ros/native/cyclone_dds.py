@@ -53,7 +53,7 @@ def guid_of_publisher(publisher: int) -> bytes:
     return guid.raw
 
 
-class Publishers:
+class SubscriptionPublishers:
     """The publishers of one subscription. Belongs to the thread that takes from it."""
 
     def __init__(self, subscription: int) -> None:

@@ -14,14 +14,14 @@ from rclpy.type_support import check_for_type_support
 
 from rsb_bridge.cdr.description import (
     DESCRIPTION_LIMIT,
-    Field,
     FieldType,
+    MessageField,
     MessageType,
     TypeDescription,
     text_of,
 )
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.native.extension import wait_set
+from rsb_bridge.ros.native.rclpy_extension import wait_set
 from rsb_bridge.ros.native.typesupport import FIND_DESCRIPTION, installed_class, type_support_of
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from rclpy.context import Context
 
-    from rsb_bridge.ros.native.extension import OwnNode
+    from rsb_bridge.ros.native.rclpy_extension import OwnNode
 
 _SERVED_WITHIN = 0.5  # s: from when the client exists to when DDS has matched it
 _ANSWERED_WITHIN = 2.0  # s
@@ -108,7 +108,7 @@ def _all(described: _TypeDescription) -> Iterator[_MessageType]:
 def _message_type(described: Any, fields: list[Any]) -> MessageType:
     """Return a type, from its C struct or its Python message, which have the same attributes."""
     return MessageType(
-        str(described.type_name), tuple(Field(str(each.name), _field_type(each.type)) for each in fields)
+        str(described.type_name), tuple(MessageField(str(each.name), _field_type(each.type)) for each in fields)
     )
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         ServiceClient,
         ServiceServer,
     )
-    from rsb_bridge.route.lease import Lease
+    from rsb_bridge.route.lease import LeaseHalf
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.records import LaneEntry
 
@@ -330,7 +330,7 @@ class Offers(LaneEndpoints):
         asked: Callable[[int, Sequence[Request]], None],
         too_late: Callable[[int, Sequence[Request]], None],
         failed: Callable[[RosError], None],
-        marks: Callable[[], Lease | None] = lambda: None,
+        marks: Callable[[], LeaseHalf | None] = lambda: None,
     ) -> None:
         super().__init__(context, peer, members, failed)
         self._marks = marks

@@ -32,7 +32,7 @@ from rsb_bridge.route.calls.goals import Goals, goal_of, rejection_of
 from rsb_bridge.route.calls.kept_calls import INTERRUPTION, KeptCall, KeptCalls
 from rsb_bridge.route.calls.manual_call import CallError, ManualCall
 from rsb_bridge.route.calls.node_parameters import foreign_event
-from rsb_bridge.route.calls.pending_calls import Call, PendingCalls
+from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
 from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.route.source_publishers import SlowSubscriberError
 from rsb_bridge.route.topic_verdict import named
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.ros_interface import ServiceServer
-    from rsb_bridge.route.lease import Lease
+    from rsb_bridge.route.lease import LeaseHalf
     from rsb_bridge.route.notices import Notices
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.framing import Budget
@@ -116,7 +116,7 @@ class LaneMessages:
 
 
 @dataclass(slots=True)
-class CallerCall(Call):
+class CallerCall(PendingCall):
     """A call of a caller on this side.
 
     Attributes:
@@ -214,7 +214,7 @@ class CallingRoute(CallsRoute):
         self._allowed: TokenBucket | None = None  # None without a limit
         self.limit.apply = self._limit
 
-    def _lease_of_requests(self) -> Lease | None:
+    def _lease_of_requests(self) -> LeaseHalf | None:
         return self.arming.lease if self.arming.required else None
 
     def _limit(self, rate: float) -> None:

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.calls.calls_verdict import CallsProgress
     from rsb_bridge.route.route import Owner
-    from rsb_bridge.route.type_versions import MessageType
+    from rsb_bridge.route.type_versions import TypeVersion
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry
 
@@ -83,7 +83,7 @@ class CallsRoute(Route):
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self._checks = [MessageCheck(context, peer.budget.checks) for _ in self.members]
         self._types: tuple[str, ...] = ()  # by lane, as last known
-        self._message_types: tuple[MessageType, ...] = ()  # likewise
+        self._message_types: tuple[TypeVersion, ...] = ()  # likewise
         self._loaded: tuple[str, ...] = ()  # types by lane, once loading them was tried
         self._loading: tuple[str, ...] = ()
         self._later = Backlog()
@@ -197,7 +197,7 @@ class CallsRoute(Route):
         self.type_hash = entries[0].type_hash if len(entries) == 1 else ""
 
     @property
-    def message_types(self) -> tuple[MessageType, ...]:
+    def message_types(self) -> tuple[TypeVersion, ...]:
         return self._message_types
 
     def _load(self, entries: Sequence[LaneEntry]) -> bool:

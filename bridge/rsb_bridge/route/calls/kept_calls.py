@@ -128,7 +128,7 @@ class AnswerAction(Enum):
     """Refuse a goal that may have arrived: it must not begin twice."""
 
 
-class Question(NamedTuple):
+class CallIdentity(NamedTuple):
     """Identifies calls with the same meaning.
 
     Attributes:
@@ -159,13 +159,13 @@ class Kept:
     until: float | None = None
 
 
-def question_of(lane: int, payload: bytes) -> Question | None:
+def question_of(lane: int, payload: bytes) -> CallIdentity | None:
     """Return the question that a request asks, or None if it cannot be recognized later."""
     if lane == CANCEL_GOAL:
         cancel = cancel_of(payload)
-        return Question(lane, cancel.request) if cancel is not None else None
+        return CallIdentity(lane, cancel.request) if cancel is not None else None
     goal = goal_of(payload) if lane in (SEND_GOAL, GET_RESULT) else None
-    return Question(lane, goal) if goal is not None else None
+    return CallIdentity(lane, goal) if goal is not None else None
 
 
 def result_request(goal: bytes) -> bytes:
@@ -181,13 +181,13 @@ class KeptAnswers:
     """
 
     def __init__(self) -> None:
-        self._kept: dict[Question, Kept] = {}  # oldest first
-        self._by_number: dict[tuple[int, int], Question] = {}
-        self._waiting: dict[int, Question] = {}  # by call; each of these calls is in `Kept.calls`
+        self._kept: dict[CallIdentity, Kept] = {}  # oldest first
+        self._by_number: dict[tuple[int, int], CallIdentity] = {}
+        self._waiting: dict[int, CallIdentity] = {}  # by call; each of these calls is in `Kept.calls`
         self._bytes = 0
         self._has_forgotten = False  # a question, too early, because there was no room
 
-    def __contains__(self, question: Question) -> bool:
+    def __contains__(self, question: CallIdentity) -> bool:
         return question in self._kept
 
     @property
@@ -195,7 +195,7 @@ class KeptAnswers:
         """Whether the server owes an answer."""
         return any(kept.answer is None for kept in self._kept.values())
 
-    def has_answer(self, question: Question | None) -> bool:
+    def has_answer(self, question: CallIdentity | None) -> bool:
         """Return whether the server has answered a question."""
         kept = self._kept.get(question) if question is not None else None
         return kept is not None and kept.answer is not None
@@ -204,13 +204,13 @@ class KeptAnswers:
         """Return the goals whose results the other side's calls wait for."""
         return {question.about for question, kept in self._kept.items() if question.lane == GET_RESULT and kept.calls}
 
-    def answer(self, question: Question) -> bytes:
+    def answer(self, question: CallIdentity) -> bytes:
         """Return the kept answer to a question for which `take` returned `ANSWER`."""
         answer = self._kept[question].answer
         assert answer is not None
         return answer
 
-    def take(self, question: Question, call: int, *, again: bool) -> AnswerAction:
+    def take(self, question: CallIdentity, call: int, *, again: bool) -> AnswerAction:
         """Decide how to handle a call.
 
         A result does not change, so that one answer serves all calls for it. Other calls go to the server, unless the
@@ -237,7 +237,7 @@ class KeptAnswers:
         kept.until = None
         return AnswerAction.WAIT
 
-    def asked(self, question: Question, number: int, servers: AbstractSet[bytes], *calls: int) -> None:
+    def asked(self, question: CallIdentity, number: int, servers: AbstractSet[bytes], *calls: int) -> None:
         """Note that the server was asked, under the client's number, and the calls that wait for its answer.
 
         If two goals have the same id, the answer to the first is kept: the server refuses the second.
@@ -261,7 +261,7 @@ class KeptAnswers:
 
     def answered(
         self, lane: int, number: int, answer: bytes, now: float, *, linked: bool
-    ) -> tuple[Question, list[int]] | None:
+    ) -> tuple[CallIdentity, list[int]] | None:
         """Keep an answer of the server.
 
         Returns:
@@ -294,7 +294,7 @@ class KeptAnswers:
         if (question := self._by_number.get((lane, number))) is not None:
             self._forget_soon(question, now)
 
-    def _forget_soon(self, question: Question, now: float) -> None:
+    def _forget_soon(self, question: CallIdentity, now: float) -> None:
         """Forget an unanswered question after a while if no call waits for it, but no result: a goal may take days."""
         kept = self._kept[question]
         if question.lane != GET_RESULT and kept.answer is None and not kept.calls:
@@ -319,7 +319,7 @@ class KeptAnswers:
             if question.lane == CANCEL_GOAL:
                 self._forget(question)
 
-    def to_ask(self, servers: AbstractSet[bytes]) -> list[Question]:
+    def to_ask(self, servers: AbstractSet[bytes]) -> list[CallIdentity]:
         """Return the results to ask these servers for, because the servers that were asked have gone."""
         return [
             question
@@ -344,7 +344,7 @@ class KeptAnswers:
             self._has_forgotten = True
             self._forget(oldest)
 
-    def _forget(self, question: Question) -> None:
+    def _forget(self, question: CallIdentity) -> None:
         kept = self._kept.pop(question, None)
         if kept is not None:
             self._by_number.pop((question.lane, kept.number), None)

@@ -17,7 +17,7 @@ _ROOM = 64
 
 
 @dataclass(slots=True)
-class Call:
+class PendingCall:
     """A call that waits for its answer.
 
     Attributes:
@@ -31,7 +31,7 @@ class Call:
     asked_at: float
 
 
-C = TypeVar("C", bound=Call)
+C = TypeVar("C", bound=PendingCall)
 
 
 class PendingCalls(Generic[C]):

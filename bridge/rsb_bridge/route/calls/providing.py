@@ -32,14 +32,14 @@ from rsb_bridge.route.calls.goals import Goals, accepted_by
 from rsb_bridge.route.calls.kept_calls import (
     INTERRUPTION,
     AnswerAction,
+    CallIdentity,
     KeptAnswers,
-    Question,
     question_of,
     result_request,
 )
 from rsb_bridge.route.calls.manual_call import CallError, call_directly
 from rsb_bridge.route.calls.node_parameters import own_event, why_no_parameters
-from rsb_bridge.route.calls.pending_calls import Call, PendingCalls
+from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
 from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.messages import Provide
@@ -66,7 +66,7 @@ _REFUSALS = {AnswerAction.REFUSE: Refused.NOT_ARRIVED, AnswerAction.LOSE: Refuse
 
 
 @dataclass(slots=True)
-class PeersCall(Call):
+class PeersCall(PendingCall):
     """A call of the other side's.
 
     Attributes:
@@ -528,7 +528,7 @@ class ProvidingRoute(CallsRoute):
 
     # --- calls of an action
 
-    def _take_question(self, action: ProviderAction, question: Question, frame: CallFrame) -> None:
+    def _take_question(self, action: ProviderAction, question: CallIdentity, frame: CallFrame) -> None:
         """Answer a call from the kept answers, have it wait for one, refuse it, or ask the server."""
         todo = action.answers.take(question, frame.call, again=frame.what is What.AGAIN)
         if todo is AnswerAction.ASK and frame.lane == GET_RESULT:
@@ -547,7 +547,7 @@ class ProvidingRoute(CallsRoute):
             if todo is AnswerAction.ANSWER:
                 self._answer(frame.call, action.answers.answer(question))
 
-    def _ask_result(self, action: ProviderAction, question: Question, *calls: int) -> None:
+    def _ask_result(self, action: ProviderAction, question: CallIdentity, *calls: int) -> None:
         """Ask the server for a result; its answer is kept, and sent to the calls that wait for it."""
         try:
             number = self._clients.clients[GET_RESULT].call(result_request(question.about))
@@ -574,7 +574,7 @@ class ProvidingRoute(CallsRoute):
             if self.arming.required and not self.arming.armed and self.on_end == CANCEL:  # it was sent while armed
                 self._cancels.cancel((question.about,))
             # The result is asked for at once, because the link may be lost at any time.
-            result = Question(GET_RESULT, question.about)
+            result = CallIdentity(GET_RESULT, question.about)
             if result not in action.answers and GET_RESULT in self._clients.clients:
                 self._ask_result(action, result)
         return True

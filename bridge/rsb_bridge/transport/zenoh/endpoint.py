@@ -5,7 +5,7 @@ Keys, below ``rsb_console/FLEET``, where an address is 16 hexadecimal digits, ne
 - ``at/TO/FROM/STREAM``: a sample for the endpoint TO; a stream is 16 hexadecimal digits, ``drop`` a datagram.
 - ``here/SERVICE/ADDRESS/LABEL``: the liveliness token of an endpoint; its label is percent-encoded.
 
-A sample's attachment has its `Kind`.
+A sample's attachment has its `SampleKind`.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from urllib.parse import quote, unquote
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.threads import VisitableLoop, in_thread
-from rsb_bridge.transport.zenoh.outbox import Outbox
-from rsb_bridge.transport.zenoh.sample import LENGTHS, Header, Kind
+from rsb_bridge.transport.zenoh.outbox import SampleOutbox
+from rsb_bridge.transport.zenoh.sample import LENGTHS, Header, SampleKind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ class StreamEnd(Protocol):
         ...
 
 
-class Endpoint:
+class ZenohEndpoint:
     """An endpoint on the loop that made it; all but `cut_off` must be called on that loop.
 
     Attributes:
@@ -141,12 +141,12 @@ class Endpoint:
         label: str,
         watched: Sequence[str],
         strangers: Strangers,
-        on_close: Callable[[Endpoint], None],
+        on_close: Callable[[ZenohEndpoint], None],
     ) -> None:
         import zenoh as package  # noqa: PLC0415 (an extra)
 
         self.address = os.urandom(8).hex()
-        self.outbox = Outbox(session, asyncio.get_running_loop())
+        self.outbox = SampleOutbox(session, asyncio.get_running_loop())
         self.seen: dict[str, Seen] = {}
         self.on_stream: Callable[[str, str, Header], StreamEnd] | None = None
         self.on_datagram: Callable[[str, bytes], None] | None = None
@@ -356,11 +356,11 @@ class Endpoint:
             return
         end = self._streams.get((sender, stream))
         if end is None:
-            if header.kind != Kind.DATA:
+            if header.kind != SampleKind.DATA:
                 return
             if self.on_stream is None or header.number:
                 # Anyone can cause these, so they wait for nothing.
-                over = Header(Kind.END, header.rank, 0)
+                over = Header(SampleKind.END, header.rank, 0)
                 self.outbox.drop(self.key(sender, stream), b"there is no such stream any more", over)
                 return
             end = self.on_stream(sender, stream, header)

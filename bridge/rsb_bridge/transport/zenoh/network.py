@@ -17,7 +17,7 @@ from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.model.transports import HOW_TO_INSTALL_ZENOH
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.threads import in_thread
-from rsb_bridge.transport.zenoh.endpoint import ROUTER_LOST, Endpoint
+from rsb_bridge.transport.zenoh.endpoint import ROUTER_LOST, ZenohEndpoint
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -245,7 +245,7 @@ class Network:
         self._session: zenoh.Session | None = None
         self._deleted: Any = None
         self._config_used: zenoh.Config | None = None
-        self._endpoints: list[Endpoint] = []
+        self._endpoints: list[ZenohEndpoint] = []
         self._closed = False
         self._cut_off = False
 
@@ -279,7 +279,7 @@ class Network:
         """The lost router and the remedy, or an empty string."""
         return NetworkProblem.ROUTER_LOST(place=self.place, lost=ROUTER_LOST) if self._cut_off else ""
 
-    async def endpoint(self, service: str, label: str, watched: Sequence[str]) -> Endpoint:
+    async def endpoint(self, service: str, label: str, watched: Sequence[str]) -> ZenohEndpoint:
         """Return a new endpoint on the running loop, and announce it to the fleet.
 
         Args:
@@ -295,7 +295,7 @@ class Network:
             session = self._session
             if session is None:
                 raise OSError(NetworkProblem.CLOSED(place=self.place))
-            endpoint = Endpoint(session, self.settings.fleet, service, label, watched, self.strangers, self._left)
+            endpoint = ZenohEndpoint(session, self.settings.fleet, service, label, watched, self.strangers, self._left)
             self._endpoints.append(endpoint)
         try:
             await endpoint.announce()
@@ -310,7 +310,7 @@ class Network:
             self._closed = True
         self._leave()
 
-    def _left(self, endpoint: Endpoint) -> None:
+    def _left(self, endpoint: ZenohEndpoint) -> None:
         with self._lock:
             if endpoint in self._endpoints:
                 self._endpoints.remove(endpoint)

@@ -17,7 +17,7 @@ import threading
 from collections import deque
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rsb_bridge.transport.zenoh.sample import Kind
+from rsb_bridge.transport.zenoh.sample import SampleKind
 
 if TYPE_CHECKING:
     import asyncio
@@ -47,7 +47,7 @@ _DISBELIEVED_FOR = 600.0
 """s for which reports do not count after such a call while little was in flight by them."""
 
 
-class Outbox:
+class SampleOutbox:
     """Sends samples, in order within a rank. Used on the loop.
 
     Ranks are `LINK_RANK` and, from 1 on, the ranks of `rsb_bridge.model.session`, highest first.
@@ -67,7 +67,9 @@ class Outbox:
 
     def put(self, key: str, payload: bytes | bytearray | memoryview[int], header: Header) -> None:
         """Send a sample of a stream; it is held back, and never dropped, while the network is congested."""
-        self._lane(header.rank).put(_Sample(key, bytes(payload), header.pack()), reported=header.kind == Kind.DATA)
+        self._lane(header.rank).put(
+            _Sample(key, bytes(payload), header.pack()), reported=header.kind == SampleKind.DATA
+        )
 
     def arrived(self, rank: int, size: int) -> None:
         """Count data of a stream as arrived, of that many bytes with each sample's `OWN_COST`."""

@@ -21,14 +21,14 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.zenoh.outbox import IN_FLIGHT, LINK_RANK, OWN_COST
-from rsb_bridge.transport.zenoh.sample import Header, Kind
+from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 from rsb_bridge.wire.sealing import SampleTags
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.transport.zenoh.endpoint import Endpoint
+    from rsb_bridge.transport.zenoh.endpoint import ZenohEndpoint
 
 WINDOW = 4 * 1024 * 1024
 """Bytes: 40 MB/s where the way there and back takes 0.1 s."""
@@ -82,7 +82,7 @@ class Pipe(asyncio.Transport):
 
     def __init__(
         self,
-        endpoint: Endpoint,
+        endpoint: ZenohEndpoint,
         peer: str,
         stream: str,
         rank: int,
@@ -224,12 +224,12 @@ class Pipe(asyncio.Transport):
         if self._tags is not None:
             if self._tags.proves(header.kind, header.number, payload, header.tag):
                 self._proven(header, payload)
-            elif header.kind == Kind.END:  # a peer that has forgotten the stream has no key for it either
+            elif header.kind == SampleKind.END:  # a peer that has forgotten the stream has no key for it either
                 self._doubt(_reason(payload))
         elif self._trial:
-            if header.kind == Kind.DATA:
+            if header.kind == SampleKind.DATA:
                 self._try(header.number, payload)
-        elif header.kind == Kind.END:
+        elif header.kind == SampleKind.END:
             missing = header.number - self._received_samples
             self._doubt(_missing(missing) if missing > 0 else _reason(payload))
         else:
@@ -237,15 +237,15 @@ class Pipe(asyncio.Transport):
 
     def _proven(self, header: Header, payload: bytes) -> None:
         """Take a sample that the peer has sent, as far as that can be known."""
-        if header.kind == Kind.DATA:
+        if header.kind == SampleKind.DATA:
             self._data(header.number, payload)
-        elif header.kind == Kind.WINDOW:
+        elif header.kind == SampleKind.WINDOW:
             self._heard = True
             there = min(header.number, self._sent - self._endpoint.outbox.waiting(self._key, self._rank))
             if there > self._taken_there:
                 self._arrived_there(there)
             self._go_on()
-        elif header.kind == Kind.END and self._ended is None:
+        elif header.kind == SampleKind.END and self._ended is None:
             missing = header.number - self._received_samples
             self._take_end(_missing(missing) if missing > 0 else _reason(payload))
 
@@ -364,7 +364,7 @@ class Pipe(asyncio.Transport):
 
     def _say(self) -> None:
         self._said = self._taken
-        self._put_sample(Kind.WINDOW, self._taken, b"")
+        self._put_sample(SampleKind.WINDOW, self._taken, b"")
 
     # --- sending
 
@@ -375,11 +375,11 @@ class Pipe(asyncio.Transport):
             self._ask_later()
 
     def _put(self, data: bytes | bytearray | memoryview[int]) -> None:
-        self._put_sample(Kind.DATA, self._sent_samples, data)
+        self._put_sample(SampleKind.DATA, self._sent_samples, data)
         self._sent_samples += 1
         self._cost_in_flight += len(data) + OWN_COST
 
-    def _put_sample(self, kind: Kind, number: int, payload: bytes | bytearray | memoryview[int]) -> None:
+    def _put_sample(self, kind: SampleKind, number: int, payload: bytes | bytearray | memoryview[int]) -> None:
         tag = b"" if self._tags is None else self._tags.tag(kind, number, payload)
         self._endpoint.outbox.put(self._key, payload, Header(kind, self._rank, number, tag))
 
@@ -412,7 +412,7 @@ class Pipe(asyncio.Transport):
             return
         self._over = self._closing = True
         if self._ended is None:
-            self._put_sample(Kind.END, self._sent_samples, told.encode()[:_REASON])
+            self._put_sample(SampleKind.END, self._sent_samples, told.encode()[:_REASON])
         self._endpoint.forget(self._peer, self._stream)
         # Zenoh may still have it; after that time it has sent it, or the router is lost.
         self._loop.call_later(_SENT_WITHIN, self._endpoint.outbox.arrived, self._rank, self._cost_in_flight)

@@ -13,7 +13,7 @@ LENGTHS = (_HEADER.size, _HEADER.size + TAG_LENGTH)
 """Bytes of attachments, without a tag and with one."""
 
 
-class Kind(IntEnum):
+class SampleKind(IntEnum):
     """The kind of a stream's sample, which gives its number a meaning: it is..."""
 
     DATA = 1
@@ -28,7 +28,7 @@ class Header(NamedTuple):
     """The attachment of a sample of a stream.
 
     Attributes:
-        kind: a `Kind`; other numbers are passed over.
+        kind: a `SampleKind`; other numbers are passed over.
         rank: of the stream's priority; `Outbox` has the ranks.
         tag: proves that the peer sent the sample, or is empty.
     """

@@ -30,7 +30,7 @@ from rsb_bridge.wire.framing import MESSAGE_LIMIT
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from rsb_bridge.transport.zenoh.endpoint import Endpoint, Seen
+    from rsb_bridge.transport.zenoh.endpoint import Seen, ZenohEndpoint
     from rsb_bridge.transport.zenoh.network import Network
     from rsb_bridge.transport.zenoh.sample import Header
 
@@ -90,10 +90,10 @@ class Links:
     def __init__(self, network: Network, name: str) -> None:
         self.network = network
         self._label = f"{name} on {socket.gethostname()}"
-        self._endpoint: Endpoint | None = None
+        self._endpoint: ZenohEndpoint | None = None
         self._opening = asyncio.Lock()
 
-    async def endpoint(self, service: str, watched: Sequence[str]) -> Endpoint:
+    async def endpoint(self, service: str, watched: Sequence[str]) -> ZenohEndpoint:
         """Return the endpoint, made at the first call.
 
         Raises:
@@ -106,7 +106,7 @@ class Links:
                 await self.network.open()
         return self._endpoint
 
-    def endpoint_if_open(self) -> Endpoint:
+    def endpoint_if_open(self) -> ZenohEndpoint:
         """Return the endpoint of a link that is up.
 
         Raises:
@@ -162,7 +162,7 @@ class Zenoh(ZenohTraits, StreamTransport):
         Pipe(endpoint, peer, os.urandom(8).hex(), _priority(rank), stream, stranger=rank is None)
         return stream
 
-    def _announced(self, endpoint: Endpoint) -> list[Seen]:
+    def _announced(self, endpoint: ZenohEndpoint) -> list[Seen]:
         """Return the other servers.
 
         Raises:
@@ -174,7 +174,7 @@ class Zenoh(ZenohTraits, StreamTransport):
             raise OSError(FleetText.NO_SERVER(fleet=fleet))
         return servers
 
-    def _server(self, endpoint: Endpoint) -> str:
+    def _server(self, endpoint: ZenohEndpoint) -> str:
         """Return the only server of a link without encryption, which could not tell servers apart."""
         servers = self._announced(endpoint)
         if len(servers) > 1:
@@ -222,7 +222,7 @@ class Zenoh(ZenohTraits, StreamTransport):
 class _Listening:
     """A server's end of `Zenoh.listen`."""
 
-    def __init__(self, endpoint: Endpoint) -> None:
+    def __init__(self, endpoint: ZenohEndpoint) -> None:
         self._endpoint = endpoint
 
     def close(self) -> None:
@@ -240,7 +240,7 @@ class ZenohSocket:
     port = 0
     receive_buffer = RECEIVE_BUFFER
 
-    def __init__(self, endpoint: Endpoint, peer: str, on_close: Callable[[], None]) -> None:
+    def __init__(self, endpoint: ZenohEndpoint, peer: str, on_close: Callable[[], None]) -> None:
         self.when_writable: set[Callable[[], None]] = set()
         self._endpoint = endpoint
         self._peer = peer
@@ -303,7 +303,7 @@ class ZenohDrop(ZenohDropTraits, DatagramTransport):
         return connected
 
 
-def _deaf(endpoint: Endpoint, take: Callable[[str, bytes], None]) -> None:
+def _deaf(endpoint: ZenohEndpoint, take: Callable[[str, bytes], None]) -> None:
     """Give datagrams to `take` no longer; the next socket may have begun before this one is closed."""
     if endpoint.on_datagram is take:
         endpoint.on_datagram = None
@@ -314,7 +314,7 @@ def _priority(rank: int | None) -> int:
     return LINK_RANK if rank is None else _RANKS[(rank > 0) - (rank < 0)]
 
 
-def _servers(endpoint: Endpoint) -> list[Seen]:
+def _servers(endpoint: ZenohEndpoint) -> list[Seen]:
     """Return the servers that are announced, without this one."""
     return [seen for seen in endpoint.seen.values() if seen.service == SERVER and seen.address != endpoint.address]
 

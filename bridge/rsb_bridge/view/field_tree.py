@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.decoder import Value
     from rsb_bridge.model.pictures import Wish
-    from rsb_bridge.view.drawing import Received
+    from rsb_bridge.view.drawing import TakenMessage
 
 _SHOWN = 8
 """Elements of an array."""
@@ -29,7 +29,7 @@ class FieldsView(View):
         self._shown: dict[str, str] = {}
         self._lines: list[tuple[str, str, str]] = []
 
-    def take(self, received: Received) -> None:
+    def take(self, received: TakenMessage) -> None:
         self._lines = []
         for line in _tree(received.message, "", 0):
             self._lines.append(line)

@@ -1,4 +1,6 @@
-"""The ends of a measured stream of std_msgs/String: ``python -m rsb_bridge.ros.traffic PART DOMAIN TOPIC[:DEPTH]...``.
+"""The ends of a measured stream of std_msgs/String.
+
+They are started by ``python -m rsb_bridge.ros.measured_stream PART DOMAIN TOPIC[:DEPTH]...``.
 
 It is commanded by lines, and answers with lines of JSON; it ends with its standard input.
 
@@ -28,7 +30,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
 from rsb_bridge.ros.known_messages import made_at, stamped_string
-from rsb_bridge.ros.native.extension import wait_set
+from rsb_bridge.ros.native.rclpy_extension import wait_set
 from rsb_bridge.ros.synthetic import percentiles
 
 if TYPE_CHECKING:
