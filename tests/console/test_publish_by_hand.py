@@ -22,9 +22,10 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import ScriptedEngine, call_route, route
+from tests.support.wording import says
 from textual.events import Paste
 from textual.pilot import Pilot
-from textual.widgets import Button
+from textual.widgets import Button, Static
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.by_hand import Draft, Published
@@ -344,3 +345,6 @@ async def test_the_form_shows_what_the_other_side_reports(app: ConsoleApp, pilot
     put(app, replace(WORDS, ledger=delivered, subscribers=("motors",)))
     await shown(pilot, LandingText.SUBSCRIBED, nodes="motors")
     await shown(pilot, PublishText.PUBLISHED, sign="✓", topic="/words")
+    result, report = str(app.screen.query_one(".call-state", Static).render()).splitlines()
+    assert says(result, PublishText.PUBLISHED, sign="✓", topic="/words")
+    assert "motors" in report

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 import yaml
-from geometry_msgs.msg import PoseStamped, Twist
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from msgspec.structs import replace
 from rclpy.duration import Duration
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
+from rclpy.time import Time
 from tests.support import constants, replaced
 from tests.support.bridge import balance, carries, happened, is_accepted, now, route
 from tests.support.consoles import Consoles
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from rsb_bridge.engine import Engine
     from rsb_bridge.model.by_hand import Published
 
-STRING, TWIST = "std_msgs/msg/String", "geometry_msgs/msg/Twist"
+STRING, TWIST, TWIST_STAMPED = "std_msgs/msg/String", "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 DRIVEN = Topic("/cmd", "receive", arm=True, deadman=0.0)
 
 
@@ -332,6 +333,28 @@ def test_a_topic_is_driven_whose_type_only_the_robot_knows(
     drive(server, 0.1)
     eventually(lambda: speeds(motors)[:1] == [0.1])
     eventually(lambda: speeds(motors)[-1] == 0.0)
+
+
+def test_a_motion_that_nobody_goes_on_with_ends_with_a_new_stamp(
+    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
+) -> None:
+    """The rest was made with the command before it; a controller drops what is older than its timeout, often 0.5 s."""
+    motors = robot.listener("/cmd", TwistStamped)
+    pc.publisher("/cmd", TwistStamped)
+    server, client = bridge.both(replace(DRIVEN, type=TWIST_STAMPED))
+    eventually(lambda: can_be_armed(server, client))
+    consoles.arm(server)
+    publish(
+        server,
+        "header: {stamp: now}\ntwist: {linear: {x: 0.1}}",
+        rest="header: {stamp: now}\ntwist: {linear: {x: 0}}",
+        rest_after=0.5,
+    )
+    eventually(lambda: len(motors.payloads) >= 2)
+    moves, rests = (deserialize_message(each, TwistStamped) for each in motors.payloads[:2])
+    assert (moves.twist.linear.x, rests.twist.linear.x) == (0.1, 0.0)
+    between = Time.from_msg(rests.header.stamp) - Time.from_msg(moves.header.stamp)
+    assert between.nanoseconds / 1e9 >= 0.45
 
 
 def test_what_has_landed_is_reported(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:

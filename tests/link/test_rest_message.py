@@ -22,7 +22,7 @@ from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lease import LASTS
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.rest_message import EVERY, TIMES, RestMessage
-from rsb_bridge.route.source_publishers import SourcePublishers
+from rsb_bridge.route.source_publishers import PublicationSpec, SourcePublishers
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import with_number
 from rsb_bridge.wire.messages import Describe
@@ -152,8 +152,9 @@ class Driven:
         arm(pc, loop).result()
         let_time_pass(self.pair, loop, 0.5)
 
-    def describe(self) -> None:
-        self.pair[0].table.handle(Describe(self.half.id, self.kind, "RIHS01_" + "0" * 64, Qos(), (Source(("there",)),)))
+    def describe(self, qos: Qos | None = None) -> None:
+        description = Describe(self.half.id, self.kind, "RIHS01_" + "0" * 64, qos or Qos(), (Source(("there",)),))
+        self.pair[0].table.handle(description)
 
     @property
     def half(self) -> IncomingRoute:
@@ -306,6 +307,26 @@ def test_a_robot_that_was_told_to_rest_hears_no_more(driven: Driven) -> None:
     by_an_operator(driven, 0)
     driven.wait(1.0)
     assert driven.payloads == [MOVES, RESTS]
+
+
+def test_a_robot_rests_though_the_other_side_s_publishers_have_changed_since_it_moved(
+    driven: Driven, loop: VirtualLoop
+) -> None:
+    """A node there, or an operator, publishes with another QoS, and so has the robot's own topic from then on."""
+    driven.describe(Qos(depth=3))
+    let_time_pass(driven.pair, loop, 0.5)
+    by_an_operator(driven, 0)
+    assert driven.payloads == [MOVES, RESTS]
+
+
+def test_a_robot_that_a_hand_beside_it_has_moved_rests_though_a_node_came_on_the_other_side(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    driven = Driven(loop, make_context)
+    driven.half.moved(PublicationSpec("/cmd_vel", TWIST, "RIHS01_" + "0" * 64, Qos(depth=7)), MOVES)
+    driven.describe(Qos(depth=3))
+    by_an_operator(driven, 0)
+    assert driven.payloads == [RESTS]
 
 
 def test_nothing_is_published_where_nothing_has_moved(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:

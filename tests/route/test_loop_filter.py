@@ -20,6 +20,7 @@ from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
 from rsb_bridge.ros.stand_in import NoRos
+from rsb_bridge.route.loop_filter import Publication, SourceTable
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.wire.framing import SOURCE_SHIFT, Message
 from rsb_bridge.wire.messages import Describe, Ready
@@ -219,6 +220,16 @@ def test_a_publisher_that_nobody_explains_is_waited_for_3_s_and_nothing_polls(wo
     assert (world.sent, world.graph.asked) == ([b"1", b"2"], asked + 1)
     world.wait(600.0)
     assert world.graph.asked == asked + 1
+
+
+@pytest.mark.parametrize("since", [3.453, 62.349, 62.48])
+def test_the_wait_for_a_publisher_is_over_at_the_moment_that_it_names(since: float) -> None:
+    """Sums of these times are rounded: a difference may be smaller than the wait when the moment has come."""
+    table, publication = SourceTable(), Publication(SECOND, "bridge", None)
+    table.update([publication], "hop", frozenset(), frozenset(), since)
+    assert table.unexplained
+    table.update([publication], "hop", frozenset(), frozenset(), table.explained_by)
+    assert not table.unexplained
 
 
 def test_a_route_that_waits_for_a_publisher_does_not_poll(

@@ -15,6 +15,7 @@ from rsb_bridge.context import Context
 from rsb_bridge.engine.bridge import Bridge
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.command_origin import acting, on_console
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_bridge.ros.ros_thread import Receiver, RosToLoopQueue
 from rsb_bridge.telemetry.event_log import EventLog
@@ -200,9 +201,12 @@ class Run:
         """Its links."""
         return self.bridge.links()
 
-    async def command(self, work: Coroutine[None, None, T]) -> T | None:
+    async def command(self, work: Coroutine[None, None, T], who: str = "") -> T | None:
         """Carry out an operator's command in the engine's process. Return None if the process died before the end of
         it.
+
+        Args:
+            who: gives it, on a console of that name; empty: the bridge's own.
 
         Raises:
             EngineError: it cannot be carried out.
@@ -210,11 +214,15 @@ class Run:
 
         async def carry_out() -> T | EngineError:
             try:
-                return await work
+                if not who:
+                    return await work
+                with on_console(who), acting(who):
+                    return await work
             except EngineError as error:
                 return error
 
-        task = self.loop.create_task(carry_out(), context=self.process.context)
+        # A task's context is its own, as others of the process have other operators at the same time.
+        task = self.loop.create_task(carry_out(), context=self.process.context.copy())
         await asyncio.wait([task])
         if task.cancelled():
             return None

@@ -120,7 +120,9 @@ class Node:
         return [_endpoint(each) for each in self._domain.readers(topic) if each.node != self._name]
 
     def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
-        raise RosError(f"{type_name} is not installed here")
+        if (write := self._domain.written.get(type_name)) is None:
+            raise RosError(f"{type_name} is not installed here")
+        return write(fields)
 
     def installed_description(self, type_name: str) -> str | None:
         return None

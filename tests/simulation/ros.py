@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from tests.simulation.loop import SimulatedLoop
     from tests.simulation.node import Node
 
+    from rsb_bridge.model.calls import Fields
     from rsb_bridge.ros.ros_interface import OnFailure, Sink
 
 STRING = "std_msgs/msg/String"
@@ -57,6 +58,7 @@ class Domain:
         random: how long discovery and taking take.
         taking: s, between which messages wait until they are taken: more where the ROS thread is busy.
         installed: hash by type name, of the types that nodes here were built with.
+        written: what makes a message of a type from its fields, for the types that engines here write themselves.
         numbers: whether messages carry their publisher's numbers, which some middleware does not give.
         services: its servers and clients.
     """
@@ -74,6 +76,7 @@ class Domain:
         self.wall_ns = wall_ns
         self.taking = _TAKING
         self.installed = {STRING: hash_of(STRING)}
+        self.written: dict[str, Callable[[Fields], bytes]] = {}
         self.numbers = False
         self._gids = itertools.count(1)
         self._writers: defaultdict[str, list[Writer]] = defaultdict(list)

@@ -12,6 +12,7 @@ import msgspec
 
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
+from rsb_bridge.cdr.resting import DRIVING_TYPES, stamped
 from rsb_bridge.cdr.velocity import reduced, speeds_of
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
 from rsb_bridge.link.errors import LinkError
@@ -264,10 +265,17 @@ class Publishing:
         if ended and any(route.arming.passes(now) for route, _ in rest.openings):
             return  # somebody else has armed it since, and may be driving
         try:
-            publication.publisher.publish(rest.payload)
+            publication.publisher.publish(self._stamped(publication, rest.payload))
             publication.count += 1
         except RosError as error:
             self._context.log(Level.WARNING, EventCode.OPERATOR_PUBLISH_ENDED, f"{topic}: {error}", topic=topic)
+
+    def _stamped(self, publication: _Publication, rest: bytes) -> bytes:
+        """Return a rest with the present time: it was made with the message before, and a robot may drop old ones."""
+        resolved = publication.resolved
+        if resolved is None or resolved.type_name not in DRIVING_TYPES:
+            return rest
+        return stamped(resolved.type_name, rest, self._context.wall_ns())
 
     async def end_motions(self, topics: Collection[str] | None = None) -> None:
         """End the motions on topics that are about to be disarmed, or all: later, nothing could stop the robots.

@@ -262,13 +262,18 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         before, on_end = self._rest_message, self.on_end_of(spec.type_name) if self.arming.required else NONE
         if before is not None and (before.spec, before.on_end) == (spec, on_end):
             return
+        if on_end == NONE:
+            self._drop_rest()
+            return
+        failed = partial(self.log, Level.ERROR, EventCode.ROUTE_PUBLISH_FAILED)
+        try:
+            rest = RestMessage(self.context, self.peer.name, spec, on_end, failed)
+        except (RosError, FieldError) as error:
+            raise RosError(f"on_end: {error}; correct it in {self._who_says(on_end)}") from None
+        if before is not None:
+            rest.replaces(before)
         self._drop_rest()
-        if on_end != NONE:
-            failed = partial(self.log, Level.ERROR, EventCode.ROUTE_PUBLISH_FAILED)
-            try:
-                self._rest_message = RestMessage(self.context, self.peer.name, spec, on_end, failed)
-            except (RosError, FieldError) as error:
-                raise RosError(f"on_end: {error}; correct it in {self._who_says(on_end)}") from None
+        self._rest_message = rest
 
     def _who_says(self, on_end: str) -> str:
         own = self.arming.own

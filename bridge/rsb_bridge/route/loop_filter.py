@@ -100,7 +100,7 @@ class SourceTable:
             via = each.via
             if via is None:
                 first_seen[each.gid] = self._first_seen.get(each.gid, now)
-                if now - first_seen[each.gid] < EXPLAINED_WITHIN:
+                if now < first_seen[each.gid] + EXPLAINED_WITHIN:  # as `explained_by` says, to the last digit
                     unexplained.append(each)
                     continue
                 via = ()

@@ -91,6 +91,17 @@ class RestMessage:
         self.stop()
         return was_moving != self._is_moving
 
+    def replaces(self, before: RestMessage) -> None:
+        """Follow the motion that another rest of this route would have ended.
+
+        A hand may drive here while nodes of the other side, with a QoS of theirs, come and go.
+        """
+        if before.spec.type_name != self.spec.type_name:
+            return
+        self._last, self.velocity = before._last, before.velocity
+        if self._context.moved_by.get(self.spec.topic) is before:
+            self._context.moved_by[self.spec.topic] = self
+
     @property
     def _is_moving(self) -> bool:
         return self.velocity is not None and any(self.velocity)

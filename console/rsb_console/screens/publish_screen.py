@@ -191,7 +191,7 @@ class PublishScreen(FormScreen[Message]):
         try:
             published = await publish(self.console.engine, message.topic, message.fields, message.type_name)
         except EngineError as error:
-            self._show(f"{FAILED} {error}", "down")
+            self._show("down", f"{FAILED} {error}")
         else:
             text = self._show_result(message.topic, published)
             if published.links:
@@ -208,7 +208,7 @@ class PublishScreen(FormScreen[Message]):
             await asyncio.sleep(_LOOK_EVERY)
         reports = landing.reports(self.console.snapshot(), links)
         look = "ok" if all(ok for ok, _ in reports) else "down"
-        self._show("\n".join((text, *(report for _, report in reports))), look)
+        self._show(look, text, *(report for _, report in reports))
 
     def _show_result(self, topic: str, published: Published) -> str:
         """Show a message's way on this side; return it in words."""
@@ -216,14 +216,14 @@ class PublishScreen(FormScreen[Message]):
             subscriptions = f"{published.nodes} subscription{'' if published.nodes == 1 else 's'}"
             links = PublishText.OVER_LINKS(links=", ".join(published.links)) if published.links else ""
             text = PublishText.PUBLISHED(sign=DONE, topic=topic, subscriptions=subscriptions, links=links)
-            self._show(text, "ok")
+            self._show("ok", text)
             return text
         routes = (each for each in self.console.snapshot().routes if each.outgoing and each.topic == topic)
         reasons = "".join(f"; {each.link}: {each.reason or each.state.value}" for each in routes)
         text = PublishText.NOBODY(sign=FAILED, topic=topic, reasons=reasons)
-        self._show(text, "down")
+        self._show("down", text)
         return text
 
-    def _show(self, text: str, look: str) -> None:
-        self._state.set_text(escape_text(text))
+    def _show(self, look: str, *lines: str) -> None:
+        self._state.set_text("\n".join(map(escape_text, lines)))
         self._state.set_classes(f"call-state -{look}")

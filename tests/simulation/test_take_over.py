@@ -1,0 +1,290 @@
+"""Three operators at consoles of both sides want to drive one robot, while consoles, bridges and the network stall.
+
+The robot's motors are the judge: between the messages of one driver and those of another, they hear a rest. So nobody
+drives beside another, and what goes over passes through a rest.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import struct
+from collections import Counter
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
+
+import msgspec
+import pytest
+from tests.simulation.conditions import STILL
+from tests.simulation.ros import Reader, hash_of
+from tests.simulation.world import Violation, World
+from tests.support.long import long_cases
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.engine.topic_commands import ArmingCommands
+from rsb_bridge.model.command_origin import console, operator
+from rsb_bridge.model.commands import (
+    AnswerAsker,
+    ArmTopic,
+    AskHolder,
+    DisarmTopic,
+    KeepArmed,
+    Publish,
+    TakeArming,
+)
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Protocol, Topic
+from rsb_bridge.route.arming import Arming
+from rsb_bridge.route.rest_message import RestMessage
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine, Sequence
+
+    from tests.simulation.conftest import Play
+    from tests.simulation.engine_host import EngineHost, Run
+
+    from rsb_bridge.model.calls import Fields
+    from rsb_bridge.model.commands import Command
+    from rsb_bridge.ros.ros_interface import RawMessage
+    from rsb_bridge.route.route import Route
+
+_SECONDS = 240.0
+_TWIST = "geometry_msgs/msg/Twist"
+_CDR = b"\0\1\0\0"
+_LAYOUT = struct.Struct("<6d")
+_RATE = 10.0
+"""Hz of a driver's commands."""
+_SIGN_OF_LIFE_EVERY = 0.5
+_CHANGES = 6
+"""How often the robot has to change its driver, at least, for a world to prove something."""
+
+
+def _written(fields: Fields) -> bytes:
+    linear = fields.get("linear", {}) if isinstance(fields, dict) else {}
+    return _CDR + _LAYOUT.pack(float(linear.get("x", 0)), *(0.0,) * 5)  # type: ignore[union-attr, arg-type]
+
+
+@dataclass(eq=False)
+class Driver:
+    """An operator at a console.
+
+    Attributes:
+        name: of both.
+        host: to whose bridge the console is attached.
+        speed: m/s that only this driver asks for.
+        stands_still: whether the console does.
+    """
+
+    name: str
+    host: EngineHost
+    speed: float
+    stands_still: bool = False
+
+
+class Drivers:
+    """A robot, a server, and their operators.
+
+    Attributes:
+        world: all of it.
+        heard: messages that the motors heard, by driver.
+        changes: how often the motors heard another driver than before.
+        robot: where the robot's bridge runs.
+        server: where the control PC's does.
+        drivers: all of them.
+    """
+
+    def __init__(self, seed: int, protocol: Protocol) -> None:
+        self.world = world = World(seed, replace(STILL, topics=(0,)))
+        world.invariants.check = lambda: None  # type: ignore[method-assign]  # they count the world's own flows
+        self.random = world.random("drivers")
+        self.heard: Counter[str] = Counter()
+        self.changes = 0
+        (robot,) = world.robots
+        self.robot, self.server = robot.host, world.server
+        entry = Topic("/cmd", "receive", protocol=protocol, type=_TWIST, arm=True, deadman=20.0, remote_topic="/cmd")
+        self.robot.session = msgspec.structs.replace(self.robot.session, topics=(entry,))
+        for host in (self.robot, self.server):
+            host.domain.installed[_TWIST] = hash_of(_TWIST)
+            host.domain.written[_TWIST] = _written
+            host.on_run = lambda _: None  # its messages are no flow's
+        self.drivers = (
+            Driver("anna", self.server, 0.1),
+            Driver("bert", self.server, 0.2),
+            Driver("carol", self.robot, 0.3),
+        )
+        self._by_speed = {each.speed: each for each in self.drivers}
+        self._last = self._driver = ""  # whose message the motors heard last, and whose that moved
+        Reader(self.robot.domain, "/motors", "/cmd", _TWIST, hash_of(_TWIST), Qos(depth=1000), self._hear)
+
+    # --- what must never be
+
+    def _hear(self, batch: Sequence[RawMessage]) -> None:
+        for message in batch:
+            speed = _LAYOUT.unpack_from(message.payload, len(_CDR))[0]
+            name = self._by_speed[speed].name if speed else ""
+            if name and self._last not in ("", name):
+                self.world.wrong(f"{name} drives right after {self._last}: no rest in between")
+            if name and self._driver != name:
+                self.changes += bool(self._driver)
+                self._driver = name
+            self._last = name
+            self.heard[name] += 1
+
+    # --- what operators do
+
+    def _route(self, host: EngineHost) -> Route | None:
+        links = host.run.links() if host.run is not None else []
+        return next((route for link in links for route in link.routes.values()), None)
+
+    async def _do(self, driver: Driver, make: Callable[[Route], Command[Any]]) -> Any:
+        """Give a command about the topic; None if it is refused."""
+        run, route = driver.host.run, self._route(driver.host)
+        if run is None or route is None:
+            return None
+        with contextlib.suppress(EngineError):
+            return await run.command(run.bridge.do(make(route)), driver.name)
+
+    def _holds(self, driver: Driver) -> bool:
+        route = self._route(driver.host)
+        return route is not None and route.arming.console == driver.name
+
+    async def sit(self, driver: Driver) -> None:
+        """Give signs of life, and answer others' questions now and then."""
+        while True:
+            await asyncio.sleep(_SIGN_OF_LIFE_EVERY)
+            if driver.stands_still:
+                continue
+            await self._do(driver, lambda _: KeepArmed(pressed=True))
+            route = self._route(driver.host)
+            if route is None or not self._holds(driver) or route.arming.question is None:
+                continue
+            if self.random.random() < 0.3:
+                gives = self.random.random() < 0.7
+                await self._do(driver, lambda route, gives=gives: AnswerAsker(route.key, gives=gives))  # type: ignore[misc]
+
+    async def drive(self, driver: Driver) -> None:
+        """Drive while it is this driver's, and even if it is not, as hands do that have not read the screen."""
+        ticket, random = 0, self.random
+        while True:
+            await asyncio.sleep(random.choice((1 / _RATE, 1 / _RATE, random.uniform(0.0, 2.0))))
+            if driver.stands_still or not (self._holds(driver) or random.random() < 0.2):
+                continue
+            rest = random.choice(("", "linear: {x: 0.0}"))
+            fields = f"linear: {{x: {driver.speed}}}"
+            published = await self._do(
+                driver,
+                lambda route, rest=rest, ticket=ticket, fields=fields: Publish(  # type: ignore[misc]
+                    route.local_topic, fields, _TWIST, ticket=ticket, rest=rest, rest_after=0.5 if rest else 5.0
+                ),
+            )
+            ticket = published.ticket if published is not None else ticket
+
+    async def want(self, driver: Driver) -> None:
+        """Arm the topic, ask for it, take it or disarm it, again and again."""
+        random = self.random
+        while True:
+            await asyncio.sleep(random.uniform(2.0, 20.0))
+            if driver.stands_still:
+                continue
+            wants = (DisarmTopic,) if self._holds(driver) else (ArmTopic, AskHolder, AskHolder, TakeArming)
+            want = random.choice(wants)
+            await self._do(driver, lambda route, want=want: want(route.key))  # type: ignore[misc]
+
+    # --- what befalls them
+
+    async def befall(self) -> None:
+        """Stall a console, a bridge's process or the network, one at a time."""
+        random, loop = self.random, self.world.loop
+        ends = self.server.machine, self.robot.machine
+        while True:
+            await asyncio.sleep(random.uniform(3.0, 10.0))
+            seconds = random.choice((0.4, 1.2, 2.5, 6.0))
+            match random.choice(("console", "process", "network", "kill")):
+                case "console":
+                    driver = random.choice(self.drivers)
+                    driver.stands_still = True
+                    await asyncio.sleep(seconds)
+                    driver.stands_still = False
+                case "process":
+                    run = self._run()
+                    if run is not None:
+                        loop.freeze(run.process)
+                        try:
+                            await asyncio.sleep(seconds)
+                        finally:
+                            loop.thaw(run.process, reads_first=random.random() < 0.5)
+                case "network":
+                    self.world.network.cut(*ends)
+                    await asyncio.sleep(seconds)
+                    self.world.network.heal(*ends)
+                case _:
+                    # A robot's own bridge that is killed leaves the robot moving, as documented.
+                    self.server.kill()
+                    await asyncio.sleep(seconds)
+                    self.server.start()
+
+    def _run(self) -> Run | None:
+        return self.random.choice((self.server, self.robot)).run
+
+    # --- lives
+
+    def play(self, play: Play) -> None:
+        """Have all of them do what they do."""
+        with self.world.trouble("operators", *self.world.robots):
+            play(self.world, _SECONDS, self._live())
+
+    async def _live(self) -> None:
+        works: list[Coroutine[Any, Any, None]] = [self.befall()]
+        for driver in self.drivers:
+            works += (self.sit(driver), self.drive(driver), self.want(driver))
+        await asyncio.gather(*works)
+
+
+@pytest.mark.parametrize(("seed", "protocol"), [(1, "tcp"), (2, "udp"), *long_cases((3, "tcp"), (4, "udp"))])
+def test_one_person_drives_at_a_time_and_the_robot_rests_in_between(seed: int, protocol: Protocol, play: Play) -> None:
+    drivers = Drivers(seed, protocol)
+    drivers.play(play)
+    assert drivers.changes >= _CHANGES
+    assert all(drivers.heard[each.name] > 10 for each in drivers.drivers), drivers.heard
+
+
+# --- each rule is needed
+
+
+def _anybody(*_: object) -> bool:
+    """Replace `Arming.is_held_by` by its old form, in which any console's messages pass while it is armed."""
+    return True
+
+
+async def _handed_over(self: ArmingCommands, command: Any, opening: int) -> None:
+    """Replace `ArmingCommands._take` by a form that hands the arming over as it is."""
+
+    _, route = self._find(command.key)
+    if not route.arming.held or route.arming.console is None:
+        await self.arm(ArmTopic(command.key, command.shared))
+    else:
+        route.arming.by, route.arming.console = operator(), console()
+
+
+def _nothing(*_: object) -> None:
+    """Do nothing, in place of the work that a mutation leaves out."""
+
+
+_ONE: tuple[int, Protocol] = (1, "tcp")
+_OTHER: tuple[int, Protocol] = (17, "udp")
+_MISTAKES: tuple[tuple[str, type, str, object, tuple[int, Protocol]], ...] = (
+    ("any console's messages pass", Arming, "is_held_by", _anybody, _ONE),
+    ("it is handed over without a disarm", ArmingCommands, "_take", _handed_over, _ONE),
+    ("no rest follows an arming", RestMessage, "begin", _nothing, _ONE),
+    ("a publisher of the other side makes the robot's own motion forgotten", RestMessage, "replaces", _nothing, _OTHER),
+)
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "mistake", "world"), [each[1:] for each in _MISTAKES], ids=[each[0] for each in _MISTAKES]
+)
+def test_a_mistake_is_found(owner: type, name: str, mistake: object, world: tuple[int, Protocol], play: Play) -> None:
+    drivers = Drivers(*world)
+    with patch.object(owner, name, mistake), pytest.raises(Violation, match="no rest in between"):
+        drivers.play(play)
