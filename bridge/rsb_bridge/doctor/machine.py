@@ -94,8 +94,8 @@ class MachineText(Wording):
         "echo net.core.rmem_max={wanted} | sudo tee /etc/sysctl.d/60-rsb.conf && "
         "sudo sysctl -p /etc/sysctl.d/60-rsb.conf"
     )
-    TCP = "TCP uses {used}"
-    TCP_NO_BBR = "TCP uses {used}, which takes each lost packet for a full link: on a radio link, BBR carries more"
+    TCP = "uses {used}"
+    TCP_NO_BBR = "uses {used}, which takes each lost packet for a full link: on a radio link, BBR carries more"
     BBR_REMEDY = (
         "echo tcp_bbr | sudo tee /etc/modules-load.d/rsb.conf && sudo modprobe tcp_bbr && "
         "echo 'net.ipv4.tcp_allowed_congestion_control=reno cubic bbr' | sudo tee /etc/sysctl.d/61-rsb.conf && "
