@@ -27,11 +27,11 @@ from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.udp import Udp
 from rsb_bridge.wire.datagram import DatagramWriter, Probe
-from rsb_bridge.wire.framing import Budget
+from rsb_bridge.wire.framing import LEASED, Budget
 from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+    from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
 
     from rsb_bridge.transport.streams import Address
     from rsb_bridge.transport.transport import DatagramSocket
@@ -207,6 +207,48 @@ def test_datagrams_go_to_the_routes_of_the_connection_that_they_name() -> None:
                 assert sorted(up.arrived, key=len) == [link_id * 10, b"x" * 100_000]
                 assert sorted(down.arrived, key=len) == [link_id * 20, b"x" * 100_000]
             assert server.made == 2
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("lost", [0, 1], ids=["the first is lost", "the second is lost"])
+def test_a_command_of_an_armed_topic_is_sent_twice_and_taken_once(lost: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other messages are sent once, and so is one that takes several datagrams."""
+
+    async def main() -> None:
+        async with serving() as server:
+            client, keys = server.connect(b"link one")
+            await ready(client)
+            there = server.channels[b"link one"]
+            await ready(there)
+            route = Route(1, outgoing=False)
+            datagram_channel(there, route, server.keys[b"link one"], lone_scheduler())
+            sender = datagram_channel(client, Route(1, outgoing=True), keys, lone_scheduler())
+            assert isinstance(sender, DatagramSender)
+            sent: list[Sequence[bytes]] = []
+            send = client.send
+
+            def lossy(datagrams: Sequence[bytes]) -> None:
+                sent.append(datagrams)
+                is_twice = len(datagrams) == 2 and len(set(datagrams)) == 1
+                send([each for number, each in enumerate(datagrams) if not is_twice or number != lost])
+
+            monkeypatch.setattr(client, "send", lossy)
+            command, long, other = b"go", b"x" * 100_000, b"words"
+            sender.send([(command, 0, LEASED)])
+            sender.send([(other, 0, 0)])
+            await until(lambda: len(route.arrived) == 2)
+            sender.send([(long, 0, LEASED)])
+            await until(lambda: len(route.arrived) == 3)
+            assert route.arrived == [command, other, long]
+            assert [len(each) for each in sent[:2]] == [2, 1]
+            assert len(set(sent[0])) == 1
+            assert len({each for part in sent[2:] for each in part}) == sum(map(len, sent[2:]))
+            monkeypatch.undo()
+            sender.send([(command, 0, LEASED)])
+            sender.send([(other, 0, 0)])
+            await until(lambda: other in route.arrived[3:])
+            assert route.arrived[3:] == [command, other]
 
     asyncio.run(main())
 

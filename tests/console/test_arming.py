@@ -345,8 +345,8 @@ def test_a_console_that_dies_disarms(end: str, robot: Robot, tmp_path: Path) -> 
     finally:
         with contextlib.suppress(subprocess.CalledProcessError):  # it ends with its last pane
             tmux("kill-server")
-    robot.is_set_up()
-    assert robot.why_disarmed() == "console_gone"
+    # For the event itself: on a busy machine the state was seen without it.
+    assert every_so_often(robot.why_disarmed, "disarmed") == "console_gone"
 
 
 def test_the_robot_s_own_console_that_dies_disarms_the_other_side(tmp_path: Path) -> None:

@@ -7,18 +7,23 @@ from typing import TYPE_CHECKING
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Twist
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 from tests.engine.test_reloading import Edited
 from tests.support import constants
-from tests.support.bridge import carries, happened, link, linked, route
+from tests.support.bridge import carries, find, happened, link, linked, route
 from tests.support.consoles import Consoles
 from tests.support.domain import LATCHED
 from tests.support.waiting import eventually
+from tests.support.wording import pattern, says
 
+from rsb_bridge.api import EngineError
+from rsb_bridge.engine.exporters import DriverTopicText
+from rsb_bridge.link.errors import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting
-from rsb_bridge.model.session import Topic
+from rsb_bridge.model.session import Client, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -141,3 +146,32 @@ def test_no_session_has_a_topic_of_holders_by_itself_and_a_reload_begins_one(
     eventually(lambda: _held(listener) == [])
     assert file.reload(driver_topic=None).changed == ("driver_topic /held → none",)
     eventually(lambda: not listener.matched)
+
+
+@pytest.mark.parametrize("side", ["server", "client"])
+def test_the_topic_of_holders_is_bridged_by_neither_side(bridge: Bridge, side: str) -> None:
+    """A topic that is added while the bridge runs, and one that the other side proposes: both are told why not."""
+    own = {side: {"driver_topic": "/rsb/driver"}}
+    server = bridge.server(clients=(Client("robot1"),), **own.get("server", {}))
+    client = bridge.client(allow=("/**",), **own.get("client", {}))
+    eventually(lambda: linked(server) and linked(client))
+    has_it, other = (server, client) if side == "server" else (client, server)
+    entry = Topic("/rsb/driver", "transmit", type="std_msgs/msg/String")
+    with pytest.raises(EngineError, match=pattern(Denied.DRIVER_TOPIC, topic="/rsb/driver")):
+        has_it.add_topic(entry).result(30)
+    other.add_topic(entry).result(30)
+    eventually(lambda: says(route(other, "/rsb/driver").reason, Denied.DRIVER_TOPIC, topic="/rsb/driver"))
+    assert happened(has_it, EventCode.ROUTE_REFUSED)
+    assert find(has_it, "/rsb/driver") is None
+
+
+def test_a_topic_of_holders_that_nodes_have_with_another_type_is_not_published_until_they_are_gone(
+    bridge: Bridge, pc: Domain
+) -> None:
+    pc.listener("/rsb/driver", Twist)
+    server = bridge.server(driver_topic="/rsb/driver")
+    text, types = DriverTopicText.OTHER_TYPE, "geometry_msgs/msg/Twist"
+    eventually(lambda: happened(server, EventCode.ENGINE_DIAGNOSTICS, text, types=types))
+    pc.clear()
+    listener = pc.listener("/rsb/driver", qos=LATCHED)
+    eventually(lambda: _held(listener) == [])

@@ -313,7 +313,7 @@ def test_a_robot_rests_though_the_other_side_s_publishers_have_changed_since_it_
     driven: Driven, loop: VirtualLoop
 ) -> None:
     """A node there, or an operator, publishes with another QoS, and so has the robot's own topic from then on."""
-    driven.describe(Qos(depth=3))
+    driven.describe(Qos(depth=3, deadline=1.0))
     let_time_pass(driven.pair, loop, 0.5)
     by_an_operator(driven, 0)
     assert driven.payloads == [MOVES, RESTS]
@@ -324,7 +324,7 @@ def test_a_robot_that_a_hand_beside_it_has_moved_rests_though_a_node_came_on_the
 ) -> None:
     driven = Driven(loop, make_context)
     driven.half.moved(PublicationSpec("/cmd_vel", TWIST, "RIHS01_" + "0" * 64, Qos(depth=7)), MOVES)
-    driven.describe(Qos(depth=3))
+    driven.describe(Qos(depth=3, deadline=1.0))
     by_an_operator(driven, 0)
     assert driven.payloads == [RESTS]
 
@@ -336,14 +336,29 @@ def test_nothing_is_published_where_nothing_has_moved(loop: VirtualLoop, make_co
     assert driven.payloads == []
 
 
-def test_the_next_arming_ends_the_rest(driven: Driven, loop: VirtualLoop) -> None:
+def test_the_next_arming_s_first_message_ends_the_rest(driven: Driven, loop: VirtualLoop) -> None:
+    """Not the arming itself: the first rest may have come before a subscription had found its publisher."""
     by_an_operator(driven, 0)
     hear_all(driven.pair)
     driven.describe()
     arm(driven.pair[1], loop).result()
+    let_time_pass(driven.pair, loop, 2 * EVERY)
+    assert driven.payloads[-2:] == [RESTS, RESTS]
+    driven.drive()
     count = len(driven.payloads)
+    assert count < 1 + TIMES
     let_time_pass(driven.pair, loop, 1.0)
     assert len(driven.payloads) == count
+
+
+def test_a_hand_and_nodes_with_other_depths_share_the_rest_s_publisher(driven: Driven, loop: VirtualLoop) -> None:
+    """Subscriptions take some time to find a publisher, which a rest has not."""
+    before = len(driven.robot.voices)
+    for qos in (Qos(depth=3), Qos(depth=7, reliability="best_effort")):
+        driven.half.moved(PublicationSpec("/cmd_vel", TWIST, "RIHS01_" + "0" * 64, qos), MOVES)
+    assert len(driven.robot.voices) == before
+    by_an_operator(driven, 0)
+    assert driven.payloads[-1] == RESTS
 
 
 def test_a_type_that_moves_nothing_has_no_rest(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:

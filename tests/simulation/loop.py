@@ -43,7 +43,13 @@ class Livelock(Exception):  # noqa: N818 — it says how things are
 
 
 class Program(Protocol):
-    """The loop's view of a running program (`tests.simulation.machine.Process`)."""
+    """The loop's view of a running program (`tests.simulation.machine.Process`).
+
+    Attributes:
+        alive: whether it has not ended.
+    """
+
+    alive: bool
 
     def getaddrinfo(self, host: str | None, port: int | None, kind: int) -> list[tuple[Any, ...]]:
         """Look a name up."""
@@ -235,6 +241,9 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
             except (SystemExit, KeyboardInterrupt):
                 raise
             except BaseException as error:  # noqa: BLE001 — as every event loop does
+                program = handle.program()
+                if program is not None and not program.alive:
+                    continue  # a timer of a process that was killed, in which nothing works any more
                 self.call_exception_handler({"message": f"exception in {handle.callback}", "exception": error})
 
     def freeze(self, program: Program) -> None:

@@ -238,14 +238,14 @@ class DatagramCarrier:
         self._unasked, self._asked_at = 0, self._now
         return True
 
-    def send(self, datagrams: Sequence[bytes], size: int) -> None:
-        """Send datagrams of `size` bytes together."""
+    def send(self, datagrams: Sequence[bytes], size: int, times: int = 1) -> None:
+        """Send datagrams, so many times each, of `size` bytes in all."""
         if self._began is None:
             self._began = self._now
         self._scheduler.count(self, size)
         self._datagrams += len(datagrams)
         self._pacer.sent(size, self._datagrams - 1, self._now)
-        self._channel.send(datagrams)
+        self._channel.send(datagrams if times == 1 else [*datagrams] * times)
 
     # --- receipts
 

@@ -13,6 +13,8 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.figure_table import Of, Unit, figures
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.text import join_first
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 
@@ -95,9 +97,17 @@ def _status(name: str, session: str, severity: int, message: str, values: Iterab
 _TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 _QOS = Qos()  # as diagnostic_updater
 _DRIVER_TYPE = "std_msgs/msg/String"
+_NAMED = 3
+"""Types in one text."""
 _LATCHED = Qos(durability="transient_local", depth=1)
 _RETRIED_EVERY = 10.0
 _ENDS_WITHIN = 2.0
+
+
+class DriverTopicText(Wording):
+    """Reasons why nothing is published on the `driver_topic`."""
+
+    OTHER_TYPE = "nodes have it as {types}: give driver_topic a name of its own"
 
 
 class _SessionTopic:
@@ -128,14 +138,14 @@ class _SessionTopic:
         ros = self._context.ros
         type_hash = ros.installed_hash(self._type)
         if type_hash is None:
-            self._failed(f"{self._type} is not installed here", Level.INFO)
+            self.failed(f"{self._type} is not installed here", Level.INFO)
             return
         try:
             self._publisher = ros.advertise(topic, self._type, type_hash, self._qos, self)
             endpoint = Endpoint(f"/{ros.node_name}", self._type, type_hash, self._qos, self._publisher.gid)
             self._context.announcements.announce(topic, self, endpoint, Origin(()))
         except RosError as error:
-            self._failed(str(error))
+            self.failed(str(error))
 
     @property
     def is_open(self) -> bool:
@@ -156,9 +166,9 @@ class _SessionTopic:
         try:
             self._publisher.publish(self._context.ros.serialize(self._type, fields, self._context.wall_ns()))
         except (RosError, FieldError) as error:
-            self._failed(str(error))
+            self.failed(str(error))
 
-    def _failed(self, why: str, level: Level = Level.WARNING) -> None:
+    def failed(self, why: str, level: Level = Level.WARNING) -> None:
         self._context.log(level, EventCode.ENGINE_DIAGNOSTICS, f"nothing is published on {self.name}: {why}")
         self.close()
 
@@ -187,20 +197,50 @@ class DriverExporter:
     """Publishes who holds which topic, on the session's `driver_topic`: latched, and when it changes."""
 
     def __init__(self, context: Context) -> None:
+        self._context = context
         self._topic = _SessionTopic(context, "driver_topic", _DRIVER_TYPE, _LATCHED)
-        self._said = ""
+        self._said = self._clash = ""
         self.close = self._topic.close
 
     def open(self) -> None:
         """Publish from now on, on the topic that the session names now."""
+        self._clash = ""
+        if self._clashes():
+            self._topic.close()
+        else:
+            self._open()
+
+    def _open(self) -> None:
         self._said = ""
         self._topic.open()
 
     def tick(self, snapshot: Snapshot) -> None:
         """Publish if it is something new; to be called once a second."""
+        before = self._clash
+        if self._clashes():
+            return
+        if before:
+            self._open()
         if self._topic.is_open and (text := holders(snapshot)) != self._said:
             self._said = text
             self._topic.publish({"data": text})
+
+    def _clashes(self) -> bool:
+        """Whether nodes have another type on the topic. Then nothing is published, and that is said once."""
+        before, self._clash = self._clash, self._other_types()
+        if self._clash and self._clash != before:
+            self._topic.failed(DriverTopicText.OTHER_TYPE(types=self._clash))
+        return bool(self._clash)
+
+    def _other_types(self) -> str:
+        ros, topic = self._context.ros, self._topic.name
+        if topic is None:
+            return ""
+        try:
+            found = {each.type_name for each in (*ros.publishers(topic), *ros.subscriptions(topic))}
+        except RosError:
+            return self._clash  # the node ends, or is not there yet
+        return join_first(sorted(found - {_DRIVER_TYPE, ""}), _NAMED)
 
 
 def holders(snapshot: Snapshot) -> str:

@@ -166,7 +166,18 @@ def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
         raise LinkError(str(problem))
     if use.may == "publish" and use.topic == session.shutdown_topic:
         raise LinkError(Denied.SHUTDOWN_TOPIC(topic=use.topic))
+    check_driver_topic(use, session)
     return ours
+
+
+def check_driver_topic(use: Use, session: Session) -> None:
+    """Check that a topic is not the bridge's own: nodes would take its messages for commands, or not at all.
+
+    Raises:
+        LinkError: it is.
+    """
+    if use.kind == "topic" and use.topic == session.driver_topic:
+        raise LinkError(Denied.DRIVER_TOPIC(topic=use.topic))
 
 
 def use_of(proposal: Propose, *, is_client: bool) -> Use:

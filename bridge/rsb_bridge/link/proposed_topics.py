@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.proposals import proposal_of, same_route
+from rsb_bridge.link.proposals import check_driver_topic, proposal_of, same_route, use_of
 from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.route.route import route_key
@@ -109,7 +109,9 @@ class ProposedTopics:
         for problem in validate_topic(topic, self._context.session, client=name if prefixed else None):
             raise LinkError(str(problem))
         transport = transports[transport_of(topic, self._context.session).name]
-        return proposal_of(topic, transport, client_name=name, use_name=prefixed, profile=self._link.profile)
+        proposal = proposal_of(topic, transport, client_name=name, use_name=prefixed, profile=self._link.profile)
+        check_driver_topic(use_of(proposal, is_client=self._link.is_client), self._context.session)
+        return proposal
 
 
 def _can_amend(route: Route, proposal: Propose) -> bool:

@@ -222,12 +222,6 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self.refuse(EventCode.ROUTE_TYPE_DIFFERS, reason)
         self.peer.send(Refuse(route=route_id, code="type_differs", reason=sanitize_text(reason)))
 
-    def armed(self) -> None:
-        """Let messages cross: the rest of the arming before is over."""
-        if self._rest_message is not None:
-            self._rest_message.stop()
-        super().armed()
-
     def disarm(self, why: Disarmed, reason: str = "") -> None:
         """Close the publishers, and with them the messages that they hold for slow subscribers; then publish the rest.
 
@@ -260,7 +254,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def _prepare_rest(self, spec: PublicationSpec) -> None:
         before, on_end = self._rest_message, self.on_end_of(spec.type_name) if self.arming.required else NONE
-        if before is not None and (before.spec, before.on_end) == (spec, on_end):
+        if before is not None and before.fits(spec, on_end):
             return
         if on_end == NONE:
             self._drop_rest()

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rsb_bridge.cdr.velocity import Velocity
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Fields
+    from rsb_bridge.model.qos import Qos
     from rsb_bridge.route.source_publishers import PublicationSpec
 
 EVERY = 0.1
@@ -69,8 +70,8 @@ class RestMessage:
         self._last: bytes | None = None  # of the messages of the present arming
         self._under_way: asyncio.Task[None] | None = None
         self._is_wanted = True
-        topic, type_name, type_hash, qos = spec
-        qos = msgspec.structs.replace(qos, depth=1, history="keep_last", durability="volatile")
+        topic, type_name, type_hash, _ = spec
+        qos = _resting_qos(spec)
         self._publisher = context.ros.advertise(topic, type_name, type_hash, qos, origin=link)
         try:
             endpoint = Endpoint(f"/{context.ros.node_name}", type_name, type_hash, qos, self._publisher.gid)
@@ -91,6 +92,11 @@ class RestMessage:
         self.stop()
         return was_moving != self._is_moving
 
+    def fits(self, spec: PublicationSpec, on_end: str) -> bool:
+        """Whether it can follow messages of a spec: then subscriptions have found its publisher already."""
+        now, before = (each._replace(qos=_resting_qos(each)) for each in (spec, self.spec))
+        return (now, on_end) == (before, self.on_end)
+
     def replaces(self, before: RestMessage) -> None:
         """Follow the motion that another rest of this route would have ended.
 
@@ -107,7 +113,7 @@ class RestMessage:
         return self.velocity is not None and any(self.velocity)
 
     def stop(self) -> None:
-        """Publish no more rests: the topic is armed again, or a message has passed."""
+        """Publish no more rests: a message has passed."""
         if self._under_way is not None:
             self._under_way.cancel()
             self._under_way = None
@@ -185,6 +191,13 @@ class RestMessage:
             del self._context.moved_by[self.spec.topic]
         self._context.announcements.withdraw(self._publisher.gid)
         self._publisher.close()
+
+
+def _resting_qos(spec: PublicationSpec) -> Qos:
+    """Return the QoS of a rest; subscriptions of either reliability hear it."""
+    return msgspec.structs.replace(
+        spec.qos, reliability="reliable", depth=1, history="keep_last", durability="volatile"
+    )
 
 
 def velocity_on(context: Context, topic: str) -> Velocity | None:
