@@ -449,3 +449,22 @@ def test_publishers_and_bytes_are_bounded() -> None:
         topic.close()
         assert budget.held == 0
         assert not far.open
+
+
+def test_messages_that_waited_do_not_overrun_a_subscriber() -> None:
+    """A new depth needs a new publisher, which nobody has discovered yet: what comes meanwhile waits."""
+    count, depth = 2500, 500
+    with virtual_loop() as loop:
+        far = FarDds(loop)
+        topic = LatchedTopic(loop, far.advertise, Budget(1 << 30), 1, unexpected)
+        loop.run_until_complete(asyncio.sleep(1.0))
+        for number in range(1, count + 1):
+            assert topic.publish(HistoryHeader(publisher_id(b"writer"), number, 1000), b"%d" % number)
+        heard = [0]
+        while heard[-1] < count and loop.time() < 10.0:
+            loop.run_until_complete(asyncio.sleep(0.001))
+            heard.append(len(far.heard))
+        topic.close()
+    assert far.heard == [b"%d" % number for number in range(1, count + 1)]
+    assert max(after - before for before, after in zip(heard, heard[20:], strict=False)) <= depth  # in 20 ms
+    assert len(heard) < 500  # ms

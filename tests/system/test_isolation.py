@@ -28,6 +28,8 @@ BIG = "x" * 100_000
 _numbers = itertools.count()
 _HELD_UP = 1.0
 """s; what waits for a topic that is stuck comes later than this, however fast the machine is."""
+_NOTICED = 3.0
+"""s, at most, until a stream that is stuck counts no longer: 1.5 without a receipt, looked at once a second."""
 
 
 def crosses(publisher: Publisher, listener: Listener, words: str = "hello") -> None:
@@ -82,6 +84,7 @@ def test_a_topic_whose_stream_is_stuck(relay: Relay, robot: Domain, pc: Domain) 
     usual = delay(fast, there)
     stuck = max(relay.connections, key=lambda connection: connection.sent_bytes)
     stuck.stall()
+    assert delay(fast, there, slow) < usual + _NOTICED
     assert delay(fast, there, slow) < usual + _HELD_UP
     heard = len(slow_there.payloads)
     holds(lambda: len(slow_there.payloads) == heard, 0.2)

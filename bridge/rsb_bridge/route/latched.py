@@ -31,6 +31,11 @@ _ALONE = 16
 """Messages of a growing history for which there is a publisher each, so that each can be dropped alone."""
 _MATCHED_WITHIN = 0.5  # s
 _LOOKS_AGAIN_AFTER = 0.02  # s
+_AT_ONCE, _GOES_ON_AFTER = 100, 0.005
+"""Messages that waited are published so many at once, and the next ones after so many s: 20,000 a second, which an
+rclpy subscriber can take. All at once they overran the depth of one that keeps 500."""
+_MANY = 5000
+"""Messages that wait, beyond which a tenth of them goes at once, so that they come to an end at any rate."""
 _ACKNOWLEDGED_WITHIN = 0.5  # s
 _OVERTAKEN_WITHIN = 0.1
 """s in which a message could overtake that of another publisher; a subscriber that acknowledges none delays others."""
@@ -316,15 +321,17 @@ class LatchedTopic:
         others = chain(islice(self._outputs(), _ASKED), islice((each for _, each in self._retired), _ASKED))
         return output.publisher.subscriber_count >= max(each.publisher.subscriber_count for each in others)
 
-    def _look_again(self) -> None:
+    def _look_again(self, after: float = _LOOKS_AGAIN_AFTER) -> None:
         if self._timer is None:
-            self._timer = self._loop.call_later(_LOOKS_AGAIN_AFTER, self._publish_waiting)
+            self._timer = self._loop.call_later(after, self._publish_waiting)
 
     def _publish_waiting(self) -> None:
         self._timer = None
         now = self._loop.time()
+        left = max(_AT_ONCE, sum(len(history.waiting) for history in self._histories.values()) - _MANY)
         for history in self._histories.values():
-            while history.waiting and self._is_next(history, history.waiting[0][0], now):
+            while left and history.waiting and self._is_next(history, history.waiting[0][0], now):
+                left -= 1
                 output, content, still_wanted = history.waiting.popleft()
                 if still_wanted is not None and not still_wanted():
                     continue
@@ -333,4 +340,4 @@ class LatchedTopic:
                 except RosError as error:
                     self._failed(error)
             if history.waiting:
-                self._look_again()
+                self._look_again(_LOOKS_AGAIN_AFTER if left else _GOES_ON_AFTER)
