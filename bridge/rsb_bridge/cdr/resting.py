@@ -102,15 +102,13 @@ def resting(type_name: str, message: bytes) -> bytes | None:
 
 
 def stamped(type_name: str, message: bytes, now: int) -> bytes:
-    """Return a message of a driving type with another time in its header, if it has one.
+    """Return a message with another time in its header, if it is of a driving type that has one.
 
     Args:
-        type_name: of `DRIVING_TYPES`.
         message: with its encapsulation header.
         now: ns since the epoch.
     """
-    _, has_header = _RESTS[type_name]
-    if not has_header:
+    if type_name not in _RESTS or not _RESTS[type_name][1]:
         return message
     stamp = struct.pack("<iI" if message[1] & 1 else ">iI", *divmod(now, 10**9))
     return message[: _STAMPED_AT.start] + stamp + message[_STAMPED_AT.stop :]

@@ -12,7 +12,7 @@ import msgspec
 
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
-from rsb_bridge.cdr.resting import DRIVING_TYPES, stamped
+from rsb_bridge.cdr.resting import stamped
 from rsb_bridge.cdr.velocity import reduced, speeds_of
 from rsb_bridge.config.fields_text import ITEMS, STEPS, read_fields, write_fields
 from rsb_bridge.link.errors import LinkError
@@ -259,23 +259,18 @@ class Publishing:
     def _rest(self, publication: _Publication, topic: str) -> None:
         """Publish the message that ends a motion. Nothing of it crosses after the arming of the motion has ended."""
         rest, now = publication.take_rest(), self._context.now()
-        if rest is None or publication.publisher is None:
+        if rest is None or publication.publisher is None or publication.resolved is None:
             return
         ended = not any(route.id == opening and route.arming.passes(now) for route, opening in rest.openings)
         if ended and any(route.arming.passes(now) for route, _ in rest.openings):
             return  # somebody else has armed it since, and may be driving
         try:
-            publication.publisher.publish(self._stamped(publication, rest.payload))
+            # It was made with the message before, and a robot may drop old ones.
+            payload = stamped(publication.resolved.type_name, rest.payload, self._context.wall_ns())
+            publication.publisher.publish(payload)
             publication.count += 1
         except RosError as error:
             self._context.log(Level.WARNING, EventCode.OPERATOR_PUBLISH_ENDED, f"{topic}: {error}", topic=topic)
-
-    def _stamped(self, publication: _Publication, rest: bytes) -> bytes:
-        """Return a rest with the present time: it was made with the message before, and a robot may drop old ones."""
-        resolved = publication.resolved
-        if resolved is None or resolved.type_name not in DRIVING_TYPES:
-            return rest
-        return stamped(resolved.type_name, rest, self._context.wall_ns())
 
     async def end_motions(self, topics: Collection[str] | None = None) -> None:
         """End the motions on topics that are about to be disarmed, or all: later, nothing could stop the robots.

@@ -35,7 +35,7 @@ _AT_ONCE, _GOES_ON_AFTER = 100, 0.005
 """Messages that waited are published so many at once, and the next ones after so many s: 20,000 a second, which an
 rclpy subscriber can take. All at once they overran the depth of one that keeps 500."""
 _MANY = 5000
-"""Messages that wait, beyond which a tenth of them goes at once, so that they come to an end at any rate."""
+"""Messages that may wait; what is more than these goes at once, so that they come to an end at any rate."""
 _ACKNOWLEDGED_WITHIN = 0.5  # s
 _OVERTAKEN_WITHIN = 0.1
 """s in which a message could overtake that of another publisher; a subscriber that acknowledges none delays others."""
