@@ -26,7 +26,7 @@ WORKERS := $(shell $(PYTHON) -c 'import os; print(min(max(8, 4 * len(os.sched_ge
 PYTEST = PYTHONHASHSEED=$(SEED) timeout -s INT -k 60 $(LIMIT) $(BIN)/python -m pytest
 SEED := 0
 LIMIT := 2400
-# A worker that replaces a killed one has no end with pytest-xdist 3.8: what its lane had left fails with the test that killed it.
+# If a worker is killed, its test fails, and what its lane had left is not run: with a new worker, pytest-xdist 3.8 hangs at the end.
 AT_ONCE = $(PYTEST) -n $(WORKERS) --dist loadscope --max-worker-restart 0
 # tests/checks runs lint, and tests/wire with its coverage.
 ALL := tests

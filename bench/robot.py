@@ -79,9 +79,8 @@ class Column(NamedTuple):
     congestion: str
 
     def __str__(self) -> str:
-        if self.transport == "dds":
-            return "dds, no bridge"
-        return f"{self.transport}, {self.priorities} priorities, {self.congestion}"
+        priorities = f"{self.priorities} priorities" if self.priorities else "no bridge"
+        return ", ".join(filter(None, (self.transport, priorities, self.congestion)))
 
 
 class Link(NamedTuple):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import signal
+
+from tests.support.waiting import eventually
 
 
 class Handle:
@@ -34,8 +37,11 @@ class Handle:
             raise ProcessLookupError
         signal.pidfd_send_signal(self._descriptor, number)
 
-    def close(self) -> None:
-        """Let it go; it counts as ended."""
+    def kill(self) -> None:
+        """kill -9, wait until it is gone, and let it go."""
+        with contextlib.suppress(ProcessLookupError):  # it may have ended
+            self.signal(signal.SIGKILL)
+        eventually(lambda: not self.running)
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1

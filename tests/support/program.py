@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
-import signal
 import subprocess
 import sys
 import time
@@ -21,6 +20,8 @@ from tests.support.waiting import eventually
 from rsb_bridge.config.session_file import save
 
 if TYPE_CHECKING:
+    import signal
+
     from rsb_bridge.model.session import Session
 
 
@@ -104,10 +105,7 @@ class Program:
 
     def kill(self) -> None:
         """kill -9, and wait until it is gone."""
-        with contextlib.suppress(ProcessLookupError):  # it may be ending
-            self.signal(signal.SIGKILL)
-        eventually(lambda: not self.running)
-        self._handle.close()
+        self._handle.kill()
 
     def _lines(self) -> list[dict[str, Any]]:
         return [json.loads(line) for line in self.output.splitlines(keepends=True) if line[0] + line[-1] == "{\n"]

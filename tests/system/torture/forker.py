@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tests.support.handles import Handle
-from tests.support.waiting import eventually
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -63,10 +62,7 @@ class Command:
 
     def kill(self) -> None:
         """kill -9, and wait until it is gone."""
-        if self.code is None:
-            self.signal(signal.SIGKILL)
-            eventually(lambda: self.code is not None)
-        self._handle.close()
+        self._handle.kill()
 
 
 class Forker:
