@@ -46,6 +46,13 @@ _AFTER_GAP = 3.0
 _DRAINS = 5.0
 """s in which the last messages arrive after the robot has stopped."""
 _MATCHES_WITHIN = 30.0
+_BRIDGE = """
+import sys
+from rsb_bridge.transport import tcp
+tcp.BBR = sys.argv.pop(1)  # what a column asks for, instead of the one that the bridge prefers
+from rsb_console.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
 
 
 class Spoken(NamedTuple):
@@ -266,8 +273,8 @@ def _run(folder: Path, program: Path, link: Link, column: Column, seconds: float
         if wire.stdout.readline() != "up\n":
             raise SystemExit("the link does not come up")
         bridged = column.transport != "dds"
-        for host in (robot, pc):
-            if column.congestion:
+        if column.transport == "zenoh":  # which has sockets of its own
+            for host in (robot, pc):
                 _set_congestion_control(host, column.congestion)
 
         def child(host: Host, *command: str, log: Path | None = None) -> _Child:
@@ -284,7 +291,7 @@ def _run(folder: Path, program: Path, link: Link, column: Column, seconds: float
         sides = []
         if bridged:
             _write_sessions(folder, link.topics, column.transport, with_priorities=column.priorities == "with")
-            run = ("-m", "rsb_console", "run", "--no-ui", "--control")
+            run = ("-c", _BRIDGE, column.congestion, "run", "--no-ui", "--control")
             for host, side in ((pc, "server"), (robot, "client")):
                 socket, session, log = (folder / f"{side}.{suffix}" for suffix in ("sock", "yaml", "log"))
                 sides.append(child(host, *run, str(socket), str(session), log=log))
