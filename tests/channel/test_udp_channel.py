@@ -253,6 +253,28 @@ def test_a_command_of_an_armed_topic_is_sent_twice_and_taken_once(lost: int, mon
     asyncio.run(main())
 
 
+@pytest.mark.parametrize("lost", [0, 1])
+def test_an_urgent_message_is_sent_twice_and_taken_once(lost: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whichever of the two is lost."""
+
+    async def main() -> None:
+        async with serving() as server:
+            client, _ = server.connect(b"link one")
+            channel = await settled(server, client)
+            taken: list[bytes] = []
+            channel.on_urgent = taken.append
+            send = client.send
+            client.send_urgent(b"both come")
+            monkeypatch.setattr(client, "send", lambda datagrams: send([datagrams[1 - lost]]))
+            client.send_urgent(b"one is lost")
+            monkeypatch.undo()
+            client.send_urgent(b"the last")
+            await until(lambda: taken[-1:] == [b"the last"])
+            assert taken == [b"both come", b"one is lost", b"the last"]
+
+    asyncio.run(main())
+
+
 def test_a_connection_that_is_over_is_forgotten() -> None:
     """A client that reconnects for months leaves nothing in the server's table, and strangers leave nothing at all."""
 

@@ -14,6 +14,7 @@ from tests.support.bridge import balance, carries, happened, heard, linked, rout
 from tests.support.consoles import Consoles
 from tests.support.domain import LATCHED, RELIABLE, text
 from tests.support.inside import inside
+from tests.support.relay import TCP
 from tests.support.waiting import eventually, holds
 from tests.support.wording import says
 
@@ -228,6 +229,25 @@ def test_while_the_other_side_is_not_heard_nobody_is_told_to_arm_what_is_armed(
     assert armed(server, client) == [True, True]
     relay.stall(False)
     eventually(lambda: not refused())
+
+
+def test_what_is_armed_over_udp_does_not_wait_for_tcp(
+    bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles: Consoles
+) -> None:
+    """A link that loses packets may hold a stream up for seconds; lease and disarm cross as datagrams, too."""
+    motors, joystick = robot.listener("/cmd"), pc.publisher("/cmd")
+    server, client = bridge.both(replace(COMMANDS, protocol="udp"))
+    eventually(lambda: is_set_up(server, client))
+    consoles.arm(server)
+    publish_until_heard(joystick, "before", motors)
+    relay.hold(TCP)
+    holds(lambda: armed(server, client) == [True, True], 1.2 * LASTS)
+    publish_until_heard(joystick, "while TCP stands", motors)
+    disarming = server.disarm(route(server, "/cmd").key)
+    eventually(lambda: armed(client) == [False])
+    relay.release(TCP)
+    disarming.result(30)
+    eventually(lambda: is_set_up(server, client))
 
 
 def test_a_restart_and_a_reload_disarm(both_armed: tuple[Engine, Engine], bridge: Bridge, consoles: Consoles) -> None:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.demands import DemandSource
     from rsb_bridge.model.snapshot import Level
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.messages import Propose
+    from rsb_bridge.wire.messages import Propose, UrgentMessage
 
 TOPIC = Topic("/chat", "transmit")
 
@@ -108,6 +108,11 @@ class Side(FakePeer):
 
     def send(self, message: Any) -> None:
         self.other.inbox.append(message)
+
+    def send_urgent(self, message: UrgentMessage) -> None:
+        """Both ways bring it."""
+        self.send(message)
+        self.send(message)
 
     def closed(self, route_id: int) -> None:
         self.ids.closed(route_id)

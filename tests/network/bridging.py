@@ -35,7 +35,7 @@ EACH_WAY = (
     {"topic": "/goal", "protocol": "tcp", "direction": "receive"},
 )
 """Topics by either protocol, to the PC and to the robot."""
-_COMMAND = Path(sys.executable).with_name("rsb-console")
+COMMAND = Path(sys.executable).with_name("rsb-console")
 _STOPS_WITHIN = 20.0
 _MEMORY = 256 << 20
 """Bytes: queues are bounded on any network (a program that bridges nothing has 65 MiB)."""
@@ -57,7 +57,7 @@ class Program:
         self._seen = self._log.stat().st_size if self._log.exists() else 0
         with self._log.open("a") as log:
             self._process = host.start(
-                *(str(_COMMAND), "run", "--no-ui", "--log-format", "json", "--status-every", "0.5", str(session)),
+                *(str(COMMAND), "run", "--no-ui", "--log-format", "json", "--status-every", "0.5", str(session)),
                 *("--control", str(self.control)),
                 stdin=subprocess.DEVNULL,
                 stdout=log,

@@ -85,6 +85,19 @@ def test_a_late_number_of_the_lease_before_begins_none(pair: Pair) -> None:
     assert pair.there.alive
 
 
+def test_a_number_of_the_lease_before_begins_none_however_late(pair: Pair) -> None:
+    """Datagrams come late, and by then the next lease may have begun."""
+    late = pair.there.beat()
+    for side in (pair.here, pair.there):
+        side.end()
+        side.begin()
+    pair.here.hear(*late)
+    pair.there.hear(*pair.here.beat())
+    pair.here.hear(*pair.there.beat())
+    assert not pair.here.begun  # as the other side does not know yet that it is heard
+    assert not pair.there.alive
+
+
 def test_nothing_passes_a_second_after_the_last_number_that_was_answered(pair: Pair) -> None:
     number = pair.there.newest_before(pair.clock.now)
     pair.clock.now += LASTS - EPSILON

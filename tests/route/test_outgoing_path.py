@@ -91,6 +91,19 @@ def test_age_is_asked_again_when_a_message_leaves_the_queue(world: World) -> Non
     assert (ledger.offered, ledger.sent_now, ledger.expired) == (2, 0, 2)
 
 
+@pytest.mark.parametrize(("type_name", "kept"), [("geometry_msgs/msg/Twist", 1), ("std_msgs/msg/String", 3)])
+def test_of_the_velocities_that_waited_only_the_newest_is_sent(type_name: str, kept: int, world: World) -> None:
+    world.route.arming.demand(required=True, deadman=0.0)
+    world.route.type_name = type_name
+    world.peer.channel.congested = True
+    for number in range(3):
+        world.path.take([RawMessage(bytes(number), world.context.stamps.now(), FIRST)])
+    world.peer.channel.congested = False
+    world.route.flush()
+    assert (world.ledger.sent_now, world.ledger.dropped["queue full"]) == (kept, 3 - kept)
+    assert len(world.sent[-1]) == 4 + 2  # the number of the lease, and the newest message
+
+
 def test_what_comes_after_its_opening_is_lost_with_the_link(world: World) -> None:
     """It may be older than what arms the next opening."""
     ledger = world.ledger

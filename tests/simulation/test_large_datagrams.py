@@ -76,7 +76,7 @@ class Side:
         self.events: list[tuple[EventCode, str]] = []
         self.keys = DataKeys(session_keys(CipherSuite.AESGCM, bytes(32), _LINK), role, Budget(1 << 28))
         self.probe = PathProbe(self.keys)
-        self.channels = UdpChannels(network.loop, self._log, lambda: None)
+        self.channels = UdpChannels(network.loop, self._log, lambda: None, lambda _: None)
         self.route = Route(outgoing=role == "client")
 
     def _log(self, level: Level, code: EventCode, text: str) -> None:

@@ -13,6 +13,7 @@ from rsb_bridge.wire.datagram import (
     DatagramWriter,
     Probe,
     Receipt,
+    Urgent,
     by_addressee,
     unpack_probe,
 )
@@ -297,10 +298,16 @@ def test_receipts_are_as_the_document_says(buffer: int, routes: list[tuple[int, 
     receipt = Receipt(buffer, tuple(Arrived(*each) for each in routes))
     assert receipt.pack() == struct.pack(">BI", 2, buffer) + b"".join(struct.pack(">IQQ", *each) for each in routes)
     assert unpack_probe(receipt.pack()) == receipt
-    with pytest.raises(ProtocolError, match=pattern(Broken.RECEIPT_UNKNOWN, kind=3)):
-        unpack_probe(b"\3" + receipt.pack()[1:])
-    with pytest.raises(ProtocolError, match=pattern(Broken.PROBE_INVALID, length=len(receipt.pack()) - 1)):
+    with pytest.raises(ProtocolError, match=pattern(Broken.PROBE_INVALID, length=len(receipt.pack()))):
+        unpack_probe(b"\4" + receipt.pack()[1:])
+    with pytest.raises(ProtocolError, match=pattern(Broken.RECEIPT_INVALID, length=len(receipt.pack()) - 1)):
         unpack_probe(receipt.pack()[:-1])
+
+
+@given(st.binary(max_size=40))
+def test_an_urgent_message_is_as_the_document_says(content: bytes) -> None:
+    assert Urgent(content).pack() == b"\3" + content
+    assert unpack_probe(b"\3" + content) == Urgent(content)
 
 
 def test_a_datagram_asks_for_a_receipt_beside_its_message() -> None:

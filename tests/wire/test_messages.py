@@ -11,7 +11,7 @@ from tests.support.wording import pattern
 from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
+from rsb_bridge.wire.codec import decode, decode_hello, decode_urgent, decode_welcome, encode
 from rsb_bridge.wire.messages import (
     Accept,
     Amend,
@@ -206,6 +206,16 @@ def test_any_text_crosses_made_plain(reason: str, route: int) -> None:
     message = Close(route=route, reason=sanitize_text(reason))
     assert decode(encode(message)) == message
     assert sanitize_text(message.reason) == message.reason
+
+
+@pytest.mark.parametrize("message", [Lease(3, 2), Disarm(5, "operator", "anna")])
+def test_an_urgent_message_is_the_same_as_a_datagram(message: Lease | Disarm) -> None:
+    assert decode_urgent(encode(message)) == message
+
+
+def test_no_other_message_is_taken_from_a_datagram() -> None:
+    with pytest.raises(ProtocolError):
+        decode_urgent(encode(Arm(5, "anna")))
 
 
 HIDDEN = [f"a{sign}b" for sign in "\u200b\u2060\ufeff\u00ad\ufe0f\u3164\U000e0041"]

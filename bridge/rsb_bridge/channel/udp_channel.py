@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from rsb_bridge.channel.datagram_carrier import DatagramCarrier
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
-from rsb_bridge.wire.datagram import MOST_ARRIVED, Probe, Receipt, by_addressee, unpack_probe
+from rsb_bridge.wire.datagram import MOST_ARRIVED, Probe, Receipt, Urgent, by_addressee, unpack_probe
 from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import PROBE_ROUTE
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.scheduler import Scheduler
     from rsb_bridge.transport.streams import Address
     from rsb_bridge.transport.transport import Datagrams, DatagramSocket, DatagramTransport, SendPath
-    from rsb_bridge.wire.datagram import Arrived
+    from rsb_bridge.wire.datagram import Arrived, OfProbeRoute
     from rsb_bridge.wire.sealing import Buffer
 
 
@@ -39,12 +39,12 @@ class PathProbe:
         self._writer = keys.datagram_writer(PROBE_ROUTE)
         self._reader = keys.datagram_reader(PROBE_ROUTE)
 
-    def write(self, probe: Probe | Receipt, size: int) -> list[bytes]:
-        """Return the probe, or receipt, as datagrams of at most `size` bytes."""
+    def write(self, probe: OfProbeRoute, size: int) -> list[bytes]:
+        """Return the probe, receipt or urgent message as datagrams of at most `size` bytes."""
         return self._writer.write(probe.pack(), 0, 0, size)
 
-    def read(self, datagram: Buffer, now: float) -> Probe | Receipt | None:
-        """Return the probe or receipt in a datagram, or None if it is forged, replayed or another one."""
+    def read(self, datagram: Buffer, now: float) -> OfProbeRoute | None:
+        """Return what a datagram contains, or None if it is forged, replayed or none of these."""
         message = self._reader.receive(datagram, now)
         if message is None:
             return None
@@ -69,6 +69,8 @@ class Silence(Wording):
     )
 
 
+_TIMES = 2
+"""How often an urgent message is sent: the receiver opens one of the two."""
 _CHALLENGED_FOR, _MOST_CHALLENGED = 10.0, 4
 """s, and addresses of one client: it has one, unless its network changes, or somebody delivers its probes."""
 
@@ -136,6 +138,7 @@ class UdpChannel:
         sent_bytes: so far.
         on_close: called when it is over.
         on_asked: called when the peer has asked for a receipt.
+        on_urgent: called with an urgent control message as it was encoded.
         shortages: shortages of receive buffers; the key is whether this side lacks the memory.
         receive_buffer: bytes that the kernel grants of this socket's receive buffer, as of the last second.
     """
@@ -157,6 +160,7 @@ class UdpChannel:
         self.sent_bytes = 0
         self.on_close: Callable[[], None] = _nothing
         self.on_asked: Callable[[], None] = _nothing
+        self.on_urgent: Callable[[bytes], None] = _ignore
         self.shortages: dict[bool, BufferShortage] = {}
         self._probe = probe
         self._now = now
@@ -226,6 +230,11 @@ class UdpChannel:
             receipt = Receipt(self.receive_buffer, tuple(news[first : first + MOST_ARRIVED]))
             self.send(self._probe.write(receipt, self.datagram_size()))
 
+    def send_urgent(self, content: bytes) -> None:
+        """Send a control message as `rsb_bridge.wire.codec` encodes it; nothing happens without the peer's address."""
+        if self._peer is not None:
+            self.send(self._probe.write(Urgent(content), self.datagram_size()) * _TIMES)
+
     def received(self, route_id: int, datagrams: Sequence[Buffer], address: Address) -> None:
         """Take datagrams of one route that name this connection, and came together from one address."""
         now = self._now()
@@ -244,6 +253,9 @@ class UdpChannel:
             if isinstance(probe, Receipt):
                 self._heard_authentic(address, now)
                 self._receipted(probe)
+            elif isinstance(probe, Urgent):
+                self._heard_authentic(address, now)
+                self.on_urgent(probe.content)
             elif probe is not None and self._probed(probe, address):
                 self._heard = self.received_at = now
         if self._heard is not None and not self.ready:
@@ -439,3 +451,7 @@ class UdpDemultiplexer:
 
 def _nothing() -> None:
     """Nobody asked."""
+
+
+def _ignore(_: bytes) -> None:
+    """Nobody takes urgent messages."""

@@ -23,7 +23,9 @@ from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks, in_slices
 from rsb_bridge.transport.streams import CLOSED_BY_PEER, Stream
 from rsb_bridge.transport.transport import StreamTransport
+from rsb_bridge.wire.codec import decode_urgent, encode
 from rsb_bridge.wire.messages import Ping, Pong, Receipts
+from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
     import asyncio
@@ -41,7 +43,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.transport.transport import DatagramTransport
-    from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Welcome
+    from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, UrgentMessage, Welcome
     from rsb_bridge.wire.records import PathRecord
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
@@ -247,6 +249,7 @@ class BaseLink(ABC):
             lambda: 2 * (self.clock.uncertainty or 0.0),
             self._meter_of,
             self.ids,
+            self._take_urgent,
         )
         self._awaiting: dict[tuple[str, int], dict[int, Route]] = {}  # routes without streams, by transport and port
         self.fullness = LinkFullness(partial(self.log, link_status=True))
@@ -458,6 +461,23 @@ class BaseLink(ABC):
         """Send a control message; without a connection, nothing happens."""
         if self.control is not None:
             self.control.send(message)
+
+    def send_urgent(self, message: UrgentMessage) -> None:
+        """Send a control message, and over the UDP channels besides: there it does not wait for what a stream lost."""
+        self.send(message)
+        if self.control is not None:
+            self.channels.udp.send_urgent(encode(message))
+
+    def _take_urgent(self, content: bytes) -> None:
+        """Take a control message that came as a datagram."""
+        if self.control is None:
+            return
+        try:
+            message = decode_urgent(content)
+        except ProtocolError as error:
+            self.protocol_error(str(error))
+        else:
+            self.control.take_urgent(message)
 
     def _on_ping(self, ping: Ping) -> None:
         self.keepalive.record_ping(ping)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.data_stream import DataStream
     from rsb_bridge.wire.codec import ReportParts, TopicListParts
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
-    from rsb_bridge.wire.messages import ControlMessage
+    from rsb_bridge.wire.messages import ControlMessage, UrgentMessage
 
 _E = TypeVar("_E")
 
@@ -173,6 +173,11 @@ class ControlChannel(StreamHandler):
         self._events.extend(events)
         if not waits:
             self._act()
+
+    def take_urgent(self, message: UrgentMessage) -> None:
+        """Handle a message that came as a datagram, unless more come than the peer may send: it comes here, too."""
+        if self._allowance.take(1, self._loop.time()):
+            self._handlers[type(message)](message)
 
     @property
     def _waits(self) -> bool:

@@ -46,6 +46,7 @@ class UdpChannels:
     Args:
         log: adds an event about the link.
         report: sends receipts of the link's streams.
+        urgent: takes an urgent control message as it was encoded.
     """
 
     def __init__(
@@ -53,10 +54,12 @@ class UdpChannels:
         loop: asyncio.AbstractEventLoop,
         log: Callable[[Level, EventCode, str], None],
         report: Callable[[], None],
+        urgent: Callable[[bytes], None],
     ) -> None:
         self._loop = loop
         self._log = log
         self._report = report
+        self._urgent = urgent
         self._channels: dict[int, UdpChannel] = {}
         self._shortages_told: set[bool] = set()
 
@@ -69,6 +72,7 @@ class UdpChannels:
         """Add a new channel."""
         self._channels[port] = channel
         channel.on_asked = self._report
+        channel.on_urgent = self._urgent
 
     def open(self, port: int, channel: UdpChannel) -> None:
         """Add a new channel, and probe its path."""
@@ -95,6 +99,12 @@ class UdpChannels:
                 if here not in self._shortages_told:
                     self._shortages_told.add(here)
                     self._log(Level.WARNING, EventCode.LINK_UDP_BUFFER, _shortage_message(shortage))
+
+    def send_urgent(self, content: bytes) -> None:
+        """Send a control message as it is encoded over all channels that have found their path."""
+        for channel in self._channels.values():
+            if channel.ready and not channel.over:
+                channel.send_urgent(content)
 
     def close(self) -> None:
         """Close them all."""
@@ -127,6 +137,7 @@ class DataChannels:
         ping: gives the s of the connection's shortest ping, or 0 if it is unknown.
         meter_of: gives the meter of a route by its id, or None for a route that has none.
         routes: ids of the link's routes.
+        urgent: takes an urgent control message as it was encoded.
 
     Attributes:
         keys: to seal and open routes' messages, or None without a link.
@@ -144,11 +155,12 @@ class DataChannels:
         ping: Callable[[], float],
         meter_of: Callable[[int], Meter | None],
         routes: RouteNumbers,
+        urgent: Callable[[bytes], None],
     ) -> None:
         self.keys: DataKeys | None = None
         self.scheduler: Scheduler | None = None
         self.probe: PathProbe | None = None
-        self.udp = UdpChannels(loop, log, self._report)
+        self.udp = UdpChannels(loop, log, self._report, urgent)
         self._book: ReceiptBook | None = None
         self._pairs: dict[tuple[str, int], StreamPair] = {}
         self._newest = 0

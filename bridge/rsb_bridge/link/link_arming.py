@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.peer_operators import acting_operator
@@ -24,6 +24,7 @@ from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.arming import ANSWERED_WITHIN, DISARM_TEXT, Disarmed
 from rsb_bridge.route.lease import BEAT, LeaseHalf, Standstill
+from rsb_bridge.route.peer import Peer
 from rsb_bridge.wire import messages as wire
 from rsb_bridge.wire.messages import Arm, Armed, Disarm
 
@@ -34,9 +35,8 @@ if TYPE_CHECKING:
     from rsb_bridge.link.peer_operators import PeerOperators
     from rsb_bridge.model.demands import Demand, RunningDemands
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.route.peer import Peer
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.messages import Accept, ArmingMessage, Propose, Settled
+    from rsb_bridge.wire.messages import Accept, ArmingMessage, Propose, Settled, UrgentMessage
 
 _LATE = 0.001
 """s by which a timer comes later than a moment that it must not come before: its clock is another one."""
@@ -45,6 +45,14 @@ _AT_ONCE, _A_SECOND = 20.0, 1 / 30
 """Armings by one link's peer: each is in the log, so more than people need are refused."""
 DROPPED: Final = "arm_dropped"
 """The cause of a `Disarm` by which a side says that its operator has dropped a demand: it disarms nothing."""
+
+
+class UrgentPeer(Peer, Protocol):
+    """A peer that urgent messages can be sent to."""
+
+    def send_urgent(self, message: UrgentMessage) -> None:
+        """Send a control message, and as datagrams besides where the link has UDP. It may arrive twice, or late."""
+        ...
 
 
 class LinkLease:
@@ -65,7 +73,7 @@ class LinkLease:
     def __init__(
         self,
         context: Context,
-        peer: Peer,
+        peer: UrgentPeer,
         is_needed: Callable[[], bool],
         lives: Callable[[], None],
         lapsed: Callable[[], None],
@@ -132,7 +140,12 @@ class LinkLease:
             self._loop.call_later(left + _LATE, self._watch)
 
     def _send(self) -> None:
-        self._peer.send(wire.Lease(*self.state.beat()))
+        lease = wire.Lease(*self.state.beat())
+        # The first numbers of a lease go in order only, lest one that came late began the next lease on one side.
+        if lease.echo:
+            self._peer.send_urgent(lease)
+        else:
+            self._peer.send(lease)
 
     def _over(self) -> None:
         """Disarm all routes at the next turn of the loop: the caller may be in the midst of publishing."""
@@ -158,7 +171,7 @@ class LinkArming:
     def __init__(
         self,
         context: Context,
-        peer: Peer,
+        peer: UrgentPeer,
         peer_operators: PeerOperators,
         routes: Callable[[], tuple[Route, ...]],
         propose: Callable[[Route], None],
@@ -316,7 +329,11 @@ class LinkArming:
         if not route.arming.held:
             return
         who = acting_operator() if why is Disarmed.OPERATOR else ""
-        self._peer.send(Disarm(route.id, why, who))
+        message = Disarm(route.id, why, who)
+        if why is Disarmed.PAUSED:
+            self._peer.send(message)  # its Pause would come after it, to an opening that is over
+        else:
+            self._peer.send_urgent(message)
         self._ended(route, why, f"disarmed by {who}" if who else reason)
         if why is Disarmed.OPERATOR:
             route.settling.then(lambda: self._disarmed_by(route, who))

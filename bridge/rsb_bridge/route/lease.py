@@ -73,6 +73,7 @@ class LeaseHalf:
         self._began = self._beaten = 0.0
         self._sent: dict[int, float] = {}  # when, by number
         self._answered = self._begun = False
+        self._newest_before = 0  # the newest number of this side before `begin`
         self._first_answer = 0  # the first number since `begin` that carried one of the other side's, or 0
         self._acknowledged = 0  # the newest number that the other side has heard
         self._confirmed = float("-inf")  # when that was sent
@@ -92,7 +93,7 @@ class LeaseHalf:
         self._began = self._beaten = self._steady()
         self._confirmed, self._answered, self._begun = float("-inf"), False, False
         self._first_answer = 0
-        self._acknowledged = self.number  # those before this one do not count
+        self._acknowledged = self._newest_before = self.number  # those up to this one do not count
 
     def end(self) -> None:
         """Send no more numbers, and forget the other side's."""
@@ -118,6 +119,8 @@ class LeaseHalf:
     def hear(self, number: int, echo: int) -> None:
         """Take a number of the other side, and the number of this side that it has heard."""
         self._look()
+        if 0 < echo <= self._newest_before:
+            return  # it is of the lease before this one: datagrams may come late
         now = self._steady()
         # While it is off, a number that answers one of this side belongs to a lease that is over, and came late. If it
         # counted, the next lease could count as begun before the other side had begun it, and a goal would be refused.

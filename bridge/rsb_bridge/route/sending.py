@@ -12,6 +12,7 @@ import zstandard
 from rsb_bridge.channel.channel import Pace
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.on_end import NONE
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.qos import AUTO_SECONDS
 from rsb_bridge.model.verdict import Cause
@@ -274,13 +275,25 @@ class Outbox:
         self._overload.over()
         return self._queue.clear()
 
-    def limits(self, qos: Qos | None, depth: int, pace: Pace, now: float, profile: LinkProfile = PLAIN) -> QueueLimits:
+    def limits(
+        self,
+        qos: Qos | None,
+        depth: int,
+        pace: Pace,
+        now: float,
+        profile: LinkProfile = PLAIN,
+        *,
+        newest_only: bool = False,
+    ) -> QueueLimits:
         """Return the queue's limits at `now` (s). While the channel takes messages, the queue only passes them on.
 
         Args:
             qos: of the route, or None if it is unknown.
             depth: messages that the publisher of a latched topic keeps, or 0.
+            newest_only: whether a message makes those before it worthless.
         """
+        if newest_only:
+            return QueueLimits(1, 0.0, _QUEUE_BYTES + self.largest)
         self._overload.look(now, self._queue.oldest_since, len(self._queue), moves=pace is Pace.SLOW)
         best_effort = qos is not None and qos.reliability == "best_effort"
         size = _QUEUE_BYTES + self.largest
@@ -514,7 +527,9 @@ class OutgoingPath:
             if channel.congested or traffic.busy_since is not None:
                 traffic.busy(channel.congested, now)
             return
-        limits = outbox.limits(route.qos, depth, channel.pace, now, route.peer.profile)
+        # What ends with a rest is a state: after a stall, a robot would follow all the old ones before the present one.
+        is_state = route.arming.required and route.on_end not in ("", NONE)
+        limits = outbox.limits(route.qos, depth, channel.pace, now, route.peer.profile, newest_only=is_state)
         outbox.add(messages, now, publisher, limits)
         self.flush()
 

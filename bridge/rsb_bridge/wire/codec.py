@@ -9,7 +9,7 @@ from msgspec import Meta, Raw
 
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.wire.fields import PRINTABLE, Count
-from rsb_bridge.wire.messages import ControlMessage, Hello, Report, TopicList, Welcome
+from rsb_bridge.wire.messages import ControlMessage, Hello, Report, TopicList, UrgentMessage, Welcome
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.records import CallsReport, FullRecord, PathRecord, ReceivedReport, SentReport, TopicEntry
 
@@ -85,6 +85,7 @@ _control: msgspec.msgpack.Decoder[ControlMessage] = msgspec.msgpack.Decoder(Cont
 _parts: msgspec.msgpack.Decoder[ControlMessage | ReportParts | TopicListParts] = msgspec.msgpack.Decoder(
     Union[*(each for each in get_args(ControlMessage) if each not in (Report, TopicList)), ReportParts, TopicListParts]
 )
+_urgent: msgspec.msgpack.Decoder[UrgentMessage] = msgspec.msgpack.Decoder(UrgentMessage)
 _hello = msgspec.msgpack.Decoder(Hello)
 _welcome = msgspec.msgpack.Decoder(Welcome)
 
@@ -108,6 +109,11 @@ def decode_in_parts(data: bytes) -> ControlMessage | ReportParts | TopicListPart
     if len(data) <= WHOLE:
         return _decode(_control, data)
     return _decode(_parts, data)
+
+
+def decode_urgent(data: bytes) -> UrgentMessage:
+    """Return a control message that came as a datagram; errors as `decode`, and for a message of another type."""
+    return _decode(_urgent, data)
 
 
 def invalid(error: Exception) -> ProtocolError:

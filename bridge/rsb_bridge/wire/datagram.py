@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
 from rsb_bridge.wire.framing import (
     MESSAGE_LIMIT,
@@ -29,7 +29,7 @@ _HEADER_SIZE = _HEADER.size
 _unpack_addressee = struct.Struct(">I8s").unpack_from
 _PROBE = struct.Struct(">?Q")
 _RECEIPT, _ARRIVED = struct.Struct(">BI"), struct.Struct(">IQQ")
-_RECEIPT_KIND = 2
+_RECEIPT_KIND, _URGENT_KIND = 2, 3
 MOST_ARRIVED = 50
 """Routes of one receipt, which fits into a datagram of 1,200 bytes."""
 _ASKS = 2
@@ -77,7 +77,7 @@ class Probe(NamedTuple):
         Raises:
             ProtocolError: the payload is no probe.
         """
-        if len(payload) != _PROBE.size:
+        if len(payload) != _PROBE.size or payload[0] > 1:
             raise ProtocolError(Broken.PROBE_INVALID(length=len(payload)))
         return cls._make(_PROBE.unpack(payload))
 
@@ -111,18 +111,37 @@ class Receipt(NamedTuple):
         return _RECEIPT.pack(_RECEIPT_KIND, self.buffer) + b"".join([_ARRIVED.pack(*each) for each in self.arrived])
 
 
-def unpack_probe(payload: bytes) -> Probe | Receipt:
-    """Read a payload of `PROBE_ROUTE`.
+class Urgent(NamedTuple):
+    """Another payload of `PROBE_ROUTE`'s messages: a control message that crosses on the control connection, too.
+
+    Attributes:
+        content: the control message as `rsb_bridge.wire.codec` encodes it.
+    """
+
+    content: bytes
+
+    def pack(self) -> bytes:
+        """Return it as a payload."""
+        return bytes((_URGENT_KIND,)) + self.content
+
+
+OfProbeRoute: TypeAlias = Probe | Receipt | Urgent
+
+
+def unpack_probe(payload: bytes) -> OfProbeRoute:
+    """Read a payload of `PROBE_ROUTE`, whose first byte says what it is.
 
     Raises:
-        ProtocolError: the payload is neither a probe nor a receipt.
+        ProtocolError: it is none of the three, or has another length.
     """
-    length = len(payload) - _RECEIPT.size
-    if length < 0 or length % _ARRIVED.size:
-        return Probe.unpack(payload)
-    kind, buffer = _RECEIPT.unpack_from(payload)
+    kind = payload[0] if payload else 0
+    if kind == _URGENT_KIND:
+        return Urgent(payload[1:])
     if kind != _RECEIPT_KIND:
-        raise ProtocolError(Broken.RECEIPT_UNKNOWN(kind=kind))
+        return Probe.unpack(payload)
+    if len(payload) % _ARRIVED.size != _RECEIPT.size:
+        raise ProtocolError(Broken.RECEIPT_INVALID(length=len(payload)))
+    _, buffer = _RECEIPT.unpack_from(payload)
     return Receipt(buffer, tuple(map(Arrived._make, _ARRIVED.iter_unpack(payload[_RECEIPT.size :]))))
 
 

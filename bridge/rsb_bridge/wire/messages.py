@@ -698,6 +698,8 @@ class Settled(ControlMessageBase, frozen=True):
 
 
 LeaseMessage: TypeAlias = Lease | Settled
+UrgentMessage: TypeAlias = Lease | Disarm
+"""The messages that may cross as datagrams besides. Each may come twice, late, or before those sent earlier."""
 ControlMessage: TypeAlias = (
     Propose
     | Accept

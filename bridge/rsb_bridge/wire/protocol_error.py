@@ -41,7 +41,7 @@ class Broken(Wording):
     NAMES_DIFFER = "the client's name is {preamble!r} in the preamble and {hello!r} in its Hello"
     NOT_CONFIRMED = "the {peer} did not confirm the handshake"
     PROBE_INVALID = "a probe of {length} bytes"
-    RECEIPT_UNKNOWN = "a receipt of kind {kind}"
+    RECEIPT_INVALID = "a receipt of {length} bytes"
     OPERATOR_TOO_SHORT = "an OPERATOR frame ends before its {field}"
     EMPTY_RECORD = "an empty record"
     UNEXPECTED_FROM_OPERATOR = "unexpected {kind} frame: operators attach here, not links"
