@@ -165,6 +165,18 @@ def test_the_topic_of_holders_is_bridged_by_neither_side(bridge: Bridge, side: s
     assert find(has_it, "/rsb/driver") is None
 
 
+def test_a_reload_onto_a_bridged_topic_publishes_no_holders_until_it_is_removed(
+    bridge: Bridge, pc: Domain, tmp_path: Path
+) -> None:
+    listener = pc.listener("/held", qos=LATCHED)
+    server, client = bridge.both(Topic("/held", "transmit", type="std_msgs/msg/String"))
+    eventually(lambda: find(server, "/held"))
+    Edited(server, tmp_path / "server.yaml").reload(driver_topic="/held")
+    eventually(lambda: happened(server, EventCode.ENGINE_DIAGNOSTICS, DriverTopicText.BRIDGED, link="robot1"))
+    client.remove_topic(route(client, "/held").key).result(30)
+    eventually(lambda: _held(listener) == [])
+
+
 def test_a_topic_of_holders_that_nodes_have_with_another_type_is_not_published_until_they_are_gone(
     bridge: Bridge, pc: Domain
 ) -> None:

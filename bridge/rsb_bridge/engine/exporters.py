@@ -108,6 +108,7 @@ class DriverTopicText(Wording):
     """Reasons why nothing is published on the `driver_topic`."""
 
     OTHER_TYPE = "nodes have it as {types}: give driver_topic a name of its own"
+    BRIDGED = "it is bridged with {link}: give driver_topic a name of its own"
 
 
 class _SessionTopic:
@@ -194,10 +195,15 @@ class DiagnosticsExporter:
 
 
 class DriverExporter:
-    """Publishes who holds which topic, on the session's `driver_topic`: latched, and when it changes."""
+    """Publishes who holds which topic, on the session's `driver_topic`: latched, and when it changes.
 
-    def __init__(self, context: Context) -> None:
+    Args:
+        look: gives the newest snapshot.
+    """
+
+    def __init__(self, context: Context, look: Callable[[], Snapshot]) -> None:
         self._context = context
+        self._look = look
         self._topic = _SessionTopic(context, "driver_topic", _DRIVER_TYPE, _LATCHED)
         self._said = self._clash = ""
         self.close = self._topic.close
@@ -205,7 +211,7 @@ class DriverExporter:
     def open(self) -> None:
         """Publish from now on, on the topic that the session names now."""
         self._clash = ""
-        if self._clashes():
+        if self._clashes(self._look()):
             self._topic.close()
         else:
             self._open()
@@ -217,7 +223,7 @@ class DriverExporter:
     def tick(self, snapshot: Snapshot) -> None:
         """Publish if it is something new; to be called once a second."""
         before = self._clash
-        if self._clashes():
+        if self._clashes(snapshot):
             return
         if before:
             self._open()
@@ -225,14 +231,20 @@ class DriverExporter:
             self._said = text
             self._topic.publish({"data": text})
 
-    def _clashes(self) -> bool:
-        """Whether nodes have another type on the topic. Then nothing is published, and that is said once."""
-        before, self._clash = self._clash, self._other_types()
+    def _clashes(self, snapshot: Snapshot) -> bool:
+        """Whether the topic is not this bridge's alone. Then nothing is published, and that is said once."""
+        before, self._clash = self._clash, self._bridged(snapshot) or self._other_types()
         if self._clash and self._clash != before:
-            self._topic.failed(DriverTopicText.OTHER_TYPE(types=self._clash))
+            self._topic.failed(self._clash)
         return bool(self._clash)
 
+    def _bridged(self, snapshot: Snapshot) -> str:
+        """Return who bridges the topic since before the session named it, in words; later routes are refused."""
+        links = sorted({route.link for route in snapshot.routes if route.topic == self._topic.name})
+        return DriverTopicText.BRIDGED(link=join_first(links, _NAMED)) if links else ""
+
     def _other_types(self) -> str:
+        """Return what types other than the bridge's own nodes have on the topic, in words."""
         ros, topic = self._context.ros, self._topic.name
         if topic is None:
             return ""
@@ -240,7 +252,8 @@ class DriverExporter:
             found = {each.type_name for each in (*ros.publishers(topic), *ros.subscriptions(topic))}
         except RosError:
             return self._clash  # the node ends, or is not there yet
-        return join_first(sorted(found - {_DRIVER_TYPE, ""}), _NAMED)
+        others = sorted(found - {_DRIVER_TYPE, ""})
+        return DriverTopicText.OTHER_TYPE(types=join_first(others, _NAMED)) if others else ""
 
 
 def holders(snapshot: Snapshot) -> str:
@@ -352,7 +365,7 @@ class Exporters:
 
     def __init__(self, context: Context, look: Callable[[], Snapshot], folder: Callable[[], Path]) -> None:
         self._diagnostics = DiagnosticsExporter(context)
-        self._driver = DriverExporter(context)
+        self._driver = DriverExporter(context, look)
         self._metrics = MetricsExporter(context, look)
         self._fault_hook = FaultHook(context, folder)
         self.by_key: tuple[tuple[tuple[str], Callable[[], None]], ...] = (
