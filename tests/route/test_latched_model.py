@@ -60,6 +60,7 @@ class NearDds:
         self.writers: dict[bytes, Writer] = {}
         self.readers: list[NearReader] = []
         self.subscribed = 0
+        self.overwrites = False  # whether it is too slow to hand over a history before it is overwritten
         self._numbers = count()
 
     def subscribe(self, *arguments: Any) -> NearReader:
@@ -106,7 +107,7 @@ class NearReader:
 
     def _discovered(self, writer: Writer) -> None:
         self._matched.add(writer.gid)
-        self._waiting[writer.gid] = deque(writer.history)
+        self._waiting[writer.gid] = deque(list(writer.history)[-1:] if self._dds.overwrites else writer.history)
         self._hand_over_soon(writer)
 
     def hear(self, writer: Writer) -> None:
@@ -376,6 +377,20 @@ def test_a_busy_publisher_is_measured_too() -> None:
         assert set(world.near_late_joiner()) <= set(world.far.late_joiner())
         assert len(world.far.late_joiner()) <= 40
         assert len(world.far.heard) == 2000
+
+
+def test_a_history_that_is_overwritten_before_it_is_handed_over_is_not_taken_for_a_short_one() -> None:
+    """As DDS does at 5 kHz at times."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        world.wait(1)
+        writer = world.near.new_writer(1000)
+        world.near.overwrites = True
+        for _ in range(15_000):
+            world.near.publish(writer)
+            world.wait(1 / 5000)
+        world.wait(5)
+        assert world.near_late_joiner() == world.far.late_joiner()
 
 
 @pytest.mark.parametrize("lifespan", [0.0, 10.0])

@@ -37,6 +37,9 @@ _PROBE_SETTLES_AFTER = 0.05
 _PROBES_EACH_UNTIL = 16
 """Up to this number each message is probed for, later every doubling of the number: a probe replays the history."""
 _MOST_TRIES = 5
+_MEANWHILE = 100
+"""Messages from the start of a probe to its end, up to which it bounds the depth from above. A faster publisher has
+overwritten the beginning of its history before DDS had sent it: at 5 kHz, 1,000 messages were taken for 300 at times."""
 _LAST_NUMBER = 2**63 - 1
 _FORGOTTEN_AFTER = 20.0
 """Seconds a publisher must be gone; longer than the peer keeps its history, whose numbers may be given here."""
@@ -329,7 +332,8 @@ class Histories:
             elif first > 1 and last >= target:
                 # The newest message when the history was sent was one from `target` to `newest`.
                 newest = max(publisher.newest, last)
-                publisher.at_most = min(publisher.at_most, newest - first + 1)
+                if newest - target <= _MEANWHILE:
+                    publisher.at_most = min(publisher.at_most, newest - first + 1)
                 publisher.at_least = min(max(publisher.at_least, target - first + 1), publisher.at_most)
             if publisher.tries >= _MOST_TRIES:  # it never pauses, or shows no history
                 publisher.at_least = publisher.at_most
