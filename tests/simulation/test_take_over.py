@@ -236,10 +236,13 @@ class Drivers:
                     await asyncio.sleep(seconds)
                     self.world.network.heal(*ends)
                 case _:
-                    # A robot's own bridge that is killed leaves the robot moving, as documented.
-                    self.server.kill()
-                    await asyncio.sleep(seconds)
-                    self.server.start()
+                    await self.end_a_bridge(seconds)
+
+    async def end_a_bridge(self, seconds: float) -> None:
+        """End a bridge for so long. A robot's own bridge that is killed leaves the robot moving, as documented."""
+        self.server.kill()
+        await asyncio.sleep(seconds)
+        self.server.start()
 
     def _run(self) -> Run | None:
         return self.random.choice((self.server, self.robot)).run

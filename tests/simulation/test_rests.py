@@ -1,0 +1,175 @@
+"""A node drives a robot over an armed topic while links, bridges and consoles fail and operators change things.
+
+The robot's motors are the judge. The node publishes ten velocities a second, so while it drives the motors hear
+something all the time, and once it no longer does, the last thing that they hear is a rest: at most 1.2 s after the
+link was cut, and 0.1 s after the robot's bridge knows of any other end (docs/by-hand.md).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+from unittest.mock import patch
+
+import pytest
+from tests.simulation.ros import Writer, hash_of
+from tests.simulation.test_take_over import Drivers
+from tests.simulation.world import Violation
+from tests.support.long import long_cases
+
+from rsb_bridge.model.commands import ArmTopic, DisarmTopic, KeepArmed, PauseTopics
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.rest_message import RestMessage
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tests.simulation.conftest import Play
+    from tests.simulation.engine_host import Run
+    from tests.simulation.test_take_over import Driver
+
+    from rsb_bridge.model.session import Protocol
+    from rsb_bridge.ros.ros_interface import RawMessage
+
+_SECONDS = 240.0
+_TWIST = "geometry_msgs/msg/Twist"
+_SPEED = 0.4
+_NAME = "/robot1/cmd"
+"""On the control PC."""
+_RATE = 10.0
+_RESTS_WITHIN = 1.2 + 0.1
+"""s from a cut until the rest, and one interval of the node's messages, the last of which may have been lost."""
+_CROSSES_WITHIN = 0.1
+"""s that DDS takes at most in the simulation, from the robot's bridge to its motors."""
+_ENDS = 8
+"""How often the driving has to end, at least, for a world to prove something."""
+
+
+class Motors(Drivers):
+    """A robot that a node on the control PC drives.
+
+    Attributes:
+        ends: how often the motors have heard a rest after a message that moved.
+    """
+
+    def __init__(self, seed: int, protocol: Protocol) -> None:
+        self._moved_at: float | None = None  # s, when the last message came, if that moved
+        self._armed_at = float("-inf")  # s, when the robot's bridge was last seen armed
+        self.ends = 0
+        super().__init__(seed, protocol)
+
+    # --- what must never be
+
+    def _hear(self, batch: Sequence[RawMessage]) -> None:
+        now = self.world.loop.time()
+        for message in batch:
+            moves = any(message.payload[4:])
+            if not moves:
+                self.ends += self._moved_at is not None
+                self._moved_at = None
+            elif self._is_armed(now):
+                self._moved_at = now
+            else:
+                self.world.wrong("the robot moves though its bridge has ended the arming")
+
+    def _is_armed(self, now: float) -> bool:
+        """Whether the robot's bridge is armed, or was so when it published what comes now."""
+        route = self._route(self.robot)
+        if route is not None and route.arming.armed:
+            self._armed_at = now
+        return now - self._armed_at <= _CROSSES_WITHIN
+
+    async def watch(self) -> None:
+        """Look all the time whether the motors were left with a velocity."""
+        loop = self.world.loop
+        while True:
+            await asyncio.sleep(0.02)
+            now = loop.time()
+            self._is_armed(now)
+            if self._moved_at is not None and now - self._moved_at > _RESTS_WITHIN:
+                self.world.wrong(f"the robot has moved on for {now - self._moved_at:.2f} s without a command")
+
+    # --- who drives, and what befalls them
+
+    async def publish_all_the_time(self) -> None:
+        """Have a node on the control PC drive, whether it is armed or not."""
+        await asyncio.sleep(8.0)
+        written = self.server.domain.written[_TWIST]({"linear": {"x": str(_SPEED)}})
+        node = Writer(self.server.domain, "/nav", _NAME, _TWIST, hash_of(_TWIST), Qos(depth=10))
+        while True:
+            node.publish(written)
+            await asyncio.sleep(1 / _RATE)
+
+    async def keep_armed(self, driver: Driver) -> None:
+        """Arm it whenever it is not armed."""
+        while True:
+            await asyncio.sleep(0.5)
+            if driver.stands_still:
+                continue
+            await self._do(driver, lambda _: KeepArmed(pressed=True))
+            route = self._route(driver.host)
+            if route is not None and not route.arming.held:
+                await asyncio.sleep(self.random.uniform(0.0, 3.0))
+                await self._do(driver, lambda route: ArmTopic(route.key))
+
+    async def change(self, driver: Driver) -> None:
+        """Disarm it, or pause and resume it, now and then."""
+        while True:
+            await asyncio.sleep(self.random.uniform(4.0, 15.0))
+            if self.random.random() < 0.5:
+                await self._do(driver, lambda route: DisarmTopic(route.key))
+                continue
+            await self._do(driver, lambda route: PauseTopics(route.key, True))
+            await asyncio.sleep(self.random.uniform(0.5, 2.0))
+            await self._do(driver, lambda route: PauseTopics(route.key, False))
+
+    async def end_a_bridge(self, seconds: float) -> None:
+        """Kill the server's bridge, or stop either side's in good order."""
+        if self.random.random() < 0.4:
+            await super().end_a_bridge(seconds)
+            return
+        host = self.random.choice((self.robot, self.server))
+        await host.stop()
+        await asyncio.sleep(seconds)
+        host.start()
+
+    def _run(self) -> Run | None:
+        return self.server.run  # a robot's own bridge that stands still leaves it moving, as documented
+
+    async def live(self) -> None:
+        anna, _, carol = self.drivers
+        await asyncio.gather(
+            self.befall(),
+            self.watch(),
+            self.publish_all_the_time(),
+            self.keep_armed(anna),
+            self.change(self.random.choice((anna, carol))),
+        )
+
+
+@pytest.mark.parametrize(("seed", "protocol"), [(1, "tcp"), (2, "udp"), *long_cases((3, "tcp"), (4, "udp"))])
+def test_the_last_thing_that_motors_hear_is_a_rest(seed: int, protocol: Protocol, play: Play) -> None:
+    motors = Motors(seed, protocol)
+    motors.play(play)
+    assert motors.ends >= _ENDS
+
+
+# --- each rule is needed
+
+
+def _nothing(*_: object) -> None:
+    """Do nothing, in place of the work that a mutation leaves out."""
+
+
+_MISTAKES: tuple[tuple[str, type, str], ...] = (
+    ("no rest follows an arming", RestMessage, "begin"),
+    ("a link that is not heard is waited for", IncomingRoute, "lapsed"),
+)
+
+
+@pytest.mark.parametrize(("owner", "name"), [each[1:] for each in _MISTAKES], ids=[each[0] for each in _MISTAKES])
+def test_a_mistake_is_found(owner: type, name: str, play: Play) -> None:
+    motors = Motors(1, "tcp")
+    with patch.object(owner, name, _nothing), pytest.raises(Violation, match="the robot"):
+        motors.play(play)
