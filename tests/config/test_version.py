@@ -63,6 +63,11 @@ def test_pictures_show_this_version() -> None:
         assert set(versions) <= current, f"{name}: make screenshots"
 
 
+def test_no_picture_cuts_the_version() -> None:
+    for picture in (ROOT / "docs/pictures").glob("*.svg"):
+        assert not re.search(rf"\b{re.escape(NUMBER)}[^<\s]*…", unescape(picture.read_text(encoding="utf-8"))), picture
+
+
 def test_pages_name_the_size_that_the_installation_names() -> None:
     size = re.search(r"^SIZE = (\d+)", read(".ci/install.py"), re.MULTILINE)
     assert size

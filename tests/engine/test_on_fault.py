@@ -96,6 +96,40 @@ def test_a_topic_whose_publisher_goes_and_comes_back_on_both_sides(
             raise AssertionError(f"it is not over: {told.all()}") from None
 
 
+def test_a_topic_that_is_still_silent_after_a_reconnection_is_not_over(
+    bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path
+) -> None:
+    """Its publisher went meanwhile, and nothing is due in the new opening: it waits, which by itself is no fault."""
+    told = Told(tmp_path)
+    chat, out = pc.listener("/chat"), robot.publisher("/chat")
+    server, client = bridge.server(), bridge.client(Topic("/chat", "transmit"), on_fault=str(told.program))
+    eventually(lambda: linked(client) and chat.matched)
+    carries([out], server, ["/chat"])
+
+    def has_a_rate() -> bool:
+        out.publish(text("hello"))
+        return route(client, "/chat").expected_rate is not None
+
+    eventually(has_a_rate)
+    eventually(lambda: [state for _, state in told.about("/chat")][-1:] == [State.STOPPED])
+    before = len(told.about("/chat"))
+    server.stop()
+    eventually(lambda: [state for _, state in told.about("robot1")][-1:] == [State.DOWN])
+    out.destroy()
+    bridge.server()
+    eventually(lambda: told.about("robot1")[-1] == ("over", State.OK))
+    eventually(lambda: told.about("/chat")[-1] == ("changed", State.WAITING))
+    assert [each["cause"] for each in told.all() if each["name"] == "/chat"][-1] == Cause.NO_PUBLISHER
+    again = robot.publisher("/chat")
+
+    def over() -> bool:
+        again.publish(text("hello"))
+        return told.about("/chat")[-1] == ("over", State.OK)
+
+    eventually(over)
+    assert [event for event, _ in told.about("/chat")[before:]].count("over") == 1
+
+
 def test_a_pattern_that_the_other_side_cannot_follow_and_its_end(bridge: Bridge, tmp_path: Path) -> None:
     told = Told(tmp_path)
     pattern = Topic("/ch*", "transmit")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import pytest
 from tests.console.scripted import LINK, NOW, route
 from tests.support.held import held_by
 
@@ -112,6 +113,73 @@ def test_a_lossy_link_explains_the_routes_that_suffer_from_it() -> None:
         (ChangeKind.BEGUN, ("route", "/odom")),
     ]
     assert [change.key for change in watched.sees(late, stopped, seconds=9)] == [("link", "robot1"), ("route", "/late")]
+
+
+WAITING = route("/scan", State.WAITING, cause=Cause.PUBLISHER_SILENT)
+NOBODY = route("/scan", State.WAITING, cause=Cause.NO_PUBLISHER)
+
+
+def _through_an_outage(before: RouteSnapshot, *after: RouteSnapshot) -> list[tuple[Any, ...]]:
+    """The changes of a topic that are reported after its link was lost and came back."""
+    watched = Watched()
+    watched.sees(before, seconds=4)
+    watched.sees(route("/scan", State.DOWN, cause=Cause.LINK_DOWN), link=DOWN, seconds=5)
+    changes = [change for each in after for change in watched.sees(each, seconds=5)]
+    return [each for each in kinds(changes) if each[1] == SCAN]
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        STOPPED,
+        SLOW,
+        route("/scan", State.STALE, cause=Cause.SILENT),
+        route("/scan", State.DOWN, cause=Cause.LOSSY),
+    ],
+)
+def test_a_topic_that_is_still_silent_after_a_reconnection_has_not_recovered(before: RouteSnapshot) -> None:
+    told = (str(before.state), before.cause)
+    nothing_yet = route("/scan", State.WAITING, cause=Cause.NO_MESSAGE)
+    assert _through_an_outage(before, nothing_yet, nothing_yet) == []
+    assert _through_an_outage(before, nothing_yet, NOBODY, nothing_yet, NOBODY, FINE) == [
+        (ChangeKind.CHANGED, SCAN, State.WAITING, told),
+        (ChangeKind.OVER, SCAN, State.OK, ("waiting", "no_publisher")),
+    ]
+
+
+def test_a_publisher_that_is_as_silent_as_before_the_outage_is_no_news() -> None:
+    assert _through_an_outage(STOPPED, WAITING, WAITING) == []
+
+
+@pytest.mark.parametrize("state", [State.PAUSED, State.DISARMED, State.OK])
+def test_a_silent_topic_that_is_paused_or_carries_again_is_over(state: State) -> None:
+    change = (ChangeKind.OVER, SCAN, state, ("stopped", "publisher_silent"))
+    assert _through_an_outage(STOPPED, WAITING, route("/scan", state)) == [change]
+
+
+def test_a_silent_topic_that_is_removed_is_over() -> None:
+    watched = Watched()
+    watched.sees(STOPPED, seconds=4)
+    assert watched.sees(WAITING, seconds=4) == []
+    (change,) = watched.sees(seconds=4)
+    assert (change.kind, change.removed) == (ChangeKind.OVER, True)
+    assert watched.watch.ongoing == 0
+
+
+@pytest.mark.parametrize("cause", [Cause.NO_PATH, Cause.QOS_INCOMPATIBLE, Cause.TYPE_CONFLICT, Cause.REFUSED])
+def test_what_kept_messages_from_crossing_is_over_though_none_has_come(cause: Cause) -> None:
+    """An idle topic whose firewall or QoS was mended owes no message."""
+    change = (ChangeKind.OVER, SCAN, State.WAITING, ("down", cause))
+    assert _through_an_outage(route("/scan", State.DOWN, cause=cause), WAITING) == [change]
+
+
+def test_a_service_is_over_when_it_can_be_called_again() -> None:
+    gone = route("/scan", State.DOWN, cause=Cause.SERVER_GONE)
+    nobody, ready = (route("/scan", State.WAITING, cause=each) for each in (Cause.NO_SERVER, Cause.NO_CALL))
+    assert _through_an_outage(gone, nobody, ready) == [
+        (ChangeKind.CHANGED, SCAN, State.WAITING, ("down", "server_gone")),
+        (ChangeKind.OVER, SCAN, State.WAITING, ("waiting", "no_server")),
+    ]
 
 
 def test_a_link_with_a_warning_is_at_fault_though_it_is_up() -> None:

@@ -21,11 +21,14 @@ from tests.support.wording import pattern, says
 from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.model.session import ZenohSettings
 from rsb_bridge.model.transports import HOW_TO_INSTALL_ZENOH
+from rsb_bridge.transport.streams import StreamHandler
+from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.zenoh import endpoint as endpoints
 from rsb_bridge.transport.zenoh.endpoint import ROOT, Seen
 from rsb_bridge.transport.zenoh.network import Network, NetworkProblem, Unreachable
 from rsb_bridge.transport.zenoh.pipe import SAMPLE
 from rsb_bridge.transport.zenoh.sample import Header, SampleKind
+from rsb_bridge.transport.zenoh.zenoh_transport import FleetText, Links, Zenoh
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 
 zenoh = pytest.importorskip("zenoh")
@@ -772,3 +775,25 @@ def test_who_connects_opens_no_port(router: Router, tmp_path: Path) -> None:
             network.close()
 
     asyncio.run(test())
+
+
+def test_a_server_is_told_of_others_by_name_and_not_of_itself(router: Router, tmp_path: Path) -> None:
+    """Its own announcement comes again when the router does; another's may have no name."""
+
+    async def play() -> None:
+        network = Network(ZenohSettings(connect=(router.endpoint,)), tmp_path)
+        links, told = Links(network, "pc"), list[str]()
+        transport = Zenoh(links)
+        await transport.listen("zenoh", 0, Acceptor(StreamHandler, lambda *_: None, lambda _: None, others=told.append))
+        endpoint = links.endpoint_if_open()
+        try:
+            await until(lambda: endpoint.address in endpoint.seen)
+            for comes in (False, True):
+                endpoint._announced(Seen("server", endpoint.address, "pc"), comes=comes)
+            endpoint._announced(Seen("server", NOBODY, ""), comes=True)
+        finally:
+            transport.close()
+        (text,) = told
+        assert says(text, FleetText.OTHER_SERVER, fleet="fleet", names=f"endpoint {NOBODY}")
+
+    asyncio.run(play())

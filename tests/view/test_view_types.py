@@ -14,6 +14,7 @@ from tests.view.samples import task
 
 from rsb_bridge.model.pictures import Wish
 from rsb_bridge.view.renderer import Renderer
+from rsb_bridge.view.worker import Undrawable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -75,6 +76,23 @@ def test_this_programs_views_stay(renderer: Renderer) -> None:
     assert not any("keys" in each for each in picture.notes)
 
 
-def test_a_view_that_cannot_be_imported_says_so_in_its_picture(package: Path, renderer: Renderer) -> None:
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("added_view", None),
+        ("thermal_colours", "import thermal_colours\n" + VIEW),
+        ("thermal_colours", VIEW.replace("return Drawn", "import thermal_colours; return Drawn")),
+    ],
+    ids=["its own", "at import", "while it draws"],
+)
+def test_a_missing_module_of_another_packages_view_names_both(
+    module: str, source: str | None, package: Path, renderer: Renderer
+) -> None:
     (package / "added_view.py").unlink()
-    assert "added_view" in drawn(renderer, task(Wish(), KeyValue(key="k", value="v"))).problem
+    if source is not None:
+        (package / "added_view.py").write_text(source, encoding="utf-8")
+    asked = task(Wish(), KeyValue(key="k", value="v"))
+    (sample,) = asked.samples
+    assert drawn(renderer, asked).problem == Undrawable.MODULE_MISSING(
+        how="diagnostic_msgs/msg/KeyValue", package="added-view", module=module, topic=sample.topic
+    )

@@ -67,6 +67,15 @@ def route_waits(route: RouteSnapshot) -> bool:
     return route.state is State.WAITING
 
 
+_OF_MESSAGES = frozenset({State.STALE, State.STOPPED, State.LATE, State.SLOW})
+"""States of which only a message, or an answer, proves the end."""
+_NOTHING_COMES = frozenset(
+    {Cause.LOSSY, Cause.TOO_LARGE, Cause.QUEUE_FULL, Cause.NOT_PUBLISHED, Cause.SERVER_GONE}
+)  # fmt: skip
+"""The same: causes of the state `DOWN`."""
+_NO_NEWS = frozenset({Cause.NO_MESSAGE, Cause.SILENT})
+"""Causes of a topic that waits which say less than those of its fault."""
+
 LASTS = 2.0
 """Seconds that a fault must last before it is reported, and be gone before its end is reported."""
 
@@ -117,6 +126,7 @@ class _Watched:
         reported: the state and cause of the last report, or None before the first.
         next: the state and cause to report next, or None for the fault's end; used after the first report.
         before: the state before the fault began.
+        owes: whether a fault of a topic's messages was reported, so that only a message proves its end.
     """
 
     subject: Faulty
@@ -125,6 +135,22 @@ class _Watched:
     before: _Kind
     reported: _Kind | None = None
     next: _Kind | None = None
+    owes: bool = False
+
+    def report(self, kind: _Kind) -> None:
+        """Take note that a state and a cause are reported."""
+        self.reported = self.next = kind
+        self.owes |= _is_of_messages(kind)
+
+    def present(self) -> _Kind | None:
+        """Return the state and the cause now, or None if nothing is wrong. A wait without news is as reported."""
+        if _is_wrong(self.subject):
+            return _kind(self.subject)
+        if not self.owes or not _waits_for_data(self.subject):
+            return None
+        assert self.reported is not None
+        news = self.subject.cause not in _NO_NEWS and self.subject.cause != self.reported[1]
+        return _kind(self.subject) if news else self.reported
 
 
 class FaultWatch:
@@ -132,6 +158,9 @@ class FaultWatch:
 
     While a link is not up, faults of its routes and patterns neither begin nor end: the link's own fault explains them.
     So it does while its path loses packets, for the routes that suffer from it.
+
+    A topic whose messages failed waits when its link comes back, since nothing is due in the new opening. That is no
+    recovery: its fault lasts until a message crosses, or the topic is paused, disarmed or removed.
 
     Args:
         lasts: s, as `LASTS`.
@@ -154,7 +183,8 @@ class FaultWatch:
             of_link = not isinstance(subject, LinkSnapshot) and _is_explained(subject, links.get(subject.link))
             if _is_wrong(subject) and not of_link:
                 kind = _kind(subject)
-                self._watched[_key(subject)] = _Watched(subject, now, snapshot.time, ("", ""), kind, kind)
+                watched = self._watched[_key(subject)] = _Watched(subject, now, snapshot.time, ("", ""))
+                watched.report(kind)
 
     def look(self, snapshot: Snapshot, now: float) -> list[FaultChange]:
         """Return the changes to report since the snapshots before, at `now` (s on a monotonic clock)."""
@@ -170,37 +200,36 @@ class FaultWatch:
             if not isinstance(subject, LinkSnapshot) and _is_explained(subject, links.get(subject.link)):
                 self._suspend(subject)
             else:
-                yield from self._look_at(subject, now, snapshot.time, is_wrong=_is_wrong(subject))
+                yield from self._look_at(subject, now, snapshot.time)
         for key in [key for key in self._watched if key not in seen]:
-            yield from self._look_at(self._watched[key].subject, now, snapshot.time, is_wrong=False, removed=True)
+            yield from self._look_at(self._watched[key].subject, now, snapshot.time, removed=True)
 
-    def _look_at(
-        self, subject: Faulty, now: float, time: float, *, is_wrong: bool, removed: bool = False
-    ) -> Iterator[FaultChange]:
+    def _look_at(self, subject: Faulty, now: float, time: float, *, removed: bool = False) -> Iterator[FaultChange]:
         key = _key(subject)
         watched = self._watched.get(key)
         if watched is None:
-            if is_wrong:
+            if _is_wrong(subject):
                 self._watched[key] = _Watched(subject, now, time, self._well.get(key, ("", "")))
             return
         watched.subject = subject
-        kind = _kind(subject) if is_wrong else None
+        kind = None if removed else watched.present()
         if watched.reported is None:
-            if not is_wrong:
+            if kind is None:
                 del self._watched[key]
             elif now - watched.since >= self._lasts:
-                watched.reported = watched.next = kind
+                watched.report(kind)
                 yield FaultChange(ChangeKind.BEGUN, subject, before=watched.before, seen=watched.seen)
             return
         if kind != watched.next:
             watched.next, watched.since, watched.seen = kind, now, time
         if kind == watched.reported or now - watched.since < self._lasts:
             return
-        before, watched.reported = watched.reported, kind
+        before = watched.reported
         if kind is None:
             del self._watched[key]
             yield FaultChange(ChangeKind.OVER, subject, removed, before, watched.seen)
         else:
+            watched.report(kind)
             yield FaultChange(ChangeKind.CHANGED, subject, before=before, seen=watched.seen)
 
     def _suspend(self, subject: RouteSnapshot | PatternSnapshot) -> None:
@@ -233,6 +262,17 @@ def _is_wrong(subject: Faulty) -> bool:
     if isinstance(subject, LinkSnapshot):
         return link_is_wrong(subject)
     return route_is_wrong(subject) if isinstance(subject, RouteSnapshot) else pattern_is_wrong(subject)
+
+
+def _is_of_messages(kind: _Kind) -> bool:
+    """Whether a fault is one of messages or calls, and not of what has to be in order before any can cross."""
+    state, cause = kind
+    return state in _OF_MESSAGES or (state == State.DOWN and cause in _NOTHING_COMES)
+
+
+def _waits_for_data(subject: Faulty) -> bool:
+    """Whether a topic waits for a message, or a service for a server; one that can be called owes nothing."""
+    return isinstance(subject, RouteSnapshot) and route_waits(subject) and subject.cause != Cause.NO_CALL
 
 
 def _key(subject: Faulty) -> _Key:

@@ -72,6 +72,12 @@ def view_class(how: str) -> type[View] | None:
     return None if added is None else cast("type[View]", added.load())
 
 
+def package_of(how: str) -> str:
+    """Return the installed package that added the view of a type, or an empty string if no other package did."""
+    added = None if how in VIEWS else _added().get(how)
+    return "" if added is None else added.module.partition(".")[0] if added.dist is None else added.dist.name
+
+
 @cache
 def _added() -> dict[str, EntryPoint]:
     # Of a type that this program draws, its own view counts: no package that is installed changes what operators know.

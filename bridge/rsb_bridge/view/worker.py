@@ -22,7 +22,7 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.confinement import confine
 from rsb_bridge.view.drawing import TakenMessage, UndrawableError, number
-from rsb_bridge.view.view_types import VIEWS, view_class
+from rsb_bridge.view.view_types import VIEWS, package_of, view_class
 
 if TYPE_CHECKING:
     from rsb_bridge.cdr.decoder import Message
@@ -49,6 +49,10 @@ class Undrawable(Wording):
     TYPE_INVALID = "the type's description cannot be read: {error}"
     NOT_READ = "a message of {type_name} cannot be read: {problem}"
     LIBRARY_MISSING = "{library} is not installed where {topic} is published: pip install 'rsb-console[look]' there"
+    MODULE_MISSING = (
+        "the view of {how} by the package {package} needs the Python module {module}, which is missing where {topic} "
+        "is published: install that there, or remove {package}"
+    )
     TOO_LARGE = "the picture has {size:,} bytes; at most {limit:,} are sent: make the window smaller"
     NO_MEMORY = "a picture of this message needs too much memory"
     FAILED = "the message cannot be drawn: {error}"
@@ -126,9 +130,7 @@ class Artist:
             self._views.pop(task.view, None)
             return _failed(about, Undrawable.NO_MEMORY())
         except ModuleNotFoundError as error:
-            topic = task.samples[0].topic if task.samples else "the topic"
-            problem = Undrawable.LIBRARY_MISSING(library=_LIBRARIES.get(error.name or "", error.name), topic=topic)
-            return _failed(about, problem)
+            return _failed(about, _missing(error.name or str(error), task))
         except UndrawableError as error:
             return _failed(about, str(error))
         except Exception as error:  # noqa: BLE001 -- a message that breaks one picture must not break the next
@@ -188,7 +190,7 @@ class Artist:
 
     def _view(self, task: Task) -> View:
         """Return the view of a task; a wish for another kind begins a new one."""
-        how = task.wish.how or task.type_name
+        how = _how(task)
         known = self._views.get(task.view)
         if known is not None and how == known[0]:
             self._views[task.view] = self._views.pop(task.view)  # the one unused for longest is forgotten first
@@ -203,6 +205,18 @@ class Artist:
             self._newest.pop(oldest, None)
         self._views[task.view] = how, view
         return view
+
+
+def _how(task: Task) -> str:
+    return task.wish.how or task.type_name
+
+
+def _missing(module: str, task: Task) -> str:
+    """Return the problem that a module cannot be found, with the remedy for the package whose view needs it."""
+    how, topic = _how(task), task.samples[0].topic if task.samples else "the topic"
+    if package := package_of(how):
+        return Undrawable.MODULE_MISSING(how=how, package=package, module=module, topic=topic)
+    return Undrawable.LIBRARY_MISSING(library=_LIBRARIES.get(module, module), topic=topic)
 
 
 def _failed(about: Picture, problem: str) -> Picture:

@@ -131,7 +131,7 @@ COLUMNS: tuple[Column[RobotRow], ...] = (
     Column("SINCE", 5, lambda r: formats.age(_since(r)), _since, from_width=40),
     Column(" HISTORY", HISTORY + 1, lambda r: sparkline(r.rates, HISTORY, max(r.rates, default=0.0)),
            lambda r: -sum(r.rates), right=False, from_width=80),
-    Column("VERSION", 8, lambda r: r.robot.summary.version, lambda r: (r.robot.summary.version, r.robot.order),
+    Column("VERSION", 10, lambda r: r.robot.summary.version, lambda r: (r.robot.summary.version, r.robot.order),
            right=False, from_width=112),
     Column("WHY", 40, why, lambda r: (not r.robot.summary.why, r.robot.summary.why),
            right=False, from_width=150),

@@ -202,7 +202,8 @@ class Zenoh(ZenohTraits, StreamTransport):
         def another(seen: Seen, comes: bool) -> None:
             nonlocal told_at
             now = asyncio.get_running_loop().time()
-            if comes and seen.service == SERVER and now >= told_at:
+            # Its own announcement comes as well, again after each loss of the router.
+            if comes and seen.service == SERVER and seen.address != endpoint.address and now >= told_at:
                 told_at = now + _TOLD_EVERY
                 acceptor.others(_others(fleet, _servers(endpoint)))
 
@@ -320,14 +321,17 @@ def _servers(endpoint: ZenohEndpoint) -> list[Seen]:
 
 
 def _others(fleet: str, servers: Sequence[Seen]) -> str:
-    names = join_first(sorted(seen.label for seen in servers), _NAMED)
     text = FleetText.OTHER_SERVERS if len(servers) > 1 else FleetText.OTHER_SERVER
-    return text(count=len(servers), fleet=fleet, names=names)
+    return text(count=len(servers), fleet=fleet, names=_names(servers))
 
 
 def _several(fleet: str, servers: Iterable[Seen], *, own: bool = False) -> str:
-    names = join_first(sorted(seen.label for seen in servers), _NAMED)
-    return (FleetText.SERVER_PRESENT if own else FleetText.SEVERAL_SERVERS)(fleet=fleet, names=names)
+    return (FleetText.SERVER_PRESENT if own else FleetText.SEVERAL_SERVERS)(fleet=fleet, names=_names(servers))
+
+
+def _names(servers: Iterable[Seen]) -> str:
+    """Return what the servers call themselves, or the address of one that does not say."""
+    return join_first(sorted(seen.label or f"endpoint {seen.address}" for seen in servers), _NAMED)
 
 
 def _format_address(address: Address) -> str:
