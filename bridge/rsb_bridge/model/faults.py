@@ -73,7 +73,7 @@ _NOTHING_COMES = frozenset(
     {Cause.LOSSY, Cause.TOO_LARGE, Cause.QUEUE_FULL, Cause.NOT_PUBLISHED, Cause.SERVER_GONE}
 )  # fmt: skip
 """The same: causes of the state `DOWN`."""
-_NO_NEWS = frozenset({Cause.NO_MESSAGE, Cause.SILENT})
+_NO_NEWS = frozenset({Cause.NO_MESSAGE, Cause.SILENT, Cause.AWAITS_LINK})
 """Causes of a topic that waits which say less than those of its fault."""
 
 LASTS = 2.0

@@ -32,7 +32,7 @@ _LOST = frozenset(
 _OF_TOPICS = {
     LinkCause.LOSSY: (Cause.LOSSY, _LOST),
     LinkCause.LARGE_PACKETS: (Cause.NO_PATH, frozenset({Cause.NO_PATH, Cause.LOSSY})),
-    LinkCause.SILENT: (Cause.NO_PATH, _LOST),
+    LinkCause.SILENT: (Cause.AWAITS_LINK, _LOST | {Cause.AWAITS_LINK}),
 }
 """By the cause of a link that is up: the cause of topics that suffer from it, and the causes that it replaces."""
 

@@ -26,6 +26,8 @@ class Cause(StrEnum):
     """The topic was disarmed, and the other side may act on earlier messages for up to 1 s."""
     NO_PATH = "no_path"
     """Its transport does not get through, though the link is up."""
+    AWAITS_LINK = "awaits_link"
+    """Its link is silent, or opens its data connection again after that broke."""
     SUBSCRIBE_FAILED = "subscribe_failed"
     QOS_INCOMPATIBLE = "qos_incompatible"
     """A publisher offers less than is asked for."""

@@ -43,6 +43,7 @@ class RouteStatus(NamedTuple):
         link_down: the reason why the link is down, which may be empty, or None if it is up.
         accepted: whether both sides want it, False if it is refused, or None while the peer has not answered.
         refusal: the reason why the route is refused, or was refused until shortly ago, or empty.
+        reopens: whether its data connection broke a short time ago, and has not been open since.
         loop: the reason why its messages or calls would loop, or empty.
         paused: whether an operator has paused it.
         paused_by: the operator, or empty if unknown.
@@ -68,6 +69,7 @@ class RouteStatus(NamedTuple):
     link_down: str | None = None
     accepted: bool | None = None
     refusal: str = ""
+    reopens: bool = False
     loop: str = ""
     paused: bool = False
     paused_by: str = ""
@@ -101,11 +103,15 @@ def worst(status: RouteStatus, verdicts: Iterable[Verdict | None]) -> tuple[Verd
 
 
 def explained(status: RouteStatus, verdict: Verdict) -> Verdict:
-    """Return a verdict with the fault of the path as its cause, if that explains it."""
+    """Return a verdict with the fault of the path as its cause, if that explains it.
+
+    While the link is silent, nothing is known of its topics: they wait.
+    """
     cause = None if status.path is None else status.path.of_topic(verdict.cause)
     if status.path is None or cause is None:
         return verdict
-    return replace(verdict, cause=cause, text=status.path.text)
+    state = State.WAITING if cause is Cause.AWAITS_LINK else verdict.state
+    return replace(verdict, state=state, cause=cause, text=status.path.text)
 
 
 class LossyPath:
@@ -205,8 +211,13 @@ def _breaking(status: RouteStatus) -> Verdict | None:
 def _refused(status: RouteStatus) -> Verdict | None:
     if not status.refusal:
         return None
-    # Nobody has refused a route whose connection broke: it opens again.
-    return Verdict(State.DOWN, Cause.NO_PATH if DATA_CONNECTION in status.refusal else Cause.REFUSED, status.refusal)
+    if DATA_CONNECTION not in status.refusal:
+        return Verdict(State.DOWN, Cause.REFUSED, status.refusal)
+    # Nobody has refused it. If the path is at fault, the link knows that after seconds, and says so for all topics.
+    if status.reopens and status.path is None:
+        why = status.refusal.partition(DATA_CONNECTION)[2]
+        return Verdict(State.WAITING, Cause.AWAITS_LINK, f"the link opens its data connection again ({why})")
+    return Verdict(State.DOWN, Cause.NO_PATH, status.refusal)
 
 
 def _loop(status: RouteStatus) -> Verdict | None:

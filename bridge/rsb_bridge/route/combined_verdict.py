@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.path_fault import PathFault
     from rsb_bridge.ros.ros_interface import Endpoint
 
-_SAME_ON_BOTH = frozenset({Cause.LINK_DOWN, Cause.REFUSED, Cause.PAUSED, Cause.DISARMED})
+_SAME_ON_BOTH = frozenset({Cause.LINK_DOWN, Cause.AWAITS_LINK, Cause.REFUSED, Cause.PAUSED, Cause.DISARMED})
 """Causes that each side knows for itself."""
 _ENOUGH_SAID_HERE = frozenset(
     {Cause.NONE, Cause.NO_MESSAGE, Cause.SILENT, Cause.THROTTLED, Cause.NO_CALL, Cause.UNANSWERED, Cause.CALLS_REFUSED}

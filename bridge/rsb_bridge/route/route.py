@@ -51,6 +51,9 @@ _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
 _PROPOSED_WITHIN = 3.0
 _REFUSED_WITHIN = 5.0
 """Seconds after which a retried route is unlikely to be refused again."""
+_REOPENS_WITHIN = 10.0
+"""Seconds after which a data connection that broke and is not open again is a fault. The kernel gives one up after 6 s,
+and the pauses before the next attempts are 1 and 2 s."""
 _PICTURES = "pictures"
 """The name in the log of a route that no operator has listed."""
 
@@ -120,6 +123,7 @@ class Route:
         self.closed_at = 0.0
         self.retry_at = 0.0
         self._refused = ""  # the last refusal, until a later opening succeeds
+        self._broke_at: float | None = None  # the data connection, if it has not been open since
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
         self.notices = Notices(self.log, context.wall)
         self.limit = RateLimit(proposal.max_rate, self.local_topic, peer.budget.rates, self.log)
@@ -297,6 +301,9 @@ class Route:
 
     def _end(self, reason: str) -> None:
         """End the present opening and show the reason; this side opens it again later if it proposed it."""
+        # One that another program refuses, or that lacks a descriptor, has a cause of its own.
+        if DATA_CONNECTION in reason and self._broke_at is None and (self.connected or timed_out(reason)):
+            self._broke_at = self.context.now()
         self.close(reason)
         self._verdict = None
         self.life.take(RouteEvent.REFUSE, reason)
@@ -427,6 +434,8 @@ class Route:
         """Update the meter and report a changed verdict; called once a second while the route is not idle."""
         now = self.context.now()
         self.meter.tick(now, learns=self.learns)
+        if self.connected:
+            self._broke_at = None
         if self.flowing:  # acceptance alone is not enough: a refusal may follow
             self._backoff.reset()
         self.losses.tick(now, idle=self.connected and not self.owing)
@@ -491,6 +500,7 @@ class Route:
         why_not = self._why_not_armable()
         return self.setup()._replace(
             refusal=self.shown_refusal,
+            reopens=self._broke_at is not None and now - self._broke_at < _REOPENS_WITHIN,
             paused=self.paused,
             paused_by=self.pausing.who,
             disarmed=self._disarmed_text(stands, why_not or overdue),

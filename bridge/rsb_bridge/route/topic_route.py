@@ -38,6 +38,7 @@ ChannelT = TypeVar("ChannelT", bound="DataChannel")
 _EXPLAINS = frozenset(
     {
         Cause.NO_PATH,
+        Cause.AWAITS_LINK,
         Cause.SUBSCRIBE_FAILED,
         Cause.QOS_INCOMPATIBLE,
         Cause.TYPE_CONFLICT,

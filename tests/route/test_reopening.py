@@ -1,0 +1,64 @@
+"""A data connection that breaks while its link stays up: the topic waits for a while, and is down after that."""
+
+from __future__ import annotations
+
+import errno
+import os
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.route.test_missed_while_down import passes, reopen, world
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
+
+if TYPE_CHECKING:
+    from tests.route.test_loop_filter import World
+
+__all__ = ["world"]
+TIMED_OUT = os.strerror(errno.ETIMEDOUT)
+WAITS, NO_PATH = (State.WAITING, Cause.AWAITS_LINK), (State.DOWN, Cause.NO_PATH)
+
+
+def shown(world: World) -> tuple[State, str]:
+    """The state and the cause."""
+    verdict = world.route.verdict()
+    return verdict.state, verdict.cause
+
+
+def test_a_topic_waits_while_its_data_connection_is_opened_again(world: World) -> None:
+    for _ in range(2):
+        world.route.channel_lost(TIMED_OUT)
+        assert shown(world) == WAITS
+        passes(world, 9)
+        assert shown(world) == WAITS
+        passes(world, 2)
+        assert shown(world) == NO_PATH
+        reopen(world)
+        world.route.tick()
+        assert world.route.connected
+        assert shown(world) not in (WAITS, NO_PATH)
+
+
+def test_attempts_that_time_out_do_not_begin_the_wait_anew(world: World) -> None:
+    for _ in range(3):
+        world.route.channel_lost(TIMED_OUT)
+        passes(world, 4)
+        world.route.open(1)
+        world.route.on_accepted()
+    world.route.channel_lost(TIMED_OUT)
+    assert shown(world) == NO_PATH
+
+
+def test_the_other_side_shows_the_same(world: World) -> None:
+    world.route.refuse(EventCode.ROUTE_CLOSED, f"closed by the other side: data connection: {TIMED_OUT}")
+    assert shown(world) == WAITS
+
+
+@pytest.mark.parametrize("reason", ["Connection refused", "too many open files"])
+def test_a_data_connection_that_cannot_be_opened_is_a_fault_at_once(world: World, reason: str) -> None:
+    world.route.close("link lost")
+    world.route.open(1)
+    world.route.channel_lost(reason)
+    assert shown(world) == NO_PATH
