@@ -34,6 +34,10 @@ LEAST_CHUNK, _MOST_CHUNK, _CHUNKS_PER_WINDOW = 1400, 128 * 1024, 32
 0.7 s for the least), and on a fast one sealing and headers cost little."""
 _LEAST_WRITE, _WRITES_PER_WINDOW = 16 * 1024, 16
 """Bytes that are written together: small frames of many routes in one call."""
+_BUSY_WINDOW = 0.5
+"""s of the present rate that count as the window for chunks and writes while routes wait. Where a kernel's short buffer
+holds the routes back (RFCOMM), the window itself is never full and grows to seconds: a joystick beside maps waited 0.16
+to 0.3 s for the end of a write."""
 _A_PASS = 1024 * 1024
 """Bytes that are sealed in one pass of the I/O loop, about 0.4 ms, before other links have their turn."""
 _STALLED = 1.5
@@ -315,8 +319,11 @@ class Scheduler:
         window = self._window
         window.back = self._book.way_back()
         window.acknowledge(self._acknowledged, self.sent, now)
-        self.chunk = min(_MOST_CHUNK, max(LEAST_CHUNK, window.size // _CHUNKS_PER_WINDOW))
-        self._write = max(_LEAST_WRITE, window.size // _WRITES_PER_WINDOW)
+        size, least = window.size, _LEAST_WRITE
+        if self._waiting:
+            size, least = min(size, int(window.rate * _BUSY_WINDOW)), LEAST_CHUNK
+        self.chunk = min(_MOST_CHUNK, max(LEAST_CHUNK, size // _CHUNKS_PER_WINDOW))
+        self._write = max(least, size // _WRITES_PER_WINDOW)
         self.run()
         return window.every
 

@@ -54,6 +54,7 @@ class Window:
     Attributes:
         limit: count of sent bytes at which the link is congested.
         size: bytes that may be in transit.
+        rate: bytes/s that were acknowledged during the last second.
         slow: whether messages wait on the path.
         back: s that a receipt takes to come back now; what waits in the other direction is not held against this one.
     """
@@ -70,6 +71,7 @@ class Window:
         "_shortest",
         "back",
         "limit",
+        "rate",
         "size",
         "slow",
     )
@@ -82,7 +84,7 @@ class Window:
             ping: s of the shortest ping of the connection, or 0 if it is unknown.
         """
         self.slow = False
-        self.back = 0.0
+        self.rate = self.back = 0.0
         self._origin = self._acknowledged = sent
         self._marks: deque[tuple[int, float]] = deque()  # how many bytes were sent when (s)
         self._last_mark, self._last_mark_at = sent, float("-inf")
@@ -134,7 +136,7 @@ class Window:
             if acknowledged < sent and (not marks or marks[0][0] > acknowledged):
                 marks.appendleft((acknowledged, written_at))
         self._acknowledged = acknowledged
-        rate = self._rate(acknowledged, now)
+        rate = self.rate = self._rate(acknowledged, now)
         waits = self._waits(now)
         if waits > _LATE:
             self.slow = True

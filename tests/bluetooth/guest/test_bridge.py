@@ -11,6 +11,7 @@ import sys
 import time
 from contextlib import contextmanager
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -179,11 +180,14 @@ def test_a_joystick_beside_maps(addresses: tuple[str, str], base: Path) -> None:
         assert all(len(server_side.arrived[f"/{name}"]) > 1 for name in sizes)
     a_map = (maps[-1] - maps[0]) / (len(maps) - 1)
     rate = 29 / (arrived[-1].time - arrived[0].time)
+    said = [struct.unpack("d", each.payload)[0] for each in arrived]
+    published = 29 / (said[-1] - said[0])  # a guest with one slow processor does not keep to 10 Hz
     sys.stdout.write(
         f"joystick: median {1e3 * alone[len(alone) // 2]:.1f} ms alone, {1e3 * beside[len(beside) // 2]:.1f} ms beside "
-        f"maps, at most {1e3 * beside[-1]:.1f} ms; {rate:.2f} Hz; a map takes {1e3 * a_map:.0f} ms\n"
+        f"maps, at most {1e3 * beside[-1]:.1f} ms; {rate:.2f} of {published:.2f} Hz; a map takes {1e3 * a_map:.0f} ms\n"
     )
-    assert rate > 9.5
+    assert rate > 0.95 * published
+    assert max(later - earlier for earlier, later in pairwise(said)) < 2 / published  # none was dropped
     assert beside[len(beside) // 2] < a_map / 4
     assert beside[-1] < a_map
 
