@@ -614,9 +614,9 @@ def test_who_asks_in_a_shell_gives_signs_of_life(
     monkeypatch.setattr("rsb_console.command.remote._ALIVE_EVERY", 0.01)
     asked: Future[None] = Future()
     alive: list[bool] = []
-    execute = engine._execute
+    do = engine.do
 
-    def executed(command: Command[Any], step: Any) -> Future[Any]:
+    def done(command: Command[Any], step: Any = None) -> Future[Any]:
         match command:
             case AskHolder():
                 return asked
@@ -624,9 +624,9 @@ def test_who_asks_in_a_shell_gives_signs_of_life(
                 alive.append(pressed)
                 if len(alive) == 3:
                     asked.set_exception(EngineError("kept"))
-        return execute(command, step)
+        return do(command, step)
 
-    monkeypatch.setattr(engine, "_execute", executed)
+    monkeypatch.setattr(engine, "do", done)
     engine.now = replace(engine.now, routes=(SCAN,))
     result = ran("arm", "/scan", "--ask")
     assert "kept" in result.err

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.support import replaced
 from tests.support.bridge import happened, link, linked
+from tests.support.inside import inside
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -86,7 +87,7 @@ def arrived(monkeypatch: pytest.MonkeyPatch) -> list[weakref.ref[object]]:
 
 
 def strangers_of(engine: Engine) -> Strangers:
-    return engine._transports.strangers
+    return inside(engine).context.transports.strangers
 
 
 @pytest.mark.parametrize("said", SAID.values(), ids=SAID)

@@ -117,6 +117,11 @@ class Listener:
         self._take()
         return self._received
 
+    def forget(self) -> None:
+        """Forget what has been taken."""
+        self._payloads.clear()
+        self._received.clear()
+
     def _take(self) -> None:
         handle = self.subscription.handle
         while (taken := handle.take_message(self._kind, True)) is not None:

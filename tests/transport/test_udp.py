@@ -131,7 +131,7 @@ class Skipping(asyncio.SelectorEventLoop):
     def time(self) -> float:
         return super().time() + self.skipped if self.held_at is None else self.held_at
 
-    def add_reader(self, fd: Any, callback: Any, *args: Any) -> None:
+    def add_reader(self, fd: Any, callback: Any, *args: Any) -> None:  # type: ignore[override]  # asyncio's ties them
         if self.held_at is None:
             super().add_reader(fd, callback, *args)
         else:
