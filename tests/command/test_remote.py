@@ -611,7 +611,7 @@ def test_who_asks_in_a_shell_gives_signs_of_life(
     ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without them, the question ends."""
-    monkeypatch.setattr("rsb_console.command.remote._ALIVE_EVERY", 0.01)
+    constants.ASKER_ALIVE_EVERY.set(monkeypatch, 0.01)
     asked: Future[None] = Future()
     alive: list[bool] = []
     do = engine.do
@@ -680,8 +680,8 @@ def test_who_holds_a_topic_in_a_shell_is_asked_for_it_and_enter_keeps_it(
     Keys.patch = monkeypatch
     replaced.COMMAND_GIVEN_AT.set(monkeypatch, lambda _: Clock.steady() - 100.0)
     constants.OLD_AFTER.set(monkeypatch, 200.0)
-    monkeypatch.setattr("rsb_console.command.remote.TypedKeys", Keys)
-    monkeypatch.setattr("rsb_console.command.remote.print_error", Keys.questions.append)
+    replaced.REMOTE_TYPED_KEYS.set(monkeypatch, Keys)
+    replaced.REMOTE_PRINT_ERROR.set(monkeypatch, Keys.questions.append)
     ran("arm", "/scan")
     (question,) = Keys.questions
     assert says(question, RemoteProblem.ASKED_FOR)
@@ -719,7 +719,7 @@ def test_arm_ends_once_another_operator_holds_the_topic(
     Holding.engine = engine
     engine.holds = ("/scan",)
     engine.now = replace(engine.now, routes=(replace(SCAN, arming=ArmingSnapshot(armed=True, here=True)),))
-    monkeypatch.setattr("rsb_console.command.remote.TypedKeys", Holding)
+    replaced.REMOTE_TYPED_KEYS.set(monkeypatch, Holding)
     result = ran("arm", "/scan")
     assert result.code == 1
     assert says(result.err, RemoteProblem.HELD_BY_ANOTHER, topic="/scan", who="bert\\x1b[2J")

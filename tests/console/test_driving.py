@@ -23,6 +23,7 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import SESSION, ScriptedEngine, route
+from tests.support import constants, replaced
 from tests.support.wording import says
 from textual.events import Key
 from textual.pilot import Pilot
@@ -35,7 +36,6 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
 from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_console.app import ConsoleApp
-from rsb_console.screens import drive_screen
 from rsb_console.screens.drive_screen import DriveScreen, DriveText, Steering, limits_on, why_not_driven
 from rsb_console.screens.take_over import HandOverText
 from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, velocity
@@ -193,8 +193,8 @@ class Robot(ScriptedEngine):
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
-    monkeypatch.setattr(drive_screen, "time", made)
-    monkeypatch.setattr(drive_screen, "_STOOD_STILL", float("inf"))  # as this clock does; test_late_commands has it
+    replaced.DRIVE_TIME.set(monkeypatch, made)
+    constants.DRIVE_STOOD_STILL.set(monkeypatch, float("inf"))  # as this clock does; test_late_commands has it
     monkeypatch.setattr(Robot, "clock", made, raising=False)
     return made
 

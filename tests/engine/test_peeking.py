@@ -105,7 +105,7 @@ def test_nothing_is_copied_unless_somebody_looks(
     server, _ = bridge.both(Topic("/chat", "transmit"))
     carries([publisher], server, ["/chat"])
     copies: list[object] = []
-    monkeypatch.setattr(peeking.PeekSlot, "put", lambda *message: copies.append(message))
+    replaced.PEEK_SLOT_PUT.set(monkeypatch, lambda *message: copies.append(message))
     for number in range(50):
         publisher.publish(text(f"message {number}"))
     eventually(lambda: len(listener.payloads) == 50)

@@ -220,7 +220,7 @@ def test_a_view_knows_who_publishes(bridge: Bridge, robot: Domain, monkeypatch: 
         authors.update(each.author for each in task.samples)
         return await draw(renderer, task)
 
-    monkeypatch.setattr(Renderer, "draw", watched)
+    replaced.DRAW.set(monkeypatch, watched)
     server, _ = bridge.both()
     looked_while(talker, server, "/pose")
     assert authors == {robot.node.get_fully_qualified_name()}

@@ -81,8 +81,8 @@ def arrived(monkeypatch: pytest.MonkeyPatch) -> list[weakref.ref[object]]:
         made.extend((weakref.ref(self), weakref.ref(transport)))
         connected(self, transport)
 
-    monkeypatch.setattr(InboundStreams, "arrive", arrives)
-    monkeypatch.setattr(Stream, "connection_made", connects)
+    replaced.STREAM_ARRIVES.set(monkeypatch, arrives)
+    replaced.STREAM_CONNECTED.set(monkeypatch, connects)
     return made
 
 

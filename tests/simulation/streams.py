@@ -185,9 +185,9 @@ class StreamTransport(asyncio.Transport):
             last.pieces.append(data)
             last.size += size
         else:
-            self._dispatch(_Segment([data], size, now))
+            self._put_on_its_way(_Segment([data], size, now))
 
-    def _dispatch(self, segment: _Segment) -> None:
+    def _put_on_its_way(self, segment: _Segment) -> None:
         self._on_its_way.append(segment)
         now, random = self._loop.time(), self._random
         delay = self.path.delay(segment.size, now, random)
@@ -331,7 +331,7 @@ class StreamTransport(asyncio.Transport):
     def _send_end(self) -> None:
         if not self._sent_end:
             self._sent_end = True
-            self._dispatch(_Segment(None, 0, self._loop.time()))
+            self._put_on_its_way(_Segment(None, 0, self._loop.time()))
 
     def _lose(self, error: OSError) -> None:
         """End the connection without regard to the program."""
@@ -358,7 +358,7 @@ class StreamTransport(asyncio.Transport):
             self.peer.refused()
         else:
             self._sent_end = True
-            self._dispatch(_Segment(None, 0, self._loop.time()))
+            self._put_on_its_way(_Segment(None, 0, self._loop.time()))
 
     def vanished(self) -> None:
         """The machine lost its power: the connection is gone, silently."""

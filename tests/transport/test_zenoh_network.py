@@ -521,7 +521,7 @@ def test_who_leaves_while_an_endpoint_is_made_is_forgotten(router: Router, monke
 
     async def test() -> None:
         async with in_network(router) as server:
-            monkeypatch.setattr(endpoints.ZenohEndpoint, "ask", ask_too_early)
+            replaced.ZENOH_ASK.set(monkeypatch, ask_too_early)
             network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
             client = await network.endpoint("client", "", ["server"])
             assert ghost.address in client.seen
