@@ -61,9 +61,12 @@ async def until(condition: Callable[[], object], what: str = "") -> None:
 
 
 @contextlib.asynccontextmanager
-async def in_network(router: Router, service: str = "server", *watched: str) -> AsyncIterator[ZenohEndpoint]:
-    """An endpoint of a network of its own."""
+async def in_network(
+    router: Router, service: str = "server", *watched: str, strangers: Strangers | None = None
+) -> AsyncIterator[ZenohEndpoint]:
+    """An endpoint of a network of its own, perhaps with a budget for strangers."""
     network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
+    network.strangers = strangers or network.strangers
     made = await network.endpoint(service, "a label", watched)
     while made.address not in {each.address for each in await made.ask(service)}:  # noqa: ASYNC110 (no event of ours)
         await asyncio.sleep(0.01)  # the router does not know this end's subscriptions yet
@@ -77,11 +80,6 @@ async def in_network(router: Router, service: str = "server", *watched: str) -> 
 def waiting_bytes(endpoint: ZenohEndpoint) -> int:
     """Return the bytes that wait for the endpoint's loop."""
     return endpoint._waiting_bytes
-
-
-def budget_of(endpoint: ZenohEndpoint) -> Strangers:
-    """Return the endpoint's budget for strangers."""
-    return endpoint._strangers
 
 
 def of_strangers(endpoint: ZenohEndpoint) -> Sized:
@@ -255,7 +253,8 @@ def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: pytest.
 @pytest.mark.parametrize("number", [0, 1])
 def test_a_long_sample_of_a_stranger_is_neither_copied_nor_queued(router: Router, number: int) -> None:
     async def test() -> None:
-        async with in_network(router) as server:
+        budget = Strangers()
+        async with in_network(router, strangers=budget) as server:
             asked: list[str] = []
             server.on_stream = lambda who, which, _: _kept(asked, which)
             other = await known_stranger(router, server)
@@ -265,7 +264,7 @@ def test_a_long_sample_of_a_stranger_is_neither_copied_nor_queued(router: Router
             other.put(f"{at}/{'2' * 16}", bytes(STRANGER_LIMIT), attachment=Header(SampleKind.DATA, 0, 0).pack())
             await until(lambda: asked)
             assert asked == ["2" * 16]
-            assert budget_of(server).turned_away == 1
+            assert budget.turned_away == 1
             other.close()
 
     asyncio.run(test())
@@ -327,8 +326,8 @@ def test_only_samples_of_routes_are_taken_on_zenohs_thread(router: Router) -> No
 
 def test_what_strangers_send_takes_no_room_from_peers(router: Router) -> None:
     async def test() -> None:
-        async with in_network(router) as server:
-            server._strangers = Strangers(100_000)
+        budget = Strangers(100_000)
+        async with in_network(router, strangers=budget) as server:
             asked: list[str] = []
             server.on_stream = lambda who, which, _: _kept(asked, which)
             peer = End()
@@ -341,9 +340,9 @@ def test_what_strangers_send_takes_no_room_from_peers(router: Router) -> None:
             other.put(f"{at}/{NOBODY}/{NOBODY}", bytes(1_000_000), **settings)
             eventually(lambda: waiting_bytes(server))  # the loop has had no turn
             await until(lambda: peer.came)
-            assert budget_of(server).used == 0
+            assert budget.used == 0
             assert len(asked) == 100_000 // (1000 + constants.ZENOH_OVERHEAD.value)
-            assert budget_of(server).turned_away == 500 - len(asked)
+            assert budget.turned_away == 500 - len(asked)
             other.close()
 
     asyncio.run(test())

@@ -42,7 +42,7 @@ def _providing(ros: _Graph, make_context: Callable[..., Context]) -> ProvidingRo
 def looks(route: ProvidingRoute) -> Cause | None:
     """Look at the graph again; return why nobody can be called, or None."""
     route._look()
-    trouble = route._unavailable
+    trouble = route.facts().unavailable
     return trouble.cause if trouble is not None else None
 
 
