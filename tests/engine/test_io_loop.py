@@ -13,6 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import replaced
 from tests.support.bridge import carries, heard, protocol_of, settled
 from tests.support.domain import text
 from tests.support.inside import inside
@@ -362,20 +363,23 @@ def test_a_receiver_that_fails_does_not_keep_from_the_others_what_came_with_its_
 @pytest.mark.usefixtures("threads_change_often")
 @pytest.mark.parametrize("topic", ["/tcp", "/udp"])
 def test_a_bridge_keeps_the_order_while_threads_change_all_the_time(
-    topic: str, bridge: Bridge, robot: Domain, pc: Domain
+    topic: str, bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     there, out = pc.listener(topic), robot.publisher(topic)
+    visits: list[bool] = []
+    do_now = IoLoop.do_now
+
+    def noted(loop: IoLoop, work: Callable[[], object]) -> bool:
+        visited = do_now(loop, work)
+        if visited and loop is visited_loop[0]:
+            visits.append(True)
+        return visited
+
+    visited_loop: list[object] = [None]
+    replaced.LOOP_DO_NOW.set(monkeypatch, noted)
     server, client = bridge.both(Topic(topic, "transmit", protocol=protocol_of(topic), qos=5000))
     carries([out], server, [topic])
-    visits: list[bool] = []
-    queue, loop = inside(client).context.ros_queue, inside(client).context.loop
-    assert isinstance(loop, IoLoop)
-
-    def do_now(work: Callable[[], object]) -> bool:
-        visits.append(loop.do_now(work))
-        return visits[-1]
-
-    queue._do_now = do_now
+    visited_loop[0] = inside(client).context.loop
     sent: list[bytes] = []
 
     def send(count: int) -> None:

@@ -15,6 +15,7 @@ GRANTED_RECEIVE_BUFFER = Place("rsb_bridge.doctor.machine", "granted_receive_buf
 DOCTOR_RUN = Place("rsb_bridge.doctor.machine", "subprocess.run")
 ENGINE_LOAD = Place("rsb_bridge.engine.engine", "load")
 PUBLISHING_READ_FIELDS = Place("rsb_bridge.engine.publishing", "read_fields")
+LOOP_DO_NOW = Place("rsb_bridge.engine.io_loop", "IoLoop.do_now")
 CHECK_NAMES = Place("rsb_bridge.engine.viewing", "check_names")
 STREAM_ARRIVES = Place("rsb_bridge.link.inbound_streams", "InboundStreams.arrive")
 LEASE_LIVES = Place("rsb_bridge.link.link_arming", "LinkArming._lease_lives")

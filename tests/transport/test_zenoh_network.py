@@ -87,11 +87,6 @@ def of_strangers(endpoint: ZenohEndpoint) -> Sized:
     return endpoint._of_strangers
 
 
-def soon(endpoint: ZenohEndpoint, work: Callable[[], object]) -> None:
-    """Have the endpoint's loop do something, as Zenoh's threads do."""
-    endpoint._soon(work)  # type: ignore[arg-type]
-
-
 async def known_stranger(router: Router, server: ZenohEndpoint) -> Any:
     """Return a stranger whose router knows the endpoint; before that it drops samples."""
     other = stranger(router)
@@ -434,11 +429,21 @@ def test_a_flood_does_not_keep_the_loop_from_its_other_work() -> None:
         router = Router()
         try:
             async with in_network(router) as server:
-                turns: list[int] = []
-                for number in range(5 * constants.ZENOH_AT_A_TIME.value):
-                    soon(server, lambda number=number: turns.append(number))  # type: ignore[misc]
+                turns: list[bytes] = []
+                server.add(NOBODY, NOBODY, End())
+                server.on_datagram = lambda _, payload: turns.append(payload)
+                other, count = stranger(router), 5 * constants.ZENOH_AT_A_TIME.value
+                for _ in range(count):
+                    other.put(
+                        f"{ROOT}/fleet/at/{server.address}/{NOBODY}/drop",
+                        b"x",
+                        congestion_control=zenoh.CongestionControl.BLOCK,
+                    )
+                size = 1 + constants.ZENOH_OVERHEAD.value
+                eventually(lambda: waiting_bytes(server) == count * size)  # the loop has had no turn
+                other.close()
                 seen_at: list[int] = []
-                while len(turns) < 5 * constants.ZENOH_AT_A_TIME.value:
+                while len(turns) < count:
                     await asyncio.sleep(0)
                     seen_at.append(len(turns))
                 assert (
@@ -454,10 +459,20 @@ def test_one_arrival_that_fails_does_not_hold_up_the_next(router: Router) -> Non
     async def test() -> None:
         asyncio.get_running_loop().set_exception_handler(lambda *_: None)
         async with in_network(router) as server:
-            done: list[bool] = []
-            soon(server, lambda: 1 // 0)
-            soon(server, lambda: done.append(True))
-            await until(lambda: done)
+            came: list[bytes] = []
+
+            def take(_: str, payload: bytes) -> None:
+                came.append(payload)
+                if len(came) == 1:
+                    raise ZeroDivisionError
+
+            server.add(NOBODY, NOBODY, End())
+            server.on_datagram = take
+            other = stranger(router)
+            for payload in (b"fails", b"next"):
+                other.put(f"{ROOT}/fleet/at/{server.address}/{NOBODY}/drop", payload)
+            await until(lambda: len(came) == 2)
+            other.close()
 
     asyncio.run(test())
 
