@@ -311,13 +311,13 @@ async def test_a_key_that_was_held_up_moves_nothing(app: ConsoleApp, pilot: Pilo
 @driven
 async def test_a_burst_of_late_keys_stops(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     assert isinstance(app.screen, DriveScreen)
+    steering = app.screen._steering
     events = [Key("up", None) for _ in range(20)]
-    clock.now = events[0].time
     for event in events:
         event.time = events[0].time
         app.post_message(event)
-    await shown(pilot, DriveText.LATE)
-    await shown(pilot, DriveText.STANDS)
+    await until(pilot, lambda: steering.came_late(events[0].time), "late keys")
+    assert steering.at(events[0].time) == (0.0, 0.0)
 
 
 @driven
