@@ -69,7 +69,7 @@ def on_bridge(engine: Engine, ask: Callable[[Bridge], Coroutine[None, None, T]])
     """Run a coroutine on the thread of an engine's bridge."""
     bridge = inside(engine)
     assert bridge is not None
-    return engine._commands.run(lambda: ask(bridge)).result(WITHIN)
+    return asyncio.run_coroutine_threadsafe(ask(bridge), bridge.context.loop).result(WITHIN)
 
 
 class Pair:

@@ -31,6 +31,7 @@ class Here:
         self.time = 0.0
         self.ros = Synthetic(cast("Any", NoRos()), Time())
         self.denied: list[str] = []
+        self.answers: list[BenchAnswer] = []
         loop = SimpleNamespace(call_soon=lambda work: work())
         self.routes: dict[str, Any] = {}
         ids = SimpleNamespace(open_route=lambda number: list(self.routes.values())[number])
@@ -43,8 +44,8 @@ class Here:
             linked=True,
             carriers=set,
             name=PEER,
-            send=lambda _: None,
-            spawn=lambda _: None,
+            send=self.answers.append,
+            spawn=asyncio.run,
             rights=SimpleNamespace(bench=BenchmarkLimits(seconds=10.0, max_rate=100.0, megabytes=1.0)),
         )
         self.bench = LinkBench(cast("BaseLink", link), cast("RouteTable", table), cast("Any", None))
@@ -60,7 +61,8 @@ class Here:
         return self.bench._own
 
     def ask(self, **wanted: Any) -> BenchAnswer:
-        return asyncio.run(self.bench._answer(BenchAsk(1, 0, **wanted)))
+        self.bench.messages[BenchAsk](BenchAsk(1, 0, **wanted))
+        return self.answers.pop()
 
     def second(self) -> None:
         self.time += 1.0

@@ -23,7 +23,7 @@ from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import OWN_CONSOLE
 from rsb_bridge.model.session import Topic
-from rsb_bridge.route.calls.calling import CallingRoute, LandedText
+from rsb_bridge.route.calls.calling import LandedText
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -278,7 +278,7 @@ def test_a_call_whose_landing_is_not_reported_is_not_said_to_have_landed(
 ) -> None:
     _, client = bridge.both(called("/set", timeout=3.0))
     ready(client, "/set")
-    monkeypatch.setattr(CallingRoute, "reported", lambda *_: None)  # as if the link hung
+    replaced.CALL_REPORTED.set(monkeypatch, lambda *_: None)  # as if the link hung
     lamp.goes_on.clear()
     with pytest.raises(EngineError) as error:
         by_hand(client, "/set", "data: true").result(60)

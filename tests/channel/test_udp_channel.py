@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.held import held_by
 from tests.support.schedulers import lone_scheduler
 from tests.support.session_keys import session_keys
 
@@ -69,6 +70,8 @@ class Server:
         ready: link ids, each as often as its server's end became ready.
         channels: the server's ends by link id, the newest.
         made: how many they were.
+        clients: the clients' ends, in the order of their calls.
+        probes: what seals and opens each one's probes.
     """
 
     def __init__(self) -> None:
@@ -78,6 +81,7 @@ class Server:
         self.channels: dict[bytes, ServerUdpChannel] = {}
         self.made = 0
         self.clients: list[ClientUdpChannel] = []
+        self.probes: list[PathProbe] = []
         self.keys: dict[bytes, DataKeys] = {}
         self._probes: dict[bytes, PathProbe] = {}
         self.demultiplexer = UdpDemultiplexer(self._new_channel)
@@ -102,8 +106,20 @@ class Server:
 
     def call(self, keys: DataKeys, on_ready: Callable[[], None] = lambda: None) -> ClientUdpChannel:
         """A client's end with these keys; closed with the server at the latest."""
-        self.clients.append(ClientUdpChannel(Udp(), (_HOST, self.port), PathProbe(keys), self.now, on_ready))
+        return self.probe_with(PathProbe(keys), on_ready)
+
+    def probe_with(self, probe: PathProbe, on_ready: Callable[[], None] = lambda: None) -> ClientUdpChannel:
+        """A client's end on another socket of its connection."""
+        self.probes.append(probe)
+        self.clients.append(ClientUdpChannel(Udp(), (_HOST, self.port), probe, self.now, on_ready))
         return self.clients[-1]
+
+    def sends_to(self, channel: ServerUdpChannel, port: int) -> bool:
+        """Whether an end sends to a port, which it names if it has heard nothing from there for a while."""
+        self.time += 6.1
+        channel.tick()
+        self.time -= 6.1
+        return channel.trouble == Silence.NOTHING_MORE(port=port, host=_HOST)
 
 
 def _keys(link_id: bytes, role: Role) -> DataKeys:
@@ -291,7 +307,7 @@ def test_a_connection_that_is_over_is_forgotten() -> None:
             server.call(stranger)
             known, _ = server.connect(b"link one")
             await until(lambda: known.ready)
-            assert len(server.demultiplexer._channels) == 1
+            assert held_by(server.demultiplexer) < 10
 
     asyncio.run(main())
 
@@ -421,15 +437,15 @@ def test_an_address_is_used_only_once_it_has_answered() -> None:
         async with serving() as server:
             client, _ = server.connect(b"link one")
             there = await settled(server, client)
-            (probe,) = client._probe.write(Probe(pong=False, opaque=0), 1000)
+            (probe,) = server.probes[0].write(Probe(pong=False, opaque=0), 1000)
             with elsewhere() as thief:
                 thief.sendto(probe, (_HOST, server.port))
                 answer = await received_by(thief)
                 assert len(answer) <= len(probe)
                 there.send([b"to the client"])
-                assert there._peer == (_HOST, client.socket.port)
                 with pytest.raises(BlockingIOError):
                     thief.recv(4096)
+                assert server.sends_to(there, client.socket.port)
 
     asyncio.run(main())
 
@@ -441,14 +457,22 @@ def test_an_answer_that_takes_long_is_an_answer() -> None:
         async with serving() as server:
             client, _ = server.connect(b"link one")
             there = await settled(server, client)
-            moved = (_HOST, 9)
-            for _ in range(3):
-                there._probed(Probe(pong=False, opaque=0), moved)
-            opaque = there._challenges[moved].opaque
-            for number in range(3):  # somebody delivers probes from elsewhere meanwhile
-                there._probed(Probe(pong=False, opaque=0), (_HOST, 10 + number))
-            there._probed(Probe(pong=True, opaque=opaque), moved)
-            assert there._peer == moved
+            probes = server.probes[0]
+
+            def probe(port: int, *, pong: bool = False, opaque: int = 0) -> None:
+                there.received(PROBE_ROUTE, probes.write(Probe(pong, opaque), 1000), (_HOST, port))
+
+            with elsewhere() as moved:
+                port = moved.getsockname()[1]
+                for _ in range(3):
+                    probe(port)
+                asked = probes.read(await received_by(moved), server.time)
+                assert isinstance(asked, Probe)
+                for number in range(3):  # somebody delivers probes from elsewhere meanwhile
+                    probe(10 + number)
+                assert not server.sends_to(there, port)
+                probe(port, pong=True, opaque=asked.opaque)
+                assert server.sends_to(there, port)
 
     asyncio.run(main())
 
@@ -460,7 +484,7 @@ def test_a_probe_that_another_one_has_overtaken_counts() -> None:
         async with serving() as server:
             client, _ = server.connect(b"link one")
             there = await settled(server, client)
-            first, second = (client._probe.write(Probe(pong=False, opaque=0), 1000) for _ in range(2))
+            first, second = (server.probes[0].write(Probe(pong=False, opaque=0), 1000) for _ in range(2))
             for (datagram,) in (second, first):
                 server.time += 3.0
                 there.received(PROBE_ROUTE, [datagram], (_HOST, client.socket.port))
@@ -476,11 +500,9 @@ def test_a_client_that_moves_is_followed() -> None:
         async with serving() as server:
             client, _ = server.connect(b"link one")
             there = await settled(server, client)
-            path = client._probe
             client.close()
-            moved = ClientUdpChannel(Udp(), (_HOST, server.port), path, server.now, lambda: None)
-            server.clients.append(moved)
-            await until(lambda: there._peer == (_HOST, moved.socket.port))
+            moved = server.probe_with(server.probes[0])
+            await until(lambda: server.sends_to(there, moved.socket.port))
             assert server.made == 1
 
     asyncio.run(main())

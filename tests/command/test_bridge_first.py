@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
 import pytest
-from tests.support.commands import parser_and_commands
+from tests.support.commands import options_of, parser_and_commands, subcommands_of
 
 
 def parsed(*words: str) -> dict[str, Any]:
@@ -65,10 +64,9 @@ def test_a_mistyped_command_of_a_fleet_is_no_bridge(capsys: pytest.CaptureFixtur
 
 def test_each_command_that_attaches_has_the_option() -> None:
     parser, _ = parser_and_commands()
-    (commands,) = [each for each in parser._actions if isinstance(each, argparse._SubParsersAction)]
-    without = {
-        name
-        for name, each in commands.choices.items()
-        if any(action.dest == "control" for action in each._actions) and "--bridge" not in each._option_string_actions
-    }
+    without = set()
+    for name, command in subcommands_of(parser).items():
+        options = options_of(command)
+        if any(each.dest == "control" for each in options) and not any("--bridge" in o.option_strings for o in options):
+            without.add(name)
     assert without == {"run"}  # it starts one

@@ -20,7 +20,7 @@ import pytest
 from argcomplete.finders import CompletionFinder
 from tests.console.scripted import SESSION, ScriptedEngine, route
 from tests.support import constants, replaced
-from tests.support.commands import parser_and_commands
+from tests.support.commands import options_of, parser_and_commands, subcommands_of
 
 from rsb_bridge.model.session import Topic
 from rsb_console.command import arguments, completion
@@ -171,10 +171,10 @@ def test_no_argument_is_left_out() -> None:
     own = {"import --name", "import --port", "client add NAME", "pub --type"}
 
     def missing(parser: argparse.ArgumentParser, name: str) -> Iterator[str]:
-        for action in parser._actions:
+        for word, each in subcommands_of(parser).items():
+            yield from missing(each, f"{name} {word}".strip())
+        for action in options_of(parser):
             if isinstance(action.choices, dict):
-                for word, each in action.choices.items():
-                    yield from missing(each, f"{name} {word}".strip())
                 continue
             takes = action.nargs != 0 and not hasattr(action, "completer") and not action.choices
             if takes and action.type is not Path and action.metavar not in {*free, "PATH", "FILE", "FILE.svg"}:

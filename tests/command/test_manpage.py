@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import shutil
 import subprocess
@@ -10,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.commands import parser_and_commands
+from tests.support.commands import options_of, parser_and_commands, subcommands_of
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Iterator
     from types import ModuleType
 
@@ -30,12 +30,11 @@ def manpage() -> ModuleType:
 
 
 def said(parser: argparse.ArgumentParser, name: str) -> Iterator[str]:
-    for action in parser._actions:
+    for action in options_of(parser):
         yield from action.option_strings
-        if isinstance(action.choices, dict):
-            for word, each in action.choices.items():
-                yield f"{name} {word}"
-                yield from said(each, f"{name} {word}")
+    for word, each in subcommands_of(parser).items():
+        yield f"{name} {word}"
+        yield from said(each, f"{name} {word}")
 
 
 def test_it_is_up_to_date(manpage: ModuleType) -> None:
@@ -51,13 +50,13 @@ def test_every_command_and_option_is_in_it(manpage: ModuleType) -> None:
 
 def test_every_command_takes_what_the_page_says() -> None:
     def leaves(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
-        nested = [action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
-        yield from (parser,) if not nested else (leaf for each in nested[0].values() for leaf in leaves(each))
+        nested = subcommands_of(parser).values()
+        yield from (leaf for each in nested for leaf in leaves(each)) if nested else (parser,)
 
     commands = list(leaves(parser_and_commands()[0]))
     assert len(commands) > 30
     for command in commands:
-        names = {name for action in command._actions for name in action.option_strings}
+        names = {name for action in options_of(command) for name in action.option_strings}
         assert {"--help", "--debug"} <= names, command.prog
 
 

@@ -611,12 +611,12 @@ def test_who_asks_in_a_shell_gives_signs_of_life(
     ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without them, the question ends."""
-    monkeypatch.setattr("rsb_console.command.remote._ALIVE_EVERY", 0.01)
+    constants.ASKER_ALIVE_EVERY.set(monkeypatch, 0.01)
     asked: Future[None] = Future()
     alive: list[bool] = []
-    execute = engine._execute
+    do = engine.do
 
-    def executed(command: Command[Any], step: Any) -> Future[Any]:
+    def done(command: Command[Any], step: Any = None) -> Future[Any]:
         match command:
             case AskHolder():
                 return asked
@@ -624,9 +624,9 @@ def test_who_asks_in_a_shell_gives_signs_of_life(
                 alive.append(pressed)
                 if len(alive) == 3:
                     asked.set_exception(EngineError("kept"))
-        return execute(command, step)
+        return do(command, step)
 
-    monkeypatch.setattr(engine, "_execute", executed)
+    monkeypatch.setattr(engine, "do", done)
     engine.now = replace(engine.now, routes=(SCAN,))
     result = ran("arm", "/scan", "--ask")
     assert "kept" in result.err
@@ -680,8 +680,8 @@ def test_who_holds_a_topic_in_a_shell_is_asked_for_it_and_enter_keeps_it(
     Keys.patch = monkeypatch
     replaced.COMMAND_GIVEN_AT.set(monkeypatch, lambda _: Clock.steady() - 100.0)
     constants.OLD_AFTER.set(monkeypatch, 200.0)
-    monkeypatch.setattr("rsb_console.command.remote.TypedKeys", Keys)
-    monkeypatch.setattr("rsb_console.command.remote.print_error", Keys.questions.append)
+    replaced.REMOTE_TYPED_KEYS.set(monkeypatch, Keys)
+    replaced.REMOTE_PRINT_ERROR.set(monkeypatch, Keys.questions.append)
     ran("arm", "/scan")
     (question,) = Keys.questions
     assert says(question, RemoteProblem.ASKED_FOR)
@@ -719,7 +719,7 @@ def test_arm_ends_once_another_operator_holds_the_topic(
     Holding.engine = engine
     engine.holds = ("/scan",)
     engine.now = replace(engine.now, routes=(replace(SCAN, arming=ArmingSnapshot(armed=True, here=True)),))
-    monkeypatch.setattr("rsb_console.command.remote.TypedKeys", Holding)
+    replaced.REMOTE_TYPED_KEYS.set(monkeypatch, Holding)
     result = ran("arm", "/scan")
     assert result.code == 1
     assert says(result.err, RemoteProblem.HELD_BY_ANOTHER, topic="/scan", who="bert\\x1b[2J")

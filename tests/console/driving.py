@@ -112,14 +112,15 @@ def notices(app: App[Any]) -> list[Notification]:
 
 def ended(app: App[Any]) -> bool:
     """Whether an app has been told to end."""
-    return app._exit
+    return app.return_code is not None
 
 
 def send(app: App[Any], *events: Key | Paste) -> None:
     """Give an app events as its terminal does, without waiting for their effect."""
-    assert app._driver is not None
+    terminal = app._driver
+    assert terminal is not None
     for event in events:
-        app._driver.send_message(event)
+        terminal.send_message(event)
 
 
 async def notified(pilot: Pilot[None], wording: Wording, **parameters: object) -> None:
@@ -190,10 +191,10 @@ class Operator(Pilot[None]):
         app, queue = self._console, self._console.input_queue
 
         def has_finished() -> bool:
-            if app._exit or app._exception is not None or not app.screen_stack:
+            if ended(app) or not app.screen_stack:
                 return True
             handles_none = not queue.delivers and all(map(_is_idle, (app, *app.screen.walk_children(with_self=True))))
-            return handles_none and app._message_queue.empty()
+            return handles_none and not app.message_queue_size
 
         await until(self, has_finished, "the console has finished with it")
 

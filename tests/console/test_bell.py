@@ -88,23 +88,32 @@ def test_it_does_not_ring_while_it_is_off() -> None:
     assert rung.sees(SLOW, seconds=60) == 0, "the fault was there before"
 
 
-def watches(app: ConsoleApp) -> bool:
-    return app.fault_bell._watch is not None
+class Counting(Bell):
+    """A bell that counts its rings, and how often it has looked while it was on."""
+
+    def __init__(self) -> None:
+        self.rings = self.looks = 0
+        super().__init__(self.ring, is_on=False)
+
+    def ring(self) -> None:
+        self.rings += 1
+
+    def look(self, engine: Any, snapshot: Any) -> None:
+        super().look(engine, snapshot)
+        self.looks += self.is_on
 
 
 @on_main()
 async def test_a_key_turns_it_on_and_off(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    rung: list[float] = []
-    app.fault_bell._ring = lambda: rung.append(app.fault_bell._clock())
+    bell = app.fault_bell = Counting()
     put(app, FINE)
-    assert not app.fault_bell.is_on
     await pilot.press("exclamation_mark")
     await shown(pilot, "the bell rings")
-    await until(pilot, lambda: watches(app), "it watches")
+    await until(pilot, lambda: bell.looks, "it watches")
     put(app, SLOW)
-    await until(pilot, lambda: len(rung) == 1, "it rings")
+    await until(pilot, lambda: bell.rings == 1, "it rings")
     await pilot.press("exclamation_mark")
-    await until(pilot, lambda: not watches(app), "it watches no more")
+    assert not bell.is_on
 
 
 @pytest.mark.parametrize(("kind", "rings"), [("begun", True), ("changed", False), ("over", False)])

@@ -222,7 +222,7 @@ def test_what_is_typed_while_the_app_ends_goes_nowhere() -> None:
         await shown(pilot, "/robot2/scan")
         await app._close_all()  # the first thing that Textual does then; the app's messages are handled a while longer
         app.post_message(Key("j", "j"))
-        while not app._message_queue.empty():  # noqa: ASYNC110  # `until` would ask the app for its screen
+        while app.message_queue_size:  # noqa: ASYNC110  # `until` would ask the app for its screen
             await asyncio.sleep(0.01)
 
     drive(app, steps)  # raises what the app raised

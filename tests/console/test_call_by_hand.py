@@ -72,11 +72,6 @@ def calls(app: ConsoleApp) -> list[tuple[object, ...]]:
     return [command for command in engine_of(app).commands if command[0] == "call"]
 
 
-def lines_of(pane: ScrolledLines) -> object:
-    """Return the lines as they are laid out, which are made anew only if they change."""
-    return pane._lines
-
-
 @pytest.mark.parametrize("size", [(120, 36), NARROW])
 def test_a_service_is_called_once_it_is_confirmed_and_answers(size: tuple[int, int]) -> None:
     @on(MODE, size=size)
@@ -326,13 +321,13 @@ async def test_an_answer_is_laid_out_once(app: ConsoleApp, pilot: Pilot[None]) -
     await pilot.press("G")
     await shown(pilot, "line_1999: 1999")
     await settled(pilot)
-    shown_lines, at = lines_of(pane), pane.scroll_offset
+    first, at = pane.line(0), pane.scroll_offset
     put(app, call_route("service", "/robot1/set_mode", State.DOWN, reason="no server any more"))
     await shown(pilot, "no server any more")  # drawn by the timer
-    assert lines_of(pane) is shown_lines
+    assert pane.line(0) is first
     assert pane.scroll_offset == at
     await pilot.resize_terminal(70, 36)
-    await until(pilot, lambda: lines_of(pane) is not shown_lines, "laid out for the new width")
+    await until(pilot, lambda: pane.line(0) is not first, "laid out for the new width")
 
 
 @on(MODE)

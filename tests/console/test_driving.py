@@ -23,6 +23,7 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import SESSION, ScriptedEngine, route
+from tests.support import constants, replaced
 from tests.support.wording import says
 from textual.events import Key
 from textual.pilot import Pilot
@@ -35,7 +36,6 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
 from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_console.app import ConsoleApp
-from rsb_console.screens import drive_screen
 from rsb_console.screens.drive_screen import DriveScreen, DriveText, Steering, limits_on, why_not_driven
 from rsb_console.screens.take_over import HandOverText
 from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, velocity
@@ -193,8 +193,8 @@ class Robot(ScriptedEngine):
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
-    monkeypatch.setattr(drive_screen, "time", made)
-    monkeypatch.setattr(drive_screen, "_STOOD_STILL", float("inf"))  # as this clock does; test_late_commands has it
+    replaced.DRIVE_TIME.set(monkeypatch, made)
+    constants.DRIVE_STOOD_STILL.set(monkeypatch, float("inf"))  # as this clock does; test_late_commands has it
     monkeypatch.setattr(Robot, "clock", made, raising=False)
     return made
 
@@ -347,13 +347,14 @@ async def test_tickets_that_are_too_old_are_reported(app: ConsoleApp, pilot: Pil
 async def test_after_old_tickets_three_are_tried_again(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     screen = app.screen
     assert isinstance(screen, DriveScreen)
+    send = screen._send
     for _ in range(2):
         engine_of(app).published = [Published(is_done=False, ticket=7)] * 4
-        assert [await screen._send(0.1, 0.0) for _ in range(3)] == [False] * 3
+        assert [await send(0.1, 0.0) for _ in range(3)] == [False] * 3
         with pytest.raises(EngineError):
-            await screen._send(0.1, 0.0)
+            await send(0.1, 0.0)
     engine_of(app).published = [Published(is_done=True, ticket=8)]
-    assert await screen._send(0.1, 0.0)
+    assert await send(0.1, 0.0)
 
 
 # -- the screen

@@ -255,9 +255,10 @@ def test_a_stop_counts_at_once_behind_a_multiplexer() -> None:
 
 
 def gate_of(clock: Time) -> InputGate:
-    gate = InputGate(scripted_app(), clock)
+    app = scripted_app()
+    app.notify = lambda *_, **__: None  # type: ignore[method-assign]
+    gate = InputGate(app, clock)
     gate.pulse = Pulse({}, clock)
-    gate._app.notify = lambda *_, **__: None  # type: ignore[method-assign]
     return gate
 
 

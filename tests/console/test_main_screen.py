@@ -1,6 +1,7 @@
 """The main screen, key by key, on an engine that plays a script."""
 
 import csv
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -325,12 +326,13 @@ class Dying(ScriptedEngine):
 
 @pytest.mark.parametrize("temporary", [False, True])
 def test_an_engine_that_has_died_says_why_and_can_be_started_anew(temporary: bool) -> None:
-    app = scripted_app(make_engine=Dying, path=Path("there/nav2.yaml"), temporary=temporary)
     ended: list[str] = []
+    resources = ExitStack()
+    resources.callback(ended.append, "the demo's robot")
+    app = scripted_app(make_engine=Dying, path=Path("there/nav2.yaml"), temporary=temporary, resources=resources)
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
-        app._resources.callback(ended.append, "the demo's robot")
         dead = engine_as(app, Dying)
         dead.die()
         app.pull()
@@ -434,8 +436,7 @@ def test_an_engine_that_cannot_start_says_why_and_the_console_stays() -> None:
             self.is_open = False
 
     server = Server()
-    app = scripted_app(make_engine=Broken)
-    app._serve = lambda *_: (cast("ControlServer", server), None)
+    app = scripted_app(make_engine=Broken, serve=lambda *_: (cast("ControlServer", server), None))
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "✗ robot1: port 49152 taken: choose another one")  # the banner

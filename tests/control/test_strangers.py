@@ -11,7 +11,7 @@ import weakref
 from typing import TYPE_CHECKING, get_args
 
 import pytest
-from tests.support import constants
+from tests.support import constants, replaced
 from tests.support.operators import ANNA, BOB, Reachable, Stranger, granted
 from tests.support.waiting import eventually
 from tests.wire.links import make_client
@@ -322,7 +322,7 @@ def test_a_refused_console_is_freed_at_once_and_counts_no_more(
         connection_made(self, transport)
         made.extend((weakref.ref(self), weakref.ref(self._machine)))
 
-    monkeypatch.setattr(sealed.SealedConsole, "connection_made", record)
+    replaced.CONSOLE_CONNECTED.set(monkeypatch, record)
     robot = Reachable(machine)
     unknown = OperatorConsole("nobody", ANNA.secret, "robot1", version=1).start()
     said = (b"GET / HTTP/1.1\r\n\r\n", unknown, bytes(100_000), b"")

@@ -62,7 +62,8 @@ def published(engine: Engine) -> int:
     """How many messages it has published of the opening that was armed, which is over."""
     (found,) = [each for link in inside(engine).links() for each in link.routes.values()]
     assert isinstance(found, IncomingRoute)
-    return found._before[1].delivered if found._before else 0
+    before = found._before
+    return before[1].delivered if before else 0
 
 
 def is_set_up(*engines: Engine) -> bool:

@@ -24,7 +24,6 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.link.errors import Denied
-from rsb_bridge.model.commands import Peek
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PEEK_LIMIT
 from rsb_bridge.route import peeking
@@ -105,7 +104,7 @@ def test_nothing_is_copied_unless_somebody_looks(
     server, _ = bridge.both(Topic("/chat", "transmit"))
     carries([publisher], server, ["/chat"])
     copies: list[object] = []
-    monkeypatch.setattr(peeking.PeekSlot, "put", lambda *message: copies.append(message))
+    replaced.PEEK_SLOT_PUT.set(monkeypatch, lambda *message: copies.append(message))
     for number in range(50):
         publisher.publish(text(f"message {number}"))
     eventually(lambda: len(listener.payloads) == 50)
@@ -181,12 +180,13 @@ def test_nobody_waits_for_ever_nor_in_numbers(bridge: Bridge, monkeypatch: pytes
     for future in waiting:
         future.cancel()
     constants.PEEKING_WAITS_AT_MOST.set(monkeypatch, 0.2)
-    last = eventually(lambda: _unless_refused(client.peek(route_key)), what="their places are free again")
-    assert last == [None]
-    running = inside(client)
-    assert running is not None
-    inspector: Any = getattr(running.handlers[Peek], "__self__", None)
-    eventually(lambda: inspector.peeking._lookers == 0 and not any(wanted(running.links()[0])))
+
+    def all_again() -> bool:
+        futures = [client.peek(route_key) for _ in range(peeking.LOOKERS)]
+        return [_unless_refused(future) for future in futures] == [[None]] * peeking.LOOKERS
+
+    eventually(all_again, what="their places are free again")
+    eventually(lambda: not any(wanted(inside(client).links()[0])))
     with pytest.raises(EngineError, match="no route"):
         client.peek("nonsense").result(10)
 
@@ -246,7 +246,7 @@ def test_the_other_side_describes_a_type_that_is_not_installed_here(
 @pytest.fixture
 def spinning(robot: Domain) -> Iterator[None]:
     """The robot's node serves its services, as programs do."""
-    executor = SingleThreadedExecutor(context=robot._context)
+    executor = SingleThreadedExecutor(context=robot.context)
     executor.add_node(robot.node)
     ends = threading.Event()
 

@@ -8,6 +8,7 @@ import time
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import replaced
 from tests.support.bridge import STOPS_WITHIN, happened, link, linked
 from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
@@ -102,7 +103,7 @@ def test_no_client_links_while_a_port_is_missing(bridge: Bridge, monkeypatch: py
 
     server, client = bridge.both()
     thief = UdpThief(bridge.port)
-    monkeypatch.setattr(Udp, "listen", bind_late)
+    replaced.UDP_LISTEN.set(monkeypatch, bind_late)
     restart_in_vain(server, thief)
     holds(lambda: not linked(client) and not linked(server), 5.0)
     thief.give_back()

@@ -9,6 +9,7 @@ import pytest
 from geometry_msgs.msg import Twist
 from rclpy.serialization import deserialize_message
 from tests.engine.test_publishing import can_be_armed, publish
+from tests.support import constants
 from tests.support.bridge import route
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
@@ -69,8 +70,8 @@ def drivers() -> Iterator[Drivers]:
 @pytest.fixture(autouse=True)
 def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A first message waits for nodes and routes as long as a busy machine takes, not 3 s."""
-    monkeypatch.setattr("rsb_bridge.engine.publishing.MATCHED_WITHIN", 100.0)
-    monkeypatch.setattr("rsb_bridge.link.link_arming.ANSWERED_WITHIN", 25.0)
+    constants.PUBLISHING_MATCHED_WITHIN.set(monkeypatch, 100.0)
+    constants.LINK_ARMING_ANSWERED_WITHIN.set(monkeypatch, 25.0)
 
 
 def speeds(listener: Listener) -> list[float]:
@@ -114,7 +115,7 @@ def test_it_goes_over_through_a_rest(
     how: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("rsb_bridge.link.holder_questions.ASKED_FOR", 0.5 if how == "not answered" else 60.0)
+    constants.HOLDER_ASKED_FOR.set(monkeypatch, 0.5 if how == "not answered" else 60.0)
     server, client, motors = driven_by_anna(bridge, robot, pc, drivers)
     berts = server if side == "beside the holder" else client
     if how == "taken":

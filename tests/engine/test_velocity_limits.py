@@ -8,6 +8,7 @@ import pytest
 from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.serialization import deserialize_message
 from tests.engine.test_publishing import can_be_armed, publish
+from tests.support import constants
 from tests.support.bridge import route
 from tests.support.consoles import Consoles
 from tests.support.waiting import eventually, holds
@@ -41,7 +42,7 @@ def consoles() -> Iterator[Consoles]:
 @pytest.fixture(autouse=True)
 def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A first message waits for nodes and routes as long as a busy machine takes, not 3 s."""
-    monkeypatch.setattr("rsb_bridge.engine.publishing.MATCHED_WITHIN", 100.0)
+    constants.PUBLISHING_MATCHED_WITHIN.set(monkeypatch, 100.0)
 
 
 def twists(listener: Listener) -> list[tuple[float, float]]:

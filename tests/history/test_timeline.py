@@ -13,6 +13,7 @@ from tests.support import constants
 
 from rsb_bridge.history import timeline, track_record
 from rsb_bridge.history.timeline import Timeline
+from rsb_bridge.history.track_record import MinuteSeries
 from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
@@ -216,9 +217,9 @@ def test_a_day_is_kept_and_no_more() -> None:
         world.put("/scan", State.OK)
         world.go(HOUR - 60, step=5)
     assert len(world.outages(KEPT_FOR)) == 24
-    kept = world.records["robot1", "topic", "/scan", False]
+    (kept,) = [each for each in world.records if each.topic == "/scan"]
     assert len(kept.outages) <= 25
-    assert len(kept.series) <= 1500
+    assert len(MinuteSeries.load(kept.first, kept.rates, kept.up, kept.out, kept.waiting)) <= 1500
     track = world.track("/scan", KEPT_FOR)
     assert abs(track.up + track.out - KEPT_FOR) <= 120
     assert abs(track.out - 24 * 60) <= 60
@@ -292,7 +293,7 @@ def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest
     world.routes |= World("/map", clock=world.clock).routes
     world.go(1)
     known = world.records
-    assert {topic for link, _, topic, _ in known if link != "rogue" and topic} == {"/scan", "/gone", "/map"}
+    assert {each.topic for each in known if each.link != "rogue" and each.topic} == {"/scan", "/gone", "/map"}
     assert len(known) <= 20
 
 

@@ -15,7 +15,7 @@ from rsb_bridge.telemetry.event_log import EventLog
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.history.timeline import Timeline, TrackRecords
+    from rsb_bridge.history.timeline import SavedTrack, Timeline
     from rsb_bridge.model.history import HistoryReport, Outage, Track
 
 
@@ -45,9 +45,9 @@ class World:
         return self.recorder._timeline
 
     @property
-    def records(self) -> TrackRecords:
+    def records(self) -> tuple[SavedTrack, ...]:
         """The tracks that the time line keeps."""
-        return self.timeline._records
+        return self.recorder.save().subjects
 
     def _renew(self) -> None:
         self.snapshot = Snapshot(

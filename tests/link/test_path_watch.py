@@ -26,7 +26,7 @@ class Path:
         self.told: list[tuple[LinkCause, str] | None] = []
         self._random = Random(seed)
         self._packets = dict.fromkeys((self.control, self.data), PacketCounts(0, 0, 0, 0, 0))
-        self._now, self._answered = 100.0, 0
+        self.now, self._answered = 100.0, 0
 
     def pass_(
         self,
@@ -52,7 +52,7 @@ class Path:
         """
         stale: list[Stream] = []
         for _ in range(seconds):
-            self._now += 1.0
+            self.now += 1.0
             self._answered += answers
             for stream, packets in ((self.control, 2), (self.data, 0 if stalled else rate)):
                 lost = sum(self._random.random() < loss for _ in range(packets))
@@ -71,7 +71,7 @@ class Path:
                 (),
                 Pings(ping, self._answered, quiet),
                 "robot1",
-                self._now,
+                self.now,
                 large_vanish=vanish,
             )
             fault = self.watch.fault
@@ -213,7 +213,7 @@ def test_the_next_connection_soon_after_has_the_losses_of_the_last() -> None:
     path.pass_(1, loss=0.3)
     assert path.cause is LinkCause.LOSSY
     path.watch.disconnected()
-    path._now += 60.0
+    path.now += 60.0
     path.pass_(1)
     assert path.cause is None
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.support import replaced
 from tests.support.bridge import happened, link, linked
+from tests.support.inside import inside
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -80,13 +81,13 @@ def arrived(monkeypatch: pytest.MonkeyPatch) -> list[weakref.ref[object]]:
         made.extend((weakref.ref(self), weakref.ref(transport)))
         connected(self, transport)
 
-    monkeypatch.setattr(InboundStreams, "arrive", arrives)
-    monkeypatch.setattr(Stream, "connection_made", connects)
+    replaced.STREAM_ARRIVES.set(monkeypatch, arrives)
+    replaced.STREAM_CONNECTED.set(monkeypatch, connects)
     return made
 
 
 def strangers_of(engine: Engine) -> Strangers:
-    return engine._transports.strangers
+    return inside(engine).context.transports.strangers
 
 
 @pytest.mark.parametrize("said", SAID.values(), ids=SAID)

@@ -68,7 +68,7 @@ def test_padding_of_every_installed_type_is_zero() -> None:
 def test_what_does_not_fit_is_refused_as_by_rclpy() -> None:
     message_class: Any = installed_class("std_msgs/msg/String")
     message = message_class()
-    message._data = "half a surrogate pair: \ud800"
+    message.data = "half a surrogate pair: \ud800"
     for way in (by_rclpy, serialize_message):
         with pytest.raises(UnicodeEncodeError):
             way(message)

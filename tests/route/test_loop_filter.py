@@ -165,8 +165,9 @@ class World(NamedTuple):
 
 
 @pytest.fixture
-def world(loop: VirtualLoop, make_context: Callable[..., Context]) -> World:
-    graph, peer, topic = Graph(), Peer(), Topic(SCAN, "transmit")
+def world(loop: VirtualLoop, make_context: Callable[..., Context], request: pytest.FixtureRequest) -> World:
+    """The topic has other settings where a test gives the fixture some."""
+    graph, peer, topic = Graph(), Peer(), Topic(SCAN, "transmit", **getattr(request, "param", {}))
     context = make_context(graph)
     proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
     route = OutgoingRoute(context, peer, topic, proposal, proposed_here=True)

@@ -23,7 +23,7 @@ from rsb_bridge.ros.type_descriptions import TypeCheckers, TypeDescriptions
 from rsb_bridge.route.message_check import CHECKED_A_SECOND, CHECKED_AT_ONCE, MessageCheck
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Coroutine
 
 NAMES = "made_up_msgs/msg/Names"
 TEXT = text_of(TypeDescription(MessageType(NAMES, (MessageField("all", FieldType(161, 0, 0, "")),)), ()))
@@ -67,12 +67,17 @@ class Bed:
 
     def __init__(self, installed: dict[str, str], nodes: dict[str, str] | None = None) -> None:
         self.time = 0.0
+        self.asks: list[asyncio.Task[None]] = []
         self.ros = as_any(Ros(installed, nodes or {}))
-        loop = asyncio.get_running_loop()
+        loop = SimpleNamespace(create_task=self._create_task)
         self.context = as_any(SimpleNamespace(session=SESSION, ros=self.ros, loop=loop, now=lambda: self.time))
         descriptions = TypeDescriptions(self.ros, self.context.now)
         self.context.checkers = TypeCheckers(self.ros, descriptions)
         self.check = MessageCheck(self.context, TokenBucket(CHECKED_AT_ONCE, CHECKED_A_SECOND, 0.0))
+
+    def _create_task(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        self.asks.append(asyncio.get_running_loop().create_task(work))
+        return self.asks[-1]
 
     def look(self, *hashes: str) -> None:
         self.check.look("/names", [Endpoint("/node", NAMES, each, Qos(), b"") for each in hashes])
@@ -100,11 +105,12 @@ def test_an_installed_type_is_checked_from_the_first_message() -> None:
     run(work)
 
 
-async def looked(check: MessageCheck) -> bool:
+async def looked(bed: Bed) -> bool:
     """Wait until a check has asked for its type; return False if it does not ask."""
-    if (asks := check._looking) is not None:
-        await asks
-    return asks is not None
+    asks, bed.asks = bed.asks, []
+    for each in asks:
+        await each
+    return bool(asks)
 
 
 def test_a_type_that_is_not_installed_is_described_by_its_subscribers() -> None:
@@ -116,7 +122,7 @@ def test_a_type_that_is_not_installed_is_described_by_its_subscribers() -> None:
         bed.look()
         assert bed.check.checker is None
         bed.look(HASH)
-        assert await looked(bed.check)
+        assert await looked(bed)
         assert bed.ros.asked == [HASH]
         with pytest.raises(MalformedError):
             bed.check.check(names(3)[:-1])
@@ -130,7 +136,7 @@ def test_nodes_that_describe_nothing_are_asked_again_only_later() -> None:
         bed.check.begin(NAMES)
         for expected in (1, 1, 2):
             bed.look(HASH)
-            await looked(bed.check)
+            await looked(bed)
             assert len(bed.ros.asked) == expected
             bed.check.check(b"anything")
             if expected == 1 and bed.time == 0.0:

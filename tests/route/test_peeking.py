@@ -35,13 +35,13 @@ class Route:
         self.peek_slot = PeekSlot()
         self.copies: list[float] = []
         self._loop, self._payload = loop, bytes(size)
-        self._pass()
+        self.let_pass()
 
-    def _pass(self) -> None:
+    def let_pass(self) -> None:
         if self.peek_slot.wanted:
             self.copies.append(self._loop.time())
             self.peek_slot.put(peeked(self, self._payload, 0), self._loop.time())
-        self._loop.call_later(0.01, self._pass)
+        self._loop.call_later(0.01, self.let_pass)
 
 
 @pytest.fixture
@@ -81,7 +81,7 @@ def test_large_messages_are_shown_within_the_bytes_a_second(loop: VirtualLoop, r
 def test_nobody_holds_a_place_for_longer_than_its_time(loop: VirtualLoop, run: Any) -> None:
     async def work(peeks: Peeking) -> None:
         route = Route(loop, 100)
-        route._pass = lambda: None  # type: ignore[method-assign]
+        route.let_pass = lambda: None  # type: ignore[method-assign]
         await asyncio.sleep(1)
         began = loop.time()
         assert await peeks.peek(route, kept=False) is None

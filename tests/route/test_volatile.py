@@ -32,23 +32,23 @@ class Pool:
         self.stopped = False
         self.held = 0
         self.asked = 0
-        self._history: deque[int] = deque()
+        self.history: deque[int] = deque()
         self._free: list[int] = []
 
     @property
     def acknowledged(self) -> bool:
         self.asked += 1
         if not self.stopped:
-            self._free.extend(self._history)
-            self._history.clear()
-        return not self._history
+            self._free.extend(self.history)
+            self.history.clear()
+        return not self.history
 
     def publish(self, payload: bytes) -> None:
-        if len(self._history) >= self.depth:
-            self._free.append(self._history.popleft())
+        if len(self.history) >= self.depth:
+            self._free.append(self.history.popleft())
         memory = self._free.pop() if self._free else 0
         self.held += max(0, len(payload) - memory)
-        self._history.append(max(memory, len(payload)))
+        self.history.append(max(memory, len(payload)))
 
     def close(self) -> None:
         self.held = 0
@@ -174,9 +174,13 @@ class Burst:
         self.now, self.budget = Time(), Budget(LIMIT)
         self.pools = [Pool(BURST_DEPTH)]
         self.matched = 1  # subscriptions that have found a new publisher
-        self.topic = VolatileTopic(self.pools[0], BURST_DEPTH, self.budget, self.now, self._renew, lasting_depth=10)
+        self.topic = VolatileTopic(self.pools[0], BURST_DEPTH, self.budget, self.now, self._next, lasting_depth=10)
 
-    def _renew(self, depth: int) -> Pool:
+    def _next(self, depth: int) -> Pool:
+        return self.renew(depth)
+
+    def renew(self, depth: int) -> Pool:
+        """Make the next publisher."""
         self.pools.append(Pool(depth))
         self.pools[-1].stopped = self.pools[-2].stopped
         self.pools[-1].subscriber_count = self.matched
@@ -193,7 +197,7 @@ def test_a_burst_is_kept_until_it_is_acknowledged() -> None:
     burst = Burst()
     burst.pools[0].stopped = True
     burst.publish(2000, 2_500, 30_000.0)
-    assert len(burst.pools[0]._history) == 2000
+    assert len(burst.pools[0].history) == 2000
     burst.pools[0].stopped = False
     burst.publish(20_000, 2_500, 2_000.0)
     assert len(burst.pools) == 1
@@ -220,10 +224,10 @@ def test_subscriptions_find_the_new_publisher_before_it_takes_over() -> None:
         burst.publish(1, 100_000, 30.0)
     burst.publish(5, 100_000, 30.0)
     first, second = burst.pools
-    assert not second._history
+    assert not second.history
     second.subscriber_count = 1
     burst.publish(2, 100_000, 30.0)
-    assert second._history
+    assert second.history
     assert first.closed
 
 
@@ -264,7 +268,7 @@ def test_a_publisher_that_cannot_be_replaced_goes_on_being_counted() -> None:
     def refuse(_: int) -> Pool:
         raise RosError("no more publishers")
 
-    burst.topic._renew = refuse
+    burst.renew = refuse  # type: ignore[assignment]
     burst.pools[0].stopped = True
     refused = 0
     for _ in range(30):
@@ -274,4 +278,7 @@ def test_a_publisher_that_cannot_be_replaced_goes_on_being_counted() -> None:
             refused += 1
     assert refused
     assert burst.pools[0].held <= burst.budget.held + FREE
-    assert burst.topic._depth == BURST_DEPTH
+    del burst.renew
+    with contextlib.suppress(SlowSubscriberError):
+        burst.publish(1, 1_000_000, 1_000.0)
+    assert [each.depth for each in burst.pools] == [BURST_DEPTH, 10]

@@ -303,7 +303,7 @@ class Invariants:
         world, name, process = self._world, run.host.name, run.process
         for failed_at, task in process.failed:
             if world.loop.time() - failed_at > _SEEN_WITHIN and task._log_traceback:
-                world.wrong(f"{name}: a task has died of {task._exception!r}, and nobody has looked: {task}")
+                world.wrong(f"{name}: a task has died, and nobody has looked: {task}")
         process.failed = [each for each in process.failed if world.loop.time() - each[0] <= _SEEN_WITHIN]
         links = run.links()
         most = 4 * (len(links) + sum(len(link.routes) for link in links))

@@ -70,7 +70,7 @@ class Timer(asyncio.TimerHandle):
     asyncio's own handles do the same at three times the cost: they look for a debug mode first.
     """
 
-    __slots__ = ("args", "callback", "context")
+    __slots__ = ("args", "callback", "context", "scheduled")
 
     def __init__(
         self,
@@ -83,7 +83,7 @@ class Timer(asyncio.TimerHandle):
         self._loop = loop
         self._when = when
         self._cancelled = False
-        self._scheduled = when > 0.0
+        self.scheduled = when > 0.0
         self.callback = callback
         self.args = args
         self.context = contextvars.copy_context() if context is None else context
@@ -95,7 +95,7 @@ class Timer(asyncio.TimerHandle):
         if not self._cancelled:
             self._cancelled = True
             self.callback, self.args = _nothing, ()
-            if self._scheduled:
+            if self.scheduled:
                 self._loop.timer_cancelled()
 
     def cancelled(self) -> bool:
@@ -224,7 +224,7 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
                 if handle.cancelled():
                     self._cancelled_timers -= 1
                     continue
-                handle._scheduled = False
+                handle.scheduled = False
                 if when > self._now:
                     self._now = when
                     moment = self.callbacks

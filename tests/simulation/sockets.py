@@ -63,11 +63,11 @@ class Socket:
         self.process = process
         self.options: dict[tuple[int, int], Any] = {}
         self._machine = process.machine
-        self._own: Address = (ANY, 0)
-        self._remote: Address | None = None
-        self._transport: StreamTransport | None = None
-        self._backlog: deque[tuple[StreamTransport, Address]] | None = None
-        self._most_waiting = 0
+        self.own: Address = (ANY, 0)
+        self.remote: Address | None = None
+        self.transport: StreamTransport | None = None
+        self.backlog: deque[tuple[StreamTransport, Address]] | None = None
+        self.most_waiting = 0
         self._queue: deque[tuple[bytes, Address]] = deque()
         self._queued_bytes = 0
         self._wake: Callable[[], object] | None = None
@@ -105,7 +105,7 @@ class Socket:
         if (level, option) == (real.IPPROTO_TCP, real.TCP_INFO):
             return bytes(size)
         if (level, option) == (real.IPPROTO_IP, _IP_MTU):
-            peer = self._machine.network.machine_at(self._remote[0]) if self._remote else None
+            peer = self._machine.network.machine_at(self.remote[0]) if self.remote else None
             if peer is None:
                 raise os_error(errno.ENOTCONN)
             return self._machine.network.path(self._machine, peer).mtu
@@ -113,7 +113,7 @@ class Socket:
 
     def getsockname(self) -> Address:
         """Its own address and port."""
-        return self._own
+        return self.own
 
     def fileno(self) -> int:
         """Its number, as if it had been the last to get one."""
@@ -137,14 +137,14 @@ class Socket:
     def _free(self) -> list[StreamTransport]:
         """Give everything back; the connections that it still had."""
         self.process.descriptors.pop(self, None)
-        if self._machine.bound.get((self.type, self._own[1])) is self:
-            del self._machine.bound[self.type, self._own[1]]
+        if self._machine.bound.get((self.type, self.own[1])) is self:
+            del self._machine.bound[self.type, self.own[1]]
         self._queue.clear()
         self._wake = None
-        transports = [transport for transport, _ in self._backlog or ()]
-        if self._transport is not None:
-            transports.append(self._transport)
-        self._transport = self._backlog = None
+        transports = [transport for transport, _ in self.backlog or ()]
+        if self.transport is not None:
+            transports.append(self.transport)
+        self.transport = self.backlog = None
         return transports
 
     def bind(self, address: Address) -> None:
@@ -157,7 +157,7 @@ class Socket:
         port = address[1] or self._machine.free_port(self.type)
         if (self.type, port) in self._machine.bound:
             raise os_error(errno.EADDRINUSE)
-        self._own = (address[0], port)
+        self.own = (address[0], port)
         self._machine.bound[self.type, port] = self
 
     # --- readiness
@@ -166,10 +166,10 @@ class Socket:
         """Set the function to call while datagrams or connections wait, or None."""
         self._wake = wake
         self._context = contextvars.copy_context()
-        self._rouse()
+        self.rouse()
 
-    def _rouse(self) -> None:
-        if (self._queue or self._backlog) and self._wake is not None and not self._woken:
+    def rouse(self) -> None:
+        if (self._queue or self.backlog) and self._wake is not None and not self._woken:
             self._woken = True
             self.process.loop.call_soon(self._read, context=self._context)
 
@@ -177,7 +177,7 @@ class Socket:
         self._woken = False
         if self._wake is not None:
             self._wake()
-        self._rouse()
+        self.rouse()
 
     # --- streams
 
@@ -207,23 +207,23 @@ class Socket:
         Returns:
             Whether it listens, or None if its queue is full and it does not answer.
         """
-        if self._transport is not None:
+        if self.transport is not None:
             return True
         listener = peer.bound.get((real.SOCK_STREAM, address[1]))
-        if listener is None or listener._backlog is None or peer.refuses:
+        if listener is None or listener.backlog is None or peer.refuses:
             return False
-        if len(listener._backlog) > listener._most_waiting:
+        if len(listener.backlog) > listener.most_waiting:
             return None
-        self._own, self._remote = (self._machine.address, self._machine.free_port(self.type)), address
-        self._transport, accepted = StreamTransport.pair(self, listener.process, self._own, address)
-        listener._backlog.append((accepted, self._own))
-        listener._rouse()
+        self.own, self.remote = (self._machine.address, self._machine.free_port(self.type)), address
+        self.transport, accepted = StreamTransport.pair(self, listener.process, self.own, address)
+        listener.backlog.append((accepted, self.own))
+        listener.rouse()
         return True
 
     def listen(self, backlog: int) -> None:
         """Accept streams from now on."""
-        self._backlog = deque()
-        self._most_waiting = backlog
+        self.backlog = deque()
+        self.most_waiting = backlog
 
     def accept(self) -> tuple[Socket, Address]:
         """The connection that has waited longest.
@@ -231,16 +231,16 @@ class Socket:
         Raises:
             OSError: no connection waits, or no descriptor is left.
         """
-        if not self._backlog:
+        if not self.backlog:
             raise BlockingIOError
         accepted = Socket()
-        accepted._transport, address = self._backlog.popleft()
-        accepted._own, accepted._remote = (self._machine.address, self._own[1]), address
+        accepted.transport, address = self.backlog.popleft()
+        accepted.own, accepted.remote = (self._machine.address, self.own[1]), address
         return accepted, address
 
     def attach(self, protocol: asyncio.Protocol) -> StreamTransport:
         """Hand the connection to a protocol; its transport owns the descriptor from here on."""
-        transport, self._transport = self._transport, None
+        transport, self.transport = self.transport, None
         assert transport is not None, "it is not connected"
         self.process.descriptors.pop(self, None)
         self.process.descriptors[transport] = None
@@ -251,14 +251,14 @@ class Socket:
 
     def connect(self, address: Address) -> None:
         """Send to one address from now on."""
-        self._remote = address
-        self._own = (self._machine.address, self._own[1] or self._machine.free_port(self.type))
-        self._machine.bound[self.type, self._own[1]] = self
+        self.remote = address
+        self.own = (self._machine.address, self.own[1] or self._machine.free_port(self.type))
+        self._machine.bound[self.type, self.own[1]] = self
 
     def send(self, data: bytes) -> int:
         """Send a datagram to the address that it is connected to."""
-        assert self._remote is not None
-        return self._send(data, self._own[0], self._remote)
+        assert self.remote is not None
+        return self._send(data, self.own[0], self.remote)
 
     def sendmsg(self, buffers: Sequence[bytes], ancdata: Sequence[tuple[int, int, bytes]], _: int, to: Address) -> int:
         """Send a datagram from the address that the control message says (ip(7), IP_PKTINFO)."""
@@ -277,7 +277,7 @@ class Socket:
         path = network.path(self._machine, peer)
         if len(data) + _HEADERS > path.mtu:
             raise os_error(errno.EMSGSIZE)
-        sender = (own, self._own[1])
+        sender = (own, self.own[1])
         for _ in range(2 if path.duplicates and random.random() < path.duplicates else 1):
             if not path.loss or random.random() >= path.loss:
                 due = loop.time() + path.delay(len(data), loop.time(), random)
@@ -286,12 +286,12 @@ class Socket:
 
     def arrived(self, data: bytes, sender: Address) -> None:
         """A datagram came."""
-        if self._remote is not None and sender != self._remote:
+        if self.remote is not None and sender != self.remote:
             return  # it is connected to somebody else
         if self._queued_bytes + len(data) <= self._machine.receive_buffer:
             self._queue.append((data, sender))
             self._queued_bytes += len(data)
-            self._rouse()
+            self.rouse()
 
     def recvmsg(self, size: int, ancillary: int) -> tuple[bytes, list[tuple[int, int, bytes]], int, Address]:
         """The oldest datagram that waits.

@@ -60,14 +60,14 @@ class StreamTransport(asyncio.Transport):
     def __init__(self, process: Process, local: Address, remote: Address) -> None:
         super().__init__()
         self.process = process
-        self._sock: Socket
-        self._local, self._remote = local, remote
+        self.sock: Socket
+        self.local, self._remote = local, remote
         self._loop = process.loop
         self._buffer = process.machine.stream_buffer
         self._random = process.network.random
         self._protocol: asyncio.Protocol | None = None
         self._context = contextvars.copy_context()
-        self._path: Path
+        self.path: Path
         self._on_its_way: deque[_Segment] = deque()
         self._unacknowledged = 0
         self._arrives = 0.0
@@ -79,7 +79,7 @@ class StreamTransport(asyncio.Transport):
         self._paused = False
         self._reading = True
         self._closing = False
-        self._gone = False  # the program has let it go, or has lost it
+        self.gone = False  # the program has let it go, or has lost it
         self._sent_end = False
         self._begun = False
         self._early: deque[bytes | None] = deque()
@@ -88,14 +88,14 @@ class StreamTransport(asyncio.Transport):
     def pair(cls, near: Socket, far: Process, own: Address, remote: Address) -> tuple[StreamTransport, StreamTransport]:
         """Both ends of a new connection, a socket's and a listening process's; neither has a protocol yet."""
         one, other = cls(near.process, own, remote), cls(far, remote, own)
-        one._sock = other._sock = near  # for its options, until the other end is accepted
+        one.sock = other.sock = near  # for its options, until the other end is accepted
         one.peer, other.peer = other, one
-        one._path, other._path = far.network.both_ways(near.process.machine, far.machine)
+        one.path, other.path = far.network.both_ways(near.process.machine, far.machine)
         return one, other
 
     def begin(self, sock: Socket, protocol: asyncio.Protocol) -> None:
         """Attach a protocol to the connection."""
-        self._sock = sock
+        self.sock = sock
         self._context = contextvars.copy_context()
         self._protocol = protocol
         self._loop.call_soon(self._begin, context=self._context)
@@ -108,18 +108,18 @@ class StreamTransport(asyncio.Transport):
 
     def _catch_up(self) -> None:
         """Deliver bytes that arrived before a protocol was attached."""
-        while self._early and self._reading and not self._gone:
+        while self._early and self._reading and not self.gone:
             data = self._early.popleft()
-            self.peer._acknowledged(len(data) if data else 0)
+            self.peer.acknowledged(len(data) if data else 0)
             self._take(data)
 
     # --- what asyncio's transports do
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:
-        return {"socket": self._sock, "sockname": self._local, "peername": self._remote}.get(name, default)
+        return {"socket": self.sock, "sockname": self.local, "peername": self._remote}.get(name, default)
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        if self._closing or self._gone or not data:
+        if self._closing or self.gone or not data:
             return
         if self._waiting or self._unacknowledged >= self._buffer:
             self._waiting.append(bytes(data))
@@ -169,7 +169,7 @@ class StreamTransport(asyncio.Transport):
     def abort(self) -> None:
         self._waiting.clear()
         self._waiting_bytes = 0
-        if not self._closing or not self._gone:
+        if not self._closing or not self.gone:
             self._closing = True
             self._close_descriptor(None)
 
@@ -181,17 +181,17 @@ class StreamTransport(asyncio.Transport):
         self._unacknowledged += size
         last = self._on_its_way[-1] if self._on_its_way else None
         # On a narrow path each write takes its time, also several of one moment.
-        if last is not None and last.sent == now and last.pieces is not None and self._path.bandwidth is None:
+        if last is not None and last.sent == now and last.pieces is not None and self.path.bandwidth is None:
             last.pieces.append(data)
             last.size += size
         else:
-            self._dispatch(_Segment([data], size, now))
+            self._put_on_its_way(_Segment([data], size, now))
 
-    def _dispatch(self, segment: _Segment) -> None:
+    def _put_on_its_way(self, segment: _Segment) -> None:
         self._on_its_way.append(segment)
         now, random = self._loop.time(), self._random
-        delay = self._path.delay(segment.size, now, random)
-        if self._path.loss and random.random() < self._path.loss:
+        delay = self.path.delay(segment.size, now, random)
+        if self.path.loss and random.random() < self.path.loss:
             delay += _SHORTEST_RETRANSMISSION
         self._arrives = max(self._arrives, now + delay)
         self._loop.call_at(self._arrives, self._arrive, segment, context=_OF_NOBODY)
@@ -201,26 +201,26 @@ class StreamTransport(asyncio.Transport):
         way = self._on_its_way
         if self._stuck or not way or segment.sent < way[0].sent:
             return
-        if not self._passes():
+        if not self.passes():
             self._stuck = True
-            self._path.on_healed(self._healed)
-            timeout = self._sock.options.get((socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT), _USER_TIMEOUT_MS) / 1000
+            self.path.on_healed(self._healed)
+            timeout = self.sock.options.get((socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT), _USER_TIMEOUT_MS) / 1000
             self._timeout = self._loop.call_at(way[0].sent + timeout, self._time_out, context=_OF_NOBODY)
             return
         while way and way[0].sent <= segment.sent:
             self._deliver(way.popleft())
 
-    def _passes(self) -> bool:
+    def passes(self) -> bool:
         ends = (self, self.peer)
-        return self._path.cut_at is None and all(
-            end.process.machine.up and end.process.machine.address == end._local[0] for end in ends
+        return self.path.cut_at is None and all(
+            end.process.machine.up and end.process.machine.address == end.local[0] for end in ends
         )
 
     def _healed(self) -> None:
         """The path takes packets again: the next retransmission gets through."""
         if self._stuck and self._on_its_way:
             waited = max(_SHORTEST_RETRANSMISSION, self._loop.time() - self._on_its_way[0].sent)
-            longest = self._sock.options.get((socket.IPPROTO_TCP, TCP_RTO_MAX_MS), 120_000) / 1000
+            longest = self.sock.options.get((socket.IPPROTO_TCP, TCP_RTO_MAX_MS), 120_000) / 1000
             self._loop.call_later(self._random.uniform(0.0, min(waited, longest)), self._retransmit, context=_OF_NOBODY)
 
     def _retransmit(self) -> None:
@@ -230,7 +230,7 @@ class StreamTransport(asyncio.Transport):
 
     def _unstick(self) -> None:
         self._stuck = False
-        self._path.forget(self._healed)
+        self.path.forget(self._healed)
         if self._timeout is not None:
             self._timeout.cancel()
             self._timeout = None
@@ -241,27 +241,27 @@ class StreamTransport(asyncio.Transport):
 
     def _deliver(self, segment: _Segment) -> None:
         peer = self.peer
-        if peer._gone:
+        if peer.gone:
             if segment.pieces is not None:
-                self._refused()
+                self.refused()
         elif segment.pieces is None:
-            peer._hand(None)
+            peer.hand(None)
         else:
             data = segment.pieces[0] if len(segment.pieces) == 1 else b"".join(segment.pieces)
             if len(data) > 1 and self._random.random() < _PIECES:
                 cut = self._random.randrange(1, len(data))
-                peer._hand(data[:cut])
+                peer.hand(data[:cut])
                 data = data[cut:]
-            peer._hand(data)
+            peer.hand(data)
 
-    def _acknowledged(self, size: int) -> None:
+    def acknowledged(self, size: int) -> None:
         """The other program has taken bytes: there is room again for as many."""
         self._unacknowledged -= size
         while self._waiting and self._unacknowledged < self._buffer:
             data = self._waiting.popleft()
             self._waiting_bytes -= len(data)
             self._send(data)
-        if self._waiting or self._gone:
+        if self._waiting or self.gone:
             return
         if self._closing:
             self._close_descriptor(None)
@@ -270,27 +270,27 @@ class StreamTransport(asyncio.Transport):
             assert self._protocol is not None
             self._run(self._protocol.resume_writing)
 
-    def _refused(self) -> None:
+    def refused(self) -> None:
         """The other kernel resets the connection, which it does not know."""
-        back = self._loop.time() + self.peer._path.delay(40, self._loop.time(), self._random)
+        back = self._loop.time() + self.peer.path.delay(40, self._loop.time(), self._random)
 
         def reset() -> None:
-            if self.peer._passes():
+            if self.peer.passes():
                 self._lose(os_error(errno.ECONNRESET))
 
         self._loop.call_at(back, reset, context=_OF_NOBODY)
 
     # --- the kernel: receiving
 
-    def _hand(self, data: bytes | None) -> None:
+    def hand(self, data: bytes | None) -> None:
         """Give the program bytes that arrived, or None for the end."""
-        if self._gone or self._closing:
-            if data is not None and self._gone:
-                self.peer._refused()
+        if self.gone or self._closing:
+            if data is not None and self.gone:
+                self.peer.refused()
         elif not self._begun or not self._reading or self._early:
             self._early.append(data)
         else:
-            self.peer._acknowledged(len(data) if data else 0)
+            self.peer.acknowledged(len(data) if data else 0)
             self._run(self._take, data)
 
     def _run(self, work: Callable[[*Ts], object], *args: *Ts) -> None:
@@ -315,15 +315,15 @@ class StreamTransport(asyncio.Transport):
 
         If the program has not read all that came, the kernel resets the connection instead, and nothing goes out.
         """
-        if self._gone:
+        if self.gone:
             return
-        self._gone = True
+        self.gone = True
         self._free()
         if any(self._early):
             self._on_its_way.clear()
             self._unstick()
             self._sent_end = True
-            self.peer._refused()
+            self.peer.refused()
         self._send_end()
         if self._protocol is not None:
             self._loop.call_soon(self._protocol.connection_lost, error, context=self._context)
@@ -331,7 +331,7 @@ class StreamTransport(asyncio.Transport):
     def _send_end(self) -> None:
         if not self._sent_end:
             self._sent_end = True
-            self._dispatch(_Segment(None, 0, self._loop.time()))
+            self._put_on_its_way(_Segment(None, 0, self._loop.time()))
 
     def _lose(self, error: OSError) -> None:
         """End the connection without regard to the program."""
@@ -340,29 +340,29 @@ class StreamTransport(asyncio.Transport):
         self._waiting.clear()
         self._waiting_bytes = 0
         self._sent_end = True
-        if not self._gone:
+        if not self.gone:
             self._closing = True
             self._close_descriptor(error)
 
     def killed(self) -> None:
         """The program was killed while it was writing: its last words may be cut off anywhere."""
-        if self._gone:
+        if self.gone:
             return
-        self._gone = self._closing = True
+        self.gone = self._closing = True
         self._free()
         last = self._on_its_way[-1] if self._on_its_way else None
         if last is not None and last.pieces is not None:
             data = b"".join(last.pieces)
             last.pieces = [data[: self._random.randrange(len(data) + 1)]]
         if self._random.random() < _RESET:
-            self.peer._refused()
+            self.peer.refused()
         else:
             self._sent_end = True
-            self._dispatch(_Segment(None, 0, self._loop.time()))
+            self._put_on_its_way(_Segment(None, 0, self._loop.time()))
 
     def vanished(self) -> None:
         """The machine lost its power: the connection is gone, silently."""
-        self._gone = self._closing = True
+        self.gone = self._closing = True
         self._free()
         self._on_its_way.clear()
         self._unstick()

@@ -11,6 +11,7 @@ from tests.simulation.conditions import STILL
 from tests.simulation.episodes import aged, linked_by_a_slow_way
 from tests.simulation.mutations import Mutation
 from tests.simulation.world import Violation, World
+from tests.support import replaced
 from tests.support.long import long
 
 from rsb_bridge.channel.stream_channel import StreamSender
@@ -114,7 +115,7 @@ def test_each_rule_is_needed(what: str, changes: Any, doing: Any, play: Play) ->
 
 def test_nothing_is_sent_that_is_old_when_it_is_sent(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
     """Messages that wait in the sender's queue or are taken late expire there, whatever the receiver does."""
-    monkeypatch.setattr(MessageAge, "why_old", _any_age)
+    replaced.WHY_OLD.set(monkeypatch, _any_age)
     world, flow = aging_world(3)
     flow.max_age = float("inf")
     sent: list[float] = []

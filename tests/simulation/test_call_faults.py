@@ -187,7 +187,7 @@ def test_what_is_kept_of_a_peers_messages_is_in_its_budget(play: Play) -> None:
         assert isinstance(near, CallingRoute)
         budget = near.peer.budget.kept
         for size in (1000, 10, budget.limit + 1, 100):
-            near._take(CallFrame(What.MESSAGE, STATUS, 0, 0, bytes(size)))
+            near.deliver([(CallFrame(What.MESSAGE, STATUS, 0, 0, bytes(size)).pack(), 0, 0)])
             assert budget.held == (size if size < budget.limit else 0)
         near.close("over")
         assert budget.held == 0

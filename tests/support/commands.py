@@ -8,7 +8,7 @@ import json
 import signal
 import subprocess
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support import replaced
@@ -16,7 +16,19 @@ from tests.support import replaced
 from rsb_console import cli
 from rsb_console.command import arguments
 
+if TYPE_CHECKING:
+    import argparse
+
 parser_and_commands = cache(arguments.parser_and_commands)
+
+
+def options_of(parser: argparse.ArgumentParser) -> list[argparse.Action]:
+    """Return the arguments of a command, and what takes the names of its subcommands, which argparse lists nowhere."""
+    return parser._actions
+
+
+def subcommands_of(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    return next((action.choices for action in options_of(parser) if isinstance(action.choices, dict)), {})
 
 
 class Ran:

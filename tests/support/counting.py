@@ -277,8 +277,7 @@ def _listen(domain_id: int, topic: str, depth: int) -> None:
     while True:
         count = len(listener.payloads)  # takes what has come
         words = listener.texts(count) if count else []
-        listener._payloads.clear()
-        listener._received.clear()
+        listener.forget()
         doubled += len(words) - len(set(words) - heard)
         heard.update(words)
         newest = max(newest, *map(int, words)) if words else newest

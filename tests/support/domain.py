@@ -37,11 +37,11 @@ class Domain:
         (self._describes_types,) = self.node.services
 
     def _enter(self) -> Node:
-        self._context = Context()
-        self._context.init([], domain_id=self.id)
+        self.context = Context()
+        self.context.init([], domain_id=self.id)
         self.node = Node(
             "stock",
-            context=self._context,
+            context=self.context,
             enable_rosout=False,
             use_global_arguments=False,
             start_parameter_services=False,
@@ -50,8 +50,8 @@ class Domain:
 
     def _leave(self) -> None:
         self.node.destroy_node()
-        self._context.shutdown()
-        self._context.destroy()
+        self.context.shutdown()
+        self.context.destroy()
 
     def publisher(self, topic: str, kind: Any = String, qos: QoSProfile = RELIABLE) -> Publisher:
         """A publisher; its `publish` takes messages and bytes."""
@@ -116,6 +116,11 @@ class Listener:
         """When DDS received each of them: ns since the epoch."""
         self._take()
         return self._received
+
+    def forget(self) -> None:
+        """Forget what has been taken."""
+        self._payloads.clear()
+        self._received.clear()
 
     def _take(self) -> None:
         handle = self.subscription.handle

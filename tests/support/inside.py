@@ -33,35 +33,34 @@ if TYPE_CHECKING:
 
 def inside(engine: Engine) -> Bridge:
     """Return the parts of a running engine, which belong to its loop."""
-    bridge = engine._bridge
+    bridge = _bridge_of(engine)
     assert bridge is not None
     return bridge
 
 
+def _bridge_of(engine: Engine) -> Bridge | None:
+    return engine._bridge
+
+
 def renew_snapshot(engine: Engine) -> None:
     """Have a running engine renew its snapshot soon, as it does after each command."""
-    bridge = engine._bridge
+    bridge = _bridge_of(engine)
     if bridge is None:
         return
 
     def renew() -> None:
         if not bridge._stopping.is_set():  # the last snapshot shows the end, and stays
-            bridge._snapshots.refresh_now(bridge._role)
+            bridge._snapshots.refresh_now(role_of(engine))
 
     bridge.context.call(renew)
 
 
 def is_running(engine: Engine) -> bool:
-    return engine._bridge is not None
+    return _bridge_of(engine) is not None
 
 
 def role_of(engine: Engine) -> Any:
     return inside(engine)._role
-
-
-def forget_events(engine: Engine) -> None:
-    """Forget the events of a test that is about an error, which the end of each other test would find."""
-    engine._events._events.clear()
 
 
 def participant_of(node: RosNode) -> Participant:

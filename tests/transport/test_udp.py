@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import socket
 from contextlib import asynccontextmanager
@@ -34,19 +35,34 @@ async def until(condition: Callable[[], object]) -> None:
             await asyncio.sleep(0.005)
 
 
+def address_of(host: str, port: int) -> Any:
+    return (host, port, 0, 0) if ":" in host else (host, port)
+
+
 @asynccontextmanager
-async def pair(host: str) -> AsyncIterator[tuple[UdpSocket, UdpSocket, list[bytes]]]:
-    """Return a bound socket, one that is connected to it, and the datagrams of the bound one."""
+async def server_on(host: str) -> AsyncIterator[tuple[UdpSocket, list[bytes]]]:
+    """Return a bound socket, and its datagrams."""
     came: list[bytes] = []
     acceptor = Acceptor(StreamHandler, lambda _, datagrams: came.extend(bytes(each) for each, _ in datagrams), print)
     bound = await Udp().listen(host, 0, acceptor)
-    (server,) = bound.sockets
-    client = Udp().connect(server._sock.getsockname(), lambda *_: None)
     try:
-        yield server, client, came
+        yield bound.sockets[0], came
     finally:
-        client.close()
         bound.close()
+
+
+@asynccontextmanager
+async def pair(host: str) -> AsyncIterator[tuple[UdpSocket, UdpSocket, list[bytes], list[bytes]]]:
+    """Return a bound socket, one that is connected to it, and the datagrams of the bound one and of the other."""
+    back: list[bytes] = []
+    async with server_on(host) as (server, came):
+        client = Udp().connect(
+            address_of(host, server.port), lambda _, datagrams: back.extend(bytes(each) for each, _ in datagrams)
+        )
+        try:
+            yield server, client, came, back
+        finally:
+            client.close()
 
 
 class Watched:
@@ -82,15 +98,49 @@ class Watched:
         self.sent.append(count)
 
 
-def watch(udp: UdpSocket) -> Watched:
-    watched = Watched(udp._sock)
-    udp._sock = watched  # type: ignore[assignment]
-    return watched
+@asynccontextmanager
+async def watched(host: str = "127.0.0.1") -> AsyncIterator[tuple[Any, UdpSocket, list[bytes]]]:
+    """Return a watched socket that is connected to a server, the transport's socket that uses it, and what comes."""
+    async with server_on(host) as (server, came):
+        calls: Any = Watched(socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM))
+        calls.connect(address_of(host, server.port))
+        client = UdpSocket(calls, lambda *_: None)
+        try:
+            yield calls, client, came
+        finally:
+            if calls.fileno() >= 0:  # the test has not closed it
+                client.close()
+
+
+class Skipping(asyncio.SelectorEventLoop):
+    """A loop whose time the test moves on, or holds.
+
+    Attributes:
+        skipped: s that the time is ahead.
+        held_at: the time, or None if it goes on.
+        readers: functions that the test calls in place of the loop while the time is held.
+    """
+
+    skipped = 0.0
+    held_at: float | None = None
+
+    def __init__(self) -> None:
+        self.readers: list[Callable[[], object]] = []
+        super().__init__()
+
+    def time(self) -> float:
+        return super().time() + self.skipped if self.held_at is None else self.held_at
+
+    def add_reader(self, fd: Any, callback: Any, *args: Any) -> None:  # type: ignore[override]  # asyncio's ties them
+        if self.held_at is None:
+            super().add_reader(fd, callback, *args)
+        else:
+            self.readers.append(callback)
 
 
 def test_a_peer_that_roams_does_not_make_the_table_of_sizes_grow() -> None:
     async def main() -> None:
-        async with pair("127.0.0.1") as (sock, _, _):
+        async with server_on("127.0.0.1") as (sock, _):
             for number in range(1000):
                 assert sock.datagram_size((f"127.0.{number // 250}.{number % 250 + 1}", 1000)) > 1000
             assert held_by(sock) <= 256
@@ -109,13 +159,11 @@ def test_datagrams_arrive_as_they_were_sent(host: str, with_segments: bool, monk
     datagrams = [bytes([index % 251]) * size for index, size in enumerate(sizes)]
 
     async def main() -> None:
-        async with pair(host) as (server, client, came):
+        async with pair(host) as (server, client, came, back):
             client.send(datagrams, None)
             await until(lambda: len(came) >= len(datagrams))
             assert came == datagrams
-            back: list[bytes] = []
-            client._received = lambda _, received: back.extend(bytes(each) for each, _ in received)
-            server.send(datagrams, server.path(host, client._sock.getsockname()))
+            server.send(datagrams, server.path(host, address_of(host, client.port)))
             await until(lambda: len(back) >= len(datagrams))
             assert back == datagrams
 
@@ -126,43 +174,45 @@ def test_datagrams_arrive_as_they_were_sent(host: str, with_segments: bool, monk
 @HOSTS
 def test_datagrams_of_one_size_go_in_one_call(host: str) -> None:
     async def main() -> None:
-        async with pair(host) as (server, client, came):
-            calls = watch(client)
+        async with watched(host) as (calls, client, came):
             client.send([bytes(1000)] * 64 + [bytes(400), bytes(1000)], None)
             await until(lambda: len(came) == 66)
             assert calls.sent == [64, 1, 1]
-            assert server.receive_buffer > 0
+            assert client.receive_buffer > 0
 
     asyncio.run(main())
 
 
-def has_read(sock: UdpSocket, at: float) -> None:
-    """Let its last read have been at a moment."""
-    sock._read_at = at
-
-
-@pytest.mark.parametrize(("read_at", "datagrams", "reads"), [(float("-inf"), 1, 1), (float("inf"), 3, 4)])
-def test_a_wake_up_reads_once_unless_they_follow_one_another(read_at: float, datagrams: int, reads: int) -> None:
+@pytest.mark.parametrize(("pause", "reads"), [(1.0, [1, 2, 3]), (0.00005, [1, 5])])
+def test_a_wake_up_reads_once_unless_they_follow_one_another(pause: float, reads: list[int]) -> None:
     """A read that finds nothing costs as much as half a message; in a flood, one of many."""
 
     async def main() -> None:
-        async with pair("127.0.0.1") as (server, client, came):
-            watched = watch(server)
-            asyncio.get_running_loop().remove_reader(server._sock)
-            for number in range(3):
-                client.send([bytes([number])], None)
-            has_read(server, read_at)
-            server._read()
-            assert len(came) == datagrams
-            assert watched.reads == reads
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, Skipping)
+        sock: Any = Watched(socket.socket(type=socket.SOCK_DGRAM))
+        sock.bind(("127.0.0.1", 0))
+        loop.held_at = 1000.0
+        came: list[bytes] = []
+        server = UdpSocket(sock, lambda _, datagrams: came.extend(bytes(each) for each, _ in datagrams))
+        with contextlib.closing(server), socket.socket(type=socket.SOCK_DGRAM) as client:
+            for number in range(4):
+                client.sendto(bytes([number]), ("127.0.0.1", server.port))
+            done = []
+            for _ in reads:
+                loop.readers[0]()
+                done.append(sock.reads)
+                loop.held_at += pause
+            assert done == reads
+            assert len(came) == min(4, reads[-1])
 
-    asyncio.run(main())
+    with asyncio.Runner(loop_factory=Skipping) as runner:
+        runner.run(main())
 
 
 def test_what_was_not_read_at_once_comes_next() -> None:
     async def main() -> None:
-        async with pair("127.0.0.1") as (server, client, came):
-            has_read(server, float("-inf"))
+        async with pair("127.0.0.1") as (_, client, came, _):
             client.send([b"a"], None)
             client.send([b"bc"], None)
             await until(lambda: len(came) == 2)
@@ -173,13 +223,12 @@ def test_what_was_not_read_at_once_comes_next() -> None:
 
 def test_nothing_waits_in_a_socket_that_is_closed() -> None:
     async def main() -> None:
-        async with pair("127.0.0.1") as (server, _, _):
-            client = Udp().connect(server._sock.getsockname(), lambda *_: None)
-            watch(client).refuses = True
+        async with watched() as (calls, client, _):
+            calls.refuses = True
             client.send([b"waits"], None)
             assert client.congested
             client.close()
-            vars(client)["_sock"].refuses = False
+            calls.refuses = False
             client.send([b"late"], None)
             assert not client.congested
             assert client.waiting_bytes == 0
@@ -193,28 +242,30 @@ def test_what_the_kernel_does_not_cut_goes_one_by_one_for_a_while(number: int) -
     """An interface may not be able to, or the path has just become narrower; nothing is lost by it."""
 
     async def main() -> None:
-        async with pair("127.0.0.1") as (_, client, came):
-            calls = watch(client)
+        async with watched() as (calls, client, came):
             calls.failures = [OSError(number, "")]
             client.send([bytes(1000)] * 10, None)
             await until(lambda: len(came) == 10)
             client.send([bytes(1000)] * 10, None)
             await until(lambda: len(came) == 20)
             assert calls.sent == [1] * 20
-            client._one_by_one_until = 0.0
+            loop = asyncio.get_running_loop()
+            assert isinstance(loop, Skipping)
+            loop.skipped += 1.0
             client.send([bytes(1000)] * 10, None)
             await until(lambda: len(came) == 30)
             assert calls.sent[20:] == [10]
 
-    asyncio.run(main())
+    with asyncio.Runner(loop_factory=Skipping) as runner:
+        runner.run(main())
 
 
 def test_a_datagram_that_fails_alone_is_lost_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     replaced.CAN_SEGMENT.set(monkeypatch, lambda _: False)
 
     async def main() -> None:
-        async with pair("127.0.0.1") as (_, client, came):
-            watch(client).failures = [None, OSError(errno.EMSGSIZE, "")]
+        async with watched() as (calls, client, came):
+            calls.failures = [None, OSError(errno.EMSGSIZE, "")]
             client.send([b"a", b"b", b"c"], None)
             await until(lambda: len(came) == 2)
             assert came == [b"a", b"c"]
@@ -224,8 +275,8 @@ def test_a_datagram_that_fails_alone_is_lost_and_no_other(monkeypatch: pytest.Mo
 
 def test_what_the_kernel_refuses_waits_in_order_and_is_bounded() -> None:
     async def main() -> None:
-        async with pair("127.0.0.1") as (_, client, came):
-            calls, written = watch(client), asyncio.Event()
+        async with watched() as (calls, client, came):
+            written = asyncio.Event()
             client.when_writable.add(written.set)
             calls.refuses = True
             for number in range(40):
@@ -256,8 +307,8 @@ def test_what_waits_is_not_counted_anew_for_each_message() -> None:
     """One link's datagrams wait for the kernel, and all links send on the same socket meanwhile."""
 
     async def main() -> None:
-        async with pair("127.0.0.1") as (_, client, _):
-            watch(client).refuses = True
+        async with watched() as (calls, client, _):
+            calls.refuses = True
             client.send([_Counted(1400) for _ in range(5000)], None)
             _Counted.asked = 0
             for _ in range(1000):
@@ -269,8 +320,8 @@ def test_what_waits_is_not_counted_anew_for_each_message() -> None:
 
 def test_a_limit_that_was_raised_is_used_without_a_restart() -> None:
     async def main() -> None:
-        async with pair("127.0.0.1") as (_, client, _):
-            client._sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 50_000)
+        async with watched() as (calls, client, _):
+            calls.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 50_000)
             with socket.socket(type=socket.SOCK_DGRAM) as other:
                 other.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
                 allowed = other.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2

@@ -64,9 +64,12 @@ async def until(condition: Callable[[], object], what: str = "") -> None:
 
 
 @contextlib.asynccontextmanager
-async def in_network(router: Router, service: str = "server", *watched: str) -> AsyncIterator[ZenohEndpoint]:
-    """An endpoint of a network of its own."""
+async def in_network(
+    router: Router, service: str = "server", *watched: str, strangers: Strangers | None = None
+) -> AsyncIterator[ZenohEndpoint]:
+    """An endpoint of a network of its own, perhaps with a budget for strangers."""
     network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
+    network.strangers = strangers or network.strangers
     made = await network.endpoint(service, "a label", watched)
     while made.address not in {each.address for each in await made.ask(service)}:  # noqa: ASYNC110 (no event of ours)
         await asyncio.sleep(0.01)  # the router does not know this end's subscriptions yet
@@ -82,19 +85,9 @@ def waiting_bytes(endpoint: ZenohEndpoint) -> int:
     return endpoint._waiting_bytes
 
 
-def budget_of(endpoint: ZenohEndpoint) -> Strangers:
-    """Return the endpoint's budget for strangers."""
-    return endpoint._strangers
-
-
 def of_strangers(endpoint: ZenohEndpoint) -> Sized:
     """Return the samples of strangers that wait for the endpoint's loop."""
     return endpoint._of_strangers
-
-
-def soon(endpoint: ZenohEndpoint, work: Callable[[], object]) -> None:
-    """Have the endpoint's loop do something, as Zenoh's threads do."""
-    endpoint._soon(work)  # type: ignore[arg-type]
 
 
 async def known_stranger(router: Router, server: ZenohEndpoint) -> Any:
@@ -258,7 +251,8 @@ def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: pytest.
 @pytest.mark.parametrize("number", [0, 1])
 def test_a_long_sample_of_a_stranger_is_neither_copied_nor_queued(router: Router, number: int) -> None:
     async def test() -> None:
-        async with in_network(router) as server:
+        budget = Strangers()
+        async with in_network(router, strangers=budget) as server:
             asked: list[str] = []
             server.on_stream = lambda who, which, _: _kept(asked, which)
             other = await known_stranger(router, server)
@@ -268,7 +262,7 @@ def test_a_long_sample_of_a_stranger_is_neither_copied_nor_queued(router: Router
             other.put(f"{at}/{'2' * 16}", bytes(STRANGER_LIMIT), attachment=Header(SampleKind.DATA, 0, 0).pack())
             await until(lambda: asked)
             assert asked == ["2" * 16]
-            assert budget_of(server).turned_away == 1
+            assert budget.turned_away == 1
             other.close()
 
     asyncio.run(test())
@@ -330,8 +324,8 @@ def test_only_samples_of_routes_are_taken_on_zenohs_thread(router: Router) -> No
 
 def test_what_strangers_send_takes_no_room_from_peers(router: Router) -> None:
     async def test() -> None:
-        async with in_network(router) as server:
-            server._strangers = Strangers(100_000)
+        budget = Strangers(100_000)
+        async with in_network(router, strangers=budget) as server:
             asked: list[str] = []
             server.on_stream = lambda who, which, _: _kept(asked, which)
             peer = End()
@@ -344,9 +338,9 @@ def test_what_strangers_send_takes_no_room_from_peers(router: Router) -> None:
             other.put(f"{at}/{NOBODY}/{NOBODY}", bytes(1_000_000), **settings)
             eventually(lambda: waiting_bytes(server))  # the loop has had no turn
             await until(lambda: peer.came)
-            assert budget_of(server).used == 0
+            assert budget.used == 0
             assert len(asked) == 100_000 // (1000 + constants.ZENOH_OVERHEAD.value)
-            assert budget_of(server).turned_away == 500 - len(asked)
+            assert budget.turned_away == 500 - len(asked)
             other.close()
 
     asyncio.run(test())
@@ -423,7 +417,11 @@ def test_datagrams_of_endpoints_without_a_stream_are_dropped(router: Router) -> 
             await until(lambda: came)
             assert came == ["2" * 16]
             server.forget("2" * 16, NOBODY)
-            assert server._peers == {}
+            server.add("3" * 16, NOBODY, End())
+            for who in ("2" * 16, "3" * 16):
+                other.put(f"{ROOT}/fleet/at/{server.address}/{who}/drop", b"x")
+            await until(lambda: came[1:])
+            assert came[1:] == ["3" * 16]
             other.close()
 
     asyncio.run(test())
@@ -434,11 +432,21 @@ def test_a_flood_does_not_keep_the_loop_from_its_other_work() -> None:
         router = Router()
         try:
             async with in_network(router) as server:
-                turns: list[int] = []
-                for number in range(5 * constants.ZENOH_AT_A_TIME.value):
-                    soon(server, lambda number=number: turns.append(number))  # type: ignore[misc]
+                turns: list[bytes] = []
+                server.add(NOBODY, NOBODY, End())
+                server.on_datagram = lambda _, payload: turns.append(payload)
+                other, count = stranger(router), 5 * constants.ZENOH_AT_A_TIME.value
+                for _ in range(count):
+                    other.put(
+                        f"{ROOT}/fleet/at/{server.address}/{NOBODY}/drop",
+                        b"x",
+                        congestion_control=zenoh.CongestionControl.BLOCK,
+                    )
+                size = 1 + constants.ZENOH_OVERHEAD.value
+                eventually(lambda: waiting_bytes(server) == count * size)  # the loop has had no turn
+                other.close()
                 seen_at: list[int] = []
-                while len(turns) < 5 * constants.ZENOH_AT_A_TIME.value:
+                while len(turns) < count:
                     await asyncio.sleep(0)
                     seen_at.append(len(turns))
                 assert (
@@ -454,10 +462,20 @@ def test_one_arrival_that_fails_does_not_hold_up_the_next(router: Router) -> Non
     async def test() -> None:
         asyncio.get_running_loop().set_exception_handler(lambda *_: None)
         async with in_network(router) as server:
-            done: list[bool] = []
-            soon(server, lambda: 1 // 0)
-            soon(server, lambda: done.append(True))
-            await until(lambda: done)
+            came: list[bytes] = []
+
+            def take(_: str, payload: bytes) -> None:
+                came.append(payload)
+                if len(came) == 1:
+                    raise ZeroDivisionError
+
+            server.add(NOBODY, NOBODY, End())
+            server.on_datagram = take
+            other = stranger(router)
+            for payload in (b"fails", b"next"):
+                other.put(f"{ROOT}/fleet/at/{server.address}/{NOBODY}/drop", payload)
+            await until(lambda: len(came) == 2)
+            other.close()
 
     asyncio.run(test())
 
@@ -520,7 +538,7 @@ def test_who_leaves_while_an_endpoint_is_made_is_forgotten(router: Router, monke
 
     async def test() -> None:
         async with in_network(router) as server:
-            monkeypatch.setattr(endpoints.ZenohEndpoint, "ask", ask_too_early)
+            replaced.ZENOH_ASK.set(monkeypatch, ask_too_early)
             network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
             client = await network.endpoint("client", "", ["server"])
             assert ghost.address in client.seen

@@ -67,10 +67,14 @@ def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingR
     return make
 
 
+def respond(route: ProvidingRoute, lane: int, payload: bytes, number: int) -> None:
+    """Let the server respond to a request."""
+    route._responded(lane, [Response(payload, number, 0)])
+
+
 def accept(route: ProvidingRoute, number: int) -> None:
     """Let the server accept a goal."""
-    action: Any = route.action
-    route._keep_answer(action, SEND_GOAL, Response(goal_response(True), number, 0))
+    respond(route, SEND_GOAL, goal_response(True), number)
 
 
 def cancels(route: ProvidingRoute) -> list[bytes]:
@@ -84,7 +88,7 @@ def test_an_end_of_the_arming_cancels_this_links_goals(make_route: Callable[...,
     route.disarm(Disarmed.DEADMAN)
     assert cancels(route) == [cancel_request(goal(1))]
     late = route.calls.late
-    route._responded(CANCEL_GOAL, [Response(cancel_response(goal(1)), 1, 0)])
+    respond(route, CANCEL_GOAL, cancel_response(goal(1)), 1)
     assert route.calls.late == late, "it is no answer to a call of the other side's"
 
 

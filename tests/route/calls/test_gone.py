@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import asyncio
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 from tests.support.offline import FakePeer
 
@@ -12,10 +14,13 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.route.calls.providing import PeersCall, ProvidingRoute
+from rsb_bridge.route.calls.providing import ProvidingRoute
+from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
 
@@ -31,18 +36,27 @@ class _Graph(NoRos):
     def servers(self, service: str) -> list[Endpoint]:
         return self.found
 
+    def installed_service_hash(self, type_name: str) -> str | None:
+        return LAMP.type_hash
+
+    def call_service(self, *_: object) -> Any:
+        return SimpleNamespace(ready=True, call=lambda request: 1, close=lambda: None)
+
 
 def _providing(ros: _Graph, make_context: Callable[..., Context]) -> ProvidingRoute:
     context = make_context(ros)
     spec = Topic("/set", "transmit", kind="service")
     proposal = proposal_of(spec, context.transports["tcp"], client_name="robot1", use_name=False)
-    return ProvidingRoute(context, FakePeer(), spec, proposal, proposed_here=False)
+    route = ProvidingRoute(context, FakePeer(), spec, proposal, proposed_here=False)
+    route.open(1)
+    route.on_accepted()
+    return route
 
 
 def looks(route: ProvidingRoute) -> Cause | None:
     """Look at the graph again; return why nobody can be called, or None."""
-    route._look()
-    trouble = route._unavailable
+    route.advance()
+    trouble = route.facts().unavailable
     return trouble.cause if trouble is not None else None
 
 
@@ -58,16 +72,19 @@ def test_a_server_that_is_not_known_yet_has_not_gone(make_context: Callable[...,
     route.close("over")
 
 
-def test_a_call_may_have_reached_a_server_that_was_not_seen_yet(make_context: Callable[..., Context]) -> None:
+def test_a_call_may_have_reached_a_server_that_was_not_seen_yet(
+    make_context: Callable[..., Context], loop: VirtualLoop
+) -> None:
     """DDS matches a server before the graph is looked at again; only later ones can't have got the call."""
     ros = _Graph()
     route = _providing(ros, make_context)
-    orphaned = []
+    in_flight = []
     for gid in (b"first", b"second", b"third"):
         ros.found = [LAMP._replace(gid=gid)]
         looks(route)
         if gid == b"first":
-            call = PeersCall(0, 10, 0.0, 1, route._present)
-        orphaned.append(route._is_orphan(call))
-    assert orphaned == [False, False, True]
+            loop.run_until_complete(asyncio.sleep(1.0))  # its type is loaded
+            route.deliver([(CallFrame(What.CALL, 0, 1, 0, bytes(4)).pack(), 0, 0)])
+        in_flight.append(route.calls.in_flight)
+    assert in_flight == [1, 1, 0]
     route.close("over")

@@ -17,7 +17,7 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tests.support.handles import Handle
 
@@ -125,13 +125,13 @@ def _run(arguments: Sequence[str], output: str) -> int:
 
 
 def _name_threads() -> None:
-    begin: Any = threading.Thread._bootstrap_inner  # type: ignore[attr-defined]
+    run = threading.Thread.run
 
-    def begin_named(thread: threading.Thread) -> None:
+    def run_named(thread: threading.Thread) -> None:
         ctypes.CDLL(None).prctl(_PR_SET_NAME, thread.name.encode()[:15], 0, 0, 0)
-        begin(thread)
+        run(thread)
 
-    threading.Thread._bootstrap_inner = begin_named  # type: ignore[attr-defined]
+    threading.Thread.run = run_named  # type: ignore[assignment]
 
 
 def main() -> int:

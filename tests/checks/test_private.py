@@ -1,0 +1,22 @@
+"""How many private members tests name: each breaks a test that need not care when the program renames it."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+MOST = 99
+PUBLIC = {"_replace", "_asdict", "_fields", "_make", "_exit", "_get_running_loop", "_set_running_loop"}
+"""Of named tuples, `os` and asyncio."""
+OWN = {"self", "cls", "super()"}
+
+
+def private(path: Path) -> list[str]:
+    nodes = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Attribute)]
+    hidden = [each for each in nodes if each.attr.startswith("_") and each.attr[:2] != "__" and each.attr not in PUBLIC]
+    return [f"{path}:{each.lineno} {each.attr}" for each in hidden if ast.unparse(each.value) not in OWN]
+
+
+def test_tests_name_few_private_members_of_others() -> None:
+    found = [place for path in sorted(Path(__file__).parents[1].rglob("*.py")) for place in private(path)]
+    assert len(found) <= MOST, "\n".join(found)
