@@ -21,7 +21,7 @@ from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, Disarmed
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lease import LASTS
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.rest_message import EVERY, TIMES, RestMessage
+from rsb_bridge.route.rest_message import EVERY, HOLDS, TIMES, RestMessage
 from rsb_bridge.route.source_publishers import PublicationSpec, SourcePublishers
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import with_number
@@ -300,6 +300,33 @@ def test_the_robot_rests_when_a_time_of_the_arming_is_over(
     rests = [each for each in driven.robot.heard if each.payload == RESTS]
     assert rests[0].at - armed_at == pytest.approx(CONSOLE_SILENT_AFTER, abs=0.15)
     assert driven.robot.heard[-1].payload == RESTS
+
+
+def test_a_velocity_holds_for_a_second_without_a_further_message(driven: Driven, loop: VirtualLoop) -> None:
+    """The message that would have stopped the robot may have been lost, though both sides hear each other."""
+    for _ in range(2):
+        let_time_pass(driven.pair, loop, 0.9 * HOLDS)
+        driven.drive()
+    assert set(driven.payloads) == {MOVES}
+    moved = loop.time()
+    let_time_pass(driven.pair, loop, HOLDS + REST_OVER + 0.1)
+    rests = [each for each in driven.robot.heard if each.payload == RESTS]
+    assert len(rests) == TIMES
+    assert HOLDS <= rests[0].at - moved < HOLDS + 0.05
+    driven.drive()
+    assert driven.payloads[-1] == MOVES
+    driven.drive(RESTS)
+    let_time_pass(driven.pair, loop, 2 * HOLDS)
+    assert driven.payloads[-2:] == [MOVES, RESTS], "no rest follows a rest"
+
+
+def test_a_message_of_a_type_that_moves_nothing_holds_for_good(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    driven = Driven(loop, make_context, POSE, on_end={"x": 0.1, "header": "auto"})
+    driven.drive()
+    let_time_pass(driven.pair, loop, 3 * HOLDS)
+    assert driven.payloads == [MOVES]
 
 
 def test_a_robot_that_was_told_to_rest_hears_no_more(driven: Driven) -> None:

@@ -643,6 +643,12 @@ def test_no_remedy_makes_an_overload_worse(known: dict[str, Any], datagrams: int
     assert USE_TCP in verdict_on(SENDER, loss=LOST, datagrams=datagrams).text
 
 
+def test_tcp_is_no_remedy_for_commands() -> None:
+    """It would hold up what has to be young."""
+    assert USE_TCP in verdict_on(SENDER, loss=LOST, datagrams=1).text
+    assert USE_TCP not in verdict_on(SENDER, loss=LOST, datagrams=1, armed=True).text
+
+
 @pytest.mark.parametrize("facts", [{"loss": Loss(2, 83, "queue full", 0.0, recovering=True)}, {"slow_since": 0.0}])
 def test_what_recovers_begins_no_new_fault(facts: dict[str, Any]) -> None:
     """When a link has room again, a late topic's losses are over too, though the last ones were a moment ago."""

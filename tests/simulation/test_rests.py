@@ -93,13 +93,14 @@ class Motors(Drivers):
     # --- who drives, and what befalls them
 
     async def publish_all_the_time(self) -> None:
-        """Have a node on the control PC drive, whether it is armed or not."""
+        """Have a node on the control PC drive, whether it is armed or not; now and then it stops in the midst of it."""
         await asyncio.sleep(8.0)
         written = self.server.domain.written[_TWIST]({"linear": {"x": str(_SPEED)}})
         node = Writer(self.server.domain, "/nav", _NAME, _TWIST, hash_of(_TWIST), Qos(depth=10))
         while True:
             node.publish(written)
-            await asyncio.sleep(1 / _RATE)
+            stops = self.random.random() < 0.01  # without a zero, or its zero is lost on the way
+            await asyncio.sleep(3.0 if stops else 1 / _RATE)
 
     async def keep_armed(self, driver: Driver) -> None:
         """Arm it whenever it is not armed."""
@@ -165,6 +166,7 @@ def _nothing(*_: object) -> None:
 _MISTAKES: tuple[tuple[str, type, str], ...] = (
     ("no rest follows an arming", RestMessage, "begin"),
     ("a link that is not heard is waited for", IncomingRoute, "lapsed"),
+    ("a velocity holds for ever", RestMessage, "_hold"),
 )
 
 

@@ -270,8 +270,12 @@ def test_one_person_drives_at_a_time_and_the_robot_rests_in_between(seed: int, p
     assert all(drivers.heard[each.name] > 10 for each in drivers.drivers), drivers.heard
 
 
-async def goes_over(drivers: Drivers, first: int, second: int) -> None:
-    """One drives, a node comes on the control PC with another QoS, and another operator takes over and drives."""
+async def goes_over(drivers: Drivers, first: int, second: int, pause: float = 2.0) -> None:
+    """One drives, a node comes on the control PC with another QoS, and another operator takes over and drives.
+
+    Args:
+        pause: s from the last command of the one to the other's arming; a velocity holds for 1 s.
+    """
     both = [drivers.drivers[each] for each in (first, second)]
     sitting = [asyncio.ensure_future(drivers.sit(each)) for each in both]
     await asyncio.sleep(8.0)
@@ -283,13 +287,14 @@ async def goes_over(drivers: Drivers, first: int, second: int) -> None:
             await asyncio.sleep(1 / _RATE)
         name = drivers.local_name(drivers.server)
         Writer(drivers.server.domain, "/node", name, _TWIST, hash_of(_TWIST), Qos(depth=3, deadline=5.0))
-        await asyncio.sleep(2.0)
+        await asyncio.sleep(pause)
     assert all(drivers.heard[each.name] for each in both), drivers.heard
     for each in sitting:
         each.cancel()
 
 
 _BESIDE_EACH_OTHER = partial(goes_over, first=0, second=1)
+_AT_ONCE = partial(goes_over, first=0, second=1, pause=0.1)
 _FROM_THE_ROBOT_S_SIDE = partial(goes_over, first=2, second=0)
 
 
@@ -325,7 +330,7 @@ def _nothing(*_: object) -> None:
 
 _MISTAKES: tuple[tuple[str, type, str, object, Any], ...] = (
     ("any console's messages pass", Arming, "is_held_by", _anybody, None),
-    ("it is handed over without a disarm", ArmingCommands, "_take", _handed_over, _BESIDE_EACH_OTHER),
+    ("it is handed over without a disarm", ArmingCommands, "_take", _handed_over, _AT_ONCE),
     ("no rest follows an arming", RestMessage, "begin", _nothing, _FROM_THE_ROBOT_S_SIDE),
     ("a motion is forgotten with a publisher", RestMessage, "replaces", _nothing, _FROM_THE_ROBOT_S_SIDE),
 )

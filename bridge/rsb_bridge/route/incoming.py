@@ -261,7 +261,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             return
         failed = partial(self.log, Level.ERROR, EventCode.ROUTE_PUBLISH_FAILED)
         try:
-            rest = RestMessage(self.context, self.peer.name, spec, on_end, failed)
+            rest = RestMessage(self.context, self.peer.name, spec, on_end, failed, self.lapsed)
         except (RosError, FieldError) as error:
             raise RosError(f"on_end: {error}; correct it in {self._who_says(on_end)}") from None
         if before is not None:

@@ -566,6 +566,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             return facts
         new = self.context.now() - loss.since < MEASURED_FOR
         return facts._replace(
+            armed=self.arming.required,
             loss_unexplained=new or self.peer.fullness_undecided,
             loss_of_full_link=self.was_full_since(loss.since),
         )

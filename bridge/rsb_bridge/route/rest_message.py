@@ -1,4 +1,6 @@
-"""The message that a receiving half publishes by itself once an arming ends, so that the robot does not go on moving.
+"""The message that a receiving half publishes by itself once an arming ends, or once nothing follows a velocity.
+
+So the robot does not go on moving, even if the last message, which would have stopped it, was lost on the way.
 
 It is agreed when the route opens, so nothing has to cross the link that may just have died. It goes through a publisher
 of its own: the publishers of the moving messages are closed first, so nothing that they hold for slow subscribers
@@ -35,6 +37,10 @@ _BODY, _STAMPED_BODY = 4, 12
 """Bytes before the fields of a message, and before those behind the stamp of its header."""
 TIMES = 6
 """Rests in all, which take 0.5 s: as long as a key held on the drive screen counts."""
+HOLDS = 1.0
+"""s that a velocity holds without a further message: as old as a message may be when it is published (`LASTS`)."""
+_LATE = 0.001
+"""s by which a timer comes later than a moment that it must not come before."""
 
 
 class RestMessage:
@@ -47,6 +53,7 @@ class RestMessage:
         link: the route's, by name.
         on_end: ``zero``, or a message as JSON.
         failed: is called with the reason if it cannot be published.
+        overdue: is called when a velocity has held for too long, to begin the rest.
 
     Attributes:
         velocity: of the newest message of this route and its rest, or None if that is not known.
@@ -57,7 +64,13 @@ class RestMessage:
     """
 
     def __init__(
-        self, context: Context, link: str, spec: PublicationSpec, on_end: str, failed: Callable[[str], None]
+        self,
+        context: Context,
+        link: str,
+        spec: PublicationSpec,
+        on_end: str,
+        failed: Callable[[str], None],
+        overdue: Callable[[], None],
     ) -> None:
         self.spec, self.on_end = spec, on_end
         self._context = context
@@ -66,6 +79,9 @@ class RestMessage:
         if on_end != ZERO or spec.type_name not in DRIVING_TYPES:
             self._read_fields()
         self._failed = failed
+        self._overdue = overdue
+        self._holds_until = 0.0
+        self._timer: asyncio.TimerHandle | None = None
         self.velocity: Velocity | None = None
         self._last: bytes | None = None  # of the messages of the present arming
         self._under_way: asyncio.Task[None] | None = None
@@ -90,6 +106,7 @@ class RestMessage:
         self._last = message
         self._context.moved_by[self.spec.topic] = self
         self.stop()
+        self._hold()
         return was_moving != self._is_moving
 
     def fits(self, spec: PublicationSpec, on_end: str) -> bool:
@@ -107,6 +124,25 @@ class RestMessage:
         self._last, self.velocity = before._last, before.velocity
         if self._context.moved_by.get(self.spec.topic) is before:
             self._context.moved_by[self.spec.topic] = self
+            self._hold()
+
+    def _hold(self) -> None:
+        """Let the last message hold for a moment. Other types than velocities may be meant to hold for good."""
+        if self.spec.type_name not in DRIVING_TYPES:
+            return
+        self._holds_until = self._context.now() + HOLDS
+        if self._timer is None:
+            self._timer = self._context.loop.call_later(HOLDS + _LATE, self._look)
+
+    def _look(self) -> None:
+        self._timer = None
+        if self._last is None or self._context.moved_by.get(self.spec.topic) is not self:
+            return
+        left = self._holds_until - self._context.now()
+        if left > 0:
+            self._timer = self._context.loop.call_later(left + _LATE, self._look)
+        else:
+            self._overdue()
 
     @property
     def _is_moving(self) -> bool:
@@ -134,6 +170,9 @@ class RestMessage:
     def close(self) -> None:
         """Close its publisher once it has been published for the last time: the route is gone."""
         self._is_wanted = False
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
         if self._under_way is None:
             self._close()
 

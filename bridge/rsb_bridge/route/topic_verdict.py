@@ -131,6 +131,7 @@ class Facts(NamedTuple):
         lost_in_dds: messages that DDS lost in the last `LATELY` s before they could be taken.
         loss: between the two sides, or None if it is negligible.
         datagrams: about how many a message takes, or 0 if its transport has none.
+        armed: whether it has to be armed: then TCP would lose more of it, since it holds up what has to be young.
         late: the lateness of its messages, or None if they are on time.
         expired: the messages that were dropped lately because they were too old, or None if they are few.
         full: the rates of the link if it is full, or None.
@@ -151,6 +152,7 @@ class Facts(NamedTuple):
     lost_in_dds: int = 0
     loss: Loss | None = None
     datagrams: int = 0
+    armed: bool = False
     late: Late | None = None
     expired: Expired | None = None
     full: Fullness | None = None
@@ -401,7 +403,7 @@ def _slow(facts: Facts) -> Verdict | None:
 
 def _remedy_for_loss(facts: Facts) -> str:
     """Return what to do about lost datagrams, or nothing while the link may be full: then both remedies do harm."""
-    if facts.loss_unexplained:
+    if facts.loss_unexplained or (facts.armed and facts.datagrams == 1):
         return ""
     if facts.datagrams > 1:
         return f"; each takes {facts.datagrams} datagrams, and is lost if one of them is: {USE_TCP} or smaller messages"

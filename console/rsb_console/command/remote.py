@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import sys
 import time
@@ -524,11 +525,12 @@ def _say_armed(arguments: Namespace, route: RouteSnapshot) -> None:
 
 def _hold(engine: RemoteEngine, route: RouteSnapshot, keys: TypedKeys) -> tuple[str, str]:
     """Keep a topic armed; once this process holds it no longer, return that with the reason, and the cause."""
-    topic, asked_by, held_at = route.topic, "", time.monotonic()
+    topic, asked_by, lost_at = route.topic, "", math.inf
     while True:
         pressed = keys.wait(ASKED_EVERY)
         holds = route.key in result(engine.keep_armed(pressed=pressed)).keys
-        held_at = time.monotonic() if holds else held_at
+        # From the first answer that says so: a bridge that stood still shows for a moment what was before.
+        lost_at = math.inf if holds else min(lost_at, time.monotonic())
         if pressed and asked_by:  # whoever presses Enter drives
             with contextlib.suppress(EngineError):  # it is over
                 result(engine.answer_asker(route.key, gives=False))
@@ -536,7 +538,7 @@ def _hold(engine: RemoteEngine, route: RouteSnapshot, keys: TypedKeys) -> tuple[
         if now is None or now.arming is None or not now.arming.armed or engine.unreachable:
             reason, cause = _why_disarmed(engine, now)
             return RemoteProblem.DISARMED(topic=topic, reason=reason), cause
-        if time.monotonic() - held_at > _SHOWN_WITHIN:
+        if time.monotonic() - lost_at > _SHOWN_WITHIN:
             return RemoteProblem.HELD_BY_ANOTHER(topic=topic, who=escape_text(now.arming.by)), "held_by_another"
         if holds and now.arming.asked_by != asked_by:
             asked_by = now.arming.asked_by
