@@ -269,6 +269,40 @@ def test_a_command_of_an_armed_topic_is_sent_twice_and_taken_once(lost: int, mon
     asyncio.run(main())
 
 
+def test_the_last_command_is_sent_again_and_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may be the one that stops a robot, and no further one would make up for its loss."""
+
+    async def main() -> None:
+        async with serving() as server:
+            client, keys = server.connect(b"link one")
+            await ready(client)
+            there = server.channels[b"link one"]
+            await ready(there)
+            route = Route(1, outgoing=False)
+            datagram_channel(there, route, server.keys[b"link one"], lone_scheduler())
+            sender = datagram_channel(client, Route(1, outgoing=True), keys, lone_scheduler())
+            assert isinstance(sender, DatagramSender)
+            sent: list[bytes] = []
+            send = client.send
+
+            def lossy(datagrams: Sequence[bytes]) -> None:
+                sent.extend(datagrams)
+                if len(sent) > 4:  # the first two commands, each sent twice
+                    send(datagrams)
+
+            monkeypatch.setattr(client, "send", lossy)
+            sender.send([(b"go", 0, LEASED)])
+            sender.send([(b"stop", 0, LEASED)])
+            await until(lambda: route.arrived)
+            await until(lambda: len(sent) == 4 + 5)
+            await asyncio.sleep(0.3)
+            assert len(sent) == 4 + 5
+            assert route.arrived == [b"stop"]
+            sender.close("over")
+
+    asyncio.run(main())
+
+
 @pytest.mark.parametrize("lost", [0, 1])
 def test_an_urgent_message_is_sent_twice_and_taken_once(lost: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whichever of the two is lost."""

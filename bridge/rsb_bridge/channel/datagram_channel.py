@@ -33,6 +33,8 @@ _MOST_RECEIPTS = 64
 _TIMES = 2
 """How often a command of an armed topic is sent that is one datagram: a link that loses every third one then loses
 every eleventh command, and robots stand still after two or three. The receiver opens one of the two."""
+_REPEATS, _REPEATED_AFTER = 5, 0.1
+"""How often the last command is sent again, and s from one to the next: no further one makes up for a lost stop."""
 _EXPIRE, _NEWEST_EXPIRES = 1.0, 5.0
 """s without a fragment of it, after which an incomplete message is given up: the newest one's may wait for turns."""
 
@@ -74,6 +76,10 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         self._receipted = (-1, 0)  # the newest datagram of the last receipt, and how many had arrived
         self._receipted_at = float("-inf")
         self._arrivals: deque[tuple[float, int]] = deque(maxlen=_MOST_RECEIPTS)  # time (s), arrivals by then
+        self._command: Sequence[bytes] = ()  # the last one, which may be sent again
+        self._commanded_at = 0.0
+        self._repeats = 0  # that are left
+        self._repeating: asyncio.TimerHandle | None = None
         udp_channel.add_sender(route.id, self)
 
     @property
@@ -136,9 +142,24 @@ class DatagramSender(_DatagramChannel, SendingEnd):
 
     def _send(self, batch: Sequence[Message], size: int) -> int:
         datagrams = self._codec.write_many(batch, self.carrier.datagram_size(), asks=self.via.asks(size))
-        is_command = len(datagrams) == 1 and batch[0][2] & LEASED
         # A Zenoh network loses samples where it is congested, which more of them make worse.
-        return self._pass(datagrams, times=_TIMES if is_command and self.carrier.socket.port else 1)
+        is_command = len(datagrams) == 1 and batch[0][2] & LEASED and self.carrier.socket.port
+        if not is_command:
+            return self._pass(datagrams)
+        self._command, self._commanded_at, self._repeats = datagrams, self._loop.time(), _REPEATS
+        if self._repeating is None:
+            self._repeating = self._loop.call_later(_REPEATED_AFTER, self._repeat)
+        return self._pass(datagrams, _TIMES)
+
+    def _repeat(self) -> None:
+        """Send the last command again, if none has followed; the receiver opens it once."""
+        wait = self._commanded_at + _REPEATED_AFTER - self._loop.time()
+        if wait <= 0:
+            self.carrier.send(self._command)
+            self._repeats -= 1
+            wait = _REPEATED_AFTER
+            self._commanded_at = self._loop.time()
+        self._repeating = self._loop.call_later(wait, self._repeat) if self._repeats else None
 
     def _pass(self, datagrams: Sequence[bytes], times: int = 1) -> int:
         size = times * sum(map(len, datagrams))
@@ -147,6 +168,8 @@ class DatagramSender(_DatagramChannel, SendingEnd):
 
     def close(self, reason: str) -> None:
         self._cut, self._at = None, 0
+        if self._repeating is not None:
+            self._repeating.cancel()
         self.leave()
         self.written_off()
         super().close(reason)
