@@ -162,6 +162,19 @@ async def settled(server: Server, client: ClientUdpChannel) -> ServerUdpChannel:
     return there
 
 
+async def one_way(server: Server) -> tuple[ClientUdpChannel, Route, DatagramSender]:
+    """Connect a client that sends on a route; return its channel, the route on the server's side, and the sender."""
+    client, keys = server.connect(b"link one")
+    await ready(client)
+    there = server.channels[b"link one"]
+    await ready(there)
+    route = Route(1, outgoing=False)
+    datagram_channel(there, route, server.keys[b"link one"], lone_scheduler())
+    sender = datagram_channel(client, Route(1, outgoing=True), keys, lone_scheduler())
+    assert isinstance(sender, DatagramSender)
+    return client, route, sender
+
+
 def _has(route: Route, messages: int) -> bool:
     return len(route.arrived) >= messages
 
@@ -233,14 +246,7 @@ def test_a_command_of_an_armed_topic_is_sent_twice_and_taken_once(lost: int, mon
 
     async def main() -> None:
         async with serving() as server:
-            client, keys = server.connect(b"link one")
-            await ready(client)
-            there = server.channels[b"link one"]
-            await ready(there)
-            route = Route(1, outgoing=False)
-            datagram_channel(there, route, server.keys[b"link one"], lone_scheduler())
-            sender = datagram_channel(client, Route(1, outgoing=True), keys, lone_scheduler())
-            assert isinstance(sender, DatagramSender)
+            client, route, sender = await one_way(server)
             sent: list[Sequence[bytes]] = []
             send = client.send
 
@@ -274,14 +280,7 @@ def test_the_last_command_is_sent_again_and_taken_once(monkeypatch: pytest.Monke
 
     async def main() -> None:
         async with serving() as server:
-            client, keys = server.connect(b"link one")
-            await ready(client)
-            there = server.channels[b"link one"]
-            await ready(there)
-            route = Route(1, outgoing=False)
-            datagram_channel(there, route, server.keys[b"link one"], lone_scheduler())
-            sender = datagram_channel(client, Route(1, outgoing=True), keys, lone_scheduler())
-            assert isinstance(sender, DatagramSender)
+            client, route, sender = await one_way(server)
             sent: list[bytes] = []
             send = client.send
 
@@ -299,6 +298,25 @@ def test_the_last_command_is_sent_again_and_taken_once(monkeypatch: pytest.Monke
             assert len(sent) == 4 + 5
             assert route.arrived == [b"stop"]
             sender.close("over")
+
+    asyncio.run(main())
+
+
+def test_a_command_is_not_sent_again_after_a_later_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Even after one of several datagrams, which is sent once; the robot would take the earlier one for the newest."""
+
+    async def main() -> None:
+        async with serving() as server:
+            client, route, sender = await one_way(server)
+            send = client.send
+            monkeypatch.setattr(client, "send", lambda _: None)
+            sender.send([(b"go", 0, LEASED)])
+            monkeypatch.setattr(client, "send", send)
+            long = b"x" * 100_000
+            sender.send([(long, 0, LEASED)])
+            await until(lambda: route.arrived)
+            await asyncio.sleep(0.25)  # two times a repetition
+            assert route.arrived == [long]
 
     asyncio.run(main())
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.channel.channel import Counts, Pace
 from rsb_bridge.channel.datagram_carrier import WINDOW
 from rsb_bridge.channel.sending_end import SendingEnd
-from rsb_bridge.channel.udp_channel import BufferShortage
+from rsb_bridge.channel.udp_channel import TIMES, BufferShortage
 from rsb_bridge.transport.streams import PacketCounts
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.wire.datagram import Arrived
@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 _RATE_OVER, _RATE_LASTS = 1.0, 2.5
 """s between the receipts from which the rate of arrival is computed, and s for which it counts."""
 _MOST_RECEIPTS = 64
-_TIMES = 2
-"""How often a command of an armed topic is sent that is one datagram: a link that loses every third one then loses
-every eleventh command, and robots stand still after two or three. The receiver opens one of the two."""
 _REPEATS, _REPEATED_AFTER = 5, 0.1
 """How often the last command is sent again, and s from one to the next: no further one makes up for a lost stop."""
 _EXPIRE, _NEWEST_EXPIRES = 1.0, 5.0
@@ -77,8 +74,8 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         self._receipted_at = float("-inf")
         self._arrivals: deque[tuple[float, int]] = deque(maxlen=_MOST_RECEIPTS)  # time (s), arrivals by then
         self._command: Sequence[bytes] = ()  # the last one, which may be sent again
-        self._commanded_at = 0.0
-        self._repeats = 0  # that are left
+        self._repeats = 0  # of it, that are left
+        self._repeat_at = 0.0
         self._repeating: asyncio.TimerHandle | None = None
         udp_channel.add_sender(route.id, self)
 
@@ -146,22 +143,26 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         is_command = len(datagrams) == 1 and batch[0][2] & LEASED and self.carrier.socket.port
         if not is_command:
             return self._pass(datagrams)
-        self._command, self._commanded_at, self._repeats = datagrams, self._loop.time(), _REPEATS
+        passed = self._pass(datagrams, TIMES)
+        self._command, self._repeats, self._repeat_at = datagrams, _REPEATS, self._loop.time() + _REPEATED_AFTER
         if self._repeating is None:
-            self._repeating = self._loop.call_later(_REPEATED_AFTER, self._repeat)
-        return self._pass(datagrams, _TIMES)
+            self._repeating = self._loop.call_at(self._repeat_at, self._repeat)
+        return passed
 
     def _repeat(self) -> None:
-        """Send the last command again, if none has followed; the receiver opens it once."""
-        wait = self._commanded_at + _REPEATED_AFTER - self._loop.time()
-        if wait <= 0:
+        """Send the last command again, if no message has followed; the receiver opens it once."""
+        self._repeating = None
+        if not self._repeats:
+            return
+        now = self._loop.time()
+        if now >= self._repeat_at:
             self.carrier.send(self._command)
             self._repeats -= 1
-            wait = _REPEATED_AFTER
-            self._commanded_at = self._loop.time()
-        self._repeating = self._loop.call_later(wait, self._repeat) if self._repeats else None
+            self._repeat_at = now + _REPEATED_AFTER
+        self._repeating = self._loop.call_at(self._repeat_at, self._repeat)
 
     def _pass(self, datagrams: Sequence[bytes], times: int = 1) -> int:
+        self._repeats = 0  # what was sent before must not come after these
         size = times * sum(map(len, datagrams))
         self.via.send(datagrams, size, times)
         return size

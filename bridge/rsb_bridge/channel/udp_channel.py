@@ -69,8 +69,10 @@ class Silence(Wording):
     )
 
 
-_TIMES = 2
-"""How often an urgent message is sent: the receiver opens one of the two."""
+TIMES = 2
+"""How often an urgent message is sent, and a command of an armed topic that is one datagram: a link that loses every
+third one then loses every eleventh command, and robots stand still after two or three. The receiver opens one of the
+two."""
 _CHALLENGED_FOR, _MOST_CHALLENGED = 10.0, 4
 """s, and addresses of one client: it has one, unless its network changes, or somebody delivers its probes."""
 
@@ -233,7 +235,7 @@ class UdpChannel:
     def send_urgent(self, content: bytes) -> None:
         """Send a control message as `rsb_bridge.wire.codec` encodes it; nothing happens without the peer's address."""
         if self._peer is not None:
-            self.send(self._probe.write(Urgent(content), self.datagram_size()) * _TIMES)
+            self.send(self._probe.write(Urgent(content), self.datagram_size()) * TIMES)
 
     def received(self, route_id: int, datagrams: Sequence[Buffer], address: Address) -> None:
         """Take datagrams of one route that name this connection, and came together from one address."""

@@ -21,6 +21,7 @@ from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.on_end import ZERO
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
+from rsb_bridge.route.lease import LASTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,10 +38,10 @@ _BODY, _STAMPED_BODY = 4, 12
 """Bytes before the fields of a message, and before those behind the stamp of its header."""
 TIMES = 6
 """Rests in all, which take 0.5 s: as long as a key held on the drive screen counts."""
-HOLDS = 1.0
-"""s that a velocity holds without a further message: as old as a message may be when it is published (`LASTS`)."""
+HOLDS = LASTS
+"""s that a velocity holds without a further message: as old as a message may be when it is published."""
 _LATE = 0.001
-"""s by which a timer comes later than a moment that it must not come before."""
+"""s by which a velocity holds longer, so that a message that comes at the last moment counts."""
 
 
 class RestMessage:
@@ -130,17 +131,17 @@ class RestMessage:
         """Let the last message hold for a moment. Other types than velocities may be meant to hold for good."""
         if self.spec.type_name not in DRIVING_TYPES:
             return
-        self._holds_until = self._context.now() + HOLDS
+        self._holds_until = self._context.now() + HOLDS + _LATE
         if self._timer is None:
-            self._timer = self._context.loop.call_later(HOLDS + _LATE, self._look)
+            self._timer = self._context.loop.call_at(self._holds_until, self._end_hold)
 
-    def _look(self) -> None:
+    def _end_hold(self) -> None:
+        """Begin the rest, unless another message came meanwhile, or somebody else moves the topic."""
         self._timer = None
         if self._last is None or self._context.moved_by.get(self.spec.topic) is not self:
             return
-        left = self._holds_until - self._context.now()
-        if left > 0:
-            self._timer = self._context.loop.call_later(left + _LATE, self._look)
+        if self._context.now() < self._holds_until:
+            self._timer = self._context.loop.call_at(self._holds_until, self._end_hold)
         else:
             self._overdue()
 

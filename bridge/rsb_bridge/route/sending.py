@@ -275,25 +275,18 @@ class Outbox:
         self._overload.over()
         return self._queue.clear()
 
-    def limits(
-        self,
-        qos: Qos | None,
-        depth: int,
-        pace: Pace,
-        now: float,
-        profile: LinkProfile = PLAIN,
-        *,
-        newest_only: bool = False,
-    ) -> QueueLimits:
+    @property
+    def newest_only(self) -> QueueLimits:
+        """The limits of a queue in which a message makes those before it worthless."""
+        return QueueLimits(1, 0.0, _QUEUE_BYTES + self.largest)
+
+    def limits(self, qos: Qos | None, depth: int, pace: Pace, now: float, profile: LinkProfile = PLAIN) -> QueueLimits:
         """Return the queue's limits at `now` (s). While the channel takes messages, the queue only passes them on.
 
         Args:
             qos: of the route, or None if it is unknown.
             depth: messages that the publisher of a latched topic keeps, or 0.
-            newest_only: whether a message makes those before it worthless.
         """
-        if newest_only:
-            return QueueLimits(1, 0.0, _QUEUE_BYTES + self.largest)
         self._overload.look(now, self._queue.oldest_since, len(self._queue), moves=pace is Pace.SLOW)
         best_effort = qos is not None and qos.reliability == "best_effort"
         size = _QUEUE_BYTES + self.largest
@@ -527,9 +520,11 @@ class OutgoingPath:
             if channel.congested or traffic.busy_since is not None:
                 traffic.busy(channel.congested, now)
             return
-        # What ends with a rest is a state: after a stall, a robot would follow all the old ones before the present one.
-        is_state = route.arming.required and route.on_end not in ("", NONE)
-        limits = outbox.limits(route.qos, depth, channel.pace, now, route.peer.profile, newest_only=is_state)
+        if route.arming.required and route.on_end not in ("", NONE):
+            # It is a state: after a stall, a robot would follow all the old ones before the present one.
+            limits = outbox.newest_only
+        else:
+            limits = outbox.limits(route.qos, depth, channel.pace, now, route.peer.profile)
         outbox.add(messages, now, publisher, limits)
         self.flush()
 
