@@ -13,6 +13,7 @@ from tests.route.test_unpacking import OnePublisher
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting
 from rsb_bridge.model.demands import DemandSource
@@ -23,6 +24,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, DISARM_TEXT, PEER_GRACE, Disarmed
 from rsb_bridge.route.blocking_rules import blocked
+from rsb_bridge.route.gates import Arrived, LeaseGate
 from rsb_bridge.route.lease import LASTS, SLOW
 from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.wire.messages import Arm, Armed, Close, Describe, Disarm, Lease, Pause, Propose, Provide
@@ -128,13 +130,14 @@ def test_a_message_from_before_it_was_armed_is_not_published(at: int, pair: Pair
     lease = route(receiving).arming.lease
     assert lease is not None
     before = lease.number
-    assert route(receiving).arming.admits(before)
+    gate = LeaseGate(route(receiving).arming)
+    assert gate.check(Arrived(0, before), 0.0) is None
     pair[at].table.arming.disarm(route(pair[at]), Disarmed.OPERATOR)
     hear_all(pair)
     arm(pair[at], loop).result()
     assert lease.passes(before)
-    assert not route(receiving).arming.admits(before)
-    assert route(receiving).arming.admits(lease.number)
+    assert gate.check(Arrived(0, before), 0.0) is Refused.DISARMED
+    assert gate.check(Arrived(0, lease.number), 0.0) is None
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
