@@ -9,8 +9,7 @@ from msgspec import UNSET
 
 from rsb_bridge import __version__
 from rsb_bridge.config.rights import Use, uses
-from rsb_bridge.config.topic_rules import overlap
-from rsb_bridge.config.validation import validate_topic
+from rsb_bridge.config.topic_rules import entry_problems, overlap, problems_here
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import ROUTES_PER_LINK, ROUTES_PROPOSED_BY_SERVER
@@ -154,7 +153,7 @@ def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
     """
     if pattern := next(filter(is_pattern, (proposal.topic, proposal.remote_topic)), ""):
         raise LinkError(f"{pattern} is a pattern: the other side has to propose each that matches by its name")
-    for problem in validate_topic(topic_of(proposal)):  # first: a prefix can make a valid name of an invalid one
+    for problem in entry_problems(topic_of(proposal)):  # first: a prefix can make a valid name of an invalid one
         raise LinkError(str(problem))
     ours = link.with_local_name(proposal)
     use = use_of(ours, is_client=link.is_client)
@@ -162,7 +161,7 @@ def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
         raise LinkError(str(refusal))
     if refused := link.refusal(use.topic):
         raise LinkError(refused)
-    for problem in validate_topic(topic_of(ours), session):
+    for problem in problems_here(topic_of(ours), session):
         raise LinkError(str(problem))
     if use.may == "publish" and use.topic == session.shutdown_topic:
         raise LinkError(Denied.SHUTDOWN_TOPIC(topic=use.topic))
