@@ -6,6 +6,7 @@ import sys
 from typing import TYPE_CHECKING, Any, cast, get_args
 
 import msgspec
+import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from tests.config.test_typed_topics import FIELDS, names
@@ -20,8 +21,10 @@ from rsb_bridge.model.limits import TOPIC_LENGTH
 from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.session import Client, Problem, Protocol, Session, Topic
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.transport.registry import default_transports
-from rsb_bridge.wire.codec import decode
+from rsb_bridge.wire.codec import decode, encode
 from rsb_bridge.wire.messages import Propose
 from rsb_bridge.wire.protocol_error import ProtocolError
 
@@ -117,6 +120,29 @@ def test_a_proposal_is_refused_with_the_text_that_its_entry_has_in_a_file(
         topic_of(link.with_local_name(proposal)), session
     )
     assert refusal(proposal, link, session) == expected
+
+
+VALUES: dict[str, Any] = {
+    "topic": "/b",
+    "type": "std_msgs/msg/String",
+    "qos": {"depth": 7},
+    "remote_topic": "/c",
+    "compression": "zstd",
+    "priority": "high",
+    "on_end": "none",
+    "limits": VelocityLimits(0.5),
+}
+"""What is neither a number nor a switch."""
+
+
+@pytest.mark.parametrize("key", sorted(TOPIC_KEYS.keys() & set(Propose.__struct_fields__)))
+def test_the_peer_is_told_each_key_that_a_proposal_has(key: str) -> None:
+    """A key that is added to the session and to the message crosses without a line of its own."""
+    value = VALUES.get(key, True if TOPIC_KEYS[key].value == "switch" else 7)
+    topic = Topic(**{"topic": "/a", "direction": "transmit", "arm": True, key: value})
+    proposal = proposal_of(topic, TRANSPORTS["tcp"], client_name="robot1", use_name=False)
+    received = topic_of(cast("Propose", decode(encode(proposal))))
+    assert getattr(received, key) == value
 
 
 def test_a_valid_proposal_does_not_take_the_form_of_a_file() -> None:

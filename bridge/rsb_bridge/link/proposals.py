@@ -18,7 +18,7 @@ from rsb_bridge.model.on_end import text_of
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.profiles import PLAIN, compression_of
 from rsb_bridge.model.session import RANKS, Topic, priority_of
-from rsb_bridge.model.topic_keys import TOPIC_KEYS, keys_of_value
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.wire.messages import Amend, Propose
 
 if TYPE_CHECKING:
@@ -35,10 +35,15 @@ KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
 """The kinds that this version knows, by their names on the wire."""
 
 
-_NUMBERS = tuple(name for name in keys_of_value("number") if name != "deadman")
-"""The keys whose numbers a proposal has as a session has them."""
 _NONE = {field.name: field.default for field in msgspec.structs.fields(Propose) if field.name in TOPIC_KEYS}
 """The values with which a proposal sets nothing."""
+_OTHERWISE = {"topic", "remote_topic", "type", "qos", "compression", "priority", "deadman", "on_end"}
+_DEFAULTS = {
+    field.name: field.default
+    for field in msgspec.structs.fields(Topic)
+    if field.name in _NONE and field.name not in _OTHERWISE
+}
+"""The keys whose values a proposal has as a session has them, with the values with which a session sets nothing."""
 _AMENDABLE = {name: _NONE[name] for name, key in TOPIC_KEYS.items() if key.live}
 
 
@@ -63,14 +68,11 @@ def proposal_of(
         transport=transport.name,
         qos=topic.parsed_qos(),
         compression=compression_of(topic.compression, profile, transport.compression),
-        paused=topic.paused,
-        arm=topic.arm,
         deadman=topic.deadman_seconds if topic.arm else 0.0,
         on_end=text_of(topic.on_end) if topic.arm else "",
-        limits=topic.limits,
         kind=topic.kind,
         priority=RANKS[topic.priority],
-        **{name: _NONE[name] if (value := getattr(topic, name)) is None else value for name in _NUMBERS},
+        **{name: _NONE[name] if (value := getattr(topic, name)) is None else value for name in _DEFAULTS},
     )
 
 
@@ -90,19 +92,17 @@ def topic_of(proposal: Propose) -> Topic:
         qos=msgspec.to_builtins(proposal.qos) if proposal.qos else "auto",
         remote_topic=on_server,
         compression=proposal.compression,
-        paused=proposal.paused,
-        arm=proposal.arm,
         deadman=proposal.deadman if proposal.arm else None,
         on_end=(proposal.on_end or None) if proposal.arm else None,
-        limits=proposal.limits,
         kind=_kind_of(proposal),
         priority=priority_of(proposal.priority) if proposal.kind == "topic" else "normal",
-        **_numbers_of(proposal),
+        **_values_of(proposal),
     )
 
 
-def _numbers_of(proposal: Propose) -> dict[str, Any]:
-    return {name: None if (value := getattr(proposal, name)) == _NONE[name] else value for name in _NUMBERS}
+def _values_of(proposal: Propose) -> dict[str, Any]:
+    values = {name: getattr(proposal, name) for name in _DEFAULTS}
+    return {name: _DEFAULTS[name] if value == _NONE[name] else value for name, value in values.items()}
 
 
 def _kind_of(proposal: Propose) -> Kind:
@@ -140,9 +140,9 @@ def amendment(proposal: Propose, route_id: int, who: str = "") -> Amend:
 
 def amended_topic(topic: Topic, limits: Propose) -> Topic:
     """Return a topic with a proposal's limits."""
-    numbers = {name: value for name, value in _numbers_of(limits).items() if name in _AMENDABLE}
+    values = {name: value for name, value in _values_of(limits).items() if name in _AMENDABLE}
     priority = priority_of(limits.priority) if limits.kind == "topic" else "normal"
-    return msgspec.structs.replace(topic, **numbers, priority=priority)
+    return msgspec.structs.replace(topic, **values, priority=priority)
 
 
 def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:

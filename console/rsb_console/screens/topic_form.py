@@ -39,11 +39,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, TopicInfo
 
 KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
-ORDER = (
-    "topic", "kind", "direction", "provider", "excepts", "type", "qos", "remote_topic", "timeout", "protocol", "port",
-    "max_rate", "priority", "expected_rate", "stale_after", "late_after", "max_age", "compression", "arm", "deadman",
-    "on_end", "limits", "paused",
-)  # fmt: skip
+_WHICH = ("topic", "kind", "direction", "provider")
+ORDER = (*_WHICH, *(key for key in TOPIC_KEYS if key not in _WHICH))
 """The keys of all fields, in the order in which an operator thinks of them."""
 FIRST = ("link", "topic", "kind", "direction", "provider", "type", "qos", "protocol", "priority")
 """The keys of the fields that a form of something new begins with; the others have good defaults."""
