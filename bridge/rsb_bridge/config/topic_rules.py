@@ -35,6 +35,7 @@ from rsb_bridge.model.wording import Wording
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+    from rsb_bridge.model.session import Protocol
     from rsb_bridge.model.transports import TransportTraits
 
 A_KIND: Final[dict[Kind, str]] = {
@@ -44,7 +45,6 @@ A_KIND: Final[dict[Kind, str]] = {
     "parameters": "a node's parameters",
 }
 """Each kind, in a sentence."""
-_OVER_ZENOH = ("zenoh", "zenoh-drop")
 _NAMED: Final[dict[Kind, str]] = {"topic": "topic", "service": "service", "action": "action", "parameters": "node"}
 _OF_AN_ACTION = re.compile(r"(?P<action>.*)/_action/[^/]*")
 _FOLDERS: dict[Kind, str] = {"service": "srv", "action": "action"}
@@ -351,20 +351,25 @@ def _type(name: str, location: str) -> Iterator[Problem]:
 
 
 def _protocol(topic: Topic, location: str, session: Session | None) -> Iterator[Problem]:
-    if topic.protocol and not transports.named(topic.protocol).reliable and topic.kind != "topic":
-        yield Problem(join(location, "protocol"), TopicMistake.CALL_NEEDS_RELIABLE(protocol=topic.protocol))
+    protocol = topic.protocol
+    if protocol is None:
+        return
+    if not transports.named(protocol).reliable and topic.kind != "topic":
+        yield Problem(join(location, "protocol"), TopicMistake.CALL_NEEDS_RELIABLE(protocol=protocol))
     elif session is None:
         return
-    elif session.is_bluetooth:
-        if topic.protocol not in (None, "bluetooth"):
-            yield Problem(join(location, "protocol"), TopicMistake.NOT_ON_BLUETOOTH(protocol=topic.protocol))
-    elif (topic.protocol in _OVER_ZENOH) != session.is_zenoh and topic.protocol is not None:
-        mistake = TopicMistake.NOT_OVER_ZENOH if session.is_zenoh else TopicMistake.NEEDS_ZENOH
-        yield Problem(join(location, "protocol"), mistake(protocol=topic.protocol))
-    elif topic.protocol == "bluetooth" and session.bluetooth_address is None:
-        yield Problem(join(location, "protocol"), TopicMistake.NEEDS_ADAPTER())
-    elif topic.protocol == "bluetooth" and topic.port is None:
+    elif protocol not in transports.crossing(session):
+        yield Problem(join(location, "protocol"), _not_crossing(protocol, session))
+    elif protocol == "bluetooth" and not session.is_bluetooth and topic.port is None:
         yield Problem(join(location, "port"), TopicMistake.NEEDS_CHANNEL(noun=_NAMED[topic.kind], range=CHANNEL))
+
+
+def _not_crossing(protocol: Protocol, session: Session) -> str:
+    if session.is_bluetooth:
+        return TopicMistake.NOT_ON_BLUETOOTH(protocol=protocol)
+    if session.is_zenoh:
+        return TopicMistake.NOT_OVER_ZENOH(protocol=protocol)
+    return TopicMistake.NEEDS_ADAPTER() if protocol == "bluetooth" else TopicMistake.NEEDS_ZENOH(protocol=protocol)
 
 
 def _qos(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:

@@ -12,7 +12,7 @@ from rsb_bridge.model.session import ZENOH_HOST, is_mac
 
 if TYPE_CHECKING:
     from rsb_bridge.model.profiles import Compression
-    from rsb_bridge.model.session import Protocol
+    from rsb_bridge.model.session import Protocol, Session
 
 
 class TransportTraits:
@@ -32,6 +32,7 @@ class TransportTraits:
         reliable: whether every sent message arrives unless the carrier breaks and reports it.
         best_effort: name of the companion for topics with best-effort QoS that choose no transport, or an empty string
             if they use this transport.
+        delivery: what it does with messages, behind its name, for an operator.
         local: whether its addresses are this machine's own, so that a server that can't bind one cannot start.
     """
 
@@ -46,6 +47,7 @@ class TransportTraits:
     companions: ClassVar[tuple[Protocol, ...]] = ()
     reliable: ClassVar[bool] = True
     best_effort: ClassVar[Protocol | Literal[""]] = ""
+    delivery: ClassVar[str] = "delivers all, in order"
     local: ClassVar[bool] = True
 
     @staticmethod
@@ -64,6 +66,7 @@ class RfcommTraits(TransportTraits):
     slow = True
     compression = "zstd"
     multiplexed = True
+    delivery = "uses the radio, on a channel of its own"
 
     @staticmethod
     def carries_links_to(host: str) -> bool:
@@ -86,6 +89,7 @@ class UdpTraits(TransportTraits):
 
     name = "udp"
     reliable = False
+    delivery = "never waits for lost messages"
 
 
 class ZenohTraits(TransportTraits):
@@ -112,6 +116,7 @@ class ZenohDropTraits(TransportTraits):
     ports = topic_ports = NO_PORT
     ip_ports = False
     reliable = False
+    delivery = "never waits for lost messages, as fits best effort"
     local = False
 
 
@@ -129,3 +134,10 @@ def named(name: str) -> type[TransportTraits]:
 def of_link(host: str) -> type[TransportTraits]:
     """Return the transport of a link whose session has that `server_ip`."""
     return next(traits for traits in _BY_NAME.values() if traits.carries_links_to(host))
+
+
+def crossing(session: Session) -> tuple[Protocol, ...]:
+    """Return the transports that topics of a session's link may choose, the link's own first."""
+    link = of_link(session.server_ip)
+    radio = session.bluetooth_address is not None and not (session.is_bluetooth or session.is_zenoh)
+    return (link.name, *link.companions, *(("bluetooth",) if radio else ()))
