@@ -12,7 +12,7 @@ from collections import deque
 
 _FIRST_PACE = 128e6
 """Bytes/s before anything has arrived; the link's window grows from little meanwhile."""
-_LEAST_ON_PATH = 32 * 1024
+LEAST_ON_PATH = 32 * 1024
 """Bytes that may be on any path: a slow one is left to the link's window, and a receipt for less costs too much."""
 _GROWING, _PROBING, _DRAINING = 2.9, 1.25, 0.75
 """Paces in ratio to the path's rate: until it grows no more; in the first of `_SPANS` spans; and in the second."""
@@ -40,7 +40,7 @@ class PathRate:
 
     def __init__(self) -> None:
         self.pace = _FIRST_PACE
-        self.crossing, self.most = 0, _LEAST_ON_PATH
+        self.crossing, self.most = 0, LEAST_ON_PATH
         self._rates: deque[tuple[float, float]] = deque()  # ends of spans (s) with their rates (bytes/s)
         self._round_trips: deque[tuple[float, float]] = deque()  # when (s), and how long (s): later ones are longer
         self._began: float | None = None
@@ -128,4 +128,4 @@ class PathRate:
         carries = max(rate for _, rate in self._rates) / (max(self._shares) or 1.0)
         self.pace = self._gain * carries
         self.crossing = int(carries * self._round_trips[0][1])
-        self.most = max(_LEAST_ON_PATH, int(carries * _QUEUE) + 2 * self.crossing)
+        self.most = max(LEAST_ON_PATH, int(carries * _QUEUE) + 2 * self.crossing)
