@@ -65,6 +65,7 @@ def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterato
     yield from _topic_steps(link, session.topics)
     listed = {topic.identity for topic in session.topics}
     own = {route.spec.identity for route in link.routes.values() if route.proposed_here}
+    own |= {topic.identity for topic in link.table.superseded.values()}
     for identity in sorted(link.table.listed - listed - own):  # the other side has removed it already
         kind, name, direction = identity
         text = f"{named(Topic(name, direction, kind=kind))}: no longer listed"
@@ -153,7 +154,8 @@ def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[ReloadStep]:
         elif identity in superseded:
             key = superseded[identity]
             if differs := changes(link.table.superseded[key], topic):
-                text = f"{named(topic)}: {', '.join(differs)}; the client's own entry takes precedence"
+                others = "an edit on the server" if link.is_client else "the client's own entry"
+                text = f"{named(topic)}: {', '.join(differs)}; {others} takes precedence"
                 yield ReloadStep(text, partial(_change_superseded, link, key, topic))
         else:
             yield ReloadStep(_added(topic), partial(_add, link, topic))
@@ -199,7 +201,8 @@ def _remove(link: Link, identity: Identity) -> None:
 
 
 def _drop_superseded(link: Link, key: str) -> None:
-    link.table.superseded.pop(key, None)
+    if (topic := link.table.superseded.pop(key, None)) is not None:
+        link.table.listed.discard(topic.identity)
     link.context.demands.changed()
 
 
