@@ -14,8 +14,9 @@ from tests.simulation.test_patterns import Yard, lived
 from rsb_bridge.link.client_link import ClientLink
 from rsb_bridge.link.reloading import client_steps
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import AddTopic, EditTopic, PauseTopics, RemoveTopic
+from rsb_bridge.model.commands import AddTopic, ArmTopic, EditTopic, PauseTopics, RemoveTopic
 from rsb_bridge.model.session import Topic
+from rsb_bridge.route.arming import Disarmed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -85,6 +86,12 @@ class Edits:
         route = self.route(side)
         assert route is not None
         await self._command(side, PauseTopics(route.key, paused=True))
+
+    async def arm(self, side: str) -> None:
+        run, route = self.host(side).run, self.route(side)
+        assert run is not None
+        assert route is not None
+        await run.command(run.bridge.do(ArmTopic(route.key)), "anna")
 
     async def add(self, side: str, topic: Topic) -> None:
         await self._command(side, AddTopic(topic, self.yard.link().name))
@@ -322,6 +329,32 @@ def test_what_a_pattern_has_made_comes_back_through_it(play: Play) -> None:
         await edits.restart("server")
         await edits.both(5)
         assert [each.topic for each in edits.session("robot")] == ["/ch*"]
+
+    played(play, edits, live)
+
+
+@LISTERS
+@pytest.mark.parametrize("editor", ["robot", "server"])
+def test_an_armed_topic_that_is_edited_says_on_both_sides_why_it_is_not_armed(
+    lister: str, editor: str, play: Play
+) -> None:
+    edits = made(lister, msgspec.structs.replace(CHAT, arm=True))
+
+    def why() -> list[object]:
+        routes = [edits.route(side) for side in ("robot", "server")]
+        return [route is not None and not route.arming.held and route.arming.why for route in routes]
+
+    async def live() -> None:
+        await edits.arm(edits.other)
+        assert all(route is not None and route.arming.armed for route in map(edits.route, ("robot", "server")))
+        await edits.edit(editor, qos=EDITED)
+        route = edits.route(editor)
+        assert route is not None
+        assert route.arming.why is Disarmed.EDITED, "at once, as `rsb-console arm` shows it"
+        await edits.both(EDITED)
+        assert why() == [Disarmed.EDITED, Disarmed.EDITED]
+        for side in ("robot", "server"):
+            assert EventCode.ROUTE_DISARMED in edits.codes(side)
 
     played(play, edits, live)
 

@@ -258,6 +258,8 @@ class RouteTable(Extension):
         self.listed.discard(route.spec.identity)
         if route_id:
             self._link.send(Close(route=route_id, reason=_EDITED, edited=True))
+        if route.arming.held:
+            route.disarm(Disarmed.EDITED)
         self._forget(route, EventCode.ROUTE_REMOVED, _EDITED)
         return route_id
 
@@ -452,7 +454,7 @@ class RouteTable(Extension):
         """
         link = self._link
         ours = authorized(proposal, link, self._context.session)
-        known = link.routes.get(route_key(link.name, ours))
+        before = known = link.routes.get(route_key(link.name, ours))
         if known is None:
             check_room(self._link.routes.values(), self._context.session)
         elif known.proposed_here and link.is_client:
@@ -468,6 +470,8 @@ class RouteTable(Extension):
         if known is not None:
             known.amend(amended_topic(known.spec, ours), amended(known.proposal, ours))
         route = known or self.add(topic_of(ours), ours, proposed_here=False)
+        if before is not None:
+            route.arming.follow(before.arming)
         same_process = route.instance == link.instance
         self._reopen(route, proposal.route)
         self._pausing.taken_up(route, proposal, known=same_process)
@@ -533,7 +537,7 @@ class RouteTable(Extension):
             self.superseded[route.key] = route.spec
         route.proposed_here, route.pattern = False, ""
         if route.arming.held:
-            route.disarm(Disarmed.REMOVED)
+            route.disarm(Disarmed.EDITED)
         route.close(f"{_EDITED} by the other side")
 
     def _renamed(self, old: Route, new: Route) -> None:
@@ -542,6 +546,7 @@ class RouteTable(Extension):
             self.superseded[new.key] = old.spec
         elif (entry := self.superseded.pop(old.key, None)) is not None:
             self.superseded[new.key] = entry
+        new.arming.follow(old.arming)
         if old.id:
             self._tell_removed(old, _EDITED)
         self._forget(old, EventCode.ROUTE_REPLACED, "replaced by the other side's")
