@@ -16,10 +16,13 @@ from rsb_bridge.link.base_link import LinkStatus, RouteIds
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.link.route_table import RouteTable
+from rsb_bridge.model.benchmark import bench_topic
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import sources_of_entries
+from rsb_bridge.model.pictures import view_topic
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.route import route_key
+from rsb_bridge.wire.messages import Close
 
 if TYPE_CHECKING:
     import asyncio
@@ -336,6 +339,16 @@ def test_a_limit_that_changed_while_apart_keeps_the_route(
     settle(pair, loop)
     assert next(iter(pair[1 - apart].routes.values())) is kept
     assert kept.spec.max_rate == kept.proposal.max_rate == 2.0
+
+
+@pytest.mark.parametrize("name", [bench_topic("tcp", "out"), view_topic(1)], ids=["measures", "pictures"])
+def test_a_peer_cannot_have_a_session_list_what_is_the_links_own(name: str, make_pair: Callable[[], Pair]) -> None:
+    client, _ = make_pair()
+    client.add(Topic(name, "transmit"))
+    (route,) = client.routes.values()
+    client.table.handle(Close(route.id, "edited", edited=True))
+    assert client.listed == []
+    assert client.routes == {}
 
 
 def settle_shortly(pair: Pair, loop: VirtualLoop) -> None:

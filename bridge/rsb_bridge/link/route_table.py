@@ -25,8 +25,10 @@ from rsb_bridge.link.proposals import (
     topic_of,
     with_changes,
 )
+from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
+from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import Disarmed
@@ -90,6 +92,11 @@ def _half_of(proposal: Propose, *, is_client: bool) -> type[Route]:
     """Return the class of a route's half on this side."""
     sending, receiving = (OutgoingRoute, IncomingRoute) if proposal.kind == "topic" else (CallingRoute, ProvidingRoute)
     return sending if proposal.from_client == is_client else receiving
+
+
+def _is_the_links_own(route: Route) -> bool:
+    """Whether a route measures the link, or carries pictures, and is no entry of a session."""
+    return is_bench_topic(route.spec.topic) or is_view_topic(route.spec.topic)
 
 
 def _dispatch(message: _HalfMessage, route: Route) -> None:
@@ -464,7 +471,7 @@ class RouteTable(Extension):
             # this side's.
             if known.proposed_here:
                 self._tell_removed(known, "replaced by the client's")
-                self.superseded |= {} if known.pattern else {known.key: known.spec}
+                self._keep_entry(known, known.key)
             self._forget(known, EventCode.ROUTE_REPLACED, "replaced by the other side's")
             known = None
         if known is not None:
@@ -531,20 +538,26 @@ class RouteTable(Extension):
         If that proposal never comes, the route is abandoned after a while, as any other of the peer's.
         """
         route = self._link.ids.find(message.route)
+        if route is not None and _is_the_links_own(route):
+            self._removed(message)  # no session lists it
+            return
         if route is None or route.id not in (0, message.route):
             return  # it was removed here, or this side has proposed it again; of two proposals the client's stays
-        if route.proposed_here and not route.pattern:
-            self.superseded[route.key] = route.spec
+        self._keep_entry(route, route.key)
         route.proposed_here, route.pattern = False, ""
         if route.arming.held:
             route.disarm(Disarmed.EDITED)
         route.close(f"{_EDITED} by the other side")
 
+    def _keep_entry(self, route: Route, key: str) -> None:
+        """Keep this side's entry of a route whose place the peer's route with that key takes."""
+        if route.proposed_here and not route.pattern and not _is_the_links_own(route):
+            self.superseded[key] = route.spec
+
     def _renamed(self, old: Route, new: Route) -> None:
         """Remove the route of a topic that the peer has edited so much that the new one has another key."""
-        if old.proposed_here and not old.pattern:
-            self.superseded[new.key] = old.spec
-        elif (entry := self.superseded.pop(old.key, None)) is not None:
+        self._keep_entry(old, new.key)
+        if (entry := self.superseded.pop(old.key, None)) is not None:
             self.superseded[new.key] = entry
         new.arming.follow(old.arming)
         if old.id:
