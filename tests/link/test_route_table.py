@@ -82,7 +82,8 @@ class Side(FakePeer):
         except LinkError:
             return  # it is there
         opening = 0 if replaces is None else self.table.give_way(replaces)
-        self.table.add(topic, proposal, proposed_here=True, replaces=opening)
+        route = self.table.add(topic, proposal, proposed_here=True, replaces=opening)
+        route.edits_peer = replaces is not None and (replaces.edits_peer or not replaces.proposed_here)
 
     def edit(self) -> None:
         for route in tuple(self.routes.values()):
@@ -96,6 +97,11 @@ class Side(FakePeer):
     def remove(self) -> None:
         for route in tuple(self.routes.values()):
             self.table.remove(route, "by an operator")
+
+    def undo(self) -> None:
+        for route in tuple(self.routes.values()):
+            if route.proposed_here and route.edits_peer:
+                self.table.undo_edit(route, "the file is read again")
 
     def pause(self, paused: bool) -> None:
         for route in self.routes.values():
@@ -202,7 +208,9 @@ def hear_all(pair: Pair) -> None:
             side.hear()
 
 
-OPERATIONS = ("add", "remove", "edit", "rename", "pause", "resume", "limit", "unlimit", "lose", "hear")
+OPERATIONS = (
+    "add", "remove", "edit", "rename", "undo", "pause", "resume", "limit", "unlimit", "lose", "hear",
+)  # fmt: skip
 _ANY_MACHINE = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 steps = st.lists(st.tuples(st.booleans(), st.sampled_from(OPERATIONS)), max_size=25)
 

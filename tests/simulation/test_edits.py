@@ -96,6 +96,14 @@ class Edits:
     async def add(self, side: str, topic: Topic) -> None:
         await self._command(side, AddTopic(topic, self.yard.link().name))
 
+    async def reload(self, side: str) -> tuple[list[str], list[str]]:
+        """Have a side read its file again, which is as it was at first."""
+        host = self.host(side)
+        assert host.run is not None
+        done = await host.run.command(host.run.bridge.reload(host.session, host.keys, dry_run=False), "anna")
+        assert done is not None
+        return done
+
     async def restart(self, *sides: str) -> None:
         """Start sides again, with the sessions that they had at first."""
         with self.yard.world.trouble("restarted", *self.yard.world.robots):
@@ -359,7 +367,26 @@ def test_an_armed_topic_that_is_edited_says_on_both_sides_why_it_is_not_armed(
     played(play, edits, live)
 
 
-def test_a_file_that_is_read_again_while_the_servers_edit_takes_precedence(play: Play) -> None:
+@LISTERS
+def test_a_file_that_is_read_again_undoes_an_edit_of_the_other_sides_entry(lister: str, play: Play) -> None:
+    edits = made(lister)
+
+    async def live() -> None:
+        for depth in (EDITED, 9):
+            await edits.edit(edits.other, qos=depth)
+            await edits.both(depth)
+        (step,), failed = await edits.reload(edits.other)
+        assert step.endswith("the edit is undone; the other side's own entry applies again")
+        assert failed == []
+        await edits.both(5)
+        assert edits.session(edits.other) == ()
+        assert [each.qos for each in edits.session(lister)] == [5]
+        assert await edits.reload(edits.other) == ([], [])
+
+    played(play, edits, live)
+
+
+def test_a_file_that_is_read_again_while_while_the_servers_edit_takes_precedence(play: Play) -> None:
     edits = made()
 
     def steps(*topics: Topic) -> list[ReloadStep]:

@@ -94,6 +94,7 @@ class ProposedTopics:
             return route
         at = list(self._link.routes).index(route.key)
         new = table.add(topic, proposal, proposed_here=True, replaces=table.give_way(route))
+        new.edits_peer = route.edits_peer or not route.proposed_here
         new.arming.follow(route.arming)
         table.move(new, at)
         return new

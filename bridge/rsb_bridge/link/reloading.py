@@ -139,7 +139,10 @@ def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[ReloadStep]:
     routes = {route.spec.identity: route for route in link.routes.values() if route.proposed_here and not route.pattern}
     superseded = {topic.identity: key for key, topic in link.table.superseded.items()}
     for identity, route in routes.items():
-        if identity not in wanted:
+        if identity not in wanted and route.edits_peer:
+            text = f"{named(route.spec)}: the edit is undone; the other side's own entry applies again"
+            yield ReloadStep(text, partial(_undo_edit, link, identity))
+        elif identity not in wanted:
             yield ReloadStep(_removed(route.spec), partial(_remove, link, identity))
     for identity, key in superseded.items():
         if identity not in wanted:
@@ -198,6 +201,11 @@ def _add_to_client(server: Server, name: str, topic: Topic) -> None:
 def _remove(link: Link, identity: Identity) -> None:
     if (route := _proposed(link, identity)) is not None:  # else the other side has removed it meanwhile
         link.table.remove(route, _NOT_IN_FILE)
+
+
+def _undo_edit(link: Link, identity: Identity) -> None:
+    if (route := _proposed(link, identity)) is not None:
+        link.table.undo_edit(route, _NOT_IN_FILE)
 
 
 def _drop_superseded(link: Link, key: str) -> None:

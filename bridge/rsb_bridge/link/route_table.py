@@ -85,6 +85,7 @@ RouteMessage: TypeAlias = Propose | Amend | LeaseMessage | _AboutOpenRoute
 _EDITED = "edited"
 _NOT_ASKED_FOR = "the other side no longer asks for it"
 _EDIT_REFUSED = "the other side's edit of it is refused"
+_EDIT_UNDONE = "the other side has undone its edit"
 _COMES_BACK = "; this side's own entry takes its place again"
 
 
@@ -259,6 +260,12 @@ class RouteTable(Extension):
         self._tell_removed(route, reason, acting_operator() if told else "")
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
 
+    def undo_edit(self, route: Route, reason: str) -> None:
+        """Remove this side's edit of an entry of the peer's, which applies again."""
+        self.listed.discard(route.spec.identity)
+        self._tell_removed(route, reason, edited=True)
+        self._forget(route, EventCode.ROUTE_REMOVED, reason)
+
     def give_way(self, route: Route) -> int:
         """Remove a route in whose place this side proposes another; return the id that the peer knows it by, or 0."""
         route_id = self._link.ids.last_of(route)
@@ -289,10 +296,11 @@ class RouteTable(Extension):
         if route.id:
             self._link.send(Limit(route=route.id, max_rate=route.limit.here))
 
-    def _tell_removed(self, route: Route, reason: str, who: str = "") -> None:
+    def _tell_removed(self, route: Route, reason: str, who: str = "", *, edited: bool = False) -> None:
         """Tell the peer that a route is removed; a closed route is named by its last id."""
         if route_id := self._link.ids.last_of(route):
-            self._link.send(Close(route=route_id, reason=sanitize_text(reason), removed=True, who=who))
+            reason = sanitize_text(reason)
+            self._link.send(Close(route=route_id, reason=reason, removed=True, who=who, edited=edited))
 
     def _forget(self, route: Route, code: EventCode, reason: str) -> None:
         """Remove a route on this side."""
@@ -524,6 +532,10 @@ class RouteTable(Extension):
         route = self._link.ids.find(message.route)
         if route is None:
             return  # both sides removed it
+        if message.removed and message.edited:
+            if not route.proposed_here:
+                self._abandoned(route, _EDIT_UNDONE)
+            return
         reason = f"removed by the other side: {message.reason}"
         if route.id != message.route:
             self._tell_removed(route, reason)

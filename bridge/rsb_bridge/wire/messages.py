@@ -280,7 +280,8 @@ class Close(ControlMessageBase, frozen=True):
     Attributes:
         removed: whether it ends for good; else its proposer opens it again.
         who: the operator who has removed it, or empty if unknown.
-        edited: whether its sender proposes another one in its place, and has the receiver keep its own entry of it.
+        edited: whether its sender proposes another one in its place, and has the receiver keep its own entry of it; if
+            it is removed, whether the sender had edited the receiver's entry, which applies again.
     """
 
     route: RouteId
