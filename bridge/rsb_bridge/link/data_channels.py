@@ -249,6 +249,11 @@ class DataChannels:
         pair = self._pairs.get((transport, port))
         return (True, True) if pair is None or pair.over else (pair.small is None, pair.large is None)
 
+    def end_unused(self, transport: str, port: int) -> None:
+        """Close the streams for routes with that port if none uses them: they hold descriptors that others need."""
+        if (pair := self._pairs.get((transport, port))) is not None:
+            pair.end_unused()
+
     def _pair(self, transport: str, port: int) -> StreamPair:
         assert self.scheduler is not None
         assert self._book is not None
