@@ -12,7 +12,7 @@ from rsb_bridge.model.session import ZENOH_HOST, is_mac
 
 if TYPE_CHECKING:
     from rsb_bridge.model.profiles import Compression
-    from rsb_bridge.model.session import Protocol
+    from rsb_bridge.model.session import Protocol, Session
 
 
 class Ages(NamedTuple):
@@ -53,6 +53,7 @@ class TransportTraits:
         best_effort: name of the companion for topics with best-effort QoS that choose no transport, or an empty string
             if they use this transport.
         ages: that its window allows.
+        delivery: what it does with messages, behind its name, for an operator.
         local: whether its addresses are this machine's own, so that a server that can't bind one cannot start.
     """
 
@@ -68,6 +69,7 @@ class TransportTraits:
     reliable: ClassVar[bool] = True
     best_effort: ClassVar[Protocol | Literal[""]] = ""
     ages: ClassVar[Ages] = QUEUES_LITTLE
+    delivery: ClassVar[str] = "delivers all, in order"
     local: ClassVar[bool] = True
 
     @staticmethod
@@ -86,6 +88,7 @@ class RfcommTraits(TransportTraits):
     slow = True
     compression = "zstd"
     multiplexed = True
+    delivery = "uses the radio, on a channel of its own"
 
     @staticmethod
     def carries_links_to(host: str) -> bool:
@@ -108,6 +111,7 @@ class UdpTraits(TransportTraits):
 
     name = "udp"
     reliable = False
+    delivery = "never waits for lost messages"
 
 
 class ZenohTraits(TransportTraits):
@@ -137,6 +141,7 @@ class ZenohDropTraits(TransportTraits):
     ports = topic_ports = NO_PORT
     ip_ports = False
     reliable = False
+    delivery = "never waits for lost messages, as fits best effort"
     local = False
 
 
@@ -154,3 +159,10 @@ def named(name: str) -> type[TransportTraits]:
 def of_link(host: str) -> type[TransportTraits]:
     """Return the transport of a link whose session has that `server_ip`."""
     return next(traits for traits in _BY_NAME.values() if traits.carries_links_to(host))
+
+
+def crossing(session: Session) -> tuple[Protocol, ...]:
+    """Return the transports that topics of a session's link may choose, the link's own first."""
+    link = of_link(session.server_ip)
+    radio = session.bluetooth_address is not None and not (session.is_bluetooth or session.is_zenoh)
+    return (link.name, *link.companions, *(("bluetooth",) if radio else ()))
