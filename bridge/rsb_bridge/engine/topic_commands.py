@@ -267,6 +267,8 @@ class ArmingCommands:
         link, route = self._find(command.key)
         await link.table.arming.load_type(route)
         link, route = self._find(command.key)  # it may have been edited meanwhile
+        await link.table.arming.until_open(route, console())
+        link, route = self._find(command.key)
         await link.table.arming.arm(route, console(), shared=command.shared)
 
     async def ask(self, command: AskHolder) -> None:
@@ -284,7 +286,6 @@ class ArmingCommands:
         link, route = self._find(command.key)
         if route.id == opening and route.arming.held and route.arming.console != console():
             await self._disarm(link, route)
-        await link.table.arming.until_free(route)
         await self.arm(ArmTopic(command.key, command.shared))
 
     async def answer(self, command: AnswerAsker) -> None:

@@ -117,7 +117,7 @@ def _kind_of(proposal: Propose) -> Kind:
     return kind
 
 
-_OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "edited": False}
+_OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "replaces": 0}
 
 
 def same_route(one: Propose, other: Propose) -> bool:
@@ -143,6 +143,12 @@ def amended_topic(topic: Topic, limits: Propose) -> Topic:
     values = {name: value for name, value in _values_of(limits).items() if name in _AMENDABLE}
     priority = priority_of(limits.priority) if limits.kind == "topic" else "normal"
     return msgspec.structs.replace(topic, **values, priority=priority)
+
+
+def with_changes(entry: Topic, old: Topic, new: Topic) -> Topic:
+    """Return another entry of a topic with what differs between two, of what can change in an open route."""
+    changed = {name: value for name in _AMENDABLE if (value := getattr(new, name)) != getattr(old, name)}
+    return msgspec.structs.replace(entry, **changed)
 
 
 def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
