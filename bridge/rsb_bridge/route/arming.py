@@ -55,6 +55,7 @@ class Disarmed(StrEnum):
     TOO_OFTEN = "too_often"
     """The other side's operators arm topics more often than people do."""
     REMOVED = "removed"
+    EDITED = "edited"
     CHANNEL_LOST = "channel_lost"
     """Its data connection ended, which may be noticed before the end of the process at its other end."""
     REOPENED = "reopened"
@@ -76,6 +77,7 @@ DISARM_TEXT = {
     Disarmed.NO_ANSWER: "the other side has not agreed in time",
     Disarmed.TOO_OFTEN: "it was armed too often",
     Disarmed.REMOVED: "the topic is not bridged any more",
+    Disarmed.EDITED: "the topic was edited",
     Disarmed.CHANNEL_LOST: "its data connection ended",
     Disarmed.REOPENED: "the topic was reopened",
     Disarmed.LEASE: "a side or the link stood still",
@@ -192,6 +194,10 @@ class Arming:
         self.switched()
         self.demand(required=required, deadman=deadman)
         self._clear(_Phase.FREE)
+
+    def follow(self, before: Arming) -> None:
+        """Go on showing why the route is not armed in whose place this one's comes."""
+        self.why, self.reason = before.why, before.reason
 
     @property
     def limits(self) -> VelocityLimits | None:
