@@ -3,7 +3,8 @@
 A robot with nav2 and an operator's PC stand in network namespaces of their own. Between them is a Wi-Fi of 20
 Mbit/s that delays by 20 ± 15 ms, loses 2 % of the packets and all for 3 s of every 30 s, or a tunnel of 5 kB/s that
 keeps 4.4 MB (`wifi.c`). Plain nodes publish on the robot and listen on the PC, and our bridge is between them. In the
-column ``dds`` nothing is, and the nodes find each other by address: what a user would have without a bridge. A cell has
+column ``dds`` nothing is, and the nodes find each other by address: what a user would have without a bridge. In the
+column ``bare`` are two processes that do no more than pass each topic on over a TCP connection. A cell has
 the latencies' p50 and p99 in ms and the part of the messages that arrived. Messages of a gap, and of the 3 s after it,
 count as arrived or lost only. Of calls, it is the time until the answer and the part that was answered.
 
@@ -18,6 +19,7 @@ import argparse
 import base64
 import json
 import os
+import re
 import shutil
 import signal
 import statistics
@@ -25,6 +27,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,6 +50,8 @@ _AFTER_GAP = 3.0
 _DRAINS = 5.0
 """s in which the last messages arrive after the robot has stopped."""
 _MATCHES_WITHIN = 30.0
+_NO_BRIDGE = ("bare", "dds")
+_LOST = re.compile("link with the server at .* lost: ")
 _BRIDGE = """
 import sys
 from rsb_bridge.transport import tcp
@@ -114,7 +119,7 @@ class Column(NamedTuple):
     congestion: str
 
     def __str__(self) -> str:
-        priorities = f"{self.priorities} priorities" if self.priorities else "no bridge"
+        priorities = f"{self.priorities} priorities" if self.priorities else ""
         return ", ".join(filter(None, (self.transport, priorities, self.congestion)))
 
 
@@ -217,17 +222,17 @@ class Run:
         """Return p50 and p99 (ms) and the part that arrived."""
         delays = sorted(
             (heard - made) / 1e6
-            for made, heard in self.heard[topic]
+            for made, heard in self.heard.get(topic, ())
             if not any(begins - 0.5 < made / 1e9 < ends + _AFTER_GAP for begins, ends in self.gaps)
         ) or [float("nan")]
-        part = len({made for made, _ in self.heard[topic]}) / max(1, len(self.made[topic]))
+        part = len({made for made, _ in self.heard.get(topic, ())}) / max(1, len(self.made.get(topic, ())))
         return delays[len(delays) // 2], delays[len(delays) * 99 // 100], part
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--links", default="wifi,tunnel", help=", ".join(LINKS))
-    parser.add_argument("--transports", default="tcp,udp,zenoh,dds")
+    parser.add_argument("--transports", default="tcp,udp,zenoh,bare,dds")
     parser.add_argument("--congestion", default=_DEFAULT.read_text(encoding="ascii").strip(), help=_AVAILABLE)
     parser.add_argument("--priorities", default="with,without")
     parser.add_argument("--seconds", type=float, default=68.0)
@@ -240,7 +245,7 @@ def main() -> None:
             columns = [
                 Column(transport, priorities, congestion)
                 for transport in options.transports.split(",")
-                for priorities in (options.priorities.split(",") if transport != "dds" else [""])
+                for priorities in (options.priorities.split(",") if transport not in _NO_BRIDGE else [""])
                 for congestion in (options.congestion.split(",") if transport not in {"dds", "udp"} else [""])
             ]
             runs: dict[Column, list[Run]] = {column: [] for column in columns}
@@ -300,6 +305,9 @@ class _Child:
             self.process.kill()
 
 
+_Start = Callable[..., _Child]
+
+
 def _run(folder: Path, program: Path, link: Link, column: Column, seconds: float) -> Run:
     with ExitStack() as stack:
         robot, pc = Host("robot"), Host("pc")
@@ -308,7 +316,8 @@ def _run(folder: Path, program: Path, link: Link, column: Column, seconds: float
         wire = _joined(program, robot, pc, link.figures)
         stack.callback(wire.kill)
         bridged = column.transport != "dds"
-        if column.transport == "zenoh":  # which has sockets of its own
+        (folder / "client.log").write_text("")
+        if column.transport in {"zenoh", "bare"}:  # which have sockets of their own
             for host in (robot, pc):
                 _set_congestion_control(host, column.congestion)
 
@@ -321,17 +330,14 @@ def _run(folder: Path, program: Path, link: Link, column: Column, seconds: float
         sizes = [part for large in (False, True) if (part := [each for each in link.topics if each.is_large == large])]
         domain = FAR if bridged else NEAR
         ears = [child(pc, "-m", "bench.robot_ends", "listen", str(domain), *map(str, part)) for part in sizes]
-        calls = [str(each) for each in link.calls]
+        calls = [str(each) for each in link.calls if column.transport != "bare"]
         servers = [child(robot, "-m", "bench.robot_ends", "serve", str(NEAR), *calls)] if calls else []
         for each in (*ears, *servers):
             each.answer()
-        sides = []
-        if bridged:
-            _write_sessions(folder, link, column.transport, with_priorities=column.priorities == "with")
-            run = ("-c", _BRIDGE, column.congestion, "run", "--no-ui", "--control")
-            for host, side in ((pc, "server"), (robot, "client")):
-                socket, session, log = (folder / f"{side}.{suffix}" for suffix in ("sock", "yaml", "log"))
-                sides.append(child(host, *run, str(socket), str(session), log=log))
+        if column.transport == "bare":
+            sides = _start_bare(child, pc, robot, link.topics)
+        else:
+            sides = _start_bridge(child, pc, robot, folder, link, column) if bridged else []
         mouths = [child(robot, "-m", "bench.robot_ends", "talk", str(NEAR), *map(str, part)) for part in sizes]
         if calls:
             caller = child(pc, "-m", "bench.robot_ends", "call", str(domain), *calls)
@@ -357,8 +363,25 @@ def _run(folder: Path, program: Path, link: Link, column: Column, seconds: float
         crossed = [int(words[1]) for words in said if words[0] == "bytes"]
         turns = [float(words[2]) for words in said if words[0] == "gap"]
         gaps = list(zip(turns[::2], [*turns[1::2], float("inf")], strict=False))
-        lost = (folder / "client.log").read_text().count("link.lost") if bridged else 0
+        lost = len(_LOST.findall((folder / "client.log").read_text()))
         return Run(made, heard, gaps, crossed[1] - crossed[0], cpu, lost)
+
+
+def _start_bridge(child: _Start, pc: Host, robot: Host, folder: Path, link: Link, column: Column) -> Sequence[_Child]:
+    _write_sessions(folder, link, column.transport, with_priorities=column.priorities == "with")
+    run = ("-c", _BRIDGE, column.congestion, "run", "--no-ui", "--control")
+    sides = []
+    for host, side in ((pc, "server"), (robot, "client")):
+        socket, session, log = (folder / f"{side}.{suffix}" for suffix in ("sock", "yaml", "log"))
+        sides.append(child(host, *run, str(socket), str(session), log=log))
+    return sides
+
+
+def _start_bare(child: _Start, pc: Host, robot: Host, topics: Sequence[Spoken]) -> Sequence[_Child]:
+    spoken = list(map(str, topics))
+    receiving = child(pc, "-m", "bench.robot_ends", "publish", f"{FAR}", f"{_PC}:{_PORT}", *spoken)
+    receiving.answer()
+    return receiving, child(robot, "-m", "bench.robot_ends", "forward", f"{NEAR}", f"{_PC}:{_PORT}", *spoken)
 
 
 def _joined(program: Path, robot: Host, pc: Host, figures: str) -> subprocess.Popen[str]:
@@ -425,6 +448,9 @@ def _print(link: str, runs: dict[Column, list[Run]], seconds: float) -> None:
     for row, words in LINKS[link].rows.items():
         cells = []
         for column in runs.values():
+            if row not in column[0].made:
+                cells.append("–")
+                continue
             p50, p99, part = (statistics.median(each) for each in zip(*(run.cell(row) for run in column), strict=True))
             cells.append(f"{p50:,.0f}/{p99:,.0f} {part:.0%}")
         print(" | ".join([words, *cells]))

@@ -3,7 +3,9 @@
 - ``talk DOMAIN TOPIC:HZ:BYTES:RELIABILITY...``: ``match`` answers with the fewest subscribers of a topic; ``go
   SECONDS`` publishes, and answers with when it published each one.
 - ``listen DOMAIN TOPIC:HZ:BYTES:RELIABILITY...``: ``report`` answers with when each message was made and heard.
-- ``serve DOMAIN``: the robot's services, an action whose goals last `GOAL_LASTS`, and the parameters of its node.
+- ``forward DOMAIN HOST:PORT TOPIC...`` and ``publish DOMAIN HOST:PORT TOPIC...``: the two ends of a bare bridge, with a
+  TCP connection for each topic, without a cipher and without limits.
+- ``serve DOMAIN CALL...``: the robot's services, an action whose goals last `GOAL_LASTS`, and its node's parameters.
 - ``call DOMAIN CALL:HZ:BYTES:...``: calls them. ``match`` answers with how many servers are seen, ``go SECONDS`` with
   when each call was made, and ``report`` with when it was made and answered.
 
@@ -14,11 +16,13 @@ from __future__ import annotations
 
 import heapq
 import json
+import socket
+import struct
 import sys
 import threading
 import time
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from bench.relay import node_in
 from rcl_interfaces.srv import GetParameters
@@ -38,6 +42,7 @@ if TYPE_CHECKING:
     from rclpy.action.server import ServerGoalHandle
     from rclpy.node import Node
 
+_LENGTH = struct.Struct("<I")
 _DEPTH = {"reliable": 10, "best_effort": 5}
 GOAL_LASTS = 2.0
 """s from a goal's acceptance to its result; feedback comes every `_FEEDBACK` s meanwhile."""
@@ -102,6 +107,48 @@ def listen(domain: int, topics: list[list[str]]) -> None:
     _say(ready=True)
     for _ in sys.stdin:
         _say(**heard)
+
+
+def forward(domain: int, topics: list[list[str]]) -> None:
+    node, at = node_in(domain), topics.pop(0)
+    for name, _, _, reliability in topics:
+        connection = socket.create_connection((at[0], int(at[1])))
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.sendall(_LENGTH.pack(len(name)) + name.encode())
+        subscription = node.create_subscription(
+            String, name, lambda _: None, _qos(reliability, _DEPTH[reliability]), raw=True
+        )
+        taking = partial(drain, node.context, [subscription.handle], partial(_write, connection))
+        threading.Thread(target=taking, daemon=True).start()
+    sys.stdin.read()
+
+
+def _write(connection: socket.socket, payload: bytes) -> None:
+    connection.sendall(_LENGTH.pack(len(payload)) + payload)
+
+
+def publish(domain: int, topics: list[list[str]]) -> None:
+    node, at = node_in(domain), topics.pop(0)
+    reliabilities = {name: reliability for name, _, _, reliability in topics}
+    listener = socket.create_server((at[0], int(at[1])))
+    _say(ready=True)
+    for _ in topics:
+        connection = listener.accept()[0].makefile("rb")
+        threading.Thread(target=_publish, args=(node, connection, reliabilities), daemon=True).start()
+    sys.stdin.read()
+
+
+def _publish(node: Node, connection: BinaryIO, reliabilities: dict[str, str]) -> None:
+    name = _next(connection).decode()
+    reliability = reliabilities[name]
+    publisher = node.create_publisher(String, name, _qos(reliability, _DEPTH[reliability]))
+    while payload := _next(connection):
+        publisher.handle.publish_raw(payload)
+
+
+def _next(connection: BinaryIO) -> bytes:
+    header = connection.read(_LENGTH.size)
+    return connection.read(*_LENGTH.unpack(header)) if header else b""
 
 
 def serve(domain: int, calls: list[list[str]]) -> None:
@@ -211,5 +258,5 @@ def _spin(node: Node) -> None:
 
 
 if __name__ == "__main__":
-    part = {"talk": talk, "listen": listen, "serve": serve, "call": call}[sys.argv[1]]
-    part(int(sys.argv[2]), [topic.split(":") for topic in sys.argv[3:]])
+    part = {each.__name__: each for each in (talk, listen, forward, publish, serve, call)}[sys.argv[1]]
+    part(int(sys.argv[2]), [each.split(":") for each in sys.argv[3:]])

@@ -16,6 +16,7 @@ from rsb_bridge.config.keys import generate
 from rsb_bridge.config.topic_rules import entry_problems
 from rsb_bridge.config.validation import validate
 from rsb_bridge.model.session import RANKS, Direction, Protocol, Session, Topic
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.velocity_limits import VelocityLimits
 
 if TYPE_CHECKING:
@@ -35,6 +36,8 @@ paths = st.lists(st.sampled_from(PARTS), min_size=1, max_size=4).map(lambda part
 names = st.sampled_from(["/scan", "/a/b", "/camera/**"]) | paths | st.text(max_size=8)
 numbers = st.none() | st.sampled_from([0.0, 1.0, 5.0, -1.0, 1e-9, 1e12, math.inf, math.nan])
 FIELDS: dict[str, st.SearchStrategy[Any]] = {
+    **{name: st.booleans() for name, key in TOPIC_KEYS.items() if key.value == "switch"},
+    **{name: numbers for name, key in TOPIC_KEYS.items() if key.value == "number"},
     "topic": names,
     "direction": st.sampled_from(get_args(Direction)),
     "type": st.sampled_from(TYPES) | st.text(max_size=8),
@@ -43,18 +46,9 @@ FIELDS: dict[str, st.SearchStrategy[Any]] = {
     "qos": st.sampled_from(QOS),
     "remote_topic": st.none() | names,
     "compression": st.none() | st.sampled_from(["none", "zstd"]),
-    "max_rate": numbers,
-    "expected_rate": numbers,
-    "stale_after": numbers,
-    "late_after": numbers,
-    "max_age": numbers,
-    "paused": st.booleans(),
-    "arm": st.booleans(),
-    "deadman": numbers,
     "on_end": st.none() | st.sampled_from(ENDS) | st.text(max_size=8),
     "limits": st.none() | st.builds(VelocityLimits, numbers, numbers),
     "kind": st.sampled_from(list(LISTS)),
-    "timeout": numbers,
     "priority": st.sampled_from(list(RANKS)),
     "excepts": st.lists(names, max_size=3).map(tuple) | st.just(("/a",) * 101),
 }
