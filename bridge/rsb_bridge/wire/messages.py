@@ -11,12 +11,13 @@ from rsb_bridge.model.benchmark import MOST_SIZE
 from rsb_bridge.model.calls import MOST_LANES
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
 from rsb_bridge.model.pictures import Wish
+from rsb_bridge.model.profiles import Compression
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Protocol
 from rsb_bridge.model.sources import MOST_SOURCES
 from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.wire.fields import (
     Bridges,
-    Compression,
     Count,
     DescriptionText,
     Hertz,
@@ -37,7 +38,6 @@ from rsb_bridge.wire.fields import (
     Seconds,
     Shift,
     StaleAfter,
-    Transport,
     ViewedTopics,
     check_limits,
 )
@@ -136,7 +136,7 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
     remote_topic: Name
     from_client: bool
     type: Name = ""
-    transport: Transport = "tcp"
+    transport: Protocol = "tcp"
     port: Port = 0
     qos: Qos | None = None
     compression: Compression = "none"
