@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import Request
     from rsb_bridge.route.age import MessageAge
     from rsb_bridge.route.arming import Arming
-    from rsb_bridge.route.calls.calls_outbox import CallsOutbox
     from rsb_bridge.route.lifecycle import PauseState
     from rsb_bridge.route.peer import CallBudget
     from rsb_bridge.route.rate_limit import AllowedRates
@@ -34,7 +33,7 @@ S = TypeVar("S")
 S_contra = TypeVar("S_contra", contravariant=True)
 
 
-class Sample(Protocol):
+class Gated(Protocol):
     """A message or a call, as gates see it."""
 
     @property
@@ -60,7 +59,7 @@ class Gate(Protocol[S_contra]):
         ...
 
 
-Gates: TypeAlias = "tuple[Gate[Sample], ...]"
+Gates: TypeAlias = "tuple[Gate[Gated], ...]"
 Check: TypeAlias = "Callable[[S, float], Refused | None]"
 """The `check` of a gate, or of several."""
 LastLook: TypeAlias = "Callable[[], Refused | None]"
@@ -107,7 +106,7 @@ class LeaseGate:
     def __init__(self, arming: Arming) -> None:
         self._arming = arming
 
-    def check(self, sample: Sample, _: float) -> Refused | None:
+    def check(self, sample: Gated, _: float) -> Refused | None:
         number, arming = sample.lease, self._arming
         if number >= arming.first and arming.lease is not None and arming.lease.passes(number):
             return None
@@ -120,7 +119,7 @@ class YoungGate:
     def __init__(self, age: MessageAge) -> None:
         self._age = age
 
-    def check(self, sample: Sample, _: float) -> Refused | None:
+    def check(self, sample: Gated, _: float) -> Refused | None:
         return None if self._age.is_young(sample.stamp) else Refused.TOO_OLD
 
 
@@ -130,7 +129,7 @@ class AgeGate:
     def __init__(self, age: MessageAge) -> None:
         self._age = age
 
-    def check(self, sample: Sample, _: float) -> Refused | None:
+    def check(self, sample: Gated, _: float) -> Refused | None:
         if (why := self._age.why_old(sample.stamp)) is None:
             return None
         self._age.expired(why, 1)
@@ -164,10 +163,19 @@ class CallRateGate:
         return None if self._bucket.take(1.0, now) else Refused.CALLS_A_SECOND
 
 
+class Carries(Protocol):
+    """What sends calls, as far as gates know it."""
+
+    @property
+    def largest(self) -> int:
+        """Bytes of the largest call that the transport carries."""
+        ...
+
+
 class SizeGate:
     """Passes requests that the transport carries."""
 
-    def __init__(self, outbox: CallsOutbox) -> None:
+    def __init__(self, outbox: Carries) -> None:
         self._outbox = outbox
 
     def check(self, request: Request, _: float) -> Refused | None:
@@ -193,14 +201,14 @@ def compose_when_switched(route: Route, compose: Callable[[], None]) -> None:
 # --- from the channel to ROS
 
 
-class Arrived(msgspec.Struct, gc=False):
+class GatedMessage(msgspec.Struct, gc=False):
     """A message of the other side's, as gates see it."""
 
     stamp: int
     lease: int
 
 
-NO_SAMPLE = Arrived(0, 0)
+NO_SAMPLE = GatedMessage(0, 0)
 """For gates that are asked of no sample in particular."""
 
 
@@ -249,7 +257,7 @@ class CallingGates(NamedTuple):
     leaving: Gates
 
 
-def calling_gates(route: Route, outbox: CallsOutbox, rate: CallRateGate, *, limited: bool) -> CallingGates:
+def calling_gates(route: Route, outbox: Carries, rate: CallRateGate, *, limited: bool) -> CallingGates:
     """Return the gates of calls from ROS to the channel."""
     fits, budget = SizeGate(outbox), BudgetGate(route.peer.budget.asked)
     if not limited:
