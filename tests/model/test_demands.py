@@ -260,6 +260,17 @@ def test_a_change_that_fails_drops_nothing() -> None:
     assert None not in map(running.demanded, ("/cmd", "/cmd_a", "/cmd_b", "/other")), "nor does the next change"
 
 
+def test_what_comes_and_goes_during_a_change_was_demanded() -> None:
+    """A reload adds an entry, and before it is through, the other side opens its route and removes it."""
+    running = Running()
+    with running.demands.changing("anna"):
+        running.edit(CMD)
+        assert running.demanded("/cmd") is not None
+        running.edit()
+    assert running.demanded("/cmd") is not None
+    assert running.armed == ("/cmd",)
+
+
 def test_a_drop_of_an_entry_that_stays_leaves_its_demand() -> None:
     running = Running(CMD)
     with running.demands.changing("anna"):

@@ -502,7 +502,6 @@ class RunningDemands:
 
     def keep(self, source: DemandSource) -> None:
         """Demand what an entry demands that cannot be added."""
-        self._read()
         self._keep([(source, source.name)])
         self.changed()
 
@@ -513,7 +512,10 @@ class RunningDemands:
             if present != before:  # it is equal after most changes, of which peers can cause many
                 new = lines_of(present)
                 self._keep(outliving(before, new))
-                self._note_who(new)
+                if self._who:
+                    known = self._places.keys() | {source.key for source in before}
+                    new_keys = (key for key, *_ in new if key not in known)
+                    self._changed_by = dict.fromkeys(new_keys, self._who) | self._changed_by
                 self._demands = Demands(self._present())
             self._is_stale, self._given = False, self._armed()
         return self._demands
@@ -536,11 +538,6 @@ class RunningDemands:
                 self._kept(old, self.origin(old))
             self._changed_by[source.key] = self._who or OriginText.PEER()
         self._set_armed(tuple(armed))
-
-    def _note_who(self, lines: Lines) -> None:
-        known = self._places.keys() | {source.key for source in self._demands.sources}
-        new = (key for key, *_ in lines if key not in known)
-        self._changed_by = (dict.fromkeys(new, self._who) if self._who else {}) | self._changed_by
 
     # --- changes by operators
 
