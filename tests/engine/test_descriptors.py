@@ -9,12 +9,14 @@ import os
 import resource
 import socket
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import pytest
 from tests.support import replaced
-from tests.support.bridge import happened, linked, now
+from tests.support.bridge import happened, linked, now, route
 from tests.support.domain import text
+from tests.support.inside import inside
 from tests.support.long import long
 from tests.support.ports import free_port
 from tests.support.rogue import Rogue
@@ -22,6 +24,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.control.remote_engine import RemoteEngine
+from rsb_bridge.link.connecting import Failure
 from rsb_bridge.link.server_link import PortDenied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
@@ -32,11 +35,14 @@ from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.transport import Acceptor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Awaitable, Callable, Iterator
 
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
     from tests.support.program import Programs
+
+    from rsb_bridge.link.client_link import ClientLink
+    from rsb_bridge.transport.transport import StreamTransport
 
 TOPICS = 100
 PORTS = 40
@@ -109,7 +115,6 @@ def test_the_program_takes_all_that_it_may_have(bridge: Bridge, programs: Progra
     assert resource.prlimit(program.pid, resource.RLIMIT_NOFILE) == (4096, 4096)
 
 
-# A client's streams do not always reach the limit at one moment: of 48 runs, 4 waited for that in vain.
 @pytest.mark.parametrize("side", ["server", *long("client")])
 def test_topics_beyond_the_limit(side: str, bridge: Bridge, programs: Programs) -> None:
     """Both sides show whose limit it is; the link, the other topics and other clients are served.
@@ -170,6 +175,76 @@ def test_one_client_that_takes_all_it_can_leaves_enough_for_the_next(
         operator.start()
         eventually(lambda: {link.name for link in operator.snapshot().links if link.state == "ok"} >= {"robot2"})
     assert not happened(client, EventCode.LINK_LOST)
+
+
+def test_half_a_pair_of_streams_holds_no_descriptor(
+    bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where descriptors are scarce, half a pair of each topic would be all that there is, and none would connect."""
+    out = robot.publisher("/scan")
+    port = free_port()
+    message = Scarcity.ROUTE_WITHOUT_STREAM(side="client", limit=150, remedy=MORE_DESCRIPTORS)
+    opened: list[bool] = []
+    open_stream: Callable[..., Awaitable[Failure | None]] = replaced.OPEN_DATA_STREAM.value
+
+    async def one_left(self: ClientLink, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
+        if large:
+            return Failure(message)
+        failure = await open_stream(self, transport, port, large=large)
+        opened.append(failure is None)
+        return failure
+
+    def carriers() -> list[int]:
+        links = [each for engine in (server, client) for each in inside(engine).links()]
+        return [len(each.carriers()) for each in links]
+
+    with monkeypatch.context() as short:
+        replaced.OPEN_DATA_STREAM.set(short, one_left)
+        server, client = bridge.both(Topic("/scan", "transmit", port=port))
+        eventually(lambda: message in route(client, "/scan").reason)
+        eventually(lambda: carriers() == [1, 1], what="nothing but the control connection is open")
+        eventually(lambda: opened.count(True) > 1, what="it is tried again from the beginning")
+    eventually(out.get_subscription_count, what="subscribed")
+    assert carriers() == [3, 3]
+    client.remove_topic(route(client, "/scan").key).result(60)
+    eventually(lambda: carriers() == [1, 1])
+
+
+def test_topics_that_begin_at_one_moment_share_what_descriptors_there_are(
+    bridge: Bridge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If all take their first one before any takes its second one, none has both, however often they try."""
+    ports = {free_port() for _ in range(8)} - {bridge.port}
+    topics = [Topic(f"/topic{port}", "transmit", type="std_msgs/msg/String", qos=1, port=port) for port in ports]
+
+    def left() -> int:
+        """Six, of which those that are being opened count, too."""
+        links = inside(client).links()
+        return 6 - sum(len(each.carriers()) - 1 for each in links if each.linked) - opening
+
+    opening, in_vain = 0, list[bool]()
+    open_stream: Callable[..., Awaitable[Failure | None]] = replaced.OPEN_DATA_STREAM.value
+
+    async def opens(self: ClientLink, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
+        nonlocal opening
+        if left() < 1:
+            in_vain.append(large)
+            return Failure("none is left")
+        opening += 1
+        try:
+            return await open_stream(self, transport, port, large=large)
+        finally:
+            opening -= 1
+
+    short = SimpleNamespace(left=left, scarce=lambda: False, scarcity_message=lambda _: "none is left")
+    replaced.OPEN_DATA_STREAM.set(monkeypatch, opens)
+    client = bridge.client(*topics)
+    replaced.CLIENTS_DESCRIPTORS.set(monkeypatch, short)
+    server = bridge.server(ports=tuple(ports))
+    eventually(lambda: sum(event.code == EventCode.ROUTE_CONNECTED for event in server.events()) >= 3)
+    eventually(lambda: [len(each.carriers()) for each in inside(client).links()] == [7])
+    eventually(lambda: any("none is left" in route.reason for route in now(client).routes))
+    assert in_vain == [], "whoever begins gets both"
 
 
 def test_a_client_opens_no_socket_for_datagrams_from_the_reserve(
