@@ -167,8 +167,8 @@ class EngineApi(ABC):
     def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
         return self.do(commands.Restart(), step)
 
-    def reload(self, *, dry_run: bool = False) -> Future[Reloaded]:
-        return self.do(commands.Reload(dry_run))
+    def reload(self, *, dry_run: bool = False, drop_arm: bool = False) -> Future[Reloaded]:
+        return self.do(commands.Reload(dry_run, drop_arm))
 
     def topics(self, link: str | None = None) -> Future[tuple[TopicInfo, ...]]:
         return self.do(commands.Topics(link))

@@ -290,7 +290,8 @@ def test_reload_says_what_has_changed_and_what_has_not(ran: Any, engine: Scripte
         "left": ["server_port 1 → 2: restart"],
         "failed": ["/b: y"],
     }
-    assert engine.commands == [("reload", False), ("reload", True), ("reload", False)]
+    ran("reload", "--drop-arm")
+    assert engine.commands == [("reload", False), ("reload", True), ("reload", False), ("reload", False, "drop_arm")]
 
 
 def test_a_topic_that_goes_both_ways_has_to_be_named_with_its_direction(ran: Any, engine: ScriptedEngine) -> None:

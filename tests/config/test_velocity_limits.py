@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from rsb_bridge.config.session_file import SessionError, demand_places, load_file, parse, save
-from rsb_bridge.model.demands import Demands, as_armed, sources_of
+from rsb_bridge.model.demands import Demands, as_armed, kept, lines_of, outliving, sources_of
 from rsb_bridge.model.session import ArmedName, Session, Topic
 from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_console.command.check import SessionCheckText, summary
@@ -137,10 +137,9 @@ def test_a_demand_for_arming_that_is_kept_keeps_its_limits() -> None:
     limited = Topic("/cmd", "receive", arm=True, limits=LIMITS)
     wider = Topic("/cmd", "transmit", arm=True, limits=VelocityLimits(0.6, 1.0))
     narrower = Topic("/cmd", "transmit", arm=True, limits=VelocityLimits(0.4, 1.0))
-    for after in ((), (wider,)):
-        (rest,) = demands(*after).missing(demands(limited).sources).values()
-        assert [as_armed(each) for each in rest] == [ArmedName("/cmd", limits=LIMITS)]
-    assert demands(narrower).missing(demands(limited).sources) == {}
+    for after in ((), (wider,), (narrower,)):
+        stay = outliving(demands(limited).sources, lines_of(demands(*after).sources))
+        assert [as_armed(kept(old, name)) for old, name in stay] == [ArmedName("/cmd", limits=LIMITS)]
 
 
 @pytest.mark.parametrize("text", ["{linear: 0.5, angular: 1}", "{linear: .5}"])

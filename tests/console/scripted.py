@@ -309,8 +309,8 @@ class ScriptedEngine(EngineApi):
                 for words in ("telling the peer", "sockets closed", "linked again"):
                     if step is not None:
                         step(words)
-            case commands.Reload(dry_run):
-                return self._done(self.reloads, "reload", dry_run)
+            case commands.Reload(dry_run, drop_arm):
+                return self._done(self.reloads, "reload", dry_run, *["drop_arm"] * drop_arm)
             case commands.History(seconds):
                 return self._done(replace(self.remembered, span=seconds), "history", seconds)
             case commands.Topics(link):

@@ -22,13 +22,17 @@ def test_what_differs_is_shown_before_anything_changes() -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("f6")
         await shown(pilot, "/scan (transmit): max_rate none → 5.0")
-        assert engine_of(app).commands == [("reload", True)]
+        assert engine_of(app).commands == [("reload", True, "drop_arm")]
         await pilot.press("n")
         await pilot.press("f6")
         await shown(pilot, "/scan (transmit): max_rate none → 5.0")
         await pilot.press("y")
         await shown(pilot, "reloaded")
-        assert engine_of(app).commands == [("reload", True), ("reload", True), ("reload", False)]
+        assert engine_of(app).commands == [
+            ("reload", True, "drop_arm"),
+            ("reload", True, "drop_arm"),
+            ("reload", False, "drop_arm"),
+        ]
 
     drive(app, steps)
 
@@ -44,7 +48,7 @@ def test_what_cannot_change_is_said() -> None:
         engine_of(app).reloads = Reloaded()
         await pilot.press("f6")
         await shown(pilot, OperationText.AS_IN_FILE)
-        assert engine_of(app).commands == [("reload", True), ("reload", True)]
+        assert engine_of(app).commands == [("reload", True, "drop_arm"), ("reload", True, "drop_arm")]
 
     drive(app, steps)
 

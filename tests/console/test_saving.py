@@ -185,7 +185,7 @@ def test_a_file_that_was_changed_on_disk_can_be_reloaded(folder: Path) -> None:
         await shown(pilot, OperationText.RELOAD)
         await pilot.press("y")
         await shown(pilot, "reloaded")
-        assert engine_of(app).commands == [("reload", True), ("reload", False)]
+        assert engine_of(app).commands == [("reload", True, "drop_arm"), ("reload", False, "drop_arm")]
 
     drive(app, steps)
     assert load(path) == later

@@ -53,6 +53,7 @@ RECORDED: tuple[tuple[c.AnyCommand, bytes], ...] = (
     (c.Restart(), b"\x81\xa2is\xa7restart"),
     (c.Reload(), b"\x81\xa2is\xa6reload"),
     (c.Reload(True), b"\x82\xa2is\xa6reload\xa7dry_run\xc3"),
+    (c.Reload(drop_arm=True), b"\x82\xa2is\xa6reload\xa8drop_arm\xc3"),
     (c.Topics(), b"\x81\xa2is\xa6topics"),
     (c.Topics("robot1"), b"\x82\xa2is\xa6topics\xa4link\xa6robot1"),
     (c.Peek("k"), b"\x82\xa2is\xa4peek\xa3key\xa1k"),

@@ -13,14 +13,14 @@ from tests.support.long import long_cases
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.session_file import save
+from rsb_bridge.config.session_file import load, save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import PEER_DEMANDS
 from rsb_bridge.model.session import ArmedName, Client, Topic
+from rsb_bridge.model.snapshot import Reloaded
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from rclpy.publisher import Publisher
     from tests.support.bridge import Bridge
@@ -300,28 +300,58 @@ def test_adding_a_demand_closes_what_is_open(bridge: Bridge, yard: Yard) -> None
     stays_demanded(yard, server, client)
 
 
-@pytest.mark.parametrize("side", ["client", "server"])
-def test_a_reload_names_what_it_drops(side: str, bridge: Bridge, yard: Yard, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("side", "way"),
+    [("client", "by name"), ("server", "pattern"), ("server", "armed"), *long_cases(("client", "armed"))],
+)
+def test_a_reload_drops_a_demand_only_if_an_operator_agrees(side: str, way: str, bridge: Bridge, yard: Yard) -> None:
+    """The file demands nothing any more, and neither it nor a restart of the links ends what was demanded."""
     yard.add("/cmd_vel")
-    server, client = bridge.both(Topic("/cmd_vel", "receive"), armed=("/cmd_vel",) if side == "server" else ())
+    yard.add("/free")
+    plain = Topic("/cmd_vel", "receive")
+    entries, armed = demanding(way, "/cmd_vel", "receive")
+    clients = (Client("robot1"),)
     if side == "client":
-        client.add_topic(Topic("/cmd*", "transmit", arm=True)).result(60)
+        server, engine = bridge.server(clients=clients), bridge.client(FREE, *(entries or (plain,)), armed=armed)
+        client, without = engine, bridge.client_session(FREE, plain)
+    else:
+        engine = server = bridge.server(clients=(Client("robot1", topics=entries),), armed=armed)
+        client, without = bridge.client(FREE, plain), bridge.server_session(clients=clients)
     eventually(lambda: set_up((server, client), "/cmd_vel"))
-    engine, other = (client, server) if side == "client" else (server, client)
-    path = bridge.folder / f"{side}.yaml"
-    patterns = [each for each in engine.session.topics if not each.is_pattern]
-    save(msgspec.structs.replace(engine.session, armed=(), topics=tuple(patterns)), path)
+    path = bridge.folder / "without.yaml"
+    save(without, path)
     engine.use_file(path)
+
     would = engine.reload(dry_run=True).result(30)
+    assert any("/cmd_" in each and "--drop-arm" in each for each in would.changed)
+    assert engine.reload().result(60) == would
+    engine.restart().result(60)
+    eventually(lambda: set_up((server, client), "/cmd_vel"))
+    stays_demanded(yard, server, client)
+    assert any("/cmd_" in str(each) for each in engine.session.armed)
+
+    would = engine.reload(dry_run=True, drop_arm=True).result(30)
     assert happened(engine, EventCode.OPERATOR_ARM_DROPPED) is None
-    assert engine.reload().result(30) == would
-    if side == "client":
-        assert "/cmd*" in would.changed[0]
-        assert happened(engine, EventCode.OPERATOR_ARM_DROPPED) is not None
-    if side == "server":
-        assert any("/cmd_vel" in each for each in would.changed)
-        eventually(lambda: happened(other, EventCode.OPERATOR_ARM_DROPPED))
-        assert required(client, "/cmd_vel")  # the client's session has the same list
+    assert engine.reload(drop_arm=True).result(60) == would
+    yard.publish_until({"/cmd_vel", "/free"})
+    for each in (server, client):
+        eventually(lambda each=each: happened(each, EventCode.OPERATOR_ARM_DROPPED))
+    assert engine.session == without
+    assert engine.reload(dry_run=True).result(30) == Reloaded()
+
+
+def test_a_saved_session_demands_what_its_removed_entry_did(bridge: Bridge, yard: Yard) -> None:
+    server, client = by_server(bridge, yard, COMMANDS)
+    server.remove_topic(route(server, "/cmd_vel").key).result(60)
+    path = bridge.folder / "saved.yaml"
+    save(server.session, path)
+    server.stop()
+    again = bridge.start(load(path))
+    assert again.session.armed == (ArmedName("/cmd_vel", deadman=0.0),)
+    client.add_topic(Topic("/cmd_vel", "receive")).result(60)
+    eventually(lambda: linked(client) and linked(again))
+    eventually(lambda: set_up((again, client), "/cmd_vel"))
+    stays_demanded(yard, again, client)
 
 
 def test_a_server_removes_a_client_and_keeps_what_it_demands(bridge: Bridge, yard: Yard) -> None:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
+import msgspec
 import pytest
 
 from rsb_bridge.model.demands import (
+    MOST_ARMED,
     Demand,
     Demands,
     OriginText,
     RunningDemands,
-    as_armed,
     describe,
     sources_of,
     sources_of_entries,
@@ -118,29 +119,181 @@ CMD = Topic("/cmd", "receive", arm=True)
 PATTERN = Topic("/cmd*", "receive", arm=True)
 
 
+class Entries:
+    """A link of a server, or a client's, with the entries of its side."""
+
+    def __init__(self, name: str, topics: tuple[Topic, ...]) -> None:
+        self.name, self.topics = name, topics
+        self.told: list[str] = []
+
+    def demand_sources(self) -> Iterator[DemandSource]:
+        return sources_of_entries(self.topics, self.name, on_server=bool(self.name), use_name=True)
+
+    def apply_demands(self) -> None:
+        pass
+
+    def demand_dropped(self, source: DemandSource) -> None:
+        self.told.append(source.name)
+
+
+class Running:
+    """The demands of a client's running session.
+
+    Attributes:
+        armed: the session's `armed`.
+        kept: names of which operators read that they stay demanded.
+        dropped: names of which operators read that their demand is dropped.
+    """
+
+    def __init__(self, *topics: Topic, armed: tuple[str | ArmedName, ...] = ()) -> None:
+        self.armed = armed
+        self.entries = Entries("", topics)
+        self.kept: list[str] = []
+        self.dropped: list[str] = []
+        self.demands = RunningDemands(
+            lambda: self.armed,
+            self._set_armed,
+            lambda: None,
+            lambda source, _: self.kept.append(source.name),
+            lambda source, _: self.dropped.append(source.name),
+        )
+        self.demands.register(self.entries)
+        self.demands.apply()
+
+    def _set_armed(self, armed: tuple[str | ArmedName, ...]) -> None:
+        self.armed = armed
+
+    def edit(self, *topics: Topic) -> None:
+        self.entries.topics = topics
+        self.demands.changed()
+
+    def drop(self, *names: str) -> None:
+        self.demands.drop({each: "" for each in self.demands.sources if each.name in names})
+
+    def demanded(self, name: str, kind: Kind = "topic") -> float | None:
+        """The deadman of a name that has to be armed, or None."""
+        found = self.demands.of(kind, name)
+        return found.deadman if found is not None and found.arm else None
+
+
 @pytest.mark.parametrize(
-    ("before", "after", "kept"),
+    ("before", "after", "armed"),
     [
         ((CMD,), (), ["/cmd"]),
         ((CMD,), (Topic("/cmd", "receive"),), ["/cmd"]),
+        ((CMD,), (Topic("/cmd", "receive", max_age=5.0),), ["/cmd"]),
         ((CMD,), (Topic("/cmd2", "receive", arm=True),), ["/cmd"]),
-        ((CMD,), (Topic("/cmd", "transmit", arm=True),), []),
+        ((CMD,), (Topic("/cmd", "transmit", arm=True),), ["/cmd"]),
         ((CMD,), (Topic("/cmd", "receive", kind="service", arm=True),), ["/cmd"]),
-        ((CMD,), (PATTERN,), []),
-        ((Topic("/cmd", "receive", arm=True, deadman=5.0),), (PATTERN,), [ArmedName("/cmd", deadman=5.0)]),
+        ((CMD,), (PATTERN,), ["/cmd"]),
+        ((Topic("/cmd", "receive", arm=True, deadman=5.0),), (), [ArmedName("/cmd", deadman=5.0)]),
+        ((CMD, Topic("/cmd", "transmit", arm=True)), (), ["/cmd"]),
         ((Topic("/cmd", "receive", arm=True, deadman=5.0),), (CMD,), []),
         ((PATTERN,), (), [ArmedName("/cmd*", "topic")]),
         ((PATTERN,), (Topic("/cmd*", "receive", arm=True, excepts=("/cmd_a",)),), ["/cmd_a"]),
-        ((PATTERN,), (Topic("/cmd*", "transmit", arm=True),), []),
+        ((PATTERN,), (Topic("/cmd*", "receive", arm=True, type="Twist"),), [ArmedName("/cmd*", "topic")]),
+        ((Topic("/c/*", "receive", arm=True, excepts=("/c/a",)),),
+         (Topic("/c/*", "receive", arm=True, excepts=("/c/a", "/c/b*")),), [ArmedName("/c/b*", "topic")]),
         ((PATTERN,), (Topic("/cmd_*", "receive", arm=True),), [ArmedName("/cmd*", "topic")]),
+        ((Topic("/cmd", "receive", max_age=5.0),), (), []),
     ],
-)
-def test_what_has_to_be_kept(before: tuple[Topic, ...], after: tuple[Topic, ...], kept: list[str | ArmedName]) -> None:
-    missing = client(*after).missing(client(*before).sources)
-    found = [as_armed(each) for rest in missing.values() for each in rest]
-    assert found == kept
-    whole = client(*after, armed=tuple(found))
-    assert whole.missing(client(*before).sources) == {}, "the kept demands cover the old ones"
+)  # fmt: skip
+def test_what_an_entry_demanded_stays(
+    before: tuple[Topic, ...], after: tuple[Topic, ...], armed: list[str | ArmedName]
+) -> None:
+    """A name once demanded stays so, whatever becomes of the entries; an edit may change the deadman."""
+    running = Running(*before)
+    names = [each for each in ("/cmd", "/cmd_a", "/cmd_x", "/c/b", "/c/x") if running.demanded(each) is not None]
+    running.edit(*after)
+    assert [each for each in names if running.demanded(each) is None] == []
+    running.demands.apply()
+    assert list(running.armed) == armed
+    running.edit()
+    assert [each for each in names if running.demanded(each) is None] == []
+
+
+def test_a_deadman_that_has_been_kept_is_not_made_longer_by_a_new_entry() -> None:
+    running = Running(Topic("/cmd", "receive", arm=True, deadman=5.0))
+    running.edit()
+    assert running.demanded("/cmd") == 5.0
+    running.edit(CMD)
+    assert running.demanded("/cmd") == 5.0
+
+
+def test_of_more_names_than_armed_takes_the_pattern_is_kept_as_a_whole() -> None:
+    running = Running(PATTERN, armed=tuple(f"/a{number}" for number in range(MOST_ARMED)))
+    running.edit(msgspec.structs.replace(PATTERN, excepts=("/cmd_a", "/cmd_b")))
+    assert running.demanded("/cmd_a") is not None
+    assert running.armed[MOST_ARMED:] == (ArmedName("/cmd*", "topic"),)
+
+
+def test_only_a_drop_ends_a_demand_and_at_the_end_of_the_change() -> None:
+    running = Running(CMD, armed=("/other",))
+    with running.demands.changing("anna"):
+        running.drop("/cmd")
+        assert running.entries.told == ["/cmd"]
+        running.edit()
+        assert running.demanded("/cmd") is not None, "not before the end"
+    assert running.demanded("/cmd") is None
+    assert (running.armed, running.kept, running.dropped) == (("/other",), [], ["/cmd"])
+    with running.demands.changing("anna"):
+        running.drop("/other")
+    assert (running.armed, running.dropped) == ((), ["/cmd", "/other"])
+
+
+def test_a_change_that_fails_drops_nothing() -> None:
+    running = Running(CMD, PATTERN, armed=("/other",))
+
+    def fail() -> None:
+        with running.demands.changing("anna"):
+            running.drop("/cmd", "/cmd*", "/other")
+            running.edit(msgspec.structs.replace(PATTERN, excepts=("/cmd_a",)))
+            assert running.demanded("/cmd_a") is not None
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        fail()
+    assert None not in map(running.demanded, ("/cmd", "/cmd_a", "/cmd_b", "/other"))
+    assert running.dropped == []
+    with running.demands.changing("berta"):
+        running.edit(PATTERN)
+    assert None not in map(running.demanded, ("/cmd", "/cmd_a", "/cmd_b", "/other")), "nor does the next change"
+
+
+def test_what_comes_and_goes_during_a_change_was_demanded() -> None:
+    """A reload adds an entry, and before it is through, the other side opens its route and removes it."""
+    running = Running()
+    with running.demands.changing("anna"):
+        running.edit(CMD)
+        assert running.demanded("/cmd") is not None
+        running.edit()
+    assert running.demanded("/cmd") is not None
+    assert running.armed == ("/cmd",)
+
+
+def test_a_drop_of_an_entry_that_stays_leaves_its_demand() -> None:
+    running = Running(CMD)
+    with running.demands.changing("anna"):
+        running.drop("/cmd")
+    assert running.demanded("/cmd") is not None
+    assert running.dropped == []
+
+
+def test_what_stays_beyond_another_session_s_lines_is_named_in_advance() -> None:
+    """An entry, a line of `armed`, and a name that a pattern leaves out; one with another deadman is edited."""
+    edited = Topic("/edit", "receive", arm=True, deadman=5.0)
+    running = Running(CMD, PATTERN, edited, armed=("/other", "/same"))
+    narrower = msgspec.structs.replace(PATTERN, excepts=("/cmd_a",))
+    other = client(narrower, msgspec.structs.replace(edited, deadman=60.0), armed=("/same",))
+    staying = running.demands.staying(other.sources)
+    assert sorted(each.name for each in staying) == ["/cmd", "/cmd_a", "/other"]
+    with running.demands.changing("anna"):
+        running.demands.drop(staying)
+        running.armed = ("/same",)
+        running.edit(narrower, msgspec.structs.replace(edited, deadman=60.0))
+    assert running.armed == ("/same",)
+    assert (running.demanded("/cmd_a"), running.demanded("/edit"), running.demanded("/other")) == (None, 60.0, None)
+    assert running.demanded("/cmd_b") is not None
 
 
 def test_the_line_is_named() -> None:
@@ -151,22 +304,6 @@ def test_the_line_is_named() -> None:
     )
     assert one.deadman == DEADMAN
     assert client(CMD).of("topic", "/cmd") == Demand(DEADMAN, 1.0, (one,))
-
-
-class Entries:
-    """A link of a server, with the entries of its client."""
-
-    def __init__(self, name: str, topics: tuple[Topic, ...]) -> None:
-        self.name, self.topics = name, topics
-
-    def demand_sources(self) -> Iterator[DemandSource]:
-        return sources_of_entries(self.topics, self.name, on_server=True, use_name=True)
-
-    def apply_demands(self) -> None:
-        pass
-
-    def demand_dropped(self, source: DemandSource) -> None:
-        pass
 
 
 def test_a_change_costs_a_server_of_many_robots_little() -> None:

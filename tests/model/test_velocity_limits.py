@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rsb_bridge.model.velocity_limits import VelocityLimits, is_as_small, smallest
+from rsb_bridge.model.velocity_limits import VelocityLimits, smallest
 
 
 def limits(linear: float | None = None, angular: float | None = None) -> VelocityLimits:
@@ -33,23 +33,6 @@ def test_a_line_counts_if_one_of_its_numbers_does() -> None:
     assert limits(angular=0.3).are_in(whole)
     assert not limits(0.6, 1).are_in(whole)
     assert not limits(0.6).are_in(limits(angular=1))
-
-
-@pytest.mark.parametrize(
-    ("new", "old", "expected"),
-    [
-        (None, None, True),
-        (None, limits(0.5), False),
-        (limits(0.5), None, True),
-        (limits(0.4, 1), limits(0.5), True),
-        (limits(0.4), limits(0.5, 1), False),
-        (limits(0.6), limits(0.5), False),
-    ],
-)
-def test_new_limits_that_allow_more_are_not_as_small(
-    new: VelocityLimits | None, old: VelocityLimits | None, expected: bool
-) -> None:
-    assert is_as_small(new, old) is expected
 
 
 def test_each_direction_has_the_same_limit() -> None:

@@ -171,7 +171,7 @@ def test_what_either_session_demands_never_crosses_unarmed(seed: int, play: Play
     lived(play, yard, yard.live(), _HOURS * 3600 + 60)
 
 
-def _forgotten(self: RunningDemands, sources: object, who: str) -> None:
+def _forgotten(self: RunningDemands, stay: object) -> None:
     """Replace edits by their old form, in which a removed entry takes its demand along."""
 
 

@@ -37,7 +37,7 @@ from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import operator
-from rsb_bridge.model.demands import Demands, sources_of
+from rsb_bridge.model.demands import DemandText, as_armed, sources_of
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
 from rsb_bridge.ros.known_messages import STRING, STRING_HASH, string_bytes
@@ -62,7 +62,6 @@ if TYPE_CHECKING:
     from rsb_bridge.link.name_watch import Follower
     from rsb_bridge.model.benchmark import BenchmarkStep
     from rsb_bridge.model.commands import Command, R
-    from rsb_bridge.model.demands import DemandSource
     from rsb_bridge.model.session import Client, Session
     from rsb_bridge.model.snapshot import RefusedClient
     from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RosInterface, Subscription
@@ -367,7 +366,7 @@ class Bridge:
         keys = {client.name: known[client.name] for client in session.accepted_clients}
         if shared := shared_key_problem(session, keys):
             raise LinkError(shared)
-        _, failed = await self._reload(session, keys, EventCode.OPERATOR_CLIENTS)
+        _, failed = await self._reload(session, keys)
         if failed:
             raise LinkError("; ".join(failed))
 
@@ -397,38 +396,43 @@ class Bridge:
         self._log.add(EventCode.OPERATOR_RESTARTED, "restarted: all links are closed and opened again")
         await self._role.restart(report)
 
-    async def reload(self, session: Session, keys: Keys, *, dry_run: bool) -> tuple[list[str], list[str]]:
+    async def reload(
+        self, session: Session, keys: Keys, *, dry_run: bool, drop_arm: bool = False
+    ) -> tuple[list[str], list[str]]:
         """Do what another session says.
 
         Args:
             session: differs from the present one in nothing that is fixed while the bridge runs.
             dry_run: only say what would change.
+            drop_arm: whether the demands to arm end that it does not make any more.
 
         Returns:
             What has changed, and what failed, in words.
         """
+        demands = self.context.demands
+        other = demands.staying(sources_of(session))
+        about = DemandText.DROPPED if drop_arm else DemandText.STAYS
+        texts = [about(name=source.name, origin=origin) for source, origin in other.items()]
+        first = [ReloadStep(text, lambda: None) for text in texts]
+        if not drop_arm:
+            session = msgspec.structs.replace(session, armed=(*session.armed, *map(as_armed, other)))
         if dry_run:
-            return [*self._dropped_by(session).values(), *(step.text for step in self._steps_to(session, keys))], []
+            return [step.text for step in (*first, *self._steps_to(session, keys))], []
+        if other and drop_arm:
+            first[0] = ReloadStep(texts[0], partial(demands.drop, other))
         await self._publishing.end_motions()
         self._arming.end_all(Disarmed.RELOADED)
-        return await self._reload(session, keys)
-
-    def _dropped_by(self, session: Session) -> dict[DemandSource, str]:
-        """Return the demands that another session no longer makes, each with a text for operators."""
-        demands = self.context.demands
-        return {
-            source: f"{source.name}: no longer has to be armed ({demands.origin(source)} demands it now)"
-            for source in Demands(sources_of(session)).missing(demands.sources)
-        }
+        return await self._reload(session, keys, first)
 
     async def _reload(
-        self, session: Session, keys: Keys, code: EventCode = EventCode.OPERATOR_RELOADED
+        self, session: Session, keys: Keys, first: Sequence[ReloadStep] | None = None
     ) -> tuple[list[str], list[str]]:
+        """Change to another session, for a command about clients, or with the first steps of a reload."""
         steps = self._steps_to(session, keys)
+        code = EventCode.OPERATOR_CLIENTS if first is None else EventCode.OPERATOR_RELOADED
         done: list[str] = []
         failed: list[str] = []
-        is_reload = code is EventCode.OPERATOR_RELOADED
-        why = f"reload by {operator()}: " if is_reload else ""
+        why = f"reload by {operator()}: " if first is not None else ""
 
         def take(step: ReloadStep) -> None:
             try:
@@ -443,11 +447,8 @@ class Bridge:
                 self.context.events.add(Level.INFO, code, f"{why}{step.text}{undo_mark()}", who=operator())
 
         with self.context.demands.changing(operator()):
-            dropped = self._dropped_by(session) if is_reload else {}
             self.context.session = session
-            permit = self.context.demands.permit
-            dropping = [ReloadStep(text, partial(permit, [source])) for source, text in dropped.items()]
-            await in_slices([*dropping, *steps], take)
+            await in_slices([*(first or ()), *steps], take)
         return done, failed
 
     def _steps_to(self, session: Session, keys: Keys) -> list[ReloadStep]:

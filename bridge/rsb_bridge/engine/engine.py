@@ -361,7 +361,7 @@ class Engine(EngineApi):
         bridge.handlers |= {
             AddClient: lambda command: self._put_client(bridge.add_client, command.client),
             ChangeClient: lambda command: self._put_client(bridge.change_client, command.client),
-            Reload: lambda command: self._reload(bridge, dry_run=command.dry_run),
+            Reload: lambda command: self._reload(bridge, command),
         }
         self._bridge = bridge
         loop.set_exception_handler(bridge.internal_error)
@@ -397,8 +397,8 @@ class Engine(EngineApi):
         """Return the folder of the session file."""
         return self._base if self._file is None else self._file.parent
 
-    async def _reload(self, bridge: Bridge, *, dry_run: bool) -> Reloaded:
-        who = operator()
+    async def _reload(self, bridge: Bridge, command: Reload) -> Reloaded:
+        dry_run, who = command.dry_run, operator()
         try:
             path, session, left = await asyncio.to_thread(self._read_again)
             places = await asyncio.to_thread(demand_places, path)
@@ -410,7 +410,7 @@ class Engine(EngineApi):
             raise
         if not dry_run:
             self.access.warn_of(keys, granted)
-        done, failed = await bridge.reload(session, keys, dry_run=dry_run)
+        done, failed = await bridge.reload(session, keys, dry_run=dry_run, drop_arm=command.drop_arm)
         if not dry_run:
             self._places = places
             bridge.context.demands.set_places(places)

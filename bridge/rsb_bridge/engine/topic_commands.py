@@ -222,7 +222,7 @@ class TopicCommands:
         if others or (not own and route is not None and route.arming.required):
             lines = ", ".join(map(demands.origin, others)) or PEER_DEMANDS
             raise LinkError(f"{name} still has to be armed: {lines} demands it, too; change that instead")
-        demands.permit(own)
+        demands.drop({each: demands.origin(each) for each in own})
         if route is not None and (listed := link.table.superseded.get(route.key)) is not None:
             link.table.superseded[route.key] = msgspec.structs.replace(listed, arm=False, deadman=None)
 

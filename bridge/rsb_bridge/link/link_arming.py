@@ -264,7 +264,7 @@ class LinkArming:
         """Keep the demand of an entry that is not added because the other side bridges the same."""
         key, max_age = ("", route.local_topic), default_max_age(topic.max_age, armed=True)
         source = DemandSource(key, route.local_topic, topic.deadman_seconds, max_age=max_age, limits=topic.limits)
-        self._context.demands.keep(source, acting_operator())
+        self._context.demands.keep(source)
 
     def demand_dropped(self, source: DemandSource) -> None:
         """Tell the other side that an operator of this side drops a demand on names of its routes."""

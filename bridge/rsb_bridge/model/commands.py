@@ -268,10 +268,12 @@ class Reload(Command[Reloaded], frozen=True, tag="reload"):
 
     Attributes:
         dry_run: whether to report only, and change nothing.
+        drop_arm: whether an operator has agreed to end the demands to arm that the file does not make any more.
     """
 
     one_at_a_time = True
     dry_run: bool = False
+    drop_arm: bool = False
 
 
 class Topics(Command[tuple[TopicInfo, ...]], frozen=True, tag="topics"):

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import chain
 from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
-
-import msgspec
 
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.names import expand_type_name, server_topic
-from rsb_bridge.model.on_end import NONE, more_careful, suits, text_of
+from rsb_bridge.model.on_end import more_careful, suits, text_of
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import DEADMAN, ArmedName, Client, Identity, Kind, Session, Topic
-from rsb_bridge.model.velocity_limits import VelocityLimits, is_as_small, smallest
+from rsb_bridge.model.velocity_limits import VelocityLimits, smallest
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
 PEER_DEMANDS: Final = "the other side's session"
 """The origin of a demand that the other side makes."""
@@ -34,6 +33,13 @@ class OriginText(Wording):
     KEPT = "kept since a change by {who}"
     PATTERN = "pattern {pattern} {place}"
     PATTERN_IN_FILE = "pattern {pattern} in {place}"
+
+
+class DemandText(Wording):
+    """What becomes of a demand that a session file does not make any more, for operators."""
+
+    DROPPED = "{name}: its demand to be armed ends ({origin})"
+    STAYS = "{name}: still has to be armed ({origin}): reload with --drop-arm ends that"
 
 
 _KINDS_OF_SERVICES: Final[tuple[Kind, ...]] = ("action", "parameters")
@@ -250,46 +256,6 @@ class Demands:
             if not any(_matches(each, name) for each in source.excepts):
                 yield source
 
-    def _covers(self, old: DemandSource) -> bool:
-        """Whether every name of a source is demanded by one of these, at least as carefully."""
-        if old.is_pattern:
-            found: Iterable[DemandSource] = (
-                new for *_, new in self._patterns if new.name == old.name and set(new.excepts) <= set(old.excepts)
-            )
-        else:
-            found = self._matching(old.kind, old.name)
-        return any(
-            new.key == old.key
-            or (
-                _is_as_short(new.deadman, old.deadman)
-                and _is_as_short(new.max_age or 0.0, old.max_age or 0.0)
-                and (new.on_end == old.on_end or old.on_end in ("", NONE))
-                and is_as_small(new.limits, old.limits)
-            )
-            for new in found
-            if new.arm and new.kind in (None, old.kind) and new.type in ("", old.type)
-        )
-
-    def missing(self, old: Iterable[DemandSource]) -> dict[DemandSource, tuple[DemandSource, ...]]:
-        """Return the sources whose demand for arming these do not cover, each with sources that demand the rest."""
-        by_key = {source.key: source for source in self.sources if source.arm}
-        unchanged = set(self.sources)
-        found: dict[DemandSource, tuple[DemandSource, ...]] = {}
-        for source in old:
-            if not source.arm or source in unchanged or self._covers(source):
-                continue
-            whole = kept_whole(source)
-            new = by_key.get(source.key)
-            same = new is not None and (new.name, new.kind, new.type) == (source.name, source.kind, source.type)
-            if new is None or not (same and source.is_pattern):
-                found[source] = (whole,)
-                continue
-            left_out = [_on_this_side(each, source) for each in new.excepts if each not in source.excepts]
-            rest = [whole] if None in left_out else [_kept(source, each) for each in left_out if each]
-            if rest := [each for each in rest if not self._covers(each)]:
-                found[source] = tuple(rest)
-        return found
-
 
 def demand_on_entry(demands: Demands, session: Session, client: Client | None, topic: Topic) -> Demand:
     """Return the demand on the name of an entry, which is no pattern.
@@ -303,28 +269,44 @@ def demand_on_entry(demands: Demands, session: Session, client: Client | None, t
     return demands.of(topic.kind, name, topic.type, client=owner, client_name=topic.topic) or NO_DEMAND
 
 
-def _kept(source: DemandSource, name: str) -> DemandSource:
+Lines: TypeAlias = "dict[tuple[SourceKey, str, str], DemandSource]"
+"""Lines that demand arming, by their keys, names on this side and types. What else they say can be edited."""
+
+
+def lines_of(sources: Iterable[DemandSource]) -> Lines:
+    """Return the sources that demand arming."""
+    return {_line(source): source for source in sources if source.arm}
+
+
+def _line(source: DemandSource) -> tuple[SourceKey, str, str]:
+    return source.key, source.name, source.type
+
+
+def outliving(before: Iterable[DemandSource], new: Lines) -> Iterator[tuple[DemandSource, str]]:
+    """Yield the demands for arming that stay although these lines do not make them: a source, and the name.
+
+    A line that is still there may say anything else, except that it leaves out further names.
+    """
+    for source in before:
+        if not source.arm:
+            continue
+        if (now := new.get(_line(source))) is None:
+            yield source, source.name
+        else:
+            names = (name for name in now.excepts if name not in source.excepts)
+            yield from ((source, _on_this_side(name, source) or source.name) for name in names)
+
+
+def kept(source: DemandSource, name: str) -> DemandSource:
     """Return a source for `armed` that demands a name, as carefully as another source."""
-    max_age = _unless(source.max_age, ARMED)
-    deadman = _unless(source.deadman, DEADMAN)
-    entry = ArmedName(name, deadman=deadman, max_age=max_age, on_end=source.on_end or None, limits=source.limits)
-    if is_pattern(name):
-        entry = msgspec.structs.replace(entry, kind=source.kind, type=source.type or None)
-    return next(sources_of_names([entry]))
+    has_kind = is_pattern(name) or isinstance(source.key[1], str)
+    kind, type_name = (source.kind, source.type) if has_kind else (None, "")
+    new = replace(source, name=name, kind=kind, type=type_name, on_client="", excepts=())
+    return next(sources_of_names([as_armed(new)]))
 
 
 def _unless(seconds: float | None, default: float) -> float | None:
     return None if seconds == default else seconds
-
-
-def _is_as_short(new: float, old: float) -> bool:
-    """Whether a limit is at least as short as another one; 0 means no limit."""
-    return not old or 0 < new <= old
-
-
-def kept_whole(source: DemandSource) -> DemandSource:
-    """Return a source for `armed` that demands all that another one does."""
-    return _kept(source, source.name)
 
 
 def as_armed(source: DemandSource) -> str | ArmedName:
@@ -451,14 +433,15 @@ class Holder(Protocol):
 
 
 class RunningDemands:
-    """Demands from the entries of all links and from the session's `armed`.
+    """What has to be armed now: each entry adds its demand, and only an operator drops one.
 
-    An entry that changes or goes leaves its demand behind, in `armed`, unless an operator has dropped the demand.
+    An entry that is edited stands for itself. If it goes, or its name changes, its demand stays, as a line of `armed`.
+    Lines without `arm` go with their entries.
 
     Args:
         armed: returns the running session's `armed`.
         soon: has `apply` called soon.
-        kept: is called with a source that is kept in `armed`, and its origin.
+        kept: is called with a source whose entry is gone, and its origin.
         dropped: is called with a source that an operator has dropped, and its origin.
     """
 
@@ -476,12 +459,13 @@ class RunningDemands:
         self._kept = kept
         self._dropped = dropped
         self._holders: list[Holder] = []
-        self._settled = Demands()
+        self._demands = Demands()
         self._given: tuple[str | ArmedName, ...] = ()
+        self._applied: tuple[DemandSource, ...] | None = ()
         self._is_stale = True
-        self._is_due = self._differs = False
-        self._depth = 0
-        self._permitted: set[DemandSource] = set()
+        self._is_due = self._is_changing = False
+        self._who = ""
+        self._dropping: dict[DemandSource, str] = {}
         self._places: Mapping[SourceKey, str] = {}
         self._changed_by: dict[SourceKey, str] = {}
 
@@ -509,109 +493,112 @@ class RunningDemands:
         self, kind: Kind, name: str, type_name: str = "", *, client: str = "", client_name: str = ""
     ) -> Demand | None:
         """Return the present demand on a name; `Demands.of` has the same arguments."""
-        if self._depth and (self._is_stale or self._given != self._armed()):  # unfinished: drops nothing yet
-            demands = Demands((*self._settled.sources, *self._present()))
-        else:
-            self._settle()
-            demands = self._settled
-        return demands.of(kind, name, type_name, client=client, client_name=client_name)
+        return self._read().of(kind, name, type_name, client=client, client_name=client_name)
 
     @property
     def sources(self) -> tuple[DemandSource, ...]:
-        """The lines that demand arming now."""
-        self._settle()
-        return self._settled.sources
+        """The lines that demand anything now."""
+        return self._read().sources
 
-    def keep(self, source: DemandSource, who: str) -> None:
-        """Demand what an entry demands that cannot be added; `who` wants it."""
-        self._keep([source], who)
+    def keep(self, source: DemandSource) -> None:
+        """Demand what an entry demands that cannot be added."""
+        self._keep([(source, source.name)])
         self.changed()
+
+    def _read(self) -> Demands:
+        """Take in what has changed. Whatever it says, nothing that was demanded gets lost."""
+        if self._is_stale or self._given is not self._armed():
+            before, present = self._demands.sources, self._present()
+            if present != before:  # it is equal after most changes, of which peers can cause many
+                new = lines_of(present)
+                self._keep(outliving(before, new))
+                if self._who:
+                    known = self._places.keys() | {source.key for source in before}
+                    new_keys = (key for key, *_ in new if key not in known)
+                    self._changed_by = dict.fromkeys(new_keys, self._who) | self._changed_by
+                self._demands = Demands(self._present())
+            self._is_stale, self._given = False, self._armed()
+        return self._demands
+
+    def _present(self) -> tuple[DemandSource, ...]:
+        entries = chain.from_iterable(holder.demand_sources() for holder in self._holders)
+        return tuple(dict.fromkeys((*sources_of_names(self._armed()), *entries)))
+
+    def _keep(self, stay: Iterable[tuple[DemandSource, str]]) -> None:
+        """Demand names in `armed`, each as carefully as a source."""
+        armed = list(self._armed())
+        known = set(sources_of_names(armed))
+        for old, name in stay:
+            source = kept(old, old.name if len(armed) >= MOST_ARMED else name)
+            if source in known:
+                continue
+            known.add(source)
+            armed.append(as_armed(source))
+            if not self._dropping.keys() & {old, source}:
+                self._kept(old, self.origin(old))
+            self._changed_by[source.key] = self._who or OriginText.PEER()
+        self._set_armed(tuple(armed))
 
     # --- changes by operators
 
     @contextlib.contextmanager
     def changing(self, who: str) -> Iterator[None]:
-        """Change entries: demands that are gone at the end, and not permitted to go, are kept.
+        """Change entries. What `drop` is given meanwhile is dropped at the end, unless the change fails.
 
         Args:
             who: makes the change, in words.
         """
-        self._settle()
-        known, armed = {source.key for source in self._settled.sources}, self._armed()
-        self._depth += 1
+        self._read()
+        self._who, self._is_changing = who, True
         try:
             yield
-        except BaseException:
-            self._permitted.clear()
-            self._set_armed(tuple(dict.fromkeys((*self._armed(), *armed))))
-            raise
+            self._forget()
         finally:
-            self._depth -= 1
-            if not self._depth:
-                self._settle(who)
-                known |= self._places.keys() | self._changed_by.keys()
-                new = (each.key for each in self._settled.sources if each.key not in known)
-                self._changed_by |= dict.fromkeys(new, who)
-                self.apply()
+            self._dropping = {}
+            self._read()
+            self._who, self._is_changing = "", False
+            self.apply()
 
-    def permit(self, sources: Collection[DemandSource]) -> None:
-        """Let demands go in the present change, as an operator has agreed to by name.
+    def staying(self, sources: Iterable[DemandSource]) -> dict[DemandSource, str]:
+        """Return what would be kept if these lines replaced the present ones, each with the origin of its demand."""
+        new = lines_of(sources)
+        found = {kept(old, name): self.origin(old) for old, name in outliving(self.sources, new)}
+        return {source: origin for source, origin in found.items() if _line(source) not in new}
+
+    def drop(self, sources: Mapping[DemandSource, str]) -> None:
+        """Let demands go at the end of the present change, as an operator has agreed to by name.
 
         The other side learns of it now, before the change closes the routes: nothing may refuse the change after this.
+
+        Args:
+            sources: the demands, each with its origin.
         """
-        self._permitted.update(sources)
-        gone = {as_armed(each) for each in sources}
-        self._set_armed(tuple(each for each in self._armed() if each not in gone))
+        self._dropping |= sources
         for source in sources:
             for holder in self._holders:
                 holder.demand_dropped(source)
+
+    def _forget(self) -> None:
+        """Drop what is to be dropped, and is not in an entry any more."""
+        self._read()
+        gone = {_line(each) for old in self._dropping for each in (old, kept(old, old.name))}
+        self._demands = Demands(source for source in self._demands.sources if _line(source) not in gone)
+        self._set_armed(tuple(each for each in self._armed() if _line(*sources_of_names([each])) not in gone))
         self.changed()
+        still = set(self._read().sources)
+        for source, origin in self._dropping.items():
+            if source not in still:
+                self._dropped(source, origin)
 
     def apply(self) -> None:
         """Reopen the routes whose demands have changed."""
-        if self._depth or not self._is_due:
+        if self._is_changing or not self._is_due:
             return
-        self._settle()
-        differs, self._is_due, self._differs = self._differs, False, False
-        for holder in tuple(self._holders) if differs else ():
-            holder.apply_demands()
-
-    def _present(self) -> Iterator[DemandSource]:
-        yield from sources_of_names(self._armed())
-        for holder in self._holders:
-            yield from holder.demand_sources()
-
-    def _settle(self, who: str = "") -> None:
-        """Take in what has changed, and keep what would be lost by that."""
-        if self._depth or not (self._is_stale or self._given != self._armed()):
-            return
-        self._is_stale = False
-        permitted, self._permitted = self._permitted, set()
-        present = tuple(dict.fromkeys(self._present()))
-        if present == self._settled.sources:  # as after most changes, of which peers can cause many
-            self._given = self._armed()
-            return
-        now, armed = Demands(present), self._armed()
-        for source, rest in now.missing(self._settled.sources).items():
-            origin = self.origin(source)
-            if source in permitted:
-                self._dropped(source, origin)
-            else:
-                is_full = len(self._armed()) + len(rest) > MOST_ARMED
-                self._keep((kept_whole(source),) if is_full else rest, who)
-                self._kept(source, origin)
-        self._given = self._armed()
-        before, self._settled = self._settled, now if self._given == armed else Demands(self._present())
-        self._differs |= before.sources != self._settled.sources
-
-    def _keep(self, sources: Iterable[DemandSource], who: str) -> None:
-        armed = self._armed()
-        for source in sources:
-            if (entry := as_armed(source)) not in armed:
-                armed = (*armed, entry)
-                (new,) = sources_of_names([entry])
-                self._changed_by[new.key] = who or OriginText.PEER()
-        self._set_armed(armed)
+        self._is_due = False
+        if (sources := self.sources) != self._applied:
+            self._applied = sources
+            for holder in tuple(self._holders):
+                holder.apply_demands()
 
     # --- where the lines are
 
@@ -619,7 +606,7 @@ class RunningDemands:
         """Take the lines of a session file, by their entries."""
         self._places = places
         self._changed_by = {key: who for key, who in self._changed_by.items() if key not in places}
-        self._differs = True
+        self._applied = None  # routes have to name the lines again
         self.changed()
 
     def origin(self, source: DemandSource) -> str:

@@ -67,10 +67,5 @@ def smallest(limits: Iterable[VelocityLimits | None]) -> VelocityLimits | None:
     )
 
 
-def is_as_small(new: VelocityLimits | None, old: VelocityLimits | None) -> bool:
-    """Whether new limits allow nothing that the old ones don't."""
-    return old is None or smallest((new, old)) == new
-
-
 def _reduced(speed: float, limit: float | None) -> float:
     return speed if limit is None else max(-limit, min(limit, speed))

@@ -251,7 +251,7 @@ def _restart(arguments: Namespace) -> int:
 
 def _reload(arguments: Namespace) -> int:
     with attached(arguments) as engine:
-        reloaded = result(engine.reload(dry_run=arguments.dry_run))
+        reloaded = result(engine.reload(dry_run=arguments.dry_run, drop_arm=arguments.drop_arm))
     if arguments.json:
         is_done = not (reloaded.left or reloaded.failed)
         print_line(json_line({"ok": is_done, "dry_run": arguments.dry_run, **asdict(reloaded)}))

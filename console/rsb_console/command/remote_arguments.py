@@ -223,6 +223,7 @@ def add_remote_commands(
     remote("restart", "close the links on both sides and open them again")
     reload = remote("reload", "read the session file again, and change only what differs", _EXIT_RELOAD)
     reload.add_argument("--dry-run", action="store_true", help="only print what would change")
+    _drop_arm(reload, "also drop the demands to arm that the file does not make any more; otherwise they stay")
     _add_looking(remote, complete)
     remote("stop", "end a running bridge, and wait until it has ended")
 

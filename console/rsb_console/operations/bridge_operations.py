@@ -306,7 +306,7 @@ class BridgeOperations:
         if engine is None:
             return
         try:
-            differs = await asyncio.wrap_future(engine.reload(dry_run=True))
+            differs = await asyncio.wrap_future(engine.reload(dry_run=True, drop_arm=True))
         except EngineError as error:
             self._console.notify(str(error), title="Not reloaded", severity="error", markup=False, timeout=15)
             return
@@ -320,7 +320,7 @@ class BridgeOperations:
             message = "\n".join(lines[:_LINES_SHOWN] + more)
             agreed = await self._console.ask(ConfirmScreen(OperationText.RELOAD(), message, "Reload"))
             path = self._console.path
-            if agreed and await self._console.command(engine.reload(), "reloaded") and path is not None:
+            if agreed and await self._console.command(engine.reload(drop_arm=True), "reloaded") and path is not None:
                 self._console.saved_to(engine.session, path)
 
     async def restart(self) -> None:
