@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import Request
     from rsb_bridge.route.age import MessageAge
     from rsb_bridge.route.arming import Arming
-    from rsb_bridge.route.calls.calls_outbox import CallsOutbox
     from rsb_bridge.route.lifecycle import PauseState
     from rsb_bridge.route.peer import CallBudget
     from rsb_bridge.route.rate_limit import AllowedRates
@@ -164,10 +163,19 @@ class CallRateGate:
         return None if self._bucket.take(1.0, now) else Refused.CALLS_A_SECOND
 
 
+class Carrier(Protocol):
+    """What sends requests."""
+
+    @property
+    def largest(self) -> int:
+        """Bytes of the longest request that it carries."""
+        ...
+
+
 class SizeGate:
     """Passes requests that the transport carries."""
 
-    def __init__(self, outbox: CallsOutbox) -> None:
+    def __init__(self, outbox: Carrier) -> None:
         self._outbox = outbox
 
     def check(self, request: Request, _: float) -> Refused | None:
@@ -249,7 +257,7 @@ class CallingGates(NamedTuple):
     leaving: Gates
 
 
-def calling_gates(route: Route, outbox: CallsOutbox, rate: CallRateGate, *, limited: bool) -> CallingGates:
+def calling_gates(route: Route, outbox: Carrier, rate: CallRateGate, *, limited: bool) -> CallingGates:
     """Return the gates of calls from ROS to the channel."""
     fits, budget = SizeGate(outbox), BudgetGate(route.peer.budget.asked)
     if not limited:
