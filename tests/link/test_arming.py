@@ -27,7 +27,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.arming import ANSWERED_WITHIN, CONSOLE_SILENT_AFTER, DISARM_TEXT, PEER_GRACE, Disarmed
 from rsb_bridge.route.blocking_rules import blocked
-from rsb_bridge.route.gates import Arrived, LeaseGate
+from rsb_bridge.route.gates import GatedMessage, LeaseGate
 from rsb_bridge.route.lease import LASTS, SLOW
 from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.wire.messages import Arm, Armed, Close, Describe, Disarm, Lease, Pause, Propose, Provide
@@ -135,13 +135,13 @@ def test_a_message_from_before_it_was_armed_is_not_published(at: int, pair: Pair
     assert lease is not None
     before = lease.number
     gate = LeaseGate(route(receiving).arming)
-    assert gate.check(Arrived(0, before), 0.0) is None
+    assert gate.check(GatedMessage(0, before), 0.0) is None
     pair[at].table.arming.disarm(route(pair[at]), Disarmed.OPERATOR)
     hear_all(pair)
     arm(pair[at], loop).result()
     assert lease.passes(before)
-    assert gate.check(Arrived(0, before), 0.0) is Refused.DISARMED
-    assert gate.check(Arrived(0, lease.number), 0.0) is None
+    assert gate.check(GatedMessage(0, before), 0.0) is Refused.DISARMED
+    assert gate.check(GatedMessage(0, lease.number), 0.0) is None
 
 
 def command(side: Side, loop: VirtualLoop, *, take: bool = False) -> asyncio.Task[None]:

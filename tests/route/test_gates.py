@@ -22,9 +22,9 @@ from rsb_bridge.route.gates import (
     NO_SAMPLE,
     AgeGate,
     ArmedGate,
-    Arrived,
     BudgetGate,
     CallRateGate,
+    GatedMessage,
     LeaseGate,
     PauseGate,
     RateGate,
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.route.gates import Gate, Sample
+    from rsb_bridge.route.gates import Gate, Gated
     from rsb_bridge.route.incoming import IncomingRoute
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.framing import Message
@@ -66,9 +66,9 @@ def leased(arming: Arming, context: Context) -> LeaseHalf:
     return lease
 
 
-def taken(number: int) -> Arrived:
+def taken(number: int) -> GatedMessage:
     """Return a message that was taken from ROS under a number of the lease."""
-    return Arrived(0, number)
+    return GatedMessage(0, number)
 
 
 # --- each alone
@@ -108,9 +108,9 @@ def test_the_age_gate_counts_by_cause(make_context: Callable[..., Context]) -> N
     age = MessageAge(context, FakePeer())
     age.settle((0.5,), armed=False)
     gate, now = AgeGate(age), context.stamps.now()
-    assert gate.check(Arrived(now, 0), 0.0) is None
+    assert gate.check(GatedMessage(now, 0), 0.0) is None
     assert age.total == 0
-    assert gate.check(Arrived(now - SECOND, 0), 0.0) is Refused.TOO_OLD
+    assert gate.check(GatedMessage(now - SECOND, 0), 0.0) is Refused.TOO_OLD
     age.tick(1, 1.0)
     age.tick(2, 2.0)
     assert age.total == 1
@@ -134,8 +134,8 @@ def test_the_young_gate_asks_the_clock_of_the_side_that_took_it(make_context: Ca
     age = MessageAge(context, FakePeer())
     age.settle((0.5,), armed=False)
     gate, now = YoungGate(age), context.stamps.now()
-    assert gate.check(Arrived(now - SECOND // 4, 0), 0.0) is None
-    assert gate.check(Arrived(now - SECOND, 0), 0.0) is Refused.TOO_OLD
+    assert gate.check(GatedMessage(now - SECOND // 4, 0), 0.0) is None
+    assert gate.check(GatedMessage(now - SECOND, 0), 0.0) is Refused.TOO_OLD
 
 
 def test_the_pause_gate_asks_each_time() -> None:
@@ -173,7 +173,7 @@ class _Shut:
         self._why = why
         self._asked = asked
 
-    def check(self, _: Sample, __: float) -> Refused | None:
+    def check(self, _: Gated, __: float) -> Refused | None:
         self._asked.append(self._why)
         return self._why
 
@@ -181,7 +181,7 @@ class _Shut:
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_the_first_reason_counts_and_no_later_gate_is_asked(count: int) -> None:
     asked: list[Refused | None] = []
-    gates: tuple[Gate[Sample], ...] = tuple(_Shut(None, asked) for _ in range(count - 1))
+    gates: tuple[Gate[Gated], ...] = tuple(_Shut(None, asked) for _ in range(count - 1))
     check = chained((*gates, _Shut(Refused.TOO_OLD, asked), _Shut(Refused.PAUSED, asked)))
     assert check is not None
     assert check(NO_SAMPLE, 0.0) is Refused.TOO_OLD

@@ -33,7 +33,7 @@ S = TypeVar("S")
 S_contra = TypeVar("S_contra", contravariant=True)
 
 
-class Sample(Protocol):
+class Gated(Protocol):
     """A message or a call, as gates see it."""
 
     @property
@@ -59,7 +59,7 @@ class Gate(Protocol[S_contra]):
         ...
 
 
-Gates: TypeAlias = "tuple[Gate[Sample], ...]"
+Gates: TypeAlias = "tuple[Gate[Gated], ...]"
 Check: TypeAlias = "Callable[[S, float], Refused | None]"
 """The `check` of a gate, or of several."""
 LastLook: TypeAlias = "Callable[[], Refused | None]"
@@ -106,7 +106,7 @@ class LeaseGate:
     def __init__(self, arming: Arming) -> None:
         self._arming = arming
 
-    def check(self, sample: Sample, _: float) -> Refused | None:
+    def check(self, sample: Gated, _: float) -> Refused | None:
         number, arming = sample.lease, self._arming
         if number >= arming.first and arming.lease is not None and arming.lease.passes(number):
             return None
@@ -119,7 +119,7 @@ class YoungGate:
     def __init__(self, age: MessageAge) -> None:
         self._age = age
 
-    def check(self, sample: Sample, _: float) -> Refused | None:
+    def check(self, sample: Gated, _: float) -> Refused | None:
         return None if self._age.is_young(sample.stamp) else Refused.TOO_OLD
 
 
@@ -129,7 +129,7 @@ class AgeGate:
     def __init__(self, age: MessageAge) -> None:
         self._age = age
 
-    def check(self, sample: Sample, _: float) -> Refused | None:
+    def check(self, sample: Gated, _: float) -> Refused | None:
         if (why := self._age.why_old(sample.stamp)) is None:
             return None
         self._age.expired(why, 1)
@@ -163,19 +163,19 @@ class CallRateGate:
         return None if self._bucket.take(1.0, now) else Refused.CALLS_A_SECOND
 
 
-class Carrier(Protocol):
-    """What sends requests."""
+class Carries(Protocol):
+    """What sends calls, as far as gates know it."""
 
     @property
     def largest(self) -> int:
-        """Bytes of the longest request that it carries."""
+        """Bytes of the largest call that the transport carries."""
         ...
 
 
 class SizeGate:
     """Passes requests that the transport carries."""
 
-    def __init__(self, outbox: Carrier) -> None:
+    def __init__(self, outbox: Carries) -> None:
         self._outbox = outbox
 
     def check(self, request: Request, _: float) -> Refused | None:
@@ -201,14 +201,14 @@ def compose_when_switched(route: Route, compose: Callable[[], None]) -> None:
 # --- from the channel to ROS
 
 
-class Arrived(msgspec.Struct, gc=False):
+class GatedMessage(msgspec.Struct, gc=False):
     """A message of the other side's, as gates see it."""
 
     stamp: int
     lease: int
 
 
-NO_SAMPLE = Arrived(0, 0)
+NO_SAMPLE = GatedMessage(0, 0)
 """For gates that are asked of no sample in particular."""
 
 
@@ -257,7 +257,7 @@ class CallingGates(NamedTuple):
     leaving: Gates
 
 
-def calling_gates(route: Route, outbox: Carrier, rate: CallRateGate, *, limited: bool) -> CallingGates:
+def calling_gates(route: Route, outbox: Carries, rate: CallRateGate, *, limited: bool) -> CallingGates:
     """Return the gates of calls from ROS to the channel."""
     fits, budget = SizeGate(outbox), BudgetGate(route.peer.budget.asked)
     if not limited:

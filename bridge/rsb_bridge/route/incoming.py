@@ -23,7 +23,7 @@ from rsb_bridge.ros.ros_graph import type_hint
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
-from rsb_bridge.route.gates import NO_SAMPLE, Arrived, chained, compose_when_switched, incoming_gates, unleased
+from rsb_bridge.route.gates import NO_SAMPLE, GatedMessage, chained, compose_when_switched, incoming_gates, unleased
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import CAUSES, reported_ledger
 from rsb_bridge.route.lifecycle import RouteEvent
@@ -349,7 +349,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             if flags & ZSTD and not self._unpacker.begin((payload, stamp, flags), self._go_on):
                 self._wait((message, *messages))
                 break
-            sample = Arrived(stamp, number) if gated else NO_SAMPLE
+            sample = GatedMessage(stamp, number) if gated else NO_SAMPLE
             if arriving is not None and (why := arriving(sample, began)) is not None:
                 self._unpacker.forget()
                 self._refuse(why)
