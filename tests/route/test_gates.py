@@ -156,10 +156,12 @@ def test_what_passes_the_budget_has_its_place_in_it() -> None:
     assert BudgetGate(full).check(Request(b"", b"", 0), 0.0) is Refused.CALLS_A_SECOND
 
 
-def test_the_size_gate_passes_what_the_transport_carries(make_context: Callable[..., Context]) -> None:
-    outbox = calls(make_context(), CallingRoute)._outbox
-    gate = SizeGate(outbox)
-    outbox.largest = 5
+class _CarriesFive:
+    largest = 5
+
+
+def test_the_size_gate_passes_what_the_transport_carries() -> None:
+    gate = SizeGate(_CarriesFive())
     assert gate.check(Request(b"12345", b"", 0), 0.0) is None
     assert gate.check(Request(b"123456", b"", 0), 0.0) is Refused.TOO_LARGE
 
@@ -219,12 +221,12 @@ def test_calls_pass_them_from_callers_to_the_channel(make_context: Callable[...,
     """What stops or watches a robot passes whatever it is."""
     route = calls(make_context(), CallingRoute)
     fast, slow = CallRateGate(0.0, 0.0), CallRateGate(10.0, 0.0)
-    assert order(calling_gates(route, route._outbox, fast, limited=True).arriving) == [PauseGate, SizeGate, BudgetGate]
+    assert order(calling_gates(route, _CarriesFive(), fast, limited=True).arriving) == [PauseGate, SizeGate, BudgetGate]
     everything_on(route)
-    arriving, leaving = map(order, calling_gates(route, route._outbox, slow, limited=True))
+    arriving, leaving = map(order, calling_gates(route, _CarriesFive(), slow, limited=True))
     assert arriving == [PauseGate, ArmedGate, YoungGate, SizeGate, CallRateGate, BudgetGate]
     assert leaving == [YoungGate]
-    arriving, leaving = map(order, calling_gates(route, route._outbox, slow, limited=False))
+    arriving, leaving = map(order, calling_gates(route, _CarriesFive(), slow, limited=False))
     assert (arriving, leaving) == ([SizeGate, BudgetGate], [])
 
 

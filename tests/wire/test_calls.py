@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.wording import pattern
 
-from rsb_bridge.wire.headers import CALL_HEADER_LENGTH, MOST_TOOK, CallFrame, What, unpack_call
+from rsb_bridge.wire.headers import CALL_HEADER_LENGTH, MOST_TOOK, CallFrame, What, frame_size, unpack_call
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 
 FRAMES = [
@@ -54,3 +54,7 @@ def test_anything_reads_or_gives_words(payload: bytes) -> None:
     except ProtocolError:
         return
     assert frame.pack() == payload
+
+
+def test_a_call_holds_as_many_bytes_of_the_budget_as_its_frame_has() -> None:
+    assert frame_size(b"12345") == len(CallFrame(What.CALL, 0, 1, 0, b"12345").pack())
