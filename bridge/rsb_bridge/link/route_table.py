@@ -207,7 +207,7 @@ class RouteTable(Extension):
         allow_rate(route, self._link)
         if isinstance(route, IncomingRoute | CallingRoute):
             route.compare_types = self.compare_types
-        if proposed_here:
+        if proposed_here and route.purpose.in_graph:
             self.listed.add(spec.identity)
             self._context.demands.changed()
         if proposed_here and self._link.linked:
