@@ -34,11 +34,11 @@ def main() -> None:
     drain(near.context, [subscription.handle], publisher.handle.publish_raw)
 
 
-def node_in(domain: int) -> Node:
+def node_in(domain: int, name: str = "bench_relay", *, start_parameter_services: bool = False) -> Node:
     """Return a node in a context of its own."""
     context = Context()
     rclpy.init(context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-    return Node("bench_relay", context=context, enable_rosout=False, start_parameter_services=False)
+    return Node(name, context=context, enable_rosout=False, start_parameter_services=start_parameter_services)
 
 
 if __name__ == "__main__":

@@ -114,6 +114,12 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         give_way(item)
 
 
+def pytest_unconfigure() -> None:
+    """End what forks processes: a worker of pytest-xdist leaves out what Python does at an exit."""
+    if (forker := sys.modules.get("tests.support.forker")) is not None:
+        forker.end()
+
+
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_sessionfinish(session: pytest.Session) -> Generator[None]:
     """End with the command that runs again what failed."""

@@ -132,6 +132,23 @@ def test_loss_by_chance_slows_nothing_down() -> None:
     simulate(Poor(Radio(_BROAD, tunnel=400_000, delay=0.02), 400_000, (scan, rare), (odom,)))
 
 
+def test_a_camera_fills_no_queue_of_a_radio() -> None:
+    """20 Mbit/s with a queue of 0.16 s, asked for twice what it carries: small messages are young, and whole."""
+    joints, scan, camera = Live(1, 470, 100), Live(2, 4_000, 10), Live(3, 60_000, 70, -1)
+
+    class Asked(Scene):
+        async def watched(self) -> None:
+            await self.passes(5)
+            for route in (joints, scan):
+                ages = self.ages(route, since=2.0)
+                assert ages[len(ages) // 2] < 0.08
+                assert self.part(route) > 0.95
+            assert sum(self.shares(5)) > 0.75 * _BROAD
+            assert self.channel.air.dropped < 0.03 * self.channel.air.sent
+
+    simulate(Asked(Radio(_BROAD, tunnel=400_000, delay=0.02), 400_000, (joints, scan, camera)))
+
+
 def test_a_path_on_which_no_datagram_arrives_holds_up_no_stream() -> None:
     """Only what was in transit does, until it is written off; once datagrams arrive again, they go on within 1 s."""
     scan, odom = Live(1, 1_000, 50), Live(2, 100, 10)

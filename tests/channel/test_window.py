@@ -8,8 +8,10 @@ import pytest
 from tests.support.held import held_by
 
 from rsb_bridge.channel.window import FIRST, FIRST_RECEIPT, LEAST, ReceiptCounter, Window
+from rsb_bridge.model.transports import QUEUES_LITTLE, Ages, ZenohTraits
 
 STEP = 0.001
+AGES = [pytest.param(QUEUES_LITTLE, id="tcp"), pytest.param(ZenohTraits.ages, id="zenoh")]
 
 
 class Path:
@@ -26,14 +28,14 @@ class Path:
         receipts: how many were sent.
     """
 
-    def __init__(self, speed: float, delay: float = 0.0005) -> None:
+    def __init__(self, speed: float, delay: float = 0.0005, ages: Ages = QUEUES_LITTLE) -> None:
         self.time = 0.0
         self.speed, self.delay = speed, delay
         self.behind = 0.0
         self.credit = 1.0
         self.ages: list[float] = []
         self.arrived = self.sent = self.receipts = 0
-        self.window = Window(0)
+        self.window = Window(0, ages=ages)
         self.counter = ReceiptCounter()
         self._asked = FIRST_RECEIPT
         self._looked = 0.0
@@ -101,9 +103,10 @@ class Path:
         self._back.append((self.time + self.delay + self.behind, self.counter.next_receipt()))
 
 
+@pytest.mark.parametrize("ages", AGES)
 @pytest.mark.parametrize(("rate", "size"), [(14, 1000), (1000, 1000), (5, 3000), (300, 60)])
-def test_tunnel_of_5_kb_a_second_is_kept_short_and_full(rate: float, size: int) -> None:
-    path = Path(5_000)
+def test_tunnel_of_5_kb_a_second_is_kept_short_and_full(rate: float, size: int, ages: Ages) -> None:
+    path = Path(5_000, ages=ages)
     path.run(5.0, rate, size)
     assert max(path.ages) < 2.0
     path.ages.clear()
@@ -114,10 +117,11 @@ def test_tunnel_of_5_kb_a_second_is_kept_short_and_full(rate: float, size: int) 
     assert path.window.slow
 
 
+@pytest.mark.parametrize("ages", AGES)
 @pytest.mark.parametrize("delay", [0.0005, 0.05, 0.3])
 @pytest.mark.parametrize(("rate", "size"), [(10, 100_000), (1000, 1000), (10, 1000)])
-def test_fast_path_is_not_throttled(delay: float, rate: float, size: int) -> None:
-    path = Path(100e6, delay)
+def test_fast_path_is_not_throttled(delay: float, rate: float, size: int, ages: Ages) -> None:
+    path = Path(100e6, delay, ages)
     path.run(6.0, rate, size)  # eight round trips of 0.6 s; TCP itself begins with three times as much
     path.run(1.0, 0, 0)
     arrived = len(path.ages)
@@ -125,6 +129,17 @@ def test_fast_path_is_not_throttled(delay: float, rate: float, size: int) -> Non
     path.run(1.0, 0, 0)
     assert len(path.ages) - arrived >= 10 * rate - 1
     assert not path.window.slow
+
+
+def test_zenohs_window_keeps_less_on_the_way() -> None:
+    """20 Mbit/s, 20 ms: a message that is published now waits for a third of a second at most, as all is one queue."""
+    path = Path(2.5e6, 0.02, ZenohTraits.ages)
+    path.run(5.0, 5_000, 1_000)
+    path.ages.clear()
+    before = path.arrived
+    path.run(20.0, 5_000, 1_000)
+    assert max(path.ages) < 0.35
+    assert path.arrived - before > 0.9 * 20 * 2.5e6
 
 
 def test_ramp_up_takes_tens_of_milliseconds() -> None:

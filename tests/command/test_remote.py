@@ -39,6 +39,8 @@ from rsb_bridge.model.snapshot import (
     State,
 )
 from rsb_bridge.model.velocity_limits import VelocityLimits
+from rsb_bridge.route.arming import Disarmed
+from rsb_bridge.route.lease import Standstill
 from rsb_console.command.headless import HeadlessText
 from rsb_console.command.remote import COMMANDS, RemoteProblem
 from rsb_console.command.target import BridgeChoice, RouteChoice
@@ -724,3 +726,40 @@ def test_arm_ends_once_another_operator_holds_the_topic(
     assert result.code == 1
     assert says(result.err, RemoteProblem.HELD_BY_ANOTHER, topic="/scan", who="bert\\x1b[2J")
     assert not says(result.err, RemoteProblem.ASKED_FOR)
+
+
+class StandsStill(Holding):
+    """Stands for the terminal of `arm`, whose bridge stands still and then shows for a moment what was before."""
+
+    def __init__(self, *_: object) -> None:
+        self._waits = 0
+
+    def wait(self, seconds: float) -> bool:
+        self._waits += 1
+        match self._waits:
+            case 2:
+                time.sleep(_STANDS_STILL)
+                self.engine.holds = ()
+            case 3:
+                arming = ArmingSnapshot(armed=False, why=Disarmed.LEASE, reason=Standstill.LOOP.value)
+                self.engine.now = replace(self.engine.now, routes=(replace(SCAN, arming=arming),))
+        return False
+
+
+_STANDS_STILL = 1.2
+"""s, which are longer than a state takes to be shown."""
+
+
+def test_arm_does_not_say_that_a_topic_went_over_to_itself_after_its_bridge_stood_still(
+    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    StandsStill.engine = engine
+    engine.holds = ("/scan",)
+    engine.now = replace(engine.now, routes=(replace(SCAN, arming=ArmingSnapshot(armed=True, by="anna", here=True)),))
+    replaced.REMOTE_TYPED_KEYS.set(monkeypatch, StandsStill)
+    result = ran("arm", "/scan", "--json")
+    assert result.code == 1
+    said = json.loads(result.out.splitlines()[-1])
+    assert (said["ok"], said["cause"]) == (False, Disarmed.LEASE)
+    assert Standstill.LOOP.value in said["error"]
+    assert not says(result.out + result.err, RemoteProblem.HELD_BY_ANOTHER)

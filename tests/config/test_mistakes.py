@@ -72,6 +72,7 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
         ("qos: 0", QosProblem.DEPTH_OUT_OF_RANGE, {"depth": 0, "range": DEPTH}),
         ("qos: {depth: -1}", QosProblem.DEPTH_OUT_OF_RANGE, {"depth": -1}),
         ("qos: {profile: sensor-data}", QosProblem.UNKNOWN_PROFILE, {"value": "sensor-data"}),
+        ("qos: {profile: [latched]}", QosProblem.UNKNOWN_PROFILE, {"value": ["latched"]}),
         (
             "qos: {deadline: 1e400}",
             QosProblem.TIME_OUT_OF_RANGE,

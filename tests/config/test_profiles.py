@@ -94,7 +94,7 @@ def test_queues(reliability: str) -> None:
 def test_its_rate_is_one_limit_among_others() -> None:
     limit = RateLimit(0.0, "/scan", AllowedRates(), lambda *_: None)
     told: list[float] = []
-    limit.apply = told.append
+    limit.switched = lambda: told.append(limit.rate)
     limit.set_profile_rate(10.0)
     assert (limit.rate, told) == (10.0, [10.0])
     assert "profile" in limit.why

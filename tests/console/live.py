@@ -1,13 +1,14 @@
 """A real other side: the command without its console, and a talker, each in a process of its own."""
 
 import contextlib
-import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+from tests.support.forker import Forked
 from tests.support.locks import domains_of
 from tests.support.ports import free_port
 
@@ -41,33 +42,32 @@ class Pair:
         save(self.client, self.client_path)
         save(Session(role="server", domain_id=there, **common), self.server_path)
 
-    @contextlib.contextmanager
-    def server(self) -> Iterator[subprocess.Popen[bytes]]:
+    def server(self) -> AbstractContextManager[Forked]:
         """The other side, bridging headless."""
-        with running(str(COMMAND), "run", "--no-ui", str(self.server_path)) as process:
-            yield process
+        return bridging(self.server_path)
 
 
-@contextlib.contextmanager
-def talker(topic: str, rate: float = 20.0, domain: int = HERE) -> Iterator[subprocess.Popen[bytes]]:
+def bridging(path: Path, *options: str) -> AbstractContextManager[Forked]:
+    """Run a session without the console, until the end of the block."""
+    return running("rsb_console", "run", "--no-ui", str(path), *options)
+
+
+def talker(topic: str, rate: float = 20.0, domain: int = HERE) -> AbstractContextManager[Forked]:
     """Publishes `topic` on this side."""
-    script = Path(__file__).with_name("talker.py")
-    with running(sys.executable, str(script), str(domain), topic, str(rate)) as process:
-        yield process
+    return running("tests.console.talker", str(domain), topic, str(rate))
 
 
 @contextlib.contextmanager
-def running(*command: str) -> Iterator[subprocess.Popen[bytes]]:
+def running(module: str, *arguments: str) -> Iterator[Forked]:
     """A process, ended with the block."""
-    environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    with subprocess.Popen(command, env=environ, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+    with Forked(module, *arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         try:
             yield process
         finally:
             end(process)
 
 
-def end(process: subprocess.Popen[bytes]) -> None:
+def end(process: Forked) -> None:
     """Let it go, by force only if need be: what is killed leaves its shared memory behind."""
     process.terminate()
     try:

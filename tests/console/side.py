@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import time
 from typing import TYPE_CHECKING, Any
 
 from tests.console.live import COMMAND
 from tests.console.tmux import Tmux
+from tests.support.commands import rsb_console
 from tests.support.waiting import eventually
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-_LOOK_EVERY = 0.5
-"""s between two questions, each of which starts a process."""
+_LOOK_EVERY = 0.1
+"""s between two questions to a bridge."""
 _WITHIN = 60.0
 """s."""
 _ROOMY = (160, 56)
@@ -55,8 +54,7 @@ class Side:
         return [each for each in self._asked("events") if "code" in each]
 
     def _asked(self, command: str) -> list[dict[str, Any]]:
-        words = [str(COMMAND), command, "--json", "--control", self._control]
-        printed = subprocess.run(words, env=os.environ, text=True, capture_output=True, check=False, timeout=60).stdout
+        printed = rsb_console(command, "--json", "--control", self._control).stdout
         return [json.loads(line) for line in printed.splitlines()]
 
     # --- on the screen
@@ -80,7 +78,7 @@ class Side:
 
 
 def every_so_often(look: Any, what: str, within: float = _WITHIN) -> Any:
-    """Wait for a condition, like `eventually`, if each check costs a process."""
+    """Wait for a condition, like `eventually`, if each check asks a bridge."""
     deadline = time.monotonic() + within
     while not (found := look()):
         assert time.monotonic() < deadline, f"not within {within:g} s: {what}"

@@ -12,33 +12,51 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
+from tests.support.forker import Forked
 from tests.support.waiting import pauses
 
 COMMAND = Path(sys.executable).with_name("rsb-console")
 
 
+def _resize(terminal: int, columns: int, lines: int) -> None:
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", lines, columns, 0, 0))
+
+
 class Terminal:
     """A command in a pseudo-terminal of its own.
+
+    Args:
+        forked: the command is a module and its arguments, for `tests.support.forker`.
 
     Attributes:
         output: all that it wrote so far.
     """
 
-    def __init__(self, *command: str, size: tuple[int, int] = (120, 36), environ: Mapping[str, str] = {}) -> None:
+    def __init__(
+        self, *command: str, size: tuple[int, int] = (120, 36), environ: Mapping[str, str] = {}, forked: bool = False
+    ) -> None:
         self.started = time.monotonic()
-        self.pid, self.fd = pty.fork()
-        if self.pid == 0:
-            fcntl.ioctl(0, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
-            # execve, for readline, which pytest loads, has put COLUMNS and LINES where os.environ does not see them
-            settings = {"TERM": "xterm-256color", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **environ}
-            os.execve(command[0], command, os.environ | settings)
+        settings = {"TERM": "xterm-256color", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **environ}
+        self._forked: Forked | None = None
+        if forked:
+            self.fd, line = pty.openpty()
+            _resize(line, *size)
+            self._forked = Forked(*command, environ=settings, terminal=True, stdin=line, stdout=line, stderr=line)
+            self.pid = self._forked.pid
+            os.close(line)
+        else:
+            self.pid, self.fd = pty.fork()
+            if self.pid == 0:
+                _resize(0, *size)
+                # execve, for readline, which pytest loads, has put COLUMNS and LINES where os.environ does not see them
+                os.execve(command[0], command, os.environ | settings)
         self.output = b""
         self.status: int | None = None
         self.hung_up = False
 
     def resize(self, columns: int, lines: int) -> None:
         """Give it another size."""
-        fcntl.ioctl(self.fd, termios.TIOCSWINSZ, struct.pack("HHHH", lines, columns, 0, 0))
+        _resize(self.fd, columns, lines)
 
     def type(self, text: str | bytes) -> None:
         """Press keys."""
@@ -76,7 +94,10 @@ class Terminal:
 
     def kill(self, number: signal.Signals) -> None:
         """Send a signal."""
-        os.kill(self.pid, number)
+        if self._forked is not None:
+            self._forked.send_signal(number)
+        else:
+            os.kill(self.pid, number)
 
     @property
     def threads(self) -> int:
@@ -86,7 +107,9 @@ class Terminal:
     @property
     def alive(self) -> bool:
         """Whether the command still runs."""
-        if self.status is None:
+        if self._forked is not None:
+            self.status = self._forked.poll()
+        elif self.status is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             self.status = os.waitstatus_to_exitcode(status) if pid else None
         return self.status is None
@@ -117,6 +140,7 @@ class Terminal:
                     self.read(0.02)
         if self.alive:
             self.kill(signal.SIGKILL)
-            os.waitpid(self.pid, 0)
+            while self.alive:
+                time.sleep(0.005)
         if not self.hung_up:
             os.close(self.fd)

@@ -1,16 +1,15 @@
 """Faults that an operator has acknowledged: still listed, but no longer first, and no longer in the banner."""
 
-import os
 import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from tests.console.driving import drive, engine_of, listed, on_main, put, scripted_app, shown, until
-from tests.console.live import COMMAND, HERE
+from tests.console.live import COMMAND, HERE, bridging
 from tests.console.scripted import LINK, NOW, ROUTES
 from tests.console.tmux import Tmux
+from tests.support.commands import rsb_console
 from tests.support.control import Machine
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -121,7 +120,6 @@ def test_what_one_console_acknowledges_another_and_the_shell_know(
 ) -> None:
     pytest.importorskip("rclpy", reason="needs ROS 2")
     monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
-    environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     write_key(tmp_path / "robot1.key")
     session = Session(
         name="robot1",
@@ -135,28 +133,24 @@ def test_what_one_console_acknowledges_another_and_the_shell_know(
     save(session, tmp_path / "robot1.yaml")
 
     def command(*words: str) -> int:
-        return subprocess.run([str(COMMAND), *words], env=environ, capture_output=True, check=False).returncode
+        return rsb_console(*words).returncode
 
-    run = [str(COMMAND), "run", "--no-ui", str(tmp_path / "robot1.yaml")]
-    with subprocess.Popen(run, env=environ, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as bridge:
-        try:
-            eventually(lambda: bridges.running_bridges(machine.environ))
-            eventually(lambda: command("status") == 1, what="the link goes down")
-            attach = str(COMMAND), "attach", "robot1", "--theme", "dark"
-            (tmp_path / "one").mkdir()
-            (tmp_path / "other").mkdir()
-            with Tmux(tmp_path / "one", *attach) as one, Tmux(tmp_path / "other", *attach) as other:
-                for tmux in (one, other):
-                    tmux.wait_for(f"✗ {STATE_WORD[State.DOWN]}")
-                one("send-keys", "i")
-                for tmux in (one, other):
-                    tmux.wait_for(f"{ACK_WORD} {STATE_WORD[State.DOWN]}")
-                assert command("status") == 0
-                assert command("ack", "/chat", "--undo") == 0  # it is down with the link: that is meant
-                other.wait_for(f"{ACK_WORD} {STATE_WORD[State.DOWN]}", there=False)
-                assert command("status") == 1
-                assert command("ack", "robot1") == 0
-                assert command("ack", "/caht") == 2
-                one.wait_for(f"{ACK_WORD} {STATE_WORD[State.DOWN]}")
-        finally:
-            bridge.terminate()
+    with bridging(tmp_path / "robot1.yaml"):
+        eventually(lambda: bridges.running_bridges(machine.environ))
+        eventually(lambda: command("status") == 1, what="the link goes down")
+        attach = str(COMMAND), "attach", "robot1", "--theme", "dark"
+        (tmp_path / "one").mkdir()
+        (tmp_path / "other").mkdir()
+        with Tmux(tmp_path / "one", *attach) as one, Tmux(tmp_path / "other", *attach) as other:
+            for tmux in (one, other):
+                tmux.wait_for(f"✗ {STATE_WORD[State.DOWN]}")
+            one("send-keys", "i")
+            for tmux in (one, other):
+                tmux.wait_for(f"{ACK_WORD} {STATE_WORD[State.DOWN]}")
+            assert command("status") == 0
+            assert command("ack", "/chat", "--undo") == 0  # it is down with the link: that is meant
+            other.wait_for(f"{ACK_WORD} {STATE_WORD[State.DOWN]}", there=False)
+            assert command("status") == 1
+            assert command("ack", "robot1") == 0
+            assert command("ack", "/caht") == 2
+            one.wait_for(f"{ACK_WORD} {STATE_WORD[State.DOWN]}")

@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.console.driving import drive, engine_of, gone, on_main, put, scripted_app, shown, until
-from tests.console.live import COMMAND, ELSEWHERE, HERE, Pair, running, talker
+from tests.console.live import COMMAND, ELSEWHERE, HERE, Pair, bridging, talker
 from tests.console.scripted import route
 from tests.console.side import every_so_often
 from tests.console.tmux import Tmux
+from tests.support.commands import rsb_console
+from tests.support.forker import Forked
 from tests.support.long import long
 from tests.support.waiting import eventually
 from tests.support.wording import says
@@ -249,14 +251,14 @@ class Robot:
     """The client's bridge, without a console, as others attach to it."""
 
     def __init__(self, control: Path) -> None:
-        self._control = str(control)
+        self.control = "--control", str(control)
         self._events_before = 0
 
-    def command(self, *words: str) -> list[str]:
-        return [str(COMMAND), *words, "--control", self._control]
+    def command(self, *words: str, **streams: Any) -> Forked:
+        return Forked("rsb_console", *words, *self.control, **streams)
 
     @contextlib.contextmanager
-    def arming(self, *options: str, stdin: int = subprocess.DEVNULL) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    def arming(self, *options: str, stdin: int = subprocess.DEVNULL) -> Iterator[tuple[Forked, str]]:
         """`rsb-console arm` while it holds the topic armed, and its first line.
 
         Where its process takes more than 5 s to start, it arms nothing, as a command that has come late; then it is
@@ -264,10 +266,8 @@ class Robot:
         """
         first = ""
         while not first:
-            with subprocess.Popen(
-                self.command("arm", *options, CHATTER),
-                stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            ) as process:  # fmt: skip
+            pipes = {"stdin": stdin, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+            with self.command("arm", *options, CHATTER, **pipes) as process:
                 assert process.stdout is not None
                 assert process.stderr is not None
                 first = process.stdout.readline()
@@ -278,8 +278,7 @@ class Robot:
                     first = ""
 
     def ask(self, *words: str) -> list[dict[str, Any]]:
-        command = self.command(*words, "--json")
-        ran = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+        ran = rsb_console(*words, *self.control, "--json")
         return [json.loads(line) for line in ran.stdout.splitlines()]
 
     def topic(self) -> dict[str, Any]:
@@ -317,7 +316,7 @@ def _robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
         with (
             pair.server(),
             talker(CHATTER),
-            running(*made.command("run", "--no-ui", str(pair.client_path))),
+            bridging(pair.client_path, *made.control),
         ):
             yield made
 
@@ -331,7 +330,7 @@ def robot(_robot: Robot) -> Robot:
 @pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
 @pytest.mark.parametrize("end", ["killed", *long("terminal gone")])
 def test_a_console_that_dies_disarms(end: str, robot: Robot, tmp_path: Path) -> None:
-    tmux = Tmux(tmp_path, *robot.command("attach"), size=(160, 40))
+    tmux = Tmux(tmp_path, str(COMMAND), "attach", *robot.control, size=(160, 40))
     try:
         tmux.wait_for("⊘ DISARMED")
         tmux("send-keys", "A")
@@ -354,7 +353,7 @@ def test_the_robot_s_own_console_that_dies_disarms_the_other_side(tmp_path: Path
     pair = armed_pair(tmp_path, ELSEWHERE)
     there = Robot(tmp_path / "server.sock")
     with (
-        running(*there.command("run", "--no-ui", str(pair.server_path))),
+        bridging(pair.server_path, *there.control),
         talker(CHATTER, domain=ELSEWHERE),
         Tmux(tmp_path, str(COMMAND), str(pair.client_path), "--control", str(tmp_path / "own.sock")) as tmux,
     ):
@@ -386,16 +385,15 @@ def test_a_command_that_stands_still_gets_nothing_from_the_holder(robot: Robot) 
     with robot.arming() as (holder, first), contextlib.ExitStack() as at_end:
         at_end.callback(holder.kill)
         assert "ARMED" in first
-        processes: list[subprocess.Popen[bytes]] = []
+        processes: list[Forked] = []
 
         def asked_by() -> list[dict[str, Any]]:
             if not processes or processes[-1].poll() is not None:
                 processes.append(ask())  # the one before took more than 5 s to start
             return robot.events("operator.asked")
 
-        def ask() -> subprocess.Popen[bytes]:
-            command = robot.command("arm", "--ask", CHATTER)
-            process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        def ask() -> Forked:
+            process = robot.command("arm", "--ask", CHATTER, stderr=subprocess.DEVNULL)
             at_end.enter_context(process)
             at_end.callback(process.kill)
             return process

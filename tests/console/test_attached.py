@@ -7,6 +7,7 @@ import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.console.driving import WIDE, drive, empty_app, scripted_app, shown, text, until
@@ -15,6 +16,7 @@ from tests.console.scripted import ScriptedEngine, route
 from tests.console.tmux import Tmux
 from tests.support import replaced
 from tests.support.control import Machine
+from tests.support.forker import Forked
 from tests.support.waiting import eventually
 from textual.pilot import Pilot
 
@@ -173,23 +175,20 @@ def pair(tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch) -> P
 
 
 @pytest.fixture
-def headless(pair: Pair) -> Iterator[list[subprocess.Popen[bytes]]]:
+def headless(pair: Pair) -> Iterator[list[Forked]]:
     """The client's bridge without a console, the newest last."""
     processes = [run_headless(pair)]
     yield processes
     end(processes[-1])
 
 
-def run_headless(pair: Pair) -> subprocess.Popen[bytes]:
-    environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    command = [str(COMMAND), "run", "--no-ui", str(pair.client_path)]
-    return subprocess.Popen(command, env=environ, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+def run_headless(pair: Pair) -> Forked:
+    streams: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    return Forked("rsb_console", "run", "--no-ui", str(pair.client_path), **streams)
 
 
 @pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
-def test_attaching_in_a_terminal(
-    pair: Pair, headless: list[subprocess.Popen[bytes]], tmp_path: Path, machine: Machine
-) -> None:
+def test_attaching_in_a_terminal(pair: Pair, headless: list[Forked], tmp_path: Path, machine: Machine) -> None:
     eventually(lambda: bridges.running_bridges(machine.environ))
     with pair.server(), talker(CHATTER), Tmux(tmp_path, "sh") as tmux:
         tmux("send-keys", f"{COMMAND} attach robot1", "Enter")  # the server's bridge may run by now, too

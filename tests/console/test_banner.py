@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import signal
-import sys
 import time
 from contextlib import ExitStack
 from itertools import pairwise
@@ -48,7 +47,7 @@ def test_its_lines_stay_where_they_are(tmp_path: Path, monkeypatch: pytest.Monke
     specs = encoded([Spec("driver", name, rate) for name, rate in RATES.items()])
     with ExitStack() as stack:
         stack.enter_context(pair.server())
-        nodes = stack.enter_context(running(sys.executable, "-m", "tests.console.nodes", str(HERE), specs))
+        nodes = stack.enter_context(running("tests.console.nodes", str(HERE), specs))
         command = str(COMMAND), "run", str(pair.client_path)
         screen = stack.enter_context(Tmux(tmp_path, *command, size=(80, 36)))
         screen.wait_for(f"{len(RATES)} {STATE_WORD[State.UNHEARD].lower()}")  # nobody listens on the far side

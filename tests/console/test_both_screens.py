@@ -10,7 +10,6 @@ import contextlib
 import re
 import shutil
 import signal
-import sys
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -32,9 +31,10 @@ from rsb_bridge.model.verdict import Cause
 from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
 
 if TYPE_CHECKING:
-    import subprocess
     from collections.abc import Callable, Iterator
     from pathlib import Path
+
+    from tests.support.forker import Forked
 
 pytestmark = pytest.mark.skipif(shutil.which("tmux") is None, reason="it needs tmux (apt install tmux)")
 
@@ -217,7 +217,7 @@ class World:
         ports = {pair.client.server_port, *(row.topic.port for row in ROWS if row.topic.port is not None)}
         self._relays = {port: nodes.enter_context(Relay(("127.0.0.1", port), _RELAYED, port)) for port in ports}
         save(msgspec.structs.replace(pair.client, server_ip=_RELAYED), pair.client_path)
-        self._starts: dict[str, Callable[[], subprocess.Popen[bytes]]] = {}
+        self._starts: dict[str, Callable[[], Forked]] = {}
         for domain, specs in zip(domains, ([row.robot for row in ROWS], [row.pc for row in ROWS]), strict=True):
             flat = [spec for each in specs for spec in each]
             nodes.enter_context(_nodes(domain, [spec for spec in flat if not spec.alone]))
@@ -302,8 +302,8 @@ class World:
             process.wait()
 
 
-def _nodes(domain: int, specs: list[Spec]) -> contextlib.AbstractContextManager[subprocess.Popen[bytes]]:
-    return running(sys.executable, "-m", "tests.console.nodes", str(domain), encoded(specs))
+def _nodes(domain: int, specs: list[Spec]) -> contextlib.AbstractContextManager[Forked]:
+    return running("tests.console.nodes", str(domain), encoded(specs))
 
 
 @pytest.fixture(scope="module")

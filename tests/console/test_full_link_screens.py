@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -31,7 +30,7 @@ def test_both_first_screens_say_that_the_link_is_full(tmp_path: Path, monkeypatc
         relay = stack.enter_context(Relay(("127.0.0.1", pair.client.server_port), rate=1_000_000))
         save(msgspec.structs.replace(pair.client, server_port=relay.port), pair.client_path)
         for domain, spec in ((HERE, Spec("talker", "/chat", 200)), (THERE, Spec("listener", "/chat"))):
-            stack.enter_context(running(sys.executable, "-m", "tests.console.nodes", str(domain), encoded([spec])))
+            stack.enter_context(running("tests.console.nodes", str(domain), encoded([spec])))
         sides = []
         for role, path in (("server", pair.server_path), ("client", pair.client_path)):
             side = Side(tmp_path / role, tmp_path / f"{role}.sock", "run", str(path))

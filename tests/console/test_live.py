@@ -1,13 +1,13 @@
 """The console on a real engine, against a real other side in another process."""
 
 import os
-import subprocess
 import time
 from pathlib import Path
 
 import pytest
 from tests.console.driving import NOWHERE, AppSteps, drive, gone, shown, until
 from tests.console.live import Pair, talker
+from tests.support.forker import Forked
 from textual.pilot import Pilot
 
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
@@ -113,7 +113,7 @@ def test_a_wrong_key_is_said_with_its_fingerprint_and_nothing_flows(tmp_path: Pa
         watch(pair, steps)
 
 
-def wait_for_port(port: int, process: subprocess.Popen[bytes]) -> None:
+def wait_for_port(port: int, process: Forked) -> None:
     """Wait until `process` listens."""
     import socket
 

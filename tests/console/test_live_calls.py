@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -31,8 +30,7 @@ def _on_this_machine_only(monkeypatch: pytest.MonkeyPatch) -> None:
 @contextlib.contextmanager
 def answerer() -> Iterator[None]:
     """The node, on the other side."""
-    script = Path(__file__).with_name("answerer.py")
-    with running(sys.executable, str(script), str(THERE), NODE, MODE):
+    with running("tests.console.answerer", str(THERE), NODE, MODE):
         yield
 
 

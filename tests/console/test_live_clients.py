@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 from tests.console.driving import drive, fill, shown, until
-from tests.console.live import COMMAND, ELSEWHERE, HERE, Pair, running, talker
+from tests.console.live import ELSEWHERE, HERE, Pair, bridging, talker
 from tests.console.test_live_dialogs import console, flows
 from textual.pilot import Pilot
 
@@ -55,7 +55,7 @@ def test_a_fleet_grows_and_shrinks_under_its_operators_hands(tmp_path: Path) -> 
         await pilot.press("enter")
         await shown(pilot, "robot2 is added")
         write_robot(pair.server_path, robot2)
-        with running(str(COMMAND), "run", "--no-ui", str(robot2)):
+        with bridging(robot2):
             await until(pilot, lambda: link_of(app, "robot2"), "robot2")
             await pilot.press("escape")
             await shown(pilot, CLIENT_KEYS)
@@ -75,7 +75,7 @@ def test_a_fleet_grows_and_shrinks_under_its_operators_hands(tmp_path: Path) -> 
         await pilot.press("y")
         await shown(pilot, "saved:")
 
-    with running(str(COMMAND), "run", "--no-ui", str(pair.client_path)), talker(CHATTER, domain=HERE):
+    with bridging(pair.client_path), talker(CHATTER, domain=HERE):
         try:
             drive(app, steps)
         finally:

@@ -20,7 +20,7 @@ from tests.console.driving import (
     text,
     until,
 )
-from tests.console.live import COMMAND, Pair, running, talker
+from tests.console.live import COMMAND, Pair, bridging, talker
 from tests.console.scripted import NOW, ScriptedEngine, route
 from tests.console.tmux import Tmux
 from tests.support import replaced
@@ -265,7 +265,7 @@ def test_in_a_terminal_attached_and_read_only(
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
     pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
-    with pair.server(), running(str(COMMAND), "run", "--no-ui", str(pair.client_path)), talker(CHATTER):
+    with pair.server(), bridging(pair.client_path), talker(CHATTER):
         socket = machine.folder / "robot1.sock"
         with Tmux(tmp_path, "sh") as tmux:
             tmux("send-keys", f"until {COMMAND} attach --readonly --control {socket}; do sleep 0.2; done", "Enter")

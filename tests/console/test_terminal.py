@@ -6,7 +6,6 @@ import os
 import shutil
 import signal
 import stat
-import subprocess
 import sys
 import termios
 import time
@@ -17,6 +16,8 @@ import pytest
 from tests.console.live import Pair, end, talker
 from tests.console.terminal import COMMAND, Terminal
 from tests.console.tmux import Tmux
+from tests.support.commands import rsb_console
+from tests.support.forker import Forked
 
 from rsb_bridge.model.session import Topic
 from rsb_console.terminal.driver import prefers_ascii
@@ -98,7 +99,7 @@ def pair(tmp_path: Path) -> Pair:
 
 
 def console(pair: Pair, *options: str, **environ: str) -> Terminal:
-    return Terminal(str(COMMAND), "run", str(pair.client_path), *options, environ=environ)
+    return Terminal("rsb_console", "run", str(pair.client_path), *options, environ=environ, forked=True)
 
 
 class FarSide:
@@ -106,12 +107,11 @@ class FarSide:
 
     def __init__(self, pair: Pair, log: Path) -> None:
         self.log = log
-        self._command = [str(COMMAND), "run", "--no-ui", "--log-format", "json", str(pair.server_path)]
+        self._command = ["rsb_console", "run", "--no-ui", "--log-format", "json", str(pair.server_path)]
 
     def __enter__(self) -> "FarSide":
-        environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
         with self.log.open("w") as log:
-            self.process = subprocess.Popen(self._command, env=environ, stdout=log)
+            self.process = Forked(*self._command, stdout=log)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -257,12 +257,11 @@ def test_what_is_done_in_a_bridges_own_console_is_done_by_its_user_on_its_termin
     with console(pair, "--control", control) as terminal:
         terminal.wait_for("/console_")
         terminal.type("r")
-        command = [str(COMMAND), "events", "--control", control, "--json"]
         deadline = time.monotonic() + 60.0
         did: list[dict[str, Any]] = []
         while not did:
             assert time.monotonic() < deadline
-            told = subprocess.run(command, capture_output=True, text=True, check=False).stdout.splitlines()
+            told = rsb_console("events", "--control", control, "--json").stdout.splitlines()
             did = [event for event in map(json.loads, told) if event["code"] == "operator.retried"]
         name = str(Path(f"/proc/{terminal.pid}/fd/0").readlink()).removeprefix("/dev/")
         assert f" on {name}" in did[0]["who"]

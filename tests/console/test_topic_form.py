@@ -1,7 +1,7 @@
 """Topics added, edited and removed by keyboard: picked from both graphs, refused in words, asked about."""
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 import pytest
@@ -23,12 +23,13 @@ from tests.console.scripted import SESSION, ScriptedEngine, route
 from tests.support.long import long
 from textual.pilot import Pilot
 
+from rsb_bridge.config.topic_rules import entry_problems
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.session import Client, Kind, Protocol, Session, Topic
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_console.screens.form_screen import FormScreen
-from rsb_console.screens.topic_form import suggestions_for
+from rsb_console.screens.topic_form import KINDS, fields_by_kind, suggestions_for
 from rsb_console.session.draft import Ends, problems_of, topic_of, values_of
 from rsb_console.widgets.form import Field
 
@@ -51,6 +52,25 @@ def test_a_topic_survives_the_form_with_all_its_numbers_and_switches() -> None:
     )
     assert topic_of(values_of(topic)) == topic
     assert problems_of(topic_of(values_of(topic)), SESSION, None) == {}
+
+
+LINKS: dict[str, dict[str, Any]] = {
+    "ip": {"server_ip": "10.0.0.1"},
+    "both": {"server_ip": "10.0.0.1", "bluetooth_address": "00:11:22:33:44:55"},
+    "zenoh": {"server_ip": "zenoh", "server_port": 0},
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("link", LINKS)
+def test_the_form_offers_the_transports_that_the_rules_allow(link: str, kind: Kind) -> None:
+    session = msgspec.structs.replace(SESSION, **LINKS[link])
+    form = fields_by_kind(session, Ends(is_server=False, client="robot1", use_name=False), None)[kind]
+    offered = {value for value, _ in form["protocol"].options if value}
+    entries = {each: Topic("/a", "transmit", kind=kind, protocol=each) for each in get_args(Protocol)}
+    mistakes = {name: {each.location for each in entry_problems(entry, session)} for name, entry in entries.items()}
+    refused = {name for name, places in mistakes.items() if "protocol" in places}
+    assert offered == entries.keys() - refused
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ def test_a_form_offers_no_port_and_what_zenoh_has(kind: Kind) -> None:
     fields = fields_by_kind(OVER_ZENOH, Ends(is_server=False, client="robot1", use_name=False), None)[kind]
     assert "port" not in fields
     offered = {value for value, _ in fields["protocol"].options}
-    assert offered == ({"", "zenoh", "zenoh-drop"} if kind == "topic" else {""})
+    assert offered == ({"", "zenoh", "zenoh-drop"} if kind == "topic" else {"", "zenoh"})
 
 
 def test_the_column_has_room_for_both() -> None:

@@ -53,6 +53,10 @@ with contextlib.suppress(ExternalShutdownException):
 pytestmark = pytest.mark.skipif(not OTHER, reason="OTHER_PYTHON is not set: make test-kilted")
 
 
+def _start(module: str, *arguments: str, **pipes: Any) -> subprocess.Popen[str]:
+    return subprocess.Popen([OTHER, "-m", module, *arguments], text=True, cwd=ROOT, **pipes)
+
+
 def _version(python: str) -> str:
     command = [python, "-c", "from rsb_bridge.ros.distribution import distribution; print(distribution())"]
     return subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout.strip()
@@ -68,7 +72,7 @@ def _own_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def robots_bridge(bridge: Bridge, _own_libraries: None) -> Iterator[Programs]:
     """Runs the robot's bridge."""
-    made = Programs(bridge.folder, OTHER)
+    made = Programs(bridge.folder, _start)
     yield made
     made.close()
 
@@ -162,7 +166,7 @@ def test_calls_are_answered_both_ways(
 
 
 def test_an_action_of_the_robot_runs(bridge: Bridge, robots_bridge: Programs, robot: Domain, pc: Domain) -> None:
-    with FibonacciProcess(robot.id, OTHER):
+    with FibonacciProcess(robot.id, _start):
         client = FibonacciClient(pc.id)
         _link(bridge, robots_bridge, FIBONACCI)
         goal = client.send(5)

@@ -1,4 +1,4 @@
-"""Both ends of an action, in the domains of a bridge's two sides."""
+"""Both ends of an action, in the domains of a bridge's two sides, and fixtures of tests on virtual time."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support import constants
+from tests.support.offline import loop, make_context
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from tests.support.domain import Domain
     from tests.support.fibonacci import FibonacciClient, FibonacciServer
+
+__all__ = ["loop", "make_context"]
 
 
 @pytest.fixture(autouse=True)

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support import replaced
-from tests.support.bridge import happened, linked, now
+from tests.support.bridge import happened, linked, now, route
 from tests.support.domain import text
+from tests.support.inside import inside
 from tests.support.long import long
 from tests.support.ports import free_port
 from tests.support.rogue import Rogue
@@ -22,6 +23,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.control.remote_engine import RemoteEngine
+from rsb_bridge.link.connecting import Failure
 from rsb_bridge.link.server_link import PortDenied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
@@ -32,11 +34,14 @@ from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.transport import Acceptor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Awaitable, Callable, Iterator
 
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
     from tests.support.program import Programs
+
+    from rsb_bridge.link.client_link import ClientLink
+    from rsb_bridge.transport.transport import StreamTransport
 
 TOPICS = 100
 PORTS = 40
@@ -109,7 +114,6 @@ def test_the_program_takes_all_that_it_may_have(bridge: Bridge, programs: Progra
     assert resource.prlimit(program.pid, resource.RLIMIT_NOFILE) == (4096, 4096)
 
 
-# A client's streams do not always reach the limit at one moment: of 48 runs, 4 waited for that in vain.
 @pytest.mark.parametrize("side", ["server", *long("client")])
 def test_topics_beyond_the_limit(side: str, bridge: Bridge, programs: Programs) -> None:
     """Both sides show whose limit it is; the link, the other topics and other clients are served.
@@ -170,6 +174,39 @@ def test_one_client_that_takes_all_it_can_leaves_enough_for_the_next(
         operator.start()
         eventually(lambda: {link.name for link in operator.snapshot().links if link.state == "ok"} >= {"robot2"})
     assert not happened(client, EventCode.LINK_LOST)
+
+
+def test_half_a_pair_of_streams_holds_no_descriptor(
+    bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where descriptors are scarce, half a pair of each topic would be all that there is, and none would connect."""
+    out = robot.publisher("/scan")
+    port = free_port()
+    message = Scarcity.ROUTE_WITHOUT_STREAM(side="client", limit=150, remedy=MORE_DESCRIPTORS)
+    opened: list[bool] = []
+    open_stream: Callable[..., Awaitable[Failure | None]] = replaced.OPEN_DATA_STREAM.value
+
+    async def one_left(self: ClientLink, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
+        if large:
+            return Failure(message)
+        failure = await open_stream(self, transport, port, large=large)
+        opened.append(failure is None)
+        return failure
+
+    def carriers() -> list[int]:
+        links = [each for engine in (server, client) for each in inside(engine).links()]
+        return [len(each.carriers()) for each in links]
+
+    with monkeypatch.context() as short:
+        replaced.OPEN_DATA_STREAM.set(short, one_left)
+        server, client = bridge.both(Topic("/scan", "transmit", port=port))
+        eventually(lambda: message in route(client, "/scan").reason)
+        eventually(lambda: carriers() == [1, 1], what="nothing but the control connection is open")
+        eventually(lambda: opened.count(True) > 1, what="it is tried again from the beginning")
+    eventually(out.get_subscription_count, what="subscribed")
+    assert carriers() == [3, 3]
+    client.remove_topic(route(client, "/scan").key).result(60)
+    eventually(lambda: carriers() == [1, 1])
 
 
 def test_a_client_opens_no_socket_for_datagrams_from_the_reserve(

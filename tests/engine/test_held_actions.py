@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -101,8 +102,14 @@ def test_a_goal_that_runs_is_cancelled_by_hand_where_nobody_was_ever_let_send_on
                 engine.call(route(engine, ACTION).key, "{}", "send_goal").result(30)
     assert server.orders == [5]
     eventually(lambda: [each.state for each in route(pc, ACTION).goals] == ["executing"])
-    pc.call(route(pc, ACTION).key, "{}", "cancel_goal").result(30)
-    eventually(lambda: server.cancels == [id_of(goal.handle())])
+
+    def cancel() -> bool:
+        with contextlib.suppress(EngineError):  # its own service is found after the goal's status, by a busy machine
+            pc.call(route(pc, ACTION).key, "{}", "cancel_goal").result(30)
+        return bool(server.cancels)
+
+    eventually(cancel)
+    assert set(server.cancels) == {id_of(goal.handle())}
     server.finish(state="canceled")
     local.close()
 

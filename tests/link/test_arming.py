@@ -4,25 +4,30 @@ from __future__ import annotations
 
 import asyncio
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import pytest
 from tests.link.test_route_table import Pair, Side, hear_all
 from tests.route.test_unpacking import OnePublisher
 
+from rsb_bridge.engine.topic_commands import ArmingCommands
 from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.link_arming import ArmingProblem
 from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.command_origin import acting
+from rsb_bridge.model.command_origin import acting, on_console
+from rsb_bridge.model.commands import ArmTopic, TakeArming
 from rsb_bridge.model.demands import DemandSource
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import ArmedName as ArmedEntry
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, DISARM_TEXT, PEER_GRACE, Disarmed
+from rsb_bridge.route.arming import ANSWERED_WITHIN, CONSOLE_SILENT_AFTER, DISARM_TEXT, PEER_GRACE, Disarmed
 from rsb_bridge.route.blocking_rules import blocked
+from rsb_bridge.route.gates import Arrived, LeaseGate
 from rsb_bridge.route.lease import LASTS, SLOW
 from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.wire.messages import Arm, Armed, Close, Describe, Disarm, Lease, Pause, Propose, Provide
@@ -35,6 +40,7 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
+    from rsb_bridge.link.link import Link
     from rsb_bridge.model.snapshot import Event
     from rsb_bridge.route.route import Route
 
@@ -128,13 +134,79 @@ def test_a_message_from_before_it_was_armed_is_not_published(at: int, pair: Pair
     lease = route(receiving).arming.lease
     assert lease is not None
     before = lease.number
-    assert route(receiving).arming.admits(before)
+    gate = LeaseGate(route(receiving).arming)
+    assert gate.check(Arrived(0, before), 0.0) is None
     pair[at].table.arming.disarm(route(pair[at]), Disarmed.OPERATOR)
     hear_all(pair)
     arm(pair[at], loop).result()
     assert lease.passes(before)
-    assert not route(receiving).arming.admits(before)
-    assert route(receiving).arming.admits(lease.number)
+    assert gate.check(Arrived(0, before), 0.0) is Refused.DISARMED
+    assert gate.check(Arrived(0, lease.number), 0.0) is None
+
+
+def command(side: Side, loop: VirtualLoop, *, take: bool = False) -> asyncio.Task[None]:
+    """What `rsb-console arm` has the bridge do, for a console; the other side hears nothing of it yet."""
+
+    async def no_motions(_: set[str]) -> None:
+        """Nobody drives by hand."""
+
+    def find(key: str) -> Any:
+        return side, side.routes[key]
+
+    commands = ArmingCommands(lambda: cast("list[Link]", [side]), find, no_motions)
+    key = route(side).key
+
+    async def ask() -> None:
+        with acting("anna"), on_console(CONSOLE):
+            await (commands.take(TakeArming(key)) if take else commands.arm(ArmTopic(key)))
+
+    task = loop.create_task(ask())
+    turn(loop)
+    return task
+
+
+def sleep(loop: VirtualLoop, seconds: float) -> None:
+    loop.run_until_complete(asyncio.sleep(seconds))
+
+
+@pytest.mark.parametrize("take", [False, True], ids=["arm", "take"])
+@pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
+def test_a_topic_that_was_just_disarmed_is_armed_once_the_link_moves_again(
+    at: int, take: bool, pair: Pair, loop: VirtualLoop
+) -> None:
+    """What is said about its new opening stands in the link for a while."""
+    side = pair[at]
+    arm(side, loop).result()
+    side.table.arming.disarm(route(side), Disarmed.OPERATOR)
+    task = command(side, loop, take=take)
+    sleep(loop, 0.8 * ANSWERED_WITHIN)
+    assert not task.done()
+    let_time_pass(pair, loop, 1.0)
+    task.result()
+    assert stands(*pair) == [True, True]
+
+
+@pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
+def test_a_topic_that_does_not_open_again_is_not_waited_for_forever(at: int, pair: Pair, loop: VirtualLoop) -> None:
+    side = pair[at]
+    arm(side, loop).result()
+    side.table.arming.disarm(route(side), Disarmed.OPERATOR)
+    task = command(side, loop)
+    sleep(loop, 1.1 * ANSWERED_WITHIN)
+    assert ArmingProblem.NOT_OPEN() in str(task.exception())
+    let_time_pass(pair, loop, 1.0)
+    assert stands(*pair) == [False, False]
+
+
+def test_a_console_that_is_gone_before_the_topic_opens_arms_nothing(pair: Pair, loop: VirtualLoop) -> None:
+    pc = pair[1]
+    arm(pc, loop).result()
+    pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
+    task = command(pc, loop)
+    pc.table.arming.gone(CONSOLE)
+    let_time_pass(pair, loop, 1.0)
+    assert ArmingProblem.CONSOLE_GONE(topic="/cmd_vel") in str(task.exception())
+    assert stands(*pair) == [False, False]
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])

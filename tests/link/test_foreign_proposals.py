@@ -111,6 +111,7 @@ def test_what_has_to_be_armed_has_a_max_age(bridge: Bridge) -> None:
         (VIEW, {"from_client": False, "kind": "service"}, "kind"),
         (VIEW, {"from_client": False, "qos": Qos(durability="transient_local")}, "late joiners"),
         (VIEW, {"from_client": False, "transport": "zenoh"}, "protocol"),
+        (VIEW, {"from_client": False, "replaces": 3}, "place"),
         (VIEW, {"from_client": False, "purpose": "topic"}, "absolute"),
         (VIEW, {"from_client": False, "purpose": "telepathy"}, "update"),
         (VIEW, {"from_client": False}, ""),

@@ -18,7 +18,11 @@ from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import sources_of_entries
+from rsb_bridge.model.purposes import BENCH, VIEW, Purpose
+from rsb_bridge.model.purposes import TOPIC as ORDINARY
 from rsb_bridge.model.session import Topic
+from rsb_bridge.route.route import route_key
+from rsb_bridge.wire.messages import Close
 
 if TYPE_CHECKING:
     import asyncio
@@ -53,6 +57,7 @@ class Side(FakePeer):
         self.ids = RouteIds(is_client=is_client)
         self.status = LinkStatus(0.0, reason="cut")
         self.table = RouteTable(cast("BaseLink", self))
+        self.table.on_vacated = lambda topic: None if topic is None else self.add(topic)
         context.demands.register(self)
 
     # --- arming, as a link does it
@@ -70,17 +75,34 @@ class Side(FakePeer):
 
     # --- what an operator does, and what happens to a route
 
-    def add(self) -> None:
-        transport = self.context.transports["tcp"]
+    def add(self, topic: Topic = TOPIC, replaces: Route | None = None, purpose: Purpose = ORDINARY) -> None:
+        tcp = self.context.transports["tcp"]
         try:
-            proposal = proposal_of(TOPIC, transport, client_name="robot1", use_name=False)
-            self.table.add(TOPIC, proposal, proposed_here=True)
+            proposal = proposal_of(topic, tcp, client_name="robot1", use_name=False, purpose=purpose)
+            self.table.check_add(topic, proposal, route_key("robot1", proposal), replaces)
         except LinkError:
-            pass  # it is there
+            return  # it is there
+        opening = 0 if replaces is None else self.table.give_way(replaces)
+        route = self.table.add(topic, proposal, proposed_here=True, replaces=opening)
+        route.edits_peer = replaces is not None and (replaces.edits_peer or not replaces.proposed_here)
+
+    def edit(self) -> None:
+        for route in tuple(self.routes.values()):
+            self.add(msgspec.structs.replace(route.spec, qos=7 if self.is_client else 9), route)
+
+    def rename(self) -> None:
+        for route in tuple(self.routes.values()):
+            name = "/talk" if route.spec.topic == TOPIC.topic else TOPIC.topic
+            self.add(msgspec.structs.replace(route.spec, topic=name, remote_topic=None), route)
 
     def remove(self) -> None:
         for route in tuple(self.routes.values()):
             self.table.remove(route, "by an operator")
+
+    def undo(self) -> None:
+        for route in tuple(self.routes.values()):
+            if route.proposed_here and route.edits_peer:
+                self.table.undo_edit(route, "the file is read again")
 
     def pause(self, paused: bool) -> None:
         for route in self.routes.values():
@@ -101,8 +123,17 @@ class Side(FakePeer):
             self.table.handle(self.inbox.popleft())
 
     @property
-    def state(self) -> dict[str, tuple[bool, float | None, float]]:
-        return {key: (route.paused, route.spec.max_rate, route.proposal.max_rate) for key, route in self.routes.items()}
+    def state(self) -> dict[str, tuple[object, ...]]:
+        return {
+            key: (route.paused, route.spec.max_rate, route.proposal.max_rate, route.proposal.qos, route.accepted)
+            for key, route in self.routes.items()
+        }
+
+    @property
+    def listed(self) -> list[str]:
+        """The names of the topics in its session."""
+        proposed = [route.spec for route in self.routes.values() if route.proposed_here]
+        return sorted(topic.topic for topic in (*proposed, *self.table.superseded.values()))
 
     # --- as the table's link
 
@@ -178,7 +209,9 @@ def hear_all(pair: Pair) -> None:
             side.hear()
 
 
-OPERATIONS = ("add", "remove", "pause", "resume", "limit", "unlimit", "lose", "hear")
+OPERATIONS = (
+    "add", "remove", "edit", "rename", "undo", "pause", "resume", "limit", "unlimit", "lose", "hear",
+)  # fmt: skip
 _ANY_MACHINE = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 steps = st.lists(st.tuples(st.booleans(), st.sampled_from(OPERATIONS)), max_size=25)
 
@@ -210,6 +243,9 @@ def test_both_sides_end_up_with_the_same_routes_in_the_same_state(
                 getattr(side, operation)()
     settle(pair, loop)
     assert client.state == server.state
+    for side in pair:
+        assert len(set(side.listed)) == len(side.listed), "a file with an entry twice cannot be read"
+        assert side.table.superseded.keys() <= side.routes.keys(), "what has no place of its own is proposed"
 
 
 @pytest.mark.parametrize("proposer", ["client", "server"])
@@ -312,6 +348,18 @@ def test_a_limit_that_changed_while_apart_keeps_the_route(
     settle(pair, loop)
     assert next(iter(pair[1 - apart].routes.values())) is kept
     assert kept.spec.max_rate == kept.proposal.max_rate == 2.0
+
+
+@pytest.mark.parametrize("purpose", [BENCH, VIEW], ids=["measures", "pictures"])
+def test_a_peer_cannot_have_a_session_list_what_is_the_links_own(
+    purpose: Purpose, make_pair: Callable[[], Pair]
+) -> None:
+    client, _ = make_pair()
+    client.add(Topic(purpose.route_name("1"), "transmit"), purpose=purpose)
+    (route,) = client.routes.values()
+    client.table.handle(Close(route.id, "edited", edited=True))
+    assert client.listed == []
+    assert client.routes == {}
 
 
 def settle_shortly(pair: Pair, loop: VirtualLoop) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import get_args
 
 import msgspec
 import pytest
 
-from rsb_bridge.model.session import Topic
+from rsb_bridge.config.file_form import KEYS, LISTS
+from rsb_bridge.model.session import Kind, Topic
 from rsb_bridge.model.topic_keys import TOPIC_KEYS, TopicKey
 from rsb_bridge.wire.messages import Amend, Propose
 
@@ -29,6 +31,19 @@ def test_a_key_takes_the_values_of_its_field(key: TopicKey) -> None:
 def test_a_range_has_a_text(key: TopicKey) -> None:
     assert (key.limits is None) == (key.range_text is None)
     assert key.limits is None or key.unit
+
+
+@pytest.mark.parametrize("kind", LISTS)
+def test_the_documentation_has_each_key(kind: Kind) -> None:
+    """`docs/sessions.md` has a table for topics, and one with a sentence behind it for the other kinds."""
+    heading = "Keys of a topic" if kind == "topic" else "Keys of services, actions and parameters"
+    section = (
+        (Path(__file__).parents[2] / "docs/sessions.md")
+        .read_text()
+        .partition(f"## {heading}\n")[2]
+        .partition("\n## ")[0]
+    )
+    assert {key for key in KEYS[kind] if f"`{key}`" not in section} == set()
 
 
 def test_what_is_live_can_be_amended() -> None:

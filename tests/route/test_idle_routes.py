@@ -82,7 +82,7 @@ def test_a_quiet_route_is_ticked_seldom_though_never_left_alone(
 
 
 def _message(world: World) -> None:
-    world.route.count(1, 100)
+    world.route.count(1, 100, world.route.context.now())
 
 
 def _endpoint(world: World) -> None:
@@ -127,7 +127,7 @@ def test_silence_that_becomes_too_long_is_noticed_in_time(
 ) -> None:
     after = IDLE_AFTER + 47.0
     world = World(loop, make_context(), stale_after=after)
-    world.route.count(1, 100)
+    world.route.count(1, 100, loop.time())
     came = loop.time()
     world.wait(after - 1)
     assert (world.route.verdict().state, len(world.ticks) < after - 20) == (State.OK, True)

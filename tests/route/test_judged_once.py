@@ -109,5 +109,5 @@ def test_the_sending_side_knows_of_messages_before_its_own_start(make_context: C
     sender.reported(report)
     assert sender.status().came_before
     assert receiver.status().came_before
-    sender.count(1, 10)
+    sender.count(1, 10, sender.context.now())
     assert not sender.status().came_before

@@ -32,7 +32,7 @@ def ignore(level: Level, code: EventCode, text: str) -> None:
 def test_the_lowest_rate_counts_and_the_sender_is_told() -> None:
     told: list[float] = []
     route = limit(20.0)
-    route.apply = told.append
+    route.switched = lambda: told.append(route.rate)
     route.allow_here(10.0)
     route.allow_there(5.0)
     assert (told, route.rate, route.allowed) == ([10.0, 5.0], 5.0, 5.0)

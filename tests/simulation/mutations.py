@@ -183,7 +183,7 @@ def _kept(self: Any, work: Coroutine[None, None, None]) -> Any:
     return task
 
 
-async def _unpaused(self: Any, route: Any, route_id: int, who: str, *, edited: bool) -> None:
+async def _unpaused(self: Any, route: Any, route_id: int, who: str) -> None:
     """Replace `RouteTable._propose` by a form that never pauses the route."""
     send = self._link.send
 
@@ -191,7 +191,7 @@ async def _unpaused(self: Any, route: Any, route_id: int, who: str, *, edited: b
         send(msgspec.structs.replace(message, paused=False, pause_revision=0))
 
     with patch.object(self._link, "send", unpaused):
-        await _propose(self, route, route_id, who, edited=edited)
+        await _propose(self, route, route_id, who)
 
 
 def _away(world: World) -> Coroutine[None, None, None]:

@@ -21,9 +21,9 @@ import sys
 import threading
 import time
 import zlib
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from tests.support.forker import Forked
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.text import keep_output_clean
@@ -31,7 +31,6 @@ from rsb_bridge.model.text import keep_output_clean
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-ROOT = Path(__file__).parents[2]
 TYPE = "nav_msgs/srv/LoadMap"
 DEEP = 5000
 """Of 1,000 requests at once rclpy's own depth of 10 loses most in DDS, bridge or not."""
@@ -85,14 +84,15 @@ class CallNode:
 
     def __init__(self, domain_id: int, start: Callable[..., subprocess.Popen[str]] | None = None) -> None:
         """Begin it, on another machine where `start` starts programs there (`tests.network.hosts.Host.start`)."""
-        command = (sys.executable, "-m", "tests.support.calls", str(domain_id))
+        command = ("tests.support.calls", str(domain_id))
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-        self._process = start(*command, **pipes) if start else subprocess.Popen(command, text=True, cwd=ROOT, **pipes)
+        self._process: Any = start(sys.executable, "-m", *command, **pipes) if start else Forked(*command, **pipes)
 
     @property
     def pid(self) -> int:
         """Its process id."""
-        return self._process.pid
+        pid: int = self._process.pid
+        return pid
 
     def serve(
         self,

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 import select
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from tests.support.forker import Forked
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -26,10 +25,10 @@ from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.text import keep_output_clean
 
 if TYPE_CHECKING:
+    from pathlib import Path
     from types import TracebackType
 
 TOPIC = "/count"
-_BRIDGE = "import sys; from rsb_console.cli import main; sys.exit(main(sys.argv[1:]))"
 _QUIET = 1.3
 """s in which no count changes before it is taken as final."""
 
@@ -72,17 +71,12 @@ class _Child:
     """A process that answers lines with lines."""
 
     def __init__(self, *arguments: object) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.counting", *map(str, arguments)],
-            cwd=Path(__file__).parents[2],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
+        words = map(str, arguments)
+        self._process = Forked("tests.support.counting", *words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
     def read(self) -> str:
         assert self._process.stdout is not None
-        return self._process.stdout.readline().strip()
+        return str(self._process.stdout.readline()).strip()
 
     def ask(self, words: str = "count") -> Any:
         """Send it a command, and return its count."""
@@ -119,12 +113,9 @@ class _Bridge:
         self._lives += 1
         self._log = self._folder / f"{self._name}{self._lives}.log"
         with self._log.open("w") as log:
-            self._process = subprocess.Popen(
-                [sys.executable, "-c", _BRIDGE, *self._arguments],
-                env=os.environ | {"XDG_STATE_HOME": str(self._folder / self._name)},
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
+            environ = {"XDG_STATE_HOME": str(self._folder / self._name)}
+            self._process = Forked(
+                "rsb_console", *self._arguments, environ=environ, stdout=log, stderr=subprocess.STDOUT
             )
 
     def kill(self) -> None:

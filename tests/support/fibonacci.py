@@ -12,10 +12,10 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import pytest
+from tests.support.forker import Forked
 from tests.support.participants import join
 from tests.support.waiting import eventually
 
@@ -31,11 +31,12 @@ from rclpy.node import Node
 from test_msgs.action import Fibonacci
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rclpy.action.client import ClientGoalHandle
     from rclpy.action.server import ServerGoalHandle
     from rclpy.task import Future
 
-ROOT = Path(__file__).parents[2]
 ACTION = "/fibonacci"
 TYPE = "test_msgs/action/Fibonacci"
 STATES = {
@@ -214,9 +215,8 @@ class FibonacciServer(_Spun):
 class FibonacciProcess:
     """A server in a process of its own."""
 
-    def __init__(self, domain_id: int, python: str = sys.executable) -> None:
-        command = [python, "-m", "tests.support.fibonacci", str(domain_id)]
-        self._process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    def __init__(self, domain_id: int, start: Callable[..., Any] = Forked) -> None:
+        self._process = start("tests.support.fibonacci", str(domain_id), stdout=subprocess.PIPE)
         assert self._process.stdout
         assert self._process.stdout.readline() == "ready\n"
 

@@ -1,7 +1,4 @@
-"""The real program in a process of its own: `rsb-console run SESSION --no-ui`.
-
-An interpreter that has imported everything forks each of them, so that a test may start a hundred.
-"""
+"""The real program in a process of its own: `rsb-console run SESSION --no-ui`."""
 
 from __future__ import annotations
 
@@ -9,11 +6,11 @@ import contextlib
 import fcntl
 import json
 import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tests.support.forker import Forked
 from tests.support.handles import Handle
 from tests.support.waiting import eventually
 
@@ -21,6 +18,7 @@ from rsb_bridge.config.session_file import save
 
 if TYPE_CHECKING:
     import signal
+    from collections.abc import Callable
 
     from rsb_bridge.model.session import Session
 
@@ -31,18 +29,10 @@ _LOCKED_WITHIN = 5.0  # s
 class Programs:
     """Starts programs, and ends them all at the end."""
 
-    def __init__(self, folder: Path, python: str = sys.executable) -> None:
+    def __init__(self, folder: Path, start: Callable[..., Any] = Forked) -> None:
         self._folder = folder
         self._programs: list[Program] = []
-        self._forker = subprocess.Popen(
-            [python, "-m", "tests.support.forker"],
-            cwd=Path(__file__).parents[2],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert self._forker.stdout
-        assert self._forker.stdout.readline() == "ready\n"
+        self._start = start
 
     def start(self, session: Session, descriptors: tuple[int, int] | None = None) -> Program:
         """Run a session; its key files are relative to the folder.
@@ -50,14 +40,18 @@ class Programs:
         Args:
             descriptors: the process's soft and hard limits of descriptors, or None to inherit them.
         """
-        assert self._forker.stdin
-        assert self._forker.stdout
         number = len(self._programs)
         path, log = self._folder / f"{session.role}{number}.yaml", self._folder / f"{session.role}{number}.log"
         save(session, path)
-        self._forker.stdin.write(json.dumps([str(path), str(log), descriptors]) + "\n")
-        self._forker.stdin.flush()
-        program = Program(int(self._forker.stdout.readline()), log)
+        # A socket of its own: some tests run one session twice, as two machines may.
+        options = ("--no-ui", "--log-format", "json", "--control", f"{path}.sock")
+        limits = {"descriptors": descriptors} if descriptors else {}
+        with log.open("a") as output:
+            process = self._start(
+                "rsb_console", "run", str(path), *options,
+                stdin=subprocess.DEVNULL, stdout=output, stderr=output, **limits,
+            )  # fmt: skip
+        program = Program(process.pid, log, process.wait)
         self._programs.append(program)
         return program
 
@@ -65,17 +59,20 @@ class Programs:
         """Kill them all; none may have written a traceback."""
         for program in self._programs:
             program.kill()
-        self._forker.communicate()
-        assert self._forker.returncode == 0
         free_shared_memory()
         for program in self._programs:
             assert "Traceback" not in program.output, program.output
 
 
 class Program:
-    """One of them."""
+    """One of them.
 
-    def __init__(self, pid: int, log: Path) -> None:
+    Args:
+        reap: called once it has been killed, where this process has to see to that.
+    """
+
+    def __init__(self, pid: int, log: Path, reap: Callable[[], object] | None = None) -> None:
+        self._reap = reap
         self.pid = pid
         self._handle = Handle(pid)
         self._log = log
@@ -106,6 +103,8 @@ class Program:
     def kill(self) -> None:
         """kill -9, and wait until it is gone."""
         self._handle.kill()
+        if self._reap is not None:
+            self._reap()
 
     def _lines(self) -> list[dict[str, Any]]:
         return [json.loads(line) for line in self.output.splitlines(keepends=True) if line[0] + line[-1] == "{\n"]

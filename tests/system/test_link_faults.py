@@ -12,12 +12,12 @@ import shutil
 import signal
 import socket
 import subprocess
-import sys
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.console.live import COMMAND
 from tests.console.tmux import Tmux
+from tests.support.forker import Forked
 from tests.support.log_lines import check_lines
 from tests.support.waiting import eventually
 from tests.support.wording import says
@@ -38,13 +38,6 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.skipif(shutil.which("tmux") is None, reason="it needs tmux (apt install tmux)")
 
-_PROGRAM = """
-import sys
-from rsb_bridge.wire import preamble
-preamble.VERSION = int(sys.argv[1])
-from rsb_console.cli import main
-sys.exit(main(["run", *sys.argv[2:]]))
-"""
 _VERSION = 2
 _WIDE = (240, 30)
 """Columns and lines: a sentence fits in a line."""
@@ -60,12 +53,8 @@ class Program:
         save(session, path)
         options = ("--no-ui", "--log-format", "json", "--status-every", "0.2", "--control", str(self._control))
         with self._log.open("w") as log:
-            self._process = subprocess.Popen(
-                [sys.executable, "-c", _PROGRAM, str(version), str(path), *options],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-            )
+            program = ("rsb_console",) if version == _VERSION else ("tests.system.other_version", str(version))
+            self._process = Forked(*program, "run", str(path), *options, stdout=log, stderr=subprocess.STDOUT)
 
     @property
     def _lines(self) -> list[dict[str, Any]]:

@@ -54,7 +54,7 @@ def test_a_fork_takes_an_answer_and_leaves_the_first_untouched() -> None:
     server = ServerConnection(lambda _: Credential((KEY,), ReplayCache()), lambda _: WELCOME, aes=True)
     server.receive_data(client.start())
     answer = server.data_to_send()
-    for forged in (b"forged", answer[:-1] + b"?", b"\0\0\0\5rsb\2\7", b"", answer + b"\0\0\0\1?"):
+    for forged in (b"forged", answer[:-1] + bytes([answer[-1] ^ 1]), b"\0\0\0\5rsb\2\7", b"", answer + b"\0\0\0\1?"):
         fork = client.fork()
         fork.receive_data(forged)
         assert not fork.proven

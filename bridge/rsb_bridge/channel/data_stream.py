@@ -263,6 +263,10 @@ class StreamPair:
     def forget(self, route_id: int) -> None:
         """Forget a route, which is closed; the last one closes streams that are not the link's own."""
         self._ends.pop(route_id, None)
+        self.end_unused()
+
+    def end_unused(self) -> None:
+        """Close streams that no route uses and that are not the link's own; maybe only one of them is open."""
         if not self._ends and not self.kept and not self.over:
             self.end("no topic uses it any more")
 

@@ -6,6 +6,7 @@ import asyncio
 from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
+from rsb_bridge.channel.path_rate import PathRate
 from rsb_bridge.channel.window import LEAST
 
 if TYPE_CHECKING:
@@ -16,17 +17,12 @@ if TYPE_CHECKING:
 
 _PAUSE = 0.001
 """s; what the I/O loop's timers resolve."""
-_FIRST_BURST = 128 * 1024
-_LEAST_BURST, _MOST_BURST = 32 * 1024, 4 * 1024 * 1024
-"""Bytes that go in each pause."""
-_GROWTH, _CAREFUL_GROWTH, _SHRINKING = 1.5, 0.05, 0.7
+_LEAST_BURST, _BURST_LASTS = 16 * 1024, 0.005
+"""Bytes that go at once after a pause: so many, or what crosses in so many s."""
 WINDOW = 2
 """The part of the receiver's buffer that one route may fill: its routes share it, and small datagrams cost more."""
-_MOST_ON_PATH = 16 * 1024 * 1024
 _PATIENCE = 0.25
-"""Seconds without a receipt after which sent bytes count as arrived or lost."""
-_SPAN = 0.005
-"""s, at least, over which the path's rate is measured."""
+"""s, or two round trips if they take longer."""
 
 
 class Pacer:
@@ -34,12 +30,13 @@ class Pacer:
 
     Attributes:
         window: bytes that may be in the receiver's buffer, or 0 if unknown.
+        path: how much its path carries.
     """
 
     def __init__(self) -> None:
         self.window = 0
-        self._burst = float(_FIRST_BURST)
-        self._tokens = float(_FIRST_BURST)
+        self.path = PathRate()
+        self._tokens = self._burst = self.path.pace * _BURST_LASTS
         self._filled_at = 0.0
         self._limited = False
         self._sent = 0
@@ -47,29 +44,23 @@ class Pacer:
         self._under_way: deque[tuple[int, int, float]] = deque()  # last sequence number, bytes sent with it, when
         self._passed = (-1, 0)  # the last receipted sequence number, and bytes sent up to it
         self._heard_at = 0.0
-        self._newest = -1
-        self._missing: int | None = None
-        self._most_missing = 0
-        self._lost_at: float | None = None
-        self._delay = float("inf")
-        self._rate = 0.0
-        self._on_path = 0
-        self._span = (0.0, 0)  # since when the rate is measured, and what had arrived then
+        self._newest, self._opened = -1, 0
+        self._round_trip = 0.0
 
     def room(self, now: float) -> int:
         """Return the bytes that may be sent now; none if it is 0 or less."""
-        burst = self._burst
-        tokens = self._tokens + (now - self._filled_at) * burst / _PAUSE
-        if tokens > 2 * burst:
-            tokens = 2 * burst
-        elif tokens <= 0:
-            self._limited = True
-        self._tokens = tokens
+        tokens = self._tokens = min(self._tokens + (now - self._filled_at) * self.path.pace, self._burst)
         self._filled_at = now
-        if not self.window:
-            return int(tokens)
-        left = self.window + self._on_path - (self._sent - self._arrived)
-        return int(tokens if tokens < left else left)
+        if self.window:
+            tokens = min(tokens, self.limit - self.in_transit)
+        if tokens <= 0:
+            self._limited = True
+        return int(tokens)
+
+    @property
+    def limit(self) -> int:
+        """Bytes that may be in transit: on the path and in the receiver's buffer."""
+        return min(self.window + self.path.crossing, self.path.most)
 
     @property
     def in_transit(self) -> int:
@@ -77,21 +68,29 @@ class Pacer:
         return self._sent - self._arrived
 
     def gives_up(self, now: float) -> bool:
-        """Whether the receiver's buffer seems full, but only because receipts were lost."""
-        if not self.window or not self._under_way or self.window + self._on_path > self.in_transit:
+        """Whether no more may be in transit, but only because receipts were lost."""
+        if not self.window or not self._under_way or self.limit > self.in_transit:
             return False
-        return now - max(self._under_way[-1][2], self._heard_at) >= _PATIENCE
+        return now - max(self._under_way[-1][2], self._heard_at) >= self.patience
+
+    @property
+    def patience(self) -> float:
+        """The time (s) without a receipt after which a full path seems to carry nothing."""
+        return max(_PATIENCE, 2 * self._round_trip)
 
     def write_off(self) -> None:
         """Count all bytes as arrived or lost."""
         if self._under_way:
+            self.path.silent(full=self.in_transit >= self.limit)
             self._arrived = self._sent
             self._passed = self._under_way[-1][:2]
             self._under_way.clear()
 
     def pause(self) -> float:
         """Time (s) until it is worth asking for room again, where no receipt comes before."""
-        return _PAUSE if self._tokens <= 0 or not self.window else _PATIENCE
+        if self._tokens > 0 and self.window:
+            return self.patience
+        return min(_BURST_LASTS, max(_PAUSE, (self._burst / 2 - self._tokens) / self.path.pace))
 
     def sent(self, size: int, sequence: int, now: float) -> None:
         """Note that `size` bytes were sent; the last datagram had this sequence number."""
@@ -103,47 +102,31 @@ class Pacer:
         """Take a receipt: the datagrams opened, up to a sequence number, and the bytes of the receiver's buffer."""
         if newest <= self._newest:
             return  # another one has overtaken it
-        self._newest = newest
         self.window = max(buffer // WINDOW, 1)
+        self._heard_at = now
+        before, sent_at = self._arrived, None
         while self._under_way and self._under_way[0][0] <= newest:
             last, self._arrived, sent_at = self._under_way.popleft()
             self._passed = last, self._arrived
-            self._delay = min(self._delay, now - sent_at)
         if self._under_way:  # a part of the last burst has arrived
-            (begin, before), (last, after, _) = self._passed, self._under_way[0]
+            (begin, reached), (last, after, at) = self._passed, self._under_way[0]
             part = (newest - begin) / (last - begin)
-            self._arrived = max(self._arrived, before + int(part * (after - before)))
-        since, self._heard_at = now - self._heard_at, now
-        began, arrived = self._span
-        if now - began >= max(_SPAN, self._delay):
-            self._rate = max((self._arrived - arrived) / (now - began), 0.9 * self._rate)
-            self._span = now, self._arrived
-        self._on_path = min(int(self._rate * self._delay), _MOST_ON_PATH) if self._rate else 0
-        self._adapt(newest + 1 - opened, since)
-
-    def _adapt(self, missing: int, since: float) -> None:
-        """Adapt the rate; `missing` datagrams before the newest have not come, or not yet: some overtake others."""
-        before, self._missing = self._missing, missing
-        if before is None:
-            self._most_missing = missing
+            self._arrived = max(self._arrived, reached + int(part * (after - reached)))
+            sent_at = at if sent_at is None else sent_at
+        datagrams, arrived = newest - self._newest, min(max(0, opened - self._opened), newest - self._newest)
+        self._newest, self._opened = newest, max(opened, self._opened)
+        if sent_at is None:
             return
-        lost = min(before, missing)
-        if lost > self._most_missing:
-            self._most_missing = lost
-            self._lost_at = self._heard_at
-            self._burst = max(self._burst * _SHRINKING, _LEAST_BURST)
-        elif self._limited:
-            growth = _GROWTH
-            if self._lost_at is not None:
-                growth = min(1 + _CAREFUL_GROWTH * since * (1 + (self._heard_at - self._lost_at) ** 2), _GROWTH)
-            self._burst = min(self._burst * growth, _MOST_BURST)
-        self._limited = False
+        self._round_trip = now - sent_at
+        if self.path.passed(self._arrived - before, datagrams, arrived, sent_at, now, limited=self._limited):
+            self._limited = False
+            self._burst = max(_LEAST_BURST, self.path.pace * _BURST_LASTS)
 
 
 _ASKS_EVERY = 0.25
 """s after which the next datagram asks for a receipt, so that the sender learns soon that none comes."""
 _PARTS = 4
-"""The sender asks for a receipt after each such part of the receiver's buffer that it may fill."""
+"""The sender asks for a receipt after each such part of what may be in transit."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.4, 0.8
 """s until a datagram that tries whether any arrives is written off: 1.8 kB/s, which a link of 5 kB/s has room for."""
 _NEW = 2.0
@@ -196,6 +179,7 @@ class DatagramCarrier:
         self._heard = False
         self._pause = _FIRST_PAUSE
         self._unasked, self._asked_at = 0, float("-inf")
+        self._unanswered = float("inf")  # since when (s) a receipt is asked for
         scheduler.add(self)
 
     @property
@@ -219,6 +203,11 @@ class DatagramCarrier:
         return not self._heard and (self._began is None or self._loop.time() - self._began < _NEW)
 
     @property
+    def knows_its_rate(self) -> bool:
+        """Whether what has to wait here is more than the path carries."""
+        return self._pacer.path.known
+
+    @property
     def window(self) -> int:
         """Bytes that may be in the receiver's buffer, or 0 if unknown."""
         return self._pacer.window
@@ -232,10 +221,13 @@ class DatagramCarrier:
     def asks(self, size: int) -> bool:
         """Whether the next datagrams, of `size` bytes together, have to ask for a receipt."""
         self._unasked += size
-        most = min(self._scheduler.every, self._pacer.window // _PARTS)
-        if self._proven and self._unasked < most and self._now - self._asked_at < _ASKS_EVERY:
+        most = min(self._scheduler.every, self._pacer.limit // _PARTS)
+        # Where asking or the answer got lost, every datagram asks, so that what gets lost by chance stops nothing.
+        overdue = self._now > self._unanswered + self._pacer.patience / 2
+        if self._proven and self._unasked < most and self._now - self._asked_at < _ASKS_EVERY and not overdue:
             return False
         self._unasked, self._asked_at = 0, self._now
+        self._unanswered = min(self._unanswered, self._now)
         return True
 
     def send(self, datagrams: Sequence[bytes], size: int, times: int = 1) -> None:
@@ -263,6 +255,7 @@ class DatagramCarrier:
             self._timer.cancel()
             self._timer = None
         self._heard = self._proven = True
+        self._unanswered = float("inf")
         self._tried = False
         self._pause = _FIRST_PAUSE
         self.moved_at = now
@@ -274,9 +267,6 @@ class DatagramCarrier:
             self._channel.given_up()
         self._tried = not self._proven  # a first datagram may only be late, and its message goes on
         self._proven = False
-        self._count_all()
-
-    def _count_all(self) -> None:
         self._pacer.write_off()
         self._channel.written_off()
 
@@ -295,11 +285,8 @@ class DatagramCarrier:
         now = self._loop.time()
         if not self._proven:
             self._pause = _LONGEST_PAUSE
+        if not self._proven or self._pacer.gives_up(now):
             self._give_up()
-        elif self._pacer.gives_up(now):
-            size = self.in_transit
-            self._count_all()
-            self._scheduler.written_off(size)
         self._scheduler.run()
 
     def writable(self) -> None:

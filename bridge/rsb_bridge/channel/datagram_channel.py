@@ -89,7 +89,15 @@ class DatagramSender(_DatagramChannel, SendingEnd):
 
     @property
     def pace(self) -> Pace:
-        return Pace.FREE if self.via.is_new else super().pace
+        if self.via.is_new:
+            return Pace.FREE
+        if self.congested and self.via.knows_its_rate:
+            return Pace.SLOW if self._scheduler.moves else Pace.STOPPED
+        return super().pace
+
+    @property
+    def grows(self) -> bool:
+        return super().grows and not self.via.knows_its_rate
 
     def datagrams(self, size: int) -> int:
         """Return how many datagrams a message of `size` bytes takes now; only once it is ready."""

@@ -5,8 +5,9 @@ is data for several minutes. So the receiver acknowledges bytes by receipts, and
 of them in transit. The rest waits in the routes' queues, which drop the oldest messages first.
 
 The window follows the age of the oldest unacknowledged byte. While the age is low, the window grows by the bytes that
-are acknowledged, so it doubles in a round trip, as TCP's does in slow start. Once the age exceeds `_LATE`, the window
-shrinks to the bytes that cross in `_AIM`. So the sender needs no initial rate, and a fast link never fills the window.
+are acknowledged, so it doubles in a round trip, as TCP's does in slow start. Once the age exceeds `Ages.late`, the
+window shrinks to the bytes that cross in `Ages.aim`. So the sender needs no initial rate, and a fast link never fills
+the window.
 
 This module uses neither sockets nor clocks. It counts the bytes of all streams together.
 """
@@ -14,6 +15,8 @@ This module uses neither sockets nor clocks. It counts the bytes of all streams 
 from __future__ import annotations
 
 from collections import deque
+
+from rsb_bridge.model.transports import QUEUES_LITTLE, Ages
 
 FIRST = 4 * 1024
 """Bytes in transit at the beginning, plus one turn: 0.8 s of 5 kB/s."""
@@ -24,11 +27,6 @@ _PARTS = 4
 FIRST_RECEIPT = 512
 """Bytes after which a receiver sends a receipt by itself: few, to measure the round trip before a queue builds up."""
 
-_FRESH, _LATE, _AIM = 0.2, 0.8, 0.5
-"""Ages (s) of the oldest unacknowledged byte, beyond the shortest round trip: the window grows below the first, and
-shrinks above the second to the bytes that cross in the third and in a ping."""
-_ROOM = 4.0
-"""The window grows to the bytes that cross in so many seconds where nothing waits, so that receipts are rare."""
 _FARTHEST, _FARTHEST_PINGED = 2.0, 4.0
 """Longest round trips (s) of a path without a queue: by itself, and if pings took as long; more counts as waiting."""
 _FIRST_LASTS = 0.8
@@ -61,6 +59,7 @@ class Window:
 
     __slots__ = (
         "_acknowledged",
+        "_ages",
         "_before_shrinking",
         "_last_mark",
         "_last_mark_at",
@@ -76,13 +75,15 @@ class Window:
         "slow",
     )
 
-    def __init__(self, sent: int, ping: float = 0.0) -> None:
+    def __init__(self, sent: int, ping: float = 0.0, ages: Ages = QUEUES_LITTLE) -> None:
         """Begin on a stream.
 
         Args:
             sent: bytes that it already carried.
             ping: s of the shortest ping of the connection, or 0 if it is unknown.
+            ages: that are allowed.
         """
+        self._ages = ages
         self.slow = False
         self.rate = self.back = 0.0
         self._origin = self._acknowledged = sent
@@ -138,15 +139,15 @@ class Window:
         self._acknowledged = acknowledged
         rate = self.rate = self._rate(acknowledged, now)
         waits = self._waits(now)
-        if waits > _LATE:
+        if waits > self._ages.late:
             self.slow = True
             if self._before_shrinking is None:
                 self._before_shrinking = sent, self._age(now) - self._credit
-            crosses = _AIM + min(self._ping, self._shortest + self._credit)
+            crosses = self._ages.aim + min(self._ping, self._shortest + self._credit)
             self.size = max(LEAST, int(rate * crosses), min(self.size, (sent - acknowledged) // 2))
-        elif waits < _FRESH:
+        elif waits < self._ages.fresh:
             self.slow = self.slow and limited
-            if limited or self.size < rate * _ROOM:
+            if limited or self.size < rate * self._ages.room:
                 self.size += gained
         elif limited:
             self.slow = True

@@ -148,7 +148,7 @@ def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> 
     struct = _struct(kind)
     if struct is not None and (struct is kind or isinstance(value, Mapping)):
         return read(value, struct, problems, location)
-    if isinstance(value, str) and is_key(value.rpartition("/")[2]):
+    if holds_key(value):
         # The key is not quoted: messages end up in logs.
         problems.append(Problem(location, ValueMistake.IS_A_KEY()))
         return msgspec.UNSET
@@ -157,6 +157,11 @@ def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> 
     except msgspec.ValidationError:
         problems.append(Problem(location, _misfit(value, kind)))
         return msgspec.UNSET
+
+
+def holds_key(value: object) -> bool:
+    """Whether a value is an encryption key, possibly written as a name."""
+    return isinstance(value, str) and is_key(value.rpartition("/")[2])
 
 
 def _struct(kind: Any) -> type[msgspec.Struct] | None:

@@ -60,6 +60,8 @@ KEYS: Final[dict[Kind, dict[str, str]]] = {
 }
 """The fields of `Topic` by the keys of an entry, in the order in which one is written."""
 
+_KEY_OF = {kind: {field: key for key, field in keys.items()} for kind, keys in KEYS.items()}
+
 
 _NOT_OF_TOPICS = {
     "kind": ForeignKey.KIND_OF_TOPIC(),
@@ -128,7 +130,7 @@ SESSION_FILE = _holder(Session, clients=tuple[_CLIENT, ...] | None)  # type: ign
 
 def key_of(kind: Kind, field: str) -> str:
     """Return the key of a field of `Topic` in an entry of a kind, or the field's name if the kind lacks it."""
-    return next((key for key, each in KEYS[kind].items() if each == field), field)
+    return _KEY_OF[kind].get(field, field)
 
 
 def field_of(kind: Kind, key: str) -> str:
@@ -146,14 +148,23 @@ def locations(topics: Sequence[Topic]) -> list[str]:
     return found
 
 
+def _foreign_of(kind: Kind) -> dict[str, tuple[Any, str]]:
+    own, hints = set(KEYS[kind].values()) | {"kind"}, hints_of(kind)
+    return {
+        field.name: (field.default, hints.get(field.name, ForeignKey.OTHER()))
+        for field in fields(Topic)
+        if field.name not in own
+    }
+
+
+_FOREIGN = {kind: _foreign_of(kind) for kind in LISTS}
+"""The fields that a kind cannot have, each with its default and the remedy."""
+
+
 def foreign(topic: Topic) -> dict[str, str]:
     """Return the fields of a topic that its kind cannot have, each with the remedy."""
-    own, hints = set(KEYS[topic.kind].values()) | {"kind"}, hints_of(topic.kind)
-    return {
-        field.name: hints.get(field.name, ForeignKey.OTHER())
-        for field in fields(Topic)
-        if field.name not in own and getattr(topic, field.name) != field.default
-    }
+    known = _FOREIGN[topic.kind].items()
+    return {field: remedy for field, (default, remedy) in known if getattr(topic, field) != default}
 
 
 def as_written(value: msgspec.Struct) -> msgspec.Struct:

@@ -495,8 +495,7 @@ class Listing(NamedTuple):
 
 def listings(session: Session) -> Iterator[Listing]:
     """Yield the rights of each peer of a session on this side."""
-    link = transports.of_link(session.server_ip)
-    carried = (link.name, *link.companions, *(("bluetooth",) if session.bluetooth_address else ()))
+    carried = transports.crossing(session)
     if session.role == "client":
         yield _listing(rights_of_server(session), carried, "all", "")
         return

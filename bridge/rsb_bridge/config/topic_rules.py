@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from rsb_bridge.config.decoding import Hint, did_you_mean, join, read, show
+from rsb_bridge.config.decoding import Hint, ValueMistake, did_you_mean, holds_key, join, read, show
 from rsb_bridge.config.fields_text import read_fields
-from rsb_bridge.config.file_form import LISTS, NOUNS, key_of, locations
+from rsb_bridge.config.file_form import LISTS, NOUNS, foreign, key_of, locations
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.model import transports
 from rsb_bridge.model.calls import LANES, FieldError
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from rsb_bridge.model.purposes import Purpose
+    from rsb_bridge.model.session import Protocol
     from rsb_bridge.model.transports import TransportTraits
 
 A_KIND: Final[dict[Kind, str]] = {
@@ -45,7 +46,6 @@ A_KIND: Final[dict[Kind, str]] = {
     "parameters": "a node's parameters",
 }
 """Each kind, in a sentence."""
-_OVER_ZENOH = ("zenoh", "zenoh-drop")
 _NAMED: Final[dict[Kind, str]] = {"topic": "topic", "service": "service", "action": "action", "parameters": "node"}
 _OF_AN_ACTION = re.compile(r"(?P<action>.*)/_action/[^/]*")
 _OF_TOPICS = {
@@ -59,6 +59,8 @@ _OF_TOPICS = {
 }
 """The keys that an internal route does not have, and their defaults."""
 _FOLDERS: dict[Kind, str] = {"service": "srv", "action": "action"}
+_TEXTS = {"topic": "/unnamed", "type": AUTO, "qos": AUTO, "remote_topic": None, "on_end": None}
+"""The fields that may be any text, each with what the other rules are given if it is an encryption key."""
 _PART = r"[A-Za-z][A-Za-z0-9_]*"
 
 
@@ -165,30 +167,62 @@ def _is_best_effort(topic: Topic) -> bool:
     return topic.kind == "topic" and qos is not None and qos.reliability == "best_effort"
 
 
+def entry_problems(topic: Topic, session: Session | None = None, *, client: str | None = None) -> list[Problem]:
+    """Return all problems of a topic by itself whose values are of the right kinds, as those of a peer's are.
+
+    Args:
+        session: the topic's session, or None if it is not known yet. It tells what the link can carry.
+        client: the client's name where it is the prefix of the topic's name on the server.
+
+    Returns:
+        The problems; the location of each is the key in a session file: ``protocol``.
+    """
+    problems = [Problem(field, remedy) for field, remedy in foreign(topic).items()]
+    if secrets := unreported(_secrets(topic), problems):
+        problems += secrets
+        topic = _without_secrets(topic)
+    return problems + unreported(topic_problems(topic, "", session, client), problems)
+
+
+def _secrets(topic: Topic) -> Iterator[Problem]:
+    """Yield the texts that are an encryption key by mistake: a topic's name is shown to others."""
+    for field in _TEXTS:
+        if holds_key(getattr(topic, field)):
+            yield Problem(key_of(topic.kind, field), ValueMistake.IS_A_KEY())
+    for at, name in enumerate(topic.excepts):
+        if holds_key(name):
+            yield Problem(join("except", at), ValueMistake.IS_A_KEY())
+
+
+def _without_secrets(topic: Topic) -> Topic:
+    harmless = {field: value for field, value in _TEXTS.items() if holds_key(getattr(topic, field))}
+    kept = tuple(name for name in topic.excepts if not holds_key(name))
+    return msgspec.structs.replace(topic, **harmless, excepts=kept)
+
+
+def unreported(found: Iterable[Problem], reported: Sequence[Problem]) -> list[Problem]:
+    """Leave out consequences of a reported problem: the default in place of its value may break another rule."""
+    locations = [problem.location for problem in reported]
+    return [
+        new for new in found if not any(_within(new.location, old) or _within(old, new.location) for old in locations)
+    ]
+
+
+def _within(location: str, outer: str) -> bool:
+    return not outer or location == outer or location.startswith((f"{outer}.", f"{outer}["))
+
+
 def topic_problems(topic: Topic, location: str, session: Session | None, client: str | None) -> Iterator[Problem]:
-    """Mistakes in a topic by itself.
+    """Mistakes in a topic whose fields are all of its kind and hold no key; in others, `entry_problems` finds more.
 
     Args:
         location: of the topic. The problems' locations have the key behind it.
-        session: the topic's session, or None if it is not known yet. It tells what the link can carry.
-        client: the client's name where it is the prefix of the topic's name on the server.
+        session: as in `entry_problems`.
+        client: as in `entry_problems`.
     """
-    name, remote = join(location, key_of(topic.kind, "topic")), join(location, key_of(topic.kind, "remote_topic"))
-    yield from exception_problems(topic, location)
-    if topic.is_pattern:
-        yield from pattern_problems(topic, location, transport_of(topic, session))
-    else:
-        yield from name_problems(topic.topic, name, topic.kind)
-        if topic.remote_topic is not None:
-            yield from name_problems(topic.remote_topic, remote, topic.kind)
-    if topic.remote_topic is None and client is not None and len(topic.topic) <= TOPIC_LENGTH:
-        yield from _length(server_topic(topic.topic, client), name, topic.kind, TopicMistake.NAME_TOO_LONG_WITH_PREFIX)
-    if topic.kind == "topic":
-        yield from _type(topic.type, join(location, "type"))
-    yield from call_problems(topic, location)
-    yield from _protocol(topic, location, session)
-    if topic.port is not None:
-        yield from port_problems(topic.port, join(location, "port"), transport_of(topic, session))
+    yield from _names(topic, location, session, client)
+    yield from _types(topic, location)
+    yield from _transport(topic, location, session)
     yield from _qos(topic.qos, join(location, "qos"))
     useless_deadman = topic.deadman is not None and not topic.arm
     yield from range_problems(msgspec.structs.replace(topic, deadman=None) if useless_deadman else topic, location)
@@ -215,11 +249,43 @@ def internal_problems(entry: Topic, purpose: Purpose, session: Session | None) -
     for key, default in _OF_TOPICS.items():
         if getattr(entry, key) != default:
             yield Problem(key, TopicMistake.ONLY_TOPICS(purpose=purpose.name))
-    yield from _protocol(entry, "", session)
-    if entry.port is not None:
-        yield from port_problems(entry.port, "port", transport_of(entry, session))
+    yield from _transport(entry, "", session)
     yield from _qos(entry.qos, "qos")
     yield from range_problems(entry, "")
+
+
+def problems_here(topic: Topic, session: Session) -> Iterator[Problem]:
+    """Yield the mistakes that a peer's topic has only under this side's name for it, or on this side's link."""
+    yield from _names(topic, "", session, None)
+    yield from _transport(topic, "", session)
+
+
+def _names(topic: Topic, location: str, session: Session | None, client: str | None) -> Iterator[Problem]:
+    name, remote = join(location, key_of(topic.kind, "topic")), join(location, key_of(topic.kind, "remote_topic"))
+    yield from exception_problems(topic, location)
+    if topic.is_pattern:
+        yield from pattern_problems(topic, location, transport_of(topic, session))
+    else:
+        yield from name_problems(topic.topic, name, topic.kind)
+        if topic.remote_topic is not None:
+            yield from name_problems(topic.remote_topic, remote, topic.kind)
+    if topic.remote_topic is None and client is not None and len(topic.topic) <= TOPIC_LENGTH:
+        yield from _length(server_topic(topic.topic, client), name, topic.kind, TopicMistake.NAME_TOO_LONG_WITH_PREFIX)
+    if topic.kind != "topic":
+        yield from _called_names(topic, name, remote)
+
+
+def _types(topic: Topic, location: str) -> Iterator[Problem]:
+    if topic.kind == "topic":
+        yield from _type(topic.type, join(location, "type"))
+    elif topic.kind in _FOLDERS:
+        yield from _call_type(topic, join(location, "type"))
+
+
+def _transport(topic: Topic, location: str, session: Session | None) -> Iterator[Problem]:
+    yield from _protocol(topic, location, session)
+    if topic.port is not None:
+        yield from port_problems(topic.port, join(location, "port"), transport_of(topic, session))
 
 
 def on_end_problems(text: str, location: str, kind: Kind | None) -> Iterator[Problem]:
@@ -316,32 +382,37 @@ def _type(name: str, location: str) -> Iterator[Problem]:
 
 
 def _protocol(topic: Topic, location: str, session: Session | None) -> Iterator[Problem]:
-    if topic.protocol and not transports.named(topic.protocol).reliable and topic.kind != "topic":
-        yield Problem(join(location, "protocol"), TopicMistake.CALL_NEEDS_RELIABLE(protocol=topic.protocol))
+    protocol = topic.protocol
+    if protocol is None:
+        return
+    if not transports.named(protocol).reliable and topic.kind != "topic":
+        yield Problem(join(location, "protocol"), TopicMistake.CALL_NEEDS_RELIABLE(protocol=protocol))
     elif session is None:
         return
-    elif session.is_bluetooth:
-        if topic.protocol not in (None, "bluetooth"):
-            yield Problem(join(location, "protocol"), TopicMistake.NOT_ON_BLUETOOTH(protocol=topic.protocol))
-    elif (topic.protocol in _OVER_ZENOH) != session.is_zenoh and topic.protocol is not None:
-        mistake = TopicMistake.NOT_OVER_ZENOH if session.is_zenoh else TopicMistake.NEEDS_ZENOH
-        yield Problem(join(location, "protocol"), mistake(protocol=topic.protocol))
-    elif topic.protocol == "bluetooth" and session.bluetooth_address is None:
-        yield Problem(join(location, "protocol"), TopicMistake.NEEDS_ADAPTER())
-    elif topic.protocol == "bluetooth" and topic.port is None:
+    elif protocol not in transports.crossing(session):
+        yield Problem(join(location, "protocol"), _not_crossing(protocol, session))
+    elif protocol == "bluetooth" and not session.is_bluetooth and topic.port is None:
         yield Problem(join(location, "port"), TopicMistake.NEEDS_CHANNEL(noun=_NAMED[topic.kind], range=CHANNEL))
 
 
+def _not_crossing(protocol: Protocol, session: Session) -> str:
+    if session.is_bluetooth:
+        return TopicMistake.NOT_ON_BLUETOOTH(protocol=protocol)
+    if session.is_zenoh:
+        return TopicMistake.NOT_OVER_ZENOH(protocol=protocol)
+    return TopicMistake.NEEDS_ADAPTER() if protocol == "bluetooth" else TopicMistake.NEEDS_ZENOH(protocol=protocol)
+
+
 def _qos(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:
-    if isinstance(value, dict):
-        problems: list[Problem] = []
-        read({key: policy for key, policy in value.items() if key != "profile"}, Qos, problems, location)
-        yield from problems
-        if problems:
-            return
     try:
         parse_qos(value)
     except ValueError as error:
+        if isinstance(value, dict):
+            problems: list[Problem] = []
+            read({key: policy for key, policy in value.items() if key != "profile"}, Qos, problems, location)
+            yield from problems
+            if problems:  # they name the policy, and the remedy
+                return
         name = value.get("profile") if isinstance(value, dict) else value
         options = list(PROFILES) if isinstance(value, dict) else [AUTO, *PROFILES]
         hint = did_you_mean(name, options) if isinstance(name, str) else ""
@@ -415,15 +486,11 @@ def _wildcards(kinds: Sequence[str]) -> str:
     return " ".join(kinds) or "no wildcard"
 
 
-def call_problems(topic: Topic, location: str) -> Iterator[Problem]:
-    """Yield the mistakes in a service, an action or parameters, and none for a topic."""
-    if topic.kind == "topic":
-        return
-    for field, name in (("topic", topic.topic), ("remote_topic", topic.remote_topic)):
-        if name is not None:
-            yield from _called_name(name, join(location, key_of(topic.kind, field)))
-    if topic.kind in _FOLDERS:
-        yield from _call_type(topic, join(location, "type"))
+def _called_names(topic: Topic, here: str, remote: str) -> Iterator[Problem]:
+    """Yield the mistakes in the names of a service, an action or parameters, whose locations are given."""
+    yield from _called_name(topic.topic, here)
+    if topic.remote_topic is not None:
+        yield from _called_name(topic.remote_topic, remote)
 
 
 def _called_name(name: str, location: str) -> Iterator[Problem]:

@@ -32,6 +32,7 @@ from rsb_bridge.config.files import is_there, kind_of_file, stat_of, typed_path
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.config.rights import benchmark_limit_problems, grant_problems, operator_problems
 from rsb_bridge.config.topic_rules import (
+    entry_problems,
     form_problems,
     limits_problems,
     name_problems,
@@ -42,6 +43,7 @@ from rsb_bridge.config.topic_rules import (
     too_many_patterns,
     topic_problems,
     transport_of,
+    unreported,
 )
 from rsb_bridge.model import transports
 from rsb_bridge.model.demands import local_name
@@ -283,7 +285,7 @@ def build(data: object) -> tuple[Session, list[Problem]]:
     """
     problems: list[Problem] = []
     session = as_session(read(data, SESSION_FILE, problems))
-    found = problems + _unreported(_session(session), problems)
+    found = problems + unreported(_session(session), problems)
     return session, [placed(problem, data) for problem in found]
 
 
@@ -329,10 +331,19 @@ def validate_topic(topic: Topic, session: Session | None = None, *, client: str 
     Returns:
         The problems; the location of each is the key in a session file: ``protocol``.
     """
-    problems = list(_foreign(topic, ""))
-    written = as_written(topic)
-    topic = as_topic(topic.kind, read(msgspec.to_builtins(written), type(written), problems))
-    return problems + _unreported(topic_problems(topic, "", session, client), problems)
+    mistyped, typed = _typed(topic)
+    return mistyped + unreported(entry_problems(typed, session, client=client), mistyped)
+
+
+def _typed(topic: Topic) -> tuple[list[Problem], Topic]:
+    """Return the values of a program's or form's topic that are of the wrong kind, and the topic with others there."""
+    try:
+        msgspec.convert(msgspec.to_builtins(topic), Topic)
+    except msgspec.ValidationError:
+        problems: list[Problem] = []
+        written = as_written(topic)
+        return problems, as_topic(topic.kind, read(msgspec.to_builtins(written), type(written), problems))
+    return [], topic
 
 
 def _foreign(topic: Topic, location: str) -> Iterator[Problem]:
@@ -357,18 +368,6 @@ def domain_of(session: Session, variable: str | None) -> int:
     if not text.isdecimal() or int(text) not in DOMAIN:
         raise ValueError(SessionMistake.DOMAIN_VARIABLE_INVALID(value=repr(text), range=DOMAIN))
     return int(text)
-
-
-def _unreported(found: Iterator[Problem], reported: list[Problem]) -> list[Problem]:
-    """Leave out consequences of a reported problem: the default in place of its value may break another rule."""
-    locations = [problem.location for problem in reported]
-    return [
-        new for new in found if not any(_within(new.location, old) or _within(old, new.location) for old in locations)
-    ]
-
-
-def _within(location: str, outer: str) -> bool:
-    return not outer or location == outer or location.startswith((f"{outer}.", f"{outer}["))
 
 
 def _session(session: Session) -> Iterator[Problem]:

@@ -10,7 +10,7 @@ import time
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, cast
+from typing import TYPE_CHECKING, Any, Generic
 
 from rsb_bridge.api import EngineApi, EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.control.connectors import Connection, Connector
     from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
-    from rsb_bridge.model.commands import AnyCommand, Command
+    from rsb_bridge.model.commands import Command
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import Event, Snapshot
 
@@ -402,7 +402,7 @@ class _Requests:
         """Return the message for a command."""
         number = next(self._ids)
         self._waiting[number] = waiting
-        return CommandRequest(number, cast("AnyCommand", waiting.command), waiting.undo, ticket)
+        return CommandRequest(number, waiting.command, waiting.undo, ticket)
 
     def again(self, message: CommandFailed) -> _Waiting[Any]:
         """Return the command that a bridge refuses because it came late.

@@ -377,8 +377,8 @@ class Bridge:
         self._role.retry(command.link)
         self._log.add(EventCode.OPERATOR_RETRIED, "tried again", link=command.link)
 
-    async def _end_motions(self, topics: set[str]) -> None:
-        await self._publishing.end_motions(topics)
+    async def _end_motions(self, topics: set[str]) -> bool:
+        return await self._publishing.end_motions(topics)
 
     async def _shut_down(self, _: commands.ShutDownLinks) -> None:
         await self._publishing.end_motions()

@@ -269,10 +269,13 @@ class Publishing:
         except RosError as error:
             self._context.log(Level.WARNING, EventCode.OPERATOR_PUBLISH_ENDED, f"{topic}: {error}", topic=topic)
 
-    async def end_motions(self, topics: Collection[str] | None = None) -> None:
+    async def end_motions(self, topics: Collection[str] | None = None) -> bool:
         """End the motions on topics that are about to be disarmed, or all: later, nothing could stop the robots.
 
         No command is taken until the caller has disarmed them, which it has to do before it waits for anything.
+
+        Returns:
+            Whether something moved, so that time has passed.
         """
         ending = Counter((_EVERY_TOPIC,) if topics is None else topics)
         self._ending += ending
@@ -283,6 +286,7 @@ class Publishing:
                 self._rest(publication, topic)
             if moving:
                 await asyncio.sleep(_REST_CROSSES)
+            return bool(moving)
         finally:
             self._context.loop.call_soon(self._ending.subtract, ending)
 

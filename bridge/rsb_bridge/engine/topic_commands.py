@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -60,12 +60,32 @@ def undo_mark() -> str:
     return " (undo)" if is_undo() else ""
 
 
+class Named(NamedTuple):
+    """The entry that a command's key names.
+
+    Attributes:
+        entry: the topic, or the pattern.
+        route: of the topic, or None for a pattern.
+    """
+
+    link: Link
+    entry: Topic
+    route: Route | None
+
+    def routes(self) -> tuple[Route, ...]:
+        """Return the topic's route, or the routes that the pattern has made by now."""
+        if self.route is not None:
+            return (self.route,)
+        return tuple(each for each in self.link.routes.values() if self.link.patterns.has_made(each, self.entry))
+
+
 class TopicCommands:
     """Executes commands about single topics and patterns.
 
     Args:
         demands: the names that have to be armed.
-        end_motions: stops what operators drive by hand on topics, before that is no longer possible.
+        end_motions: stops what operators drive by hand on topics, before that is no longer possible. It tells whether
+            it waited.
     """
 
     def __init__(
@@ -73,7 +93,7 @@ class TopicCommands:
         role: BridgeRole,
         log: CommandLog,
         demands: RunningDemands,
-        end_motions: Callable[[set[str]], Awaitable[None]],
+        end_motions: Callable[[set[str]], Awaitable[bool]],
     ) -> None:
         self._role = role
         self._log = log
@@ -82,28 +102,25 @@ class TopicCommands:
 
     def find(self, key: str) -> tuple[Link, Route]:
         """Return a route and its link by the route's key."""
+        named = self._named(key)
+        if named.route is None:
+            raise LinkError("a pattern carries nothing itself: choose one of the topics that it matches")
+        return named.link, named.route
+
+    def _named(self, key: str) -> Named:
         for link in self._role.links():
-            if key in link.routes:
-                return link, link.routes[key]
-            if link.patterns.find(key) is not None:
-                raise LinkError("a pattern carries nothing itself: choose one of the topics that it matches")
+            if (route := link.routes.get(key)) is not None:
+                return Named(link, route.spec, route)
+            if (pattern := link.patterns.find(key)) is not None:
+                return Named(link, pattern, None)
         raise LinkError(Denied.NO_ROUTE(key=key))
 
-    def _pattern(self, key: str) -> tuple[Link, Topic] | None:
-        found = ((link, link.patterns.find(key)) for link in self._role.links())
-        return next(((link, topic) for link, topic in found if topic is not None), None)
-
-    def _routes_of(self, key: str) -> tuple[Route, ...]:
-        """Return the route with a key, or the routes that the pattern with it has made."""
-        if (pattern := self._pattern(key)) is not None:
-            link, topic = pattern
-            return tuple(route for route in link.routes.values() if link.patterns.has_made(route, topic))
-        return (self.find(key)[1],)
-
-    async def _stopped(self, key: str) -> tuple[Route, ...]:
-        """Return the routes with a key, as `_routes_of`, after the motions on their topics have ended."""
-        await self._end_motions({route.local_topic for route in self._routes_of(key)})
-        return self._routes_of(key)
+    async def _stopped(self, key: str) -> Named:
+        """Return what a key names after the motions on its topics have ended."""
+        named = self._named(key)
+        if await self._end_motions({route.local_topic for route in named.routes()}):
+            return self._named(key)  # the peer may have removed or edited it while the robots came to rest
+        return named
 
     async def add(self, command: AddTopic) -> str:
         with self._demands.changing(operator()):
@@ -114,25 +131,24 @@ class TopicCommands:
         return key
 
     async def edit(self, command: EditTopic) -> str:
-        routes = await self._stopped(command.key)
+        named = await self._stopped(command.key)
+        routes = named.routes()
         with self._demands.changing(operator()):
-            new_key = self._edit(command.key, command.topic, drop_arm=command.drop_arm)
+            new_key = self._edit(named, command.topic, drop_arm=command.drop_arm)
         await _settled(routes)
         return new_key
 
-    def _edit(self, key: str, topic: Topic, *, drop_arm: bool) -> str:
+    def _edit(self, named: Named, topic: Topic, *, drop_arm: bool) -> str:
         if drop_arm and topic.arm:
             raise LinkError(f"{topic.topic} would still have to be armed: set arm=false together with --drop-arm")
-        if (pattern := self._pattern(key)) is not None:
-            link, old = pattern
+        link, old, route = named
+        if route is None:
             if not topic.is_pattern:
                 raise LinkError(f"{old.topic} is a pattern, and {topic.topic} is none: {_INSTEAD}")
             link.patterns.check_replace(old.identity, topic)
             self._drop_demands(link, old, _local(link, old), None, wanted=drop_arm, names_it=old.arm and not topic.arm)
             new_key, name = link.patterns.replace(old.identity, topic), topic.topic
         else:
-            link, route = self.find(key)
-            old = route.spec
             if topic.is_pattern:
                 raise LinkError(f"{topic.topic} is a pattern, and {old.topic} is none: {_INSTEAD}")
             if topic.topic != old.topic:
@@ -150,22 +166,22 @@ class TopicCommands:
 
     async def remove(self, command: RemoveTopic) -> None:
         # A pattern that matches the topic leaves it out from then on.
-        routes = await self._stopped(command.key)
+        named = await self._stopped(command.key)
+        routes = named.routes()
         with self._demands.changing(operator()):
-            self._remove(command.key, drop_arm=command.drop_arm)
+            self._remove(named, drop_arm=command.drop_arm)
         await _settled(routes)
 
-    def _remove(self, key: str, *, drop_arm: bool) -> None:
-        if (pattern := self._pattern(key)) is not None:
-            link, topic = pattern
+    def _remove(self, named: Named, *, drop_arm: bool) -> None:
+        link, topic, route = named
+        if route is None:
             self._drop_demands(link, topic, _local(link, topic), None, wanted=drop_arm)
             link.patterns.remove(topic.identity)
             name = topic.topic
         else:
-            link, route = self.find(key)
             if problem := link.patterns.brings_back(route):
                 raise LinkError(problem)
-            topic, name = route.spec, route.local_topic
+            name = route.local_topic
             self._drop_demands(link, topic, name, route, wanted=drop_arm)
             link.bench.removed(route)
             link.table.remove(route, "removed by an operator")
@@ -211,21 +227,21 @@ class TopicCommands:
             link.table.superseded[route.key] = msgspec.structs.replace(listed, arm=False, deadman=None)
 
     async def pause(self, command: PauseTopics) -> None:
-        key, paused = command.key, command.paused
-        routes = await self._stopped(key)
+        paused = command.paused
+        named = await self._stopped(command.key)
+        link, entry, route = named
+        stopped = named.routes()
         code = EventCode.OPERATOR_PAUSED if paused else EventCode.OPERATOR_RESUMED
-        if (pattern := self._pattern(key)) is not None:
-            link, topic = pattern
-            old, name = pause_word(paused=topic.paused), topic.topic
-            link.patterns.replace(topic.identity, msgspec.structs.replace(topic, paused=paused))
+        if route is None:
+            old, name = pause_word(paused=entry.paused), entry.topic
+            link.patterns.replace(entry.identity, msgspec.structs.replace(entry, paused=paused))
         else:
-            link, route = self.find(key)
             old, name = pause_word(paused=route.paused), route.local_topic
-        for route in self._routes_of(key):
-            link.table.pause(route, paused=paused)
+        for each in named.routes():  # those of the pattern as it is now
+            link.table.pause(each, paused=paused)
         word = pause_word(paused=paused)
         self._log.add(code, "paused" if paused else "resumed", topic=name, link=link.name, old=old, new=word)
-        await _settled(routes)
+        await _settled(stopped)
 
 
 class ArmingCommands:
@@ -241,7 +257,7 @@ class ArmingCommands:
         self,
         links: Callable[[], list[Link]],
         find: Callable[[str], tuple[Link, Route]],
-        end_motions: Callable[[set[str]], Awaitable[None]],
+        end_motions: Callable[[set[str]], Awaitable[object]],
     ) -> None:
         self._links = links
         self._find = find
@@ -251,6 +267,8 @@ class ArmingCommands:
         link, route = self._find(command.key)
         await link.table.arming.load_type(route)
         link, route = self._find(command.key)  # it may have been edited meanwhile
+        await link.table.arming.until_open(route, console())
+        link, route = self._find(command.key)
         await link.table.arming.arm(route, console(), shared=command.shared)
 
     async def ask(self, command: AskHolder) -> None:
@@ -268,7 +286,6 @@ class ArmingCommands:
         link, route = self._find(command.key)
         if route.id == opening and route.arming.held and route.arming.console != console():
             await self._disarm(link, route)
-        await link.table.arming.until_free(route)
         await self.arm(ArmTopic(command.key, command.shared))
 
     async def answer(self, command: AnswerAsker) -> None:

@@ -371,7 +371,7 @@ class BaseLink(ABC):
         """Begin a connection: the peer is authenticated."""
         self.control, self.peer, self.keys = control, peer, keys
         self.instance = peer.instance
-        self.channels.connected(keys, self.role)
+        self.channels.connected(keys, self.role, self.transport.ages)
         if self.transport.multiplexed:
             control.data = self.channels.use_control(control.stream, self.transport.name, self.shared_port())
         self._is_silent = False

@@ -360,6 +360,8 @@ class ClientLink(Link):
             self.streams_opened(transport.name, port)
         else:
             self.streams_failed(transport.name, port, failure.reason)
+        # Where descriptors are scarce, halves of pairs would be all that there is, and no route would have both.
+        self.channels.end_unused(transport.name, port)
 
     async def _open_data_stream(self, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
         assert self.keys is not None

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.data_stream import DataStream, RouteNumbers
     from rsb_bridge.channel.udp_channel import BufferShortage, UdpChannel
     from rsb_bridge.link.control_channel import ControlChannel
+    from rsb_bridge.model.transports import Ages
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.streams import Stream
     from rsb_bridge.transport.transport import StreamTransport
@@ -172,10 +173,10 @@ class DataChannels:
         self._meter_of = meter_of
         self._routes = routes
 
-    def connected(self, keys: SessionKeys, role: Role) -> None:
+    def connected(self, keys: SessionKeys, role: Role, ages: Ages) -> None:
         """Begin a connection with its keys."""
         self._book = ReceiptBook(self._loop, self._send_receipts, self._way_back, self._ping)
-        self.scheduler = Scheduler(self._book, Window(0, self._ping()))
+        self.scheduler = Scheduler(self._book, Window(0, self._ping(), ages))
         self.keys = DataKeys(keys, role, self._unfinished, meter_of=self._meter_of)
         self.probe = PathProbe(self.keys)
         self._newest = 0
@@ -247,6 +248,11 @@ class DataChannels:
         """Return whether the streams of small and of large messages for that port are not open."""
         pair = self._pairs.get((transport, port))
         return (True, True) if pair is None or pair.over else (pair.small is None, pair.large is None)
+
+    def end_unused(self, transport: str, port: int) -> None:
+        """Close the streams for routes with that port if none uses them: they hold descriptors that others need."""
+        if (pair := self._pairs.get((transport, port))) is not None:
+            pair.end_unused()
 
     def _pair(self, transport: str, port: int) -> StreamPair:
         assert self.scheduler is not None

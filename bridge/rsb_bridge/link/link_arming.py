@@ -20,6 +20,7 @@ from rsb_bridge.model.demands import (
 )
 from rsb_bridge.model.on_end import suits
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.arming import ANSWERED_WITHIN, DISARM_TEXT, Disarmed
 from rsb_bridge.route.lease import BEAT, LeaseHalf, Standstill
 from rsb_bridge.route.peer import Peer
@@ -43,6 +44,16 @@ _AT_ONCE, _A_SECOND = 20.0, 1 / 30
 """Armings by one link's peer: each is in the log, so more than people need are refused."""
 DROPPED: Final = "arm_dropped"
 """The cause of a `Disarm` by which a side says that its operator has dropped a demand: it disarms nothing."""
+
+
+class ArmingProblem(Wording):
+    """Reasons why a topic cannot be armed."""
+
+    NOT_OPEN = (
+        f"the other side has not opened it within {ANSWERED_WITHIN:g} s: look at the link with `rsb-console status`, "
+        "and try again"
+    )
+    CONSOLE_GONE = "{topic} is not armed: the console that asked for it is gone"
 
 
 class UrgentPeer(Peer, Protocol):
@@ -180,6 +191,7 @@ class LinkArming:
         self._routes = routes
         self._propose = propose
         self._budget = TokenBucket(_AT_ONCE, _A_SECOND, context.now())
+        self._waiting: list[Hashable] = []  # consoles that wait for a route to open, once for each route
         self.lease = LinkLease(
             context,
             peer,
@@ -302,25 +314,39 @@ class LinkArming:
         if not (arming.armed and arming.console == console):
             raise LinkError(f"{topic} is not armed: {f'{arming.by} armed it' if arming.armed else arming.reason}")
 
-    async def until_free(self, route: Route) -> None:
-        """Wait until a route is open again that was disarmed, so that it can be armed; not for long."""
+    async def until_open(self, route: Route, console: Hashable) -> None:
+        """Wait until a route is open that was disarmed, or is being set up, so that it can be armed; not for long.
+
+        Raises:
+            LinkError: the console is gone, and nobody would hold the arming.
+        """
         until = self._context.now() + ANSWERED_WITHIN
-        while (route.arming.spent or not route.accepted) and self._context.now() < until:  # noqa: ASYNC110 -- plain state, polled for a moment
+        self._waiting.append(console)
+        while self._opens(route) and self._context.now() < until and console in self._waiting:  # noqa: ASYNC110 -- plain state, polled for a moment
             await asyncio.sleep(_LOOK_EVERY)
+        if console not in self._waiting:
+            raise LinkError(ArmingProblem.CONSOLE_GONE(topic=route.local_topic))
+        self._waiting.remove(console)
+
+    def _opens(self, route: Route) -> bool:
+        """Whether a route cannot be armed now, but in a moment, if the other side answers."""
+        if not self._peer.linked or route.refusal or route.paused:
+            return False
+        return (route.arming.spent or not route.accepted) and route in self._routes()
 
     def _why_not(self, route: Route) -> str:
         arming = route.arming
         if not self._peer.linked:
             return self._peer.down_reason or "the link is down"
         if not route.accepted:
-            return route.refusal or "it is being set up"
+            return route.refusal or ArmingProblem.NOT_OPEN()
         if not arming.required:
             return "neither session demands arming"
         if route.paused:
             return "it is paused; resume it first"
         if arming.held:
             return f"{arming.by} has armed it already"
-        return "it is being reopened: try again in a moment" if arming.spent else ""
+        return ArmingProblem.NOT_OPEN() if arming.spent else ""
 
     def disarm(self, route: Route, why: Disarmed, reason: str = "") -> None:
         """Disarm a route on both sides, if it is armed."""
@@ -370,6 +396,7 @@ class LinkArming:
 
     def gone(self, console: Hashable) -> None:
         """Disarm the routes that a detached console has armed. `rsb-console arm` detaches if no key comes in time."""
+        self._waiting = [each for each in self._waiting if each != console]
         for route in self._routes():
             if route.arming.held and route.arming.console == console:
                 self.disarm(route, route.arming.overdue(self._context.now()) or Disarmed.CONSOLE_GONE)

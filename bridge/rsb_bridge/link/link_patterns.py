@@ -212,12 +212,13 @@ class LinkPatterns(Extension):
         self._here: Names | None = None  # matching names of this side's graph, or None as long as they are unknown
         self.there: Names | None = None
         self._request = 0
-        self._due = False  # the peer has sent other names
+        self._due = False  # the peer has sent other names, or given up a route
         self.unseen = 0
         self.gone: dict[Identity, float] = {}
         self._known: dict[tuple[bool, Kind, str, str], tuple[int, Topic] | None] = {}  # which pattern matches
         self._told_full: set[Identity] = set()
         table.on_removed = self.leave_out
+        table.on_vacated = self._vacated
 
     # --- what operators want
 
@@ -518,6 +519,12 @@ class LinkPatterns(Extension):
         if over:
             self.gone = {identity: at for identity, at in self.gone.items() if identity not in over}
             self.reconcile()
+
+    def _vacated(self, entry: Topic | None) -> None:
+        """Use the place of a route that the other side has given up: for this side's entry of it, or for a pattern."""
+        if entry is not None:
+            self._proposed.restore(entry)
+        self._due = True
 
     # --- what operators see
 

@@ -64,7 +64,7 @@ class PeerOperators:
 
     def proposed(self, route: Route, proposal: Propose) -> None:
         """Record that an operator there has added or edited a topic, if the proposal names one."""
-        if proposal.who and proposal.edited:
+        if proposal.who and proposal.replaces:
             self.edited(route, proposal.who, None)
         elif proposal.who:
             self._did(EventCode.OPERATOR_ADDED, "added", route, proposal.who, "", described(route.spec))

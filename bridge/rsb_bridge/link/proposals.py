@@ -9,8 +9,7 @@ from msgspec import UNSET
 
 from rsb_bridge import __version__
 from rsb_bridge.config.rights import Use, uses
-from rsb_bridge.config.topic_rules import internal_problems, overlap
-from rsb_bridge.config.validation import validate_topic
+from rsb_bridge.config.topic_rules import entry_problems, internal_problems, overlap, problems_here
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import ROUTES_PER_LINK, ROUTES_PROPOSED_BY_SERVER
@@ -20,7 +19,7 @@ from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.profiles import PLAIN, compression_of
 from rsb_bridge.model.purposes import PURPOSES, TOPIC, Purpose
 from rsb_bridge.model.session import RANKS, Topic, priority_of
-from rsb_bridge.model.topic_keys import TOPIC_KEYS, keys_of_value
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.wire.messages import Amend, Propose
 
 if TYPE_CHECKING:
@@ -37,10 +36,15 @@ KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
 """The kinds that this version knows, by their names on the wire."""
 
 
-_NUMBERS = tuple(name for name in keys_of_value("number") if name != "deadman")
-"""The keys whose numbers a proposal has as a session has them."""
 _NONE = {field.name: field.default for field in msgspec.structs.fields(Propose) if field.name in TOPIC_KEYS}
 """The values with which a proposal sets nothing."""
+_OTHERWISE = {"topic", "remote_topic", "type", "qos", "compression", "priority", "deadman", "on_end"}
+_DEFAULTS = {
+    field.name: field.default
+    for field in msgspec.structs.fields(Topic)
+    if field.name in _NONE and field.name not in _OTHERWISE
+}
+"""The keys whose values a proposal has as a session has them, with the values with which a session sets nothing."""
 _AMENDABLE = {name: _NONE[name] for name, key in TOPIC_KEYS.items() if key.live}
 
 
@@ -72,15 +76,12 @@ def proposal_of(
         transport=transport.name,
         qos=topic.parsed_qos(),
         compression=compression_of(topic.compression, profile, transport.compression),
-        paused=topic.paused,
-        arm=topic.arm,
         deadman=topic.deadman_seconds if topic.arm else 0.0,
         on_end=text_of(topic.on_end) if topic.arm else "",
-        limits=topic.limits,
         kind=topic.kind,
         priority=RANKS[topic.priority],
         purpose=purpose.name,
-        **{name: _NONE[name] if (value := getattr(topic, name)) is None else value for name in _NUMBERS},
+        **{name: _NONE[name] if (value := getattr(topic, name)) is None else value for name in _DEFAULTS},
     )
 
 
@@ -100,19 +101,17 @@ def topic_of(proposal: Propose) -> Topic:
         qos=msgspec.to_builtins(proposal.qos) if proposal.qos else "auto",
         remote_topic=on_server,
         compression=proposal.compression,
-        paused=proposal.paused,
-        arm=proposal.arm,
         deadman=proposal.deadman if proposal.arm else None,
         on_end=(proposal.on_end or None) if proposal.arm else None,
-        limits=proposal.limits,
         kind=_kind_of(proposal),
         priority=priority_of(proposal.priority) if proposal.kind == "topic" else "normal",
-        **_numbers_of(proposal),
+        **_values_of(proposal),
     )
 
 
-def _numbers_of(proposal: Propose) -> dict[str, Any]:
-    return {name: None if (value := getattr(proposal, name)) == _NONE[name] else value for name in _NUMBERS}
+def _values_of(proposal: Propose) -> dict[str, Any]:
+    values = {name: getattr(proposal, name) for name in _DEFAULTS}
+    return {name: _DEFAULTS[name] if value == _NONE[name] else value for name, value in values.items()}
 
 
 def _kind_of(proposal: Propose) -> Kind:
@@ -127,7 +126,7 @@ def _kind_of(proposal: Propose) -> Kind:
     return kind
 
 
-_OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "edited": False}
+_OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "replaces": 0}
 
 
 def same_route(one: Propose, other: Propose) -> bool:
@@ -150,9 +149,15 @@ def amendment(proposal: Propose, route_id: int, who: str = "") -> Amend:
 
 def amended_topic(topic: Topic, limits: Propose) -> Topic:
     """Return a topic with a proposal's limits."""
-    numbers = {name: value for name, value in _numbers_of(limits).items() if name in _AMENDABLE}
+    values = {name: value for name, value in _values_of(limits).items() if name in _AMENDABLE}
     priority = priority_of(limits.priority) if limits.kind == "topic" else "normal"
-    return msgspec.structs.replace(topic, **numbers, priority=priority)
+    return msgspec.structs.replace(topic, **values, priority=priority)
+
+
+def with_changes(entry: Topic, old: Topic, new: Topic) -> Topic:
+    """Return another entry of a topic with what differs between two, of what can change in an open route."""
+    changed = {name: value for name in _AMENDABLE if (value := getattr(new, name)) != getattr(old, name)}
+    return msgspec.structs.replace(entry, **changed)
 
 
 def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
@@ -166,13 +171,13 @@ def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
         return _authorized_internal(proposal, purpose, link, session)
     if pattern := next(filter(is_pattern, (proposal.topic, proposal.remote_topic)), ""):
         raise LinkError(f"{pattern} is a pattern: the other side has to propose each that matches by its name")
-    for problem in validate_topic(topic_of(proposal)):  # first: a prefix can make a valid name of an invalid one
+    for problem in entry_problems(topic_of(proposal)):  # first: a prefix can make a valid name of an invalid one
         raise LinkError(str(problem))
     ours = link.with_local_name(proposal)
     use = use_of(ours, is_client=link.is_client)
     if refusal := _refusal(ours, link.rights, is_client=link.is_client):
         raise LinkError(str(refusal))
-    for problem in validate_topic(topic_of(ours), session):
+    for problem in problems_here(topic_of(ours), session):
         raise LinkError(str(problem))
     if use.may == "publish" and use.topic == session.shutdown_topic:
         raise LinkError(Denied.SHUTDOWN_TOPIC(topic=use.topic))
@@ -200,6 +205,8 @@ def _authorized_internal(proposal: Propose, purpose: Purpose, link: BaseLink, se
     """
     for problem in internal_problems(topic_of(proposal), purpose, session):
         raise LinkError(str(problem))
+    if proposal.replaces:
+        raise LinkError(f"a route for {purpose.name} cannot take the place of another one")
     if proposal.qos is not None and proposal.qos.latched:
         raise LinkError(f"a route for {purpose.name} needs a QoS that keeps nothing for late joiners")
     if refusal := _refusal(proposal, link.rights, is_client=link.is_client):

@@ -10,6 +10,8 @@ from rsb_bridge.config.topic_rules import internal_problems, transport_of
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import check_driver_topic, proposal_of, same_route, use_of
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.route import route_key
 
 if TYPE_CHECKING:
@@ -111,10 +113,18 @@ class ProposedTopics:
             table.amend(route, topic, proposal)
             return route
         at = list(self._link.routes).index(route.key)
-        table.remove(route, "edited", told=False)
-        new = table.add(topic, proposal, proposed_here=True, edited=True)
+        new = table.add(topic, proposal, proposed_here=True, replaces=table.give_way(route))
+        new.edits_peer = route.edits_peer or not route.proposed_here
+        new.arming.follow(route.arming)
         table.move(new, at)
         return new
+
+    def restore(self, topic: Topic) -> None:
+        """Propose an entry of this side again, whose place the other side's own had taken."""
+        try:
+            self.add(topic)
+        except LinkError as error:
+            self._link.log(Level.WARNING, EventCode.ROUTE_REFUSED, f"{topic.topic}: {error}", topic=topic.topic)
 
     def check_replace(self, route: Route, topic: Topic) -> None:
         """Raise `LinkError` where `replace` would."""

@@ -65,6 +65,7 @@ def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterato
     yield from _topic_steps(link, session.topics)
     listed = {topic.identity for topic in session.topics}
     own = {route.spec.identity for route in link.routes.values() if route.proposed_here}
+    own |= {topic.identity for topic in link.table.superseded.values()}
     for identity in sorted(link.table.listed - listed - own):  # the other side has removed it already
         kind, name, direction = identity
         text = f"{named(Topic(name, direction, kind=kind))}: no longer listed"
@@ -138,7 +139,10 @@ def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[ReloadStep]:
     routes = {route.spec.identity: route for route in link.routes.values() if route.proposed_here and not route.pattern}
     superseded = {topic.identity: key for key, topic in link.table.superseded.items()}
     for identity, route in routes.items():
-        if identity not in wanted:
+        if identity not in wanted and route.edits_peer:
+            text = f"{named(route.spec)}: the edit is undone; the other side's own entry applies again"
+            yield ReloadStep(text, partial(_undo_edit, link, identity))
+        elif identity not in wanted:
             yield ReloadStep(_removed(route.spec), partial(_remove, link, identity))
     for identity, key in superseded.items():
         if identity not in wanted:
@@ -153,7 +157,8 @@ def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[ReloadStep]:
         elif identity in superseded:
             key = superseded[identity]
             if differs := changes(link.table.superseded[key], topic):
-                text = f"{named(topic)}: {', '.join(differs)}; the client's own entry takes precedence"
+                others = "an edit on the server" if link.is_client else "the client's own entry"
+                text = f"{named(topic)}: {', '.join(differs)}; {others} takes precedence"
                 yield ReloadStep(text, partial(_change_superseded, link, key, topic))
         else:
             yield ReloadStep(_added(topic), partial(_add, link, topic))
@@ -198,8 +203,14 @@ def _remove(link: Link, identity: Identity) -> None:
         link.table.remove(route, _NOT_IN_FILE)
 
 
+def _undo_edit(link: Link, identity: Identity) -> None:
+    if (route := _proposed(link, identity)) is not None:
+        link.table.undo_edit(route, _NOT_IN_FILE)
+
+
 def _drop_superseded(link: Link, key: str) -> None:
-    link.table.superseded.pop(key, None)
+    if (topic := link.table.superseded.pop(key, None)) is not None:
+        link.table.listed.discard(topic.identity)
     link.context.demands.changed()
 
 

@@ -23,6 +23,7 @@ from rsb_bridge.link.proposals import (
     denied,
     same_route,
     topic_of,
+    with_changes,
 )
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
@@ -78,6 +79,12 @@ _AboutOpenRoute: TypeAlias = (
 )
 RouteMessage: TypeAlias = Propose | Amend | LeaseMessage | _AboutOpenRoute
 """The control messages that are about routes."""
+
+_EDITED = "edited"
+_NOT_ASKED_FOR = "the other side no longer asks for it"
+_EDIT_REFUSED = "the other side's edit of it is refused"
+_EDIT_UNDONE = "the other side has undone its edit"
+_COMES_BACK = "; this side's own entry takes its place again"
 
 
 def _half_of(proposal: Propose, *, is_client: bool) -> type[Route]:
@@ -145,9 +152,12 @@ class RouteTable(Extension):
     Attributes:
         arming: arms and disarms the routes.
         questions: to the holders of armings.
-        superseded: topics of this side whose place the other side's own have taken, by their routes' keys.
+        superseded: entries of this side whose place the other side's own have taken, by the keys of those routes; they
+            come back once the other side no longer proposes its own.
         listed: identities of the topics that this side proposes; named ones stay even if the other side removes them.
         on_removed: is called with a route that an operator of the other side has removed.
+        on_vacated: is called with an entry of this side that comes back, or with None, after the other side has given
+            up a route.
         compare_types: asks the peer how its version of a type differs.
     """
 
@@ -156,6 +166,7 @@ class RouteTable(Extension):
         self.superseded: dict[str, Topic] = {}
         self.listed: set[Identity] = set()
         self.on_removed: Callable[[Route], None] = lambda _: None
+        self.on_vacated: Callable[[Topic | None], None] = lambda _: None
         self.compare_types: CompareTypes = unknown_difference
         self._context = link.context
         self._link = link
@@ -180,19 +191,20 @@ class RouteTable(Extension):
         self._refused.clear()
         for route in self._link.routes.values():
             route.close(self._link.status.reason)
+            route.replaces = 0
         self.arming.lease.stop()
 
     # --- adding and removing
 
     def add(
-        self, spec: Topic, proposal: Propose, *, proposed_here: bool, edited: bool = False, by_pattern: bool = False
+        self, spec: Topic, proposal: Propose, *, proposed_here: bool, replaces: int = 0, by_pattern: bool = False
     ) -> Route:
         """Make this side's half of a route, and ask the peer for the other half if this side proposes it.
 
         Args:
             proposal: of it, with this side's names.
             proposed_here: whether this side proposes it.
-            edited: whether it replaces a route that was removed right before.
+            replaces: the id that `give_way` has returned, if it takes that route's place.
             by_pattern: whether a pattern adds it, whose entry makes the demands.
 
         Raises:
@@ -207,11 +219,13 @@ class RouteTable(Extension):
         allow_rate(route, self._link)
         if isinstance(route, IncomingRoute | CallingRoute):
             route.compare_types = self.compare_types
+        route.replaces = replaces
         if proposed_here and route.purpose.in_graph:
             self.listed.add(spec.identity)
+            self.superseded = {key: topic for key, topic in self.superseded.items() if topic.identity != spec.identity}
             self._context.demands.changed()
         if proposed_here and self._link.linked:
-            self.propose(route, acting_operator(), edited=edited)
+            self.propose(route, acting_operator())
         return route
 
     def check_add(self, spec: Topic, proposal: Propose, key: str, instead_of: Route | None = None) -> None:
@@ -235,9 +249,26 @@ class RouteTable(Extension):
 
     def remove(self, route: Route, reason: str, *, told: bool = True) -> None:
         """Remove a route on both sides; `told` means that the other side learns the operator's name."""
-        self.listed.discard(route.spec.identity)
+        self.listed -= {topic.identity for topic in (route.spec, self.superseded.get(route.key)) if topic is not None}
         self._tell_removed(route, reason, acting_operator() if told else "")
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
+
+    def undo_edit(self, route: Route, reason: str) -> None:
+        """Remove this side's edit of an entry of the peer's, which applies again."""
+        self.listed.discard(route.spec.identity)
+        self._tell_removed(route, reason, edited=True)
+        self._forget(route, EventCode.ROUTE_REMOVED, reason)
+
+    def give_way(self, route: Route) -> int:
+        """Remove a route in whose place this side proposes another; return the id that the peer knows it by, or 0."""
+        route_id = self._link.ids.last_of(route)
+        self.listed.discard(route.spec.identity)
+        if route_id:
+            self._link.send(Close(route=route_id, reason=_EDITED, edited=True))
+        if route.arming.held:
+            route.disarm(Disarmed.EDITED)
+        self._forget(route, EventCode.ROUTE_REMOVED, _EDITED)
+        return route_id
 
     def deny(self, route: Route, reason: str) -> None:
         """End a route that the peer has proposed and may no longer have; the peer keeps asking for it."""
@@ -258,10 +289,11 @@ class RouteTable(Extension):
         if route.id:
             self._link.send(Limit(route=route.id, max_rate=route.limit.here))
 
-    def _tell_removed(self, route: Route, reason: str, who: str = "") -> None:
+    def _tell_removed(self, route: Route, reason: str, who: str = "", *, edited: bool = False) -> None:
         """Tell the peer that a route is removed; a closed route is named by its last id."""
         if route_id := self._link.ids.last_of(route):
-            self._link.send(Close(route=route_id, reason=sanitize_text(reason), removed=True, who=who))
+            reason = sanitize_text(reason)
+            self._link.send(Close(route=route_id, reason=reason, removed=True, who=who, edited=edited))
 
     def _forget(self, route: Route, code: EventCode, reason: str) -> None:
         """Remove a route on this side."""
@@ -286,6 +318,9 @@ class RouteTable(Extension):
         changed = amended(route.proposal, proposal)
         if route.proposed_here:
             route.amend(msgspec.structs.replace(spec, paused=route.paused), changed)
+            self._context.demands.changed()
+        elif (entry := self.superseded.get(route.key)) is not None:
+            self.superseded[route.key] = with_changes(entry, route.spec, spec)
             self._context.demands.changed()
         if route.id:
             self._link.send(self._amendment(route, changed, acting_operator()))
@@ -353,17 +388,16 @@ class RouteTable(Extension):
 
     # --- proposing
 
-    def propose(self, route: Route, who: str = "", *, edited: bool = False) -> None:
+    def propose(self, route: Route, who: str = "") -> None:
         """Ask the peer to open a route; if it is open, it is closed and opened again.
 
         Args:
             who: operator who has just added or edited it, or an empty string.
-            edited: whether it replaces a route that was removed right before.
         """
         self._reopen(route, self._link.ids.new())
-        self._link.spawn(self._propose(route, route.id, who, edited=edited))
+        self._link.spawn(self._propose(route, route.id, who))
 
-    async def _propose(self, route: Route, route_id: int, who: str, *, edited: bool) -> None:
+    async def _propose(self, route: Route, route_id: int, who: str) -> None:
         try:
             await self._link.prepare_port(route)
         except ListenError as error:
@@ -372,9 +406,10 @@ class RouteTable(Extension):
         if route.id == route_id:
             pausing = route.pausing
             opening = {"route": route_id, "paused": pausing.paused, "pause_revision": pausing.revision}
+            opening["replaces"] = route.replaces
             opening |= self.arming.demanded(route)
             self._link.derive_keys(route_id, proposed_here=True)
-            self._link.send(msgspec.structs.replace(route.proposal, **opening, who=who, edited=edited))
+            self._link.send(msgspec.structs.replace(route.proposal, **opening, who=who))
 
     # --- what the peer says
 
@@ -385,6 +420,8 @@ class RouteTable(Extension):
                 self._proposed(message)
             case Close(removed=True):
                 self._removed(message)
+            case Close(edited=True):
+                self._give_way_to_peer(message)
             case Amend():
                 self._amended(message)
             case Lease():
@@ -403,12 +440,17 @@ class RouteTable(Extension):
             self._link.protocol_error(f"invalid route id {proposal.route} in a proposal")
             return
         self._link.derive_keys(proposal.route, proposed_here=False)
+        replaced = self._link.ids.find(proposal.replaces)
         try:
             route = self._take_up(proposal)
         except LinkError as error:
             self._link.closed(proposal.route)
             self._refuse(proposal, "denied", str(error))
+            if replaced is not None and not (replaced.id or replaced.proposed_here):
+                self._abandoned(replaced, _EDIT_REFUSED)
         else:
+            if replaced is not None and replaced.key != route.key:
+                self._renamed(replaced, route)
             self._link.spawn(self._accept(route, proposal))
             self._peer_operators.proposed(route, proposal)
 
@@ -420,7 +462,7 @@ class RouteTable(Extension):
         """
         link = self._link
         ours = authorized(proposal, link, self._context.session)
-        known = link.routes.get(route_key(link.name, ours))
+        before = known = link.routes.get(route_key(link.name, ours))
         if known is None:
             check_room(self._link.routes.values(), self._context.session)
         elif known.proposed_here and link.is_client:
@@ -430,12 +472,14 @@ class RouteTable(Extension):
             # this side's.
             if known.proposed_here:
                 self._tell_removed(known, "replaced by the client's")
-                self.superseded |= {} if known.pattern else {known.key: known.spec}
+                self._keep_entry(known, known.key)
             self._forget(known, EventCode.ROUTE_REPLACED, "replaced by the other side's")
             known = None
         if known is not None:
             known.amend(amended_topic(known.spec, ours), amended(known.proposal, ours))
         route = known or self.add(topic_of(ours), ours, proposed_here=False)
+        if before is not None:
+            route.arming.follow(before.arming)
         same_process = route.instance == link.instance
         self._reopen(route, proposal.route)
         self._pausing.taken_up(route, proposal, known=same_process)
@@ -481,6 +525,10 @@ class RouteTable(Extension):
         route = self._link.ids.find(message.route)
         if route is None:
             return  # both sides removed it
+        if message.removed and message.edited:
+            if not route.proposed_here:
+                self._abandoned(route, _EDIT_UNDONE)
+            return
         reason = f"removed by the other side: {message.reason}"
         if route.id != message.route:
             self._tell_removed(route, reason)
@@ -488,6 +536,44 @@ class RouteTable(Extension):
         if message.who:
             self._peer_operators.removed(route, message.who)
             self.on_removed(route)
+
+    def _give_way_to_peer(self, message: Close) -> None:
+        """Close a route in whose place the peer is about to propose another one, and keep this side's entry of it.
+
+        If that proposal never comes, the route is abandoned after a while, as any other of the peer's.
+        """
+        route = self._link.ids.find(message.route)
+        if route is not None and not route.purpose.in_graph:
+            self._removed(message)  # no session lists it
+            return
+        if route is None or route.id not in (0, message.route):
+            return  # it was removed here, or this side has proposed it again; of two proposals the client's stays
+        self._keep_entry(route, route.key)
+        route.proposed_here, route.pattern = False, ""
+        if route.arming.held:
+            route.disarm(Disarmed.EDITED)
+        route.close(f"{_EDITED} by the other side")
+
+    def _keep_entry(self, route: Route, key: str) -> None:
+        """Keep this side's entry of a route whose place the peer's route with that key takes."""
+        if route.proposed_here and not route.pattern and route.purpose.in_graph:
+            self.superseded[key] = route.spec
+
+    def _renamed(self, old: Route, new: Route) -> None:
+        """Remove the route of a topic that the peer has edited so much that the new one has another key."""
+        self._keep_entry(old, new.key)
+        if (entry := self.superseded.pop(old.key, None)) is not None:
+            self.superseded[new.key] = entry
+        new.arming.follow(old.arming)
+        if old.id:
+            self._tell_removed(old, _EDITED)
+        self._forget(old, EventCode.ROUTE_REPLACED, "replaced by the other side's")
+
+    def _abandoned(self, route: Route, reason: str) -> None:
+        """Remove a route that the peer no longer proposes; this side's own entry, whose place it took, comes back."""
+        entry = self.superseded.pop(route.key, None)
+        self._forget(route, EventCode.ROUTE_ABANDONED, reason if entry is None else f"{reason}{_COMES_BACK}")
+        self.on_vacated(None if entry is None else msgspec.structs.replace(entry, paused=route.paused))
 
     def _about_route(self, route: Route, message: _AboutOpenRoute) -> None:
         match message:
@@ -536,4 +622,4 @@ class RouteTable(Extension):
             if route.proposed_here and not route.id and now >= route.retry_at:
                 self.propose(route)
             elif not route.proposed_here and not route.id and now > route.awaited_until(link.linked_at):
-                self._forget(route, EventCode.ROUTE_ABANDONED, "the other side no longer asks for it")
+                self._abandoned(route, _NOT_ASKED_FOR)

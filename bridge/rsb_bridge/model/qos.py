@@ -119,7 +119,7 @@ def _qos_of(value: object) -> Qos:
 def _from_mapping(value: dict[str, Any]) -> Qos:
     policies = dict(value)
     profile = policies.pop("profile", "default")
-    if profile not in PROFILES:
+    if not isinstance(profile, str) or profile not in PROFILES:
         raise ValueError(QosProblem.UNKNOWN_PROFILE(value=profile, names=", ".join(PROFILES)))
     try:
         return msgspec.convert(msgspec.to_builtins(PROFILES[profile]) | policies, Qos)

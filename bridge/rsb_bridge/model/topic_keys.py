@@ -113,16 +113,18 @@ _KNOWN_QOS = f"auto, {', '.join(PROFILES)}, a depth (20), or policies: {{reliabi
 TOPIC_KEYS: Final = {key.name: key for key in (
     TopicKey("topic"),
     TopicKey("direction"),
+    TopicKey("excepts", "list", label="Except", blank="nothing",
+             help="For a pattern (/camera/**): names and patterns on the client that it leaves out, "
+                  "separated by blanks."),
     TopicKey("type"),
+    TopicKey("qos", kinds="topics", wrong_kind=ForeignKey.QOS_OF_CALLED,
+             label="QoS", help=_KNOWN_QOS, blank="auto"),
+    TopicKey("remote_topic"),
     TopicKey("timeout", "number", kinds="calls", wrong_kind=ForeignKey.TIMEOUT_OF_TOPIC,
              limits=CALL_TIME, range_text=RangeText.TIMEOUT, unit="s",
              label="Timeout", help="Seconds without an answer until a call is given up.", blank=f"{CALL_TIMEOUT:g} s"),
     TopicKey("protocol"),
     TopicKey("port", "number"),
-    TopicKey("qos", kinds="topics", wrong_kind=ForeignKey.QOS_OF_CALLED,
-             label="QoS", help=_KNOWN_QOS, blank="auto"),
-    TopicKey("remote_topic"),
-    TopicKey("compression"),
     TopicKey("max_rate", "number", limits=RATE, range_text=RangeText.RATE, unit="Hz", live=True,
              sentence="at most {value:g} {unit}",
              label="Max rate", help="Hz; messages beyond it are left out. Empty: no limit.", blank="all",
@@ -149,8 +151,7 @@ TOPIC_KEYS: Final = {key.name: key for key in (
              sentence="dropped if older than {value:g} {unit}", zero_sentence="of any age",
              label="Max age", help=_OLD.format("message is dropped."), blank="1 s if armed",
              help_of_calls=_OLD.format("request is refused.")),
-    TopicKey("paused", "switch",
-             label="Paused", help="Set up, but carries nothing until resumed.", options=_SWITCH),
+    TopicKey("compression"),
     TopicKey("arm", "switch",
              label="Must be armed", help="Carries nothing until an operator arms it (key A).", options=_SWITCH),
     TopicKey("deadman", "number", limits=DEADMAN_TIME, range_text=RangeText.DEADMAN, zero=True, unit="s",
@@ -163,11 +164,13 @@ TOPIC_KEYS: Final = {key.name: key for key in (
     TopicKey("limits", kinds="topics", wrong_kind=ForeignKey.LIMITS_OF_CALLED,
              label="Limits", help="What a hand may ask at most, in m/s and rad/s: {linear: 0.5, angular: 1}.",
              blank="any velocity"),
-    TopicKey("excepts", "list", label="Except", blank="nothing",
-             help="For a pattern (/camera/**): names and patterns on the client that it leaves out, "
-                  "separated by blanks."),
+    TopicKey("paused", "switch",
+             label="Paused", help="Set up, but carries nothing until resumed.", options=_SWITCH),
 )}  # fmt: skip
-"""All keys by the fields' names, in the order of the command line's help. `kind` is no key: the list defines it."""
+"""All keys by the fields' names, in the order in which an operator thinks of them: of the form and the command line.
+
+`kind` is no key: the list defines it.
+"""
 
 
 def keys_of_value(value: Value) -> tuple[str, ...]:

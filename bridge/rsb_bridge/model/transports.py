@@ -5,14 +5,34 @@ Validation reads these facts, so that a session is checked without loading a soc
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 from rsb_bridge.model.limits import CHANNEL, NO_PORT, PORT, TOPIC_PORT, Range
 from rsb_bridge.model.session import ZENOH_HOST, is_mac
 
 if TYPE_CHECKING:
     from rsb_bridge.model.profiles import Compression
-    from rsb_bridge.model.session import Protocol
+    from rsb_bridge.model.session import Protocol, Session
+
+
+class Ages(NamedTuple):
+    """How old (s) the oldest unacknowledged byte of a link may be beyond the shortest round trip.
+
+    Attributes:
+        fresh: the window of the link grows below it,
+        late: and shrinks above it,
+        aim: to the bytes that cross in this and in a ping.
+        room: the window grows to the bytes that cross in this where nothing waits, so that receipts are rare.
+    """
+
+    fresh: float
+    late: float
+    aim: float
+    room: float
+
+
+QUEUES_LITTLE = Ages(0.2, 0.8, 0.5, 4.0)
+"""For streams whose kernel takes little more than it can send."""
 
 
 class TransportTraits:
@@ -32,6 +52,8 @@ class TransportTraits:
         reliable: whether every sent message arrives unless the carrier breaks and reports it.
         best_effort: name of the companion for topics with best-effort QoS that choose no transport, or an empty string
             if they use this transport.
+        ages: that its window allows.
+        delivery: what it does with messages, behind its name, for an operator.
         local: whether its addresses are this machine's own, so that a server that can't bind one cannot start.
     """
 
@@ -46,6 +68,8 @@ class TransportTraits:
     companions: ClassVar[tuple[Protocol, ...]] = ()
     reliable: ClassVar[bool] = True
     best_effort: ClassVar[Protocol | Literal[""]] = ""
+    ages: ClassVar[Ages] = QUEUES_LITTLE
+    delivery: ClassVar[str] = "delivers all, in order"
     local: ClassVar[bool] = True
 
     @staticmethod
@@ -64,6 +88,7 @@ class RfcommTraits(TransportTraits):
     slow = True
     compression = "zstd"
     multiplexed = True
+    delivery = "uses the radio, on a channel of its own"
 
     @staticmethod
     def carries_links_to(host: str) -> bool:
@@ -86,6 +111,7 @@ class UdpTraits(TransportTraits):
 
     name = "udp"
     reliable = False
+    delivery = "never waits for lost messages"
 
 
 class ZenohTraits(TransportTraits):
@@ -97,6 +123,9 @@ class ZenohTraits(TransportTraits):
     ip_ports = False
     companions = ("zenoh-drop",)
     best_effort = "zenoh-drop"
+    # Zenoh takes all that the window allows, and puts it on one connection: small messages wait behind large ones, and
+    # the more is in transit, the longer TCP waits before it tries again after a gap.
+    ages = Ages(0.1, 0.3, 0.15, 1.0)
     local = False
 
     @staticmethod
@@ -112,6 +141,7 @@ class ZenohDropTraits(TransportTraits):
     ports = topic_ports = NO_PORT
     ip_ports = False
     reliable = False
+    delivery = "never waits for lost messages, as fits best effort"
     local = False
 
 
@@ -129,3 +159,10 @@ def named(name: str) -> type[TransportTraits]:
 def of_link(host: str) -> type[TransportTraits]:
     """Return the transport of a link whose session has that `server_ip`."""
     return next(traits for traits in _BY_NAME.values() if traits.carries_links_to(host))
+
+
+def crossing(session: Session) -> tuple[Protocol, ...]:
+    """Return the transports that topics of a session's link may choose, the link's own first."""
+    link = of_link(session.server_ip)
+    radio = session.bluetooth_address is not None and not (session.is_bluetooth or session.is_zenoh)
+    return (link.name, *link.companions, *(("bluetooth",) if radio else ()))

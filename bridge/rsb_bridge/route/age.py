@@ -19,7 +19,7 @@ from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.ros.ros_interface import RawMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.clock import StampClock
@@ -118,6 +118,7 @@ class MessageAge:
 
     Attributes:
         is_on: whether ages are limited at all.
+        switched: called whenever `is_on` may have changed.
         max_age: s that holds for the two sides, or 0 for no limit.
         accepted: s that the other side's session sets where it has accepted the route, 0 for no limit, or None if it
             sets none.
@@ -126,6 +127,7 @@ class MessageAge:
 
     def __init__(self, context: Context, peer: Peer) -> None:
         self.is_on = False
+        self.switched: Callable[[], None] = lambda: None
         self.max_age = 0.0
         self.accepted: float | None = None
         self.publishers = PublisherClocks()
@@ -150,6 +152,7 @@ class MessageAge:
         self._limit = min(filter(None, (self.max_age, lifespan)), default=0.0)
         self._limit_ns = int(self._limit * 1e9)
         self.is_on = self._limit > 0.0
+        self.switched()
 
     # --- the side that takes from ROS
 

@@ -19,7 +19,7 @@ from rsb_bridge.model.snapshot import ArmingSnapshot
 from rsb_bridge.model.velocity_limits import smallest
 from rsb_bridge.route.lease import SLOW
 from rsb_bridge.wire.framing import LEASED
-from rsb_bridge.wire.headers import split_number, with_number
+from rsb_bridge.wire.headers import with_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -55,6 +55,7 @@ class Disarmed(StrEnum):
     TOO_OFTEN = "too_often"
     """The other side's operators arm topics more often than people do."""
     REMOVED = "removed"
+    EDITED = "edited"
     CHANNEL_LOST = "channel_lost"
     """Its data connection ended, which may be noticed before the end of the process at its other end."""
     REOPENED = "reopened"
@@ -76,6 +77,7 @@ DISARM_TEXT = {
     Disarmed.NO_ANSWER: "the other side has not agreed in time",
     Disarmed.TOO_OFTEN: "it was armed too often",
     Disarmed.REMOVED: "the topic is not bridged any more",
+    Disarmed.EDITED: "the topic was edited",
     Disarmed.CHANNEL_LOST: "its data connection ended",
     Disarmed.REOPENED: "the topic was reopened",
     Disarmed.LEASE: "a side or the link stood still",
@@ -122,6 +124,7 @@ class Arming:
 
     Attributes:
         required: whether either side's session demands arming.
+        switched: called whenever `required` may have changed.
         deadman: s without a key after which it disarms, or 0 for no limit.
         own: the demand of this side's session.
         peer_on_end: what the other side's session wants when it ends.
@@ -135,16 +138,18 @@ class Arming:
         why: the cause why it is not armed.
         reason: the same as a text.
         lease: lease of the link, or None before the first opening: nothing passes without it.
+        first: the lease's number when somebody armed it.
     """
 
     __slots__ = (
-        "_answered", "_deadline", "_first", "_key_pressed", "_phase", "_seen_at", "by", "console", "deadman",
-        "demanded_by", "lease", "limited_by", "own", "peer_limits", "peer_on_end", "question", "reason", "required",
-        "shared", "why",
+        "_answered", "_deadline", "_key_pressed", "_phase", "_seen_at", "by", "console", "deadman", "demanded_by",
+        "first", "lease", "limited_by", "own", "peer_limits", "peer_on_end", "question", "reason", "required",
+        "shared", "switched", "why",
     )  # fmt: skip
 
     def __init__(self, *, required: bool = False, deadman: float = 0.0) -> None:
         self.required = required
+        self.switched: Callable[[], None] = lambda: None
         self.deadman = deadman
         self.own: Demand = NO_DEMAND
         self.peer_on_end = ""
@@ -154,7 +159,7 @@ class Arming:
         self.why = Disarmed.NOT_YET
         self.reason = DISARM_TEXT[self.why]
         self.lease: LeaseHalf | None = None
-        self._first = 0  # the lease's number when somebody armed it
+        self.first = 0
         self._answered: Callable[[], None] | None = None
         self.question: Question | None = None
         self._clear(_Phase.FREE)
@@ -180,13 +185,19 @@ class Arming:
             return
         if not self.required:
             self.required, self.deadman = True, deadman
+            self.switched()
         else:
             self.deadman = min(filter(None, (self.deadman, deadman)), default=0.0)
 
     def opened(self, *, required: bool, deadman: float) -> None:
         self.required = False
+        self.switched()
         self.demand(required=required, deadman=deadman)
         self._clear(_Phase.FREE)
+
+    def follow(self, before: Arming) -> None:
+        """Go on showing why the route is not armed in whose place this one's comes."""
+        self.why, self.reason = before.why, before.reason
 
     @property
     def limits(self) -> VelocityLimits | None:
@@ -225,12 +236,6 @@ class Arming:
         """Whether messages may cross at `now` (s): operators want it, and the two sides hear each other."""
         return not self.required or (self.lease is not None and self.lease.alive and self.stands(now))
 
-    def admits(self, number: int) -> bool:
-        """Whether a message with this number of the lease, or 0 for none, may be published, if `passes`."""
-        if not self.required:
-            return True
-        return number >= self._first and self.lease is not None and self.lease.passes(number)
-
     @property
     def newest_number(self) -> int:
         """The lease's number for a message that an operator makes now."""
@@ -242,18 +247,6 @@ class Arming:
             return message
         content, stamp, flags = message
         return with_number(number, content), stamp, flags | LEASED
-
-    def unpack(self, message: Message) -> tuple[int, Message]:
-        """Return the lease's number of a message, or 0 for none, and the message without it.
-
-        Raises:
-            ProtocolError: it is too short.
-        """
-        payload, stamp, flags = message
-        number = 0
-        if flags & LEASED:
-            number, payload = split_number(payload)
-        return number, (payload, stamp, flags & ~LEASED)
 
     def question_at(self, now: float) -> Question | None:
         """Return the question that the holder has not answered yet at `now` (s), or None."""
@@ -335,7 +328,7 @@ class Arming:
 
     def _hold(self, phase: _Phase, by: str, console: Hashable | None) -> None:
         if not self.held:
-            self._first = self.lease.number if self.lease is not None else 0
+            self.first = self.lease.number if self.lease is not None else 0
         self._phase, self.by, self.console = phase, by, console
 
     def _answer(self) -> None:

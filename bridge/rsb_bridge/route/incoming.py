@@ -11,7 +11,7 @@ import zstandard
 
 from rsb_bridge.cdr.checker import MalformedError, TooComplexError
 from rsb_bridge.channel.channel import ReceivingChannel
-from rsb_bridge.model.calls import FieldError
+from rsb_bridge.model.calls import FieldError, Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import PEER_DEMANDS, full_type
 from rsb_bridge.model.on_end import NONE
@@ -21,11 +21,11 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_graph import type_hint
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.route.age import EXPIRED
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
+from rsb_bridge.route.gates import NO_SAMPLE, Arrived, chained, compose_when_switched, incoming_gates, unleased
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
-from rsb_bridge.route.ledger import THROTTLED, reported_ledger
+from rsb_bridge.route.ledger import CAUSES, reported_ledger
 from rsb_bridge.route.lifecycle import RouteEvent
 from rsb_bridge.route.message_check import (
     BACKLOG_FULL,
@@ -54,7 +54,7 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping
 
     from rsb_bridge.cdr.velocity import Velocity
     from rsb_bridge.context import Context
@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.route.arming import Disarmed
+    from rsb_bridge.route.gates import LastLook
     from rsb_bridge.route.idling import Signs
     from rsb_bridge.route.route import Owner
 
@@ -124,6 +125,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self.check = MessageCheck(context, peer.budget.checks)
         self._later = Backlog()
+        compose_when_switched(self, self._compose_gates)
         self._received = 0
         self._report_at = _REPORTS_AFTER  # messages received
         self._delivered = 0
@@ -319,89 +321,91 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     # --- messages
 
-    def deliver(self, messages: Iterable[Message]) -> None:  # noqa: PLR0915 -- one loop, top to bottom
-        """Publish messages that arrived whole and authentic, or let them wait for later turns of the I/O loop.
+    def _compose_gates(self) -> None:
+        batch, arriving, leaving = incoming_gates(self)
+        self._gates = chained(batch), chained(arriving), chained(leaving)
 
-        Each message goes through lease, expansion budget, rate limit, unpacking and check, where they are on.
-        """
+    def deliver(self, messages: Iterable[Message]) -> None:
+        """Publish messages that arrived whole and authentic, or let them wait for later turns of the I/O loop."""
         if self._later:
             self._wait(messages)
             return
-        began, arming = self.context.now(), self.arming
-        required = arming.required
-        if required and not arming.passes(began):
-            self._drop_disarmed(len(tuple(messages)))
+        (batch, arriving, leaving), sinks, began = self._gates, self._outputs.sinks, self.context.now()
+        if batch is not None and (why := batch(NO_SAMPLE, began)) is not None:
+            self._refuse(why, len(tuple(messages)))
             return
-        sinks = self._outputs.sinks
         if not sinks:
             return
-        now = stamp = self.context.stamps.now()
+        now = sent = self.context.stamps.now()
+        gated = arriving is not None or leaving is not None
         checker = self.check.checker
         check = None if checker is None else self.check.check if checker.loops else checker.check
-        limited, looks = self.limit.here > 0.0, required or self.age.is_on
-        count = size = number = 0
-        published = b""
+        count, size, number, published, look = 0, 0, 0, b"", None
         messages = iter(messages)
-        arrived: Message | None
         for message in messages:
-            arrived = message
-            if required:
-                number, arrived = self._of_lease(message)
-                if arrived is None:
-                    self._drop_disarmed(1)
-                    continue
-            if arrived[2] & ZSTD and not self._unpacker.begin(arrived, self._go_on):
+            payload, stamp, flags = message
+            if batch is not None:
+                number, payload, flags = unleased(payload, flags)
+            if flags & ZSTD and not self._unpacker.begin((payload, stamp, flags), self._go_on):
                 self._wait((message, *messages))
                 break
-            payload, stamp, flags = arrived  # the last one's stamp is the batch's latency sample
-            self._received += 1
-            if limited and not self.limit.admits(began):
+            sample = Arrived(stamp, number) if gated else NO_SAMPLE
+            if arriving is not None and (why := arriving(sample, began)) is not None:
                 self._unpacker.forget()
-                self._leave_out()
+                self._refuse(why)
                 continue
+            self._received += 1
             if flags >> SOURCE_SHIFT >= len(sinks):
                 self._dropped["unknown source"] += 1
                 continue
-            sink, look = sinks[flags >> SOURCE_SHIFT], partial(self._look, stamp, number) if looks else None
+            sink = sinks[flags >> SOURCE_SHIFT]
+            if leaving is not None:
+                look = partial(leaving, sample, began)
             try:
                 header, content = self._unpack(payload, flags) if flags & _PACKED else (_NO_HISTORY, payload)
                 if check is not None:
                     check(content)
                 if isinstance(sink, LatchedTopic):
-                    self._publish_latched(sink, header, content, stamp, look)
-                else:
-                    sink.publish(content, look)
+                    self._publish_latched(sink, header, content, look)
+                elif (why := sink.publish(content, look)) is not None:
+                    raise _NotPublishedError(CAUSES[why])
             except _CAUGHT as error:
                 self._drop(error)
             else:
                 count += 1
                 size += len(payload)
-                published = content
-        self._delivered += count
-        if required and count and self._rest_message is not None and self._rest_message.moved(published):
-            self.peer.report_soon(self)
+                published, sent = content, stamp  # the last one's are the batch's sample
+        if count:
+            self._published(count, size, published, (now - sent) / 1e9, began)
         if self._received >= self._report_at:
             self._report_at = self._received + _REPORTS_AFTER
             self.peer.report_soon(self)
-        if count:
-            latency = None if (offset := self.peer.stamps.offset) is None else (now - stamp) / 1e9 + offset
-            if latency is not None and latency <= began - self._flows_since:  # else it was kept from before
-                self.latency.add(latency)
-            if self.peek_slot.wanted:
-                self._show(published, self.context.wall_ns(), latency)
-            self.count(count, size)
 
-    def _drop_disarmed(self, count: int) -> None:
-        self._received += count
-        self._dropped["disarmed"] += count
+    def _published(self, count: int, size: int, last: bytes, took: float, began: float) -> None:
+        """Note messages that were published, of `size` bytes together.
 
-    def _of_lease(self, message: Message) -> tuple[int, Message | None]:
-        """Return the lease's number of an armed route's message, and the rest of it, or None if it is too old."""
-        try:
-            number, arrived = self.arming.unpack(message)
-        except ProtocolError:
-            return 0, None
-        return number, arrived if self.arming.admits(number) else None
+        Args:
+            took: s, by the clocks of both sides.
+            began: s, when they arrived.
+        """
+        self._delivered += count
+        if self._rest_message is not None and self.arming.required and self._rest_message.moved(last):
+            self.peer.report_soon(self)
+        latency = None if (offset := self.peer.stamps.offset) is None else took + offset
+        if latency is not None and latency <= began - self._flows_since:  # else it was kept from before
+            self.latency.add(latency)
+        if self.peek_slot.wanted:
+            self._show(last, self.context.wall_ns(), latency)
+        self.count(count, size, began)
+
+    def _refuse(self, why: Refused, messages: int = 1) -> None:
+        """Count messages that arrived, and that a gate keeps back."""
+        self._received += messages
+        self._dropped[CAUSES[why]] += messages
+        if why is Refused.CALLS_A_SECOND:
+            allowed = f"the {self.limit.here:g} Hz that this side allows"
+            text = f"the other side sends more than {allowed}: the rest is left out"
+            self.notices.message_error(EventCode.ROUTE_TOO_FAST, text)
 
     def _go_on(self) -> None:
         self.deliver(self._later.take())
@@ -411,11 +415,6 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if not self._later.add(messages):
             self.request_reopen(EventCode.ROUTE_EXPANDS_TOO_MUCH, BACKLOG_FULL)
 
-    def _leave_out(self) -> None:
-        self._dropped[THROTTLED] += 1
-        text = f"the other side sends more than the {self.limit.here:g} Hz that this side allows: the rest is left out"
-        self.notices.message_error(EventCode.ROUTE_TOO_FAST, text)
-
     def _unpack(self, payload: bytes, flags: int) -> tuple[HistoryHeader, bytes]:
         """Return a message's history header and its content."""
         if flags & LEASED:  # on a route that needs no arming
@@ -424,12 +423,24 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         return header, self._unpacker.unpack(rest) if flags & ZSTD else rest
 
     def _publish_latched(
-        self, topic: LatchedTopic, header: HistoryHeader, content: bytes, stamp: int, look: Callable[[], None] | None
+        self, topic: LatchedTopic, header: HistoryHeader, content: bytes, look: LastLook | None
     ) -> None:
+        still_wanted = None
         if look is not None:
-            look()
-        if not topic.publish(header, content, self._still_young(stamp)):
+            if (why := look()) is not None:
+                raise _NotPublishedError(CAUSES[why])
+            still_wanted = partial(self._is_still_wanted, look, self.id)
+        if not topic.publish(header, content, still_wanted):
             raise _NotPublishedError("already published")
+
+    def _is_still_wanted(self, look: LastLook, opening: int) -> bool:
+        """Look again before the publication of a message that had to wait, and counts as delivered in an opening."""
+        if (why := look()) is None:
+            return True
+        if self.id == opening:  # else its counts are closed
+            self._delivered -= 1
+            self._dropped[CAUSES[why]] += 1
+        return False
 
     def _drop(self, error: Exception) -> None:
         """Count a message that is not published, and tell operators why."""
@@ -442,36 +453,6 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if isinstance(error, MalformedError):
             text = malformed_text(self.type_name, self.peer.name, error)
         self.notices.message_error(code, text)
-
-    def _look(self, stamp: int, number: int) -> None:
-        """Raise _NotPublishedError if a message may not be published now.
-
-        Called last: content checks, requests to DDS and new publishers take time.
-        """
-        if not self.arming.admits(number):
-            raise _NotPublishedError("disarmed")
-        if self.age.is_on and (why := self.age.why_old(stamp)) is not None:
-            self.age.expired(why, 1)
-            raise _NotPublishedError(EXPIRED)
-
-    def _still_young(self, stamp: int) -> Callable[[], bool] | None:
-        """Return the check before the publication of a message that has to wait, or None for no check."""
-        if not self.age.is_on:
-            return None
-
-        opening = self.id
-
-        def still_young() -> bool:
-            why = self.age.why_old(stamp)
-            if why is None:
-                return True
-            self.age.expired(why, 1)
-            if self.id == opening:  # else the counts of its opening are closed
-                self._delivered -= 1
-                self._dropped[EXPIRED] += 1
-            return False
-
-        return still_young
 
     @property
     def _came_here(self) -> int:

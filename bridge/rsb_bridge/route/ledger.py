@@ -10,6 +10,7 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.snapshot import Ledger
 from rsb_bridge.route.age import EXPIRED
 
@@ -24,6 +25,13 @@ _MOST_CAUSES = 31
 _OTHER = "other"
 THROTTLED = "throttled"
 """The receiver left these out, for the rate that it allows."""
+CAUSES = {
+    Refused.DISARMED: "disarmed",
+    Refused.UNHEARD: "disarmed",
+    Refused.TOO_OLD: EXPIRED,
+    Refused.CALLS_A_SECOND: THROTTLED,
+}
+"""The causes under which messages count that a gate keeps back (`rsb_bridge.route.gates`)."""
 INCOMPLETE = "incomplete"
 """The receiver gave these up because parts of them did not come."""
 UNKNOWN = "unknown"

@@ -158,7 +158,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._described: Describe | None = None
         self._loop_filter = LoopFilter(context, self.ends, peer, self.advance)
         self._path = OutgoingPath(context, self, self._ledger, self._loop_filter)
-        self.limit.apply = self._path.limit
+        self.limit.switched = lambda: self._path.limit(self.limit.rate)
         self._resolver = Resolver(context, proposal)
         self._health = Health()
         self._unreported = Unreported()

@@ -63,13 +63,13 @@ class RateLimit:
     Attributes:
         rate: Hz, or 0 if all messages cross.
         here: Hz that this side allows, or 0 for any.
-        apply: called with the rate (Hz) to keep to whenever it may have changed.
+        switched: called whenever one of them may have changed.
     """
 
     def __init__(
         self, max_rate: float, topic: str, rates: AllowedRates, log: Callable[[Level, EventCode, str], None]
     ) -> None:
-        self.apply: Callable[[float], None] = lambda rate: None
+        self.switched: Callable[[], None] = lambda: None
         self.rate = self._max_rate = max_rate
         self.here = 0.0
         self._there = self._there_before = self._profile = 0.0
@@ -127,7 +127,7 @@ class RateLimit:
 
     def _changed(self) -> None:
         self.rate = _lowest(self._max_rate, self.allowed, self._profile)
-        self.apply(self.rate)
+        self.switched()
 
     def admits(self, now: float) -> bool:
         """Whether this side takes one more message of the peer at `now` (s)."""

@@ -82,6 +82,8 @@ class Route:
         proposed_here: whether this side opens it again after a reconnect.
         pattern: pattern of this side's session that created it, or an empty string.
         id: route id on the present connection, or 0 if it is not open.
+        edits_peer: whether it is this side's edit of an entry of the peer's.
+        replaces: the last opening, on the present connection, of the route in whose place an edit has put it, or 0.
         instance: id of the peer's process in its present or last opening.
         life: phase of the agreement between the two sides.
         arming: armed state, if arming is required.
@@ -117,6 +119,8 @@ class Route:
         self.key = route_key(peer.name, proposal)
         self.pattern = ""
         self.id = 0
+        self.edits_peer = False
+        self.replaces = 0
         self.instance = ""
         self.life = Lifecycle()
         self.opened_at = 0.0

@@ -507,7 +507,8 @@ class OutgoingPath:
             return
         if not messages:
             return
-        route.count(len(messages), size)
+        now = self._context.now()
+        route.count(len(messages), size, now)
         if size > outbox.largest:
             fitting = outbox.fitting(messages)
             traffic.offered -= len(messages) - len(fitting)
@@ -515,7 +516,6 @@ class OutgoingPath:
             if not messages:
                 return
         traffic.packed(len(messages), size)
-        now = self._context.now()
         if outbox.pass_on(messages, size, channel):
             if channel.congested or traffic.busy_since is not None:
                 traffic.busy(channel.congested, now)

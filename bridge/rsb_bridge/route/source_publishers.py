@@ -17,9 +17,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from rsb_bridge.context import Context
+    from rsb_bridge.model.calls import Refused
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import Publisher
+    from rsb_bridge.route.gates import LastLook
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.records import Source
@@ -111,11 +113,11 @@ class VolatileTopic:
         """Subscriptions of other nodes that match now."""
         return self._publisher.subscriber_count
 
-    def publish(self, content: bytes, look: Callable[[], None] | None = None) -> None:
-        """Publish a message.
+    def publish(self, content: bytes, look: LastLook | None = None) -> Refused | None:
+        """Publish a message, or return the reason for which it is not wanted any more.
 
         Args:
-            look: called right before DDS gets the message, which it does not get if this raises anything; or None.
+            look: asked right before DDS gets the message, or None if it is wanted in any case.
 
         Raises:
             RosError: the middleware refused it.
@@ -133,13 +135,11 @@ class VolatileTopic:
                 self._free.pop()
         else:
             self._make_room(size)
-        if look is not None:
-            try:
-                look()
-            except Exception:
-                self._free.append(self._waiting.pop())  # for the next message
-                raise
+        if look is not None and (why := look()) is not None:
+            self._free.append(self._waiting.pop())  # for the next message
+            return why
         self._publisher.publish(content)
+        return None
 
     def _make_room(self, size: int) -> None:
         """Take memory for the next message: ask DDS what is acknowledged, or have another publisher, if needed."""

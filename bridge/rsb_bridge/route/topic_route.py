@@ -298,9 +298,8 @@ class TopicRoute(Route, Generic[ChannelT]):
             return 0.0
         return self.peer.profile.max_rate or 0.0
 
-    def count(self, messages: int, size: int) -> None:
-        """Count messages that pass, of `size` bytes together."""
-        now = self.context.now()
+    def count(self, messages: int, size: int, now: float) -> None:
+        """Count messages that pass at `now` (s), of `size` bytes together."""
         if self.notices.last_error:
             self.notices.flowing()
         self.meter.add(messages, size, now)

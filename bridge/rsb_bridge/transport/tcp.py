@@ -93,7 +93,7 @@ class TcpStream(Stream):
         self._discarded = 0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        _set_options(transport.get_extra_info("socket"))
+        set_options(transport.get_extra_info("socket"))
         super().connection_made(transport)
 
     def _end(self) -> None:
@@ -182,7 +182,7 @@ def _most_telling(error: OSError) -> OSError:
     return OSError(number, os.strerror(number))
 
 
-def _set_options(sock: socket.socket) -> None:
+def set_options(sock: socket.socket) -> None:
     """Have NATs remember idle connections, the kernel retry often, and give up a connection that carries nothing."""
     sock.setsockopt(socket.IPPROTO_TCP, _TCP_NOTSENT_LOWAT, _NOT_SENT_LOW_WATER)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)

@@ -62,8 +62,6 @@ MOST_PUBLISHERS = 4096
 HistoryDepths: TypeAlias = Annotated[dict[PublisherId, HistoryDepth], Meta(max_length=MOST_PUBLISHERS)]
 NewestNumbers: TypeAlias = Annotated[dict[PublisherId, MessageNumber], Meta(max_length=MOST_PUBLISHERS)]
 
-Transport = Literal["tcp", "udp", "bluetooth", "zenoh", "zenoh-drop"]
-Compression = Literal["none", "zstd"]
 RefuseCode = Literal["type_differs", "denied", "port_taken"]
 
 

@@ -11,12 +11,13 @@ from rsb_bridge.model.benchmark import MOST_SIZE
 from rsb_bridge.model.calls import MOST_LANES
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
 from rsb_bridge.model.pictures import Wish
+from rsb_bridge.model.profiles import Compression
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Protocol
 from rsb_bridge.model.sources import MOST_SOURCES
 from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.wire.fields import (
     Bridges,
-    Compression,
     Count,
     DescriptionText,
     Hertz,
@@ -37,7 +38,6 @@ from rsb_bridge.wire.fields import (
     Seconds,
     Shift,
     StaleAfter,
-    Transport,
     ViewedTopics,
     check_limits,
 )
@@ -124,7 +124,7 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
             ``none``, the JSON of its fields, or empty if the session says nothing.
         limits: what a hand may ask, by the proposer's session, or None for any velocity.
         who: the operator who has just added or edited the topic, or empty if unknown.
-        edited: whether it replaces the route that was removed right before.
+        replaces: the opening that ended with `Close.edited` and whose place it takes, or 0.
         kind: a key of `rsb_bridge.model.calls.LANES`; another kind is a newer peer's, and refused. For calls, the
             "sending side" is the callers'.
         timeout: s until a call without an answer is given up, or 0 for 30 s and for topics.
@@ -137,7 +137,7 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
     remote_topic: Name
     from_client: bool
     type: Name = ""
-    transport: Transport = "tcp"
+    transport: Protocol = "tcp"
     port: Port = 0
     qos: Qos | None = None
     compression: Compression = "none"
@@ -149,7 +149,7 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
     arm: bool = False
     deadman: Seconds = 0.0
     who: Name = ""
-    edited: bool = False
+    replaces: Count = 0
     kind: Name = "topic"
     timeout: Seconds = 0.0
     priority: Rank = 0
@@ -281,13 +281,16 @@ class Close(ControlMessageBase, frozen=True):
 
     Attributes:
         removed: whether it ends for good; else its proposer opens it again.
-        who: the operator who has removed it, or empty if unknown or if the route is edited.
+        who: the operator who has removed it, or empty if unknown.
+        edited: whether its sender proposes another one in its place, and has the receiver keep its own entry of it; if
+            it is removed, whether the sender had edited the receiver's entry, which applies again.
     """
 
     route: RouteId
     reason: Reason
     removed: bool = False
     who: Name = ""
+    edited: bool = False
 
 
 class Ping(ControlMessageBase, frozen=True):

@@ -39,11 +39,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, TopicInfo
 
 KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
-ORDER = (
-    "topic", "kind", "direction", "provider", "excepts", "type", "qos", "remote_topic", "timeout", "protocol", "port",
-    "max_rate", "priority", "expected_rate", "stale_after", "late_after", "max_age", "compression", "arm", "deadman",
-    "on_end", "limits", "paused",
-)  # fmt: skip
+_WHICH = ("topic", "kind", "direction", "provider")
+ORDER = (*_WHICH, *(key for key in TOPIC_KEYS if key not in _WHICH))
 """The keys of all fields, in the order in which an operator thinks of them."""
 FIRST = ("link", "topic", "kind", "direction", "provider", "type", "qos", "protocol", "priority")
 """The keys of the fields that a form of something new begins with; the others have good defaults."""
@@ -149,20 +146,18 @@ def _how(session: Session, ends: Ends, kind: Kind, begun: str | None) -> Iterato
 
 
 def _protocol(kind: Kind, session: Session, *, has_radio: bool) -> Spec:
-    if session.is_zenoh:
-        streams = ("", "by the QoS") if kind == "topic" else ("", "zenoh")
-        offered = (streams, ("zenoh", "zenoh"), ("zenoh-drop", "zenoh-drop"))
-        meaning = "zenoh delivers all, in order; zenoh-drop, for best effort, never waits for lost messages."
-        return Spec("protocol", "Protocol", meaning, options=offered if kind == "topic" else offered[:1])
-    radio = "; bluetooth uses the radio, on a channel of its own" if has_radio else ""
-    carriers = [("", "the link's (tcp)"), ("tcp", "tcp")]
-    if kind == "topic":
-        meaning = "tcp delivers all, in order; udp never waits for lost messages"
-        carriers.append(("udp", "udp"))
-    else:
-        meaning = "calls never go over udp, which may lose them"
-    carriers += [("bluetooth", "bluetooth")] if has_radio else []
-    return Spec("protocol", "Protocol", f"{meaning}{radio}.", options=tuple(carriers))
+    link = transports.of_link(session.server_ip)
+    names = dict.fromkeys((*transports.crossing(session), *(("bluetooth",) if has_radio else ())))
+    carriers = [transports.named(name) for name in names]
+    lossy = [each.name for each in carriers if not each.reliable]
+    if kind != "topic":
+        carriers = [each for each in carriers if each.reliable]
+    told = [f"{each.name} {each.delivery}" for each in carriers if kind == "topic" or each is not link]
+    if kind != "topic" and lossy:
+        told.insert(0, f"calls never go over {' or '.join(lossy)}, which may lose them")
+    default = "by the QoS" if kind == "topic" and link.best_effort else f"the link's ({link.name})"
+    offered = (("", default), *((each.name, each.name) for each in carriers))
+    return Spec("protocol", "Protocol", f"{'; '.join(told)}.", options=offered)
 
 
 class TopicDraft(NamedTuple):

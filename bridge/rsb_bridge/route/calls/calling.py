@@ -212,12 +212,13 @@ class CallingRoute(CallsRoute):
         self._last_number = 0
         self._messages = LaneMessages(self.members, self._offers, peer.budget.kept, self.notices)
         self._allowed: TokenBucket | None = None  # None without a limit
-        self.limit.apply = self._limit
+        self.limit.switched = self._limit
 
     def _lease_of_requests(self) -> LeaseHalf | None:
         return self.arming.lease if self.arming.required else None
 
-    def _limit(self, rate: float) -> None:
+    def _limit(self) -> None:
+        rate = self.limit.rate
         self._allowed = TokenBucket(max(1.0, rate * _AT_ONCE), rate, self.context.now()) if rate else None
 
     # --- offering

@@ -41,6 +41,7 @@ from rsb_bridge.route.calls.manual_call import CallError, call_directly
 from rsb_bridge.route.calls.node_parameters import own_event, why_no_parameters
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
 from rsb_bridge.route.combined_verdict import node_names
+from rsb_bridge.route.gates import LeaseGate
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -121,6 +122,7 @@ class ProvidingRoute(CallsRoute):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.action = ProviderAction(context) if spec.kind == "action" else None
+        self._leased = LeaseGate(self.arming)
         self._provision = Provision()
         self._loop_guard = CallLoopGuard(context, peer)
         self._via: dict[str, None] = {}  # the bridges that answers cross before they come here
@@ -358,7 +360,7 @@ class ProvidingRoute(CallsRoute):
             return Refused.TOO_OLD
         if (why := self.held_now(frame.lane)) is not None:
             return why
-        return Refused.DISARMED if self.arming.required and not self.arming.admits(frame.lease) else None
+        return self._leased.check(frame, self.context.now()) if self.arming.required else None
 
     def _is_answered(self, frame: CallFrame) -> bool:
         """Return whether a kept answer serves a call, without a server."""

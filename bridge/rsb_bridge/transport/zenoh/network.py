@@ -17,6 +17,7 @@ from rsb_bridge.model.budgets import Strangers
 from rsb_bridge.model.transports import HOW_TO_INSTALL_ZENOH
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.threads import in_thread
+from rsb_bridge.transport.zenoh import sockets
 from rsb_bridge.transport.zenoh.endpoint import ROUTER_LOST, ZenohEndpoint
 
 if TYPE_CHECKING:
@@ -355,6 +356,7 @@ class Network:
         watcher = threading.Thread(target=self._watch, args=(changes,), name="zenoh-watch", daemon=True)
         watcher.start()
         _open_sessions[session] = watcher
+        session.info.declare_link_events_listener(self._linked, history=True)
         with self._lock:
             if not self._closed:
                 self._session, self._config_used = session, config
@@ -401,6 +403,11 @@ class Network:
         """See routers and peers come and go, until the session is closed."""
         for event in changes:
             self._changed(event)
+
+    def _linked(self, event: zenoh.LinkEvent) -> None:
+        """Prepare the socket of a link to a router or peer."""
+        if event.kind != self._deleted:
+            sockets.prepare(event.link)
 
     def _changed(self, event: zenoh.TransportEvent) -> None:
         """Handle a router or peer that has come or gone."""

@@ -1,0 +1,90 @@
+"""An operator's command finds its topic once, and again only if time has passed meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
+
+import pytest
+from tests.support.wording import says
+
+from rsb_bridge.engine.topic_commands import CommandLog, TopicCommands
+from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.model.commands import PauseTopics
+from rsb_bridge.telemetry.event_log import EventLog
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.link.roles import BridgeRole
+
+KEY = "robot1 → topic /cmd_vel"
+
+
+class Role:
+    """A role with one link and one route.
+
+    Attributes:
+        lookups: how often somebody has looked for a route.
+        paused: the routes that were paused, by name.
+    """
+
+    def __init__(self) -> None:
+        self.lookups = 0
+        self.paused: list[str] = []
+        self.link = SimpleNamespace(
+            name="robot1",
+            routes={KEY: route("old")},
+            patterns=SimpleNamespace(find=lambda _: None),
+            table=SimpleNamespace(pause=lambda each, **_: self.paused.append(each.local_topic)),
+        )
+
+    def links(self) -> list[Link]:
+        self.lookups += 1
+        return [cast("Link", self.link)]
+
+
+def route(name: str) -> Any:
+    async def wait() -> None:
+        """Nothing is under way."""
+
+    return SimpleNamespace(local_topic=name, spec=None, paused=False, settling=SimpleNamespace(wait=wait))
+
+
+def pause(role: Role, context: Context, meanwhile: Callable[[], None] | None = None) -> None:
+    """Pause the route, and do something while its robot comes to rest, if there is anything that moves."""
+
+    async def end_motions(_: set[str]) -> bool:
+        if meanwhile is not None:
+            await asyncio.sleep(0.2)
+            meanwhile()
+        return meanwhile is not None
+
+    log = CommandLog(EventLog(context.clock))
+    commands = TopicCommands(cast("BridgeRole", role), log, context.demands, end_motions)
+    cast("VirtualLoop", context.loop).run_until_complete(commands.pause(PauseTopics(KEY, True)))
+
+
+def test_where_nothing_moves_the_route_is_looked_up_once(make_context: Callable[..., Context]) -> None:
+    role = Role()
+    pause(role, make_context())
+    assert (role.paused, role.lookups) == (["old"], 1)
+
+
+def test_what_took_its_place_meanwhile_is_paused(make_context: Callable[..., Context]) -> None:
+    role = Role()
+    pause(role, make_context(), lambda: role.link.routes.update({KEY: route("new")}))
+    assert role.paused == ["new"]
+
+
+def test_what_is_gone_meanwhile_is_not_paused(make_context: Callable[..., Context]) -> None:
+    role = Role()
+    with pytest.raises(LinkError) as refused:
+        pause(role, make_context(), role.link.routes.clear)
+    assert says(str(refused.value), Denied.NO_ROUTE, key=KEY)
+    assert role.paused == []

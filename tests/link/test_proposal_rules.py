@@ -1,0 +1,165 @@
+"""A peer's proposal is checked as it is: the rules of a file refuse the same, in the same words, without its form."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any, cast, get_args
+
+import msgspec
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from tests.config.test_typed_topics import FIELDS, names
+
+from rsb_bridge.config.decoding import read
+from rsb_bridge.config.file_form import as_topic, as_written, foreign
+from rsb_bridge.config.rights import rights_of_client
+from rsb_bridge.config.topic_rules import topic_problems, unreported
+from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.proposals import authorized, proposal_of, topic_of
+from rsb_bridge.model.limits import TOPIC_LENGTH
+from rsb_bridge.model.names import server_topic
+from rsb_bridge.model.patterns import is_pattern
+from rsb_bridge.model.session import Client, Problem, Protocol, Session, Topic
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.velocity_limits import VelocityLimits
+from rsb_bridge.transport.registry import default_transports
+from rsb_bridge.wire.codec import decode, encode
+from rsb_bridge.wire.messages import Propose
+from rsb_bridge.wire.protocol_error import ProtocolError
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+    from rsb_bridge.link.base_link import BaseLink
+
+TRANSPORTS = default_transports()
+SESSIONS = {
+    "ip": Session(name="pc", role="server", server_ip="10.0.0.1", server_port=50_000),
+    "bluetooth": Session(name="pc", role="server", server_ip="00:11:22:33:44:55", server_port=5),
+}
+
+
+class Link:
+    """A server's link with a client that may have everything.
+
+    Attributes:
+        prefixed: whether the client's topics have its name before theirs.
+    """
+
+    is_client = False
+    rights = rights_of_client(Client("robot1"), "pc")
+
+    def __init__(self, *, prefixed: bool) -> None:
+        self.prefixed = prefixed
+
+    def with_local_name(self, proposal: Propose) -> Propose:
+        field = "remote_topic" if proposal.from_client else "topic"
+        name = getattr(proposal, field)
+        return msgspec.structs.replace(proposal, **{field: server_topic(name, "robot1") if self.prefixed else name})
+
+    def refusal(self, topic: str) -> str:
+        return ""
+
+
+def refusal_by_form(topic: Topic, session: Session | None) -> str:
+    """Return the first problem of a topic after it was written as in a file and read, or an empty string."""
+    problems = [Problem(field, remedy) for field, remedy in foreign(topic).items()]
+    written = as_written(topic)
+    again = as_topic(topic.kind, read(msgspec.to_builtins(written), type(written), problems))
+    found = problems + unreported(topic_problems(again, "", session, None), problems)
+    return str(found[0]) if found else ""
+
+
+def refusal(proposal: Propose, link: Link, session: Session) -> str:
+    """Return the reason for which a side refuses a proposal, or an empty string."""
+    try:
+        authorized(proposal, cast("BaseLink", link), session)
+    except LinkError as error:
+        return str(error)
+    return ""
+
+
+changes: st.SearchStrategy[dict[str, Any]] = st.lists(
+    st.sampled_from(
+        [
+            ("topic", names),
+            ("remote_topic", names),
+            ("from_client", st.booleans()),
+            ("type", FIELDS["type"]),
+            ("transport", st.sampled_from(get_args(Protocol))),
+            ("port", st.integers(-1, 70_000) | st.sampled_from([1, 30])),
+            ("qos", st.none() | FIELDS["qos"]),
+            ("compression", st.sampled_from(["none", "zstd"])),
+            *((name, FIELDS[name]) for name in ("max_rate", "expected_rate", "stale_after", "late_after", "max_age")),
+            *((name, FIELDS[name]) for name in ("arm", "deadman", "on_end", "limits", "timeout", "kind")),
+            ("priority", st.sampled_from([-1, 0, 1, 2])),
+        ]
+    ).flatmap(lambda field: st.tuples(st.just(field[0]), field[1])),
+    max_size=5,
+).map(dict)
+"""What is different in a proposal, be it right, wrong, or nothing that the wire carries."""
+
+
+@example(changes={"remote_topic": f"/{'a' * (TOPIC_LENGTH - 2)}"}, prefixed=True, kind="ip")
+@given(changes=changes, prefixed=st.booleans(), kind=st.sampled_from(list(SESSIONS)))
+def test_a_proposal_is_refused_with_the_text_that_its_entry_has_in_a_file(
+    changes: dict[str, Any], prefixed: bool, kind: str
+) -> None:
+    """First under the peer's names, because a prefix can make a valid name of an invalid one, and then under ours."""
+    asked = {"message": "propose", "route": 1, "topic": "/a", "remote_topic": "/a", "from_client": True}
+    try:
+        proposal = decode(msgspec.msgpack.encode(asked | changes))
+    except ProtocolError:
+        return  # the wire does not carry it
+    assert isinstance(proposal, Propose)
+    if is_pattern(proposal.topic) or is_pattern(proposal.remote_topic):
+        return  # refused before all else
+    link, session = Link(prefixed=prefixed), SESSIONS[kind]
+    expected = refusal_by_form(topic_of(proposal), None) or refusal_by_form(
+        topic_of(link.with_local_name(proposal)), session
+    )
+    assert refusal(proposal, link, session) == expected
+
+
+VALUES: dict[str, Any] = {
+    "topic": "/b",
+    "type": "std_msgs/msg/String",
+    "qos": {"depth": 7},
+    "remote_topic": "/c",
+    "compression": "zstd",
+    "priority": "high",
+    "on_end": "none",
+    "limits": VelocityLimits(0.5),
+}
+"""What is neither a number nor a switch."""
+
+
+@pytest.mark.parametrize("key", sorted(TOPIC_KEYS.keys() & set(Propose.__struct_fields__)))
+def test_the_peer_is_told_each_key_that_a_proposal_has(key: str) -> None:
+    """A key that is added to the session and to the message crosses without a line of its own."""
+    value = VALUES.get(key, True if TOPIC_KEYS[key].value == "switch" else 7)
+    topic = Topic(**{"topic": "/a", "direction": "transmit", "arm": True, key: value})
+    proposal = proposal_of(topic, TRANSPORTS["tcp"], client_name="robot1", use_name=False)
+    received = topic_of(cast("Propose", decode(encode(proposal))))
+    assert getattr(received, key) == value
+
+
+def test_a_valid_proposal_does_not_take_the_form_of_a_file() -> None:
+    called: set[str] = set()
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        if event == "call":
+            called.add(frame.f_code.co_name)
+
+    ask = Topic("/scan", "transmit", type="sensor_msgs/msg/LaserScan", qos="sensor_data", max_rate=5.0)
+    proposal = proposal_of(ask, TRANSPORTS["tcp"], client_name="robot1", use_name=False)
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        answer = refusal(proposal, Link(prefixed=True), SESSIONS["ip"])
+    finally:
+        sys.setprofile(before)
+    assert answer == ""
+    assert authorized.__name__ in called
+    assert not called & {as_written.__name__, read.__name__}

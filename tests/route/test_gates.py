@@ -1,0 +1,232 @@
+"""The gates, each alone; the order of each way's; and that each one is there from the next message on."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.route.test_unpacking import OnePublisher, opened
+from tests.support.offline import FakePeer
+
+from rsb_bridge.model.calls import Refused
+from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.ros_thread import RosTurns
+from rsb_bridge.route.age import MessageAge
+from rsb_bridge.route.arming import Arming, Disarmed
+from rsb_bridge.route.gates import (
+    NO_SAMPLE,
+    AgeGate,
+    ArmedGate,
+    Arrived,
+    Gates,
+    LeaseGate,
+    RateGate,
+    chained,
+    incoming_gates,
+)
+from rsb_bridge.route.lease import LASTS, LeaseHalf
+from rsb_bridge.route.rate_limit import AllowedRates
+from rsb_bridge.wire.framing import LEASED
+from rsb_bridge.wire.headers import with_number
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.route.gates import Gate, Sample
+    from rsb_bridge.route.incoming import IncomingRoute
+    from rsb_bridge.wire.framing import Message
+
+SECOND = 10**9
+
+
+def leased(arming: Arming, context: Context) -> LeaseHalf:
+    """Give an arming a lease that both sides have answered."""
+    lease = arming.lease = LeaseHalf(context.clock.steady, RosTurns(), lambda: None)
+    lease.begin()
+    for newest in range(1, 3):  # the second shows that the other side knows that it is heard
+        lease.hear(newest, lease.beat()[0])
+    return lease
+
+
+def taken(number: int) -> Arrived:
+    """Return a message that was taken from ROS under a number of the lease."""
+    return Arrived(0, number)
+
+
+# --- each alone
+
+
+def test_the_armed_gate_asks_operators_and_then_the_link(make_context: Callable[..., Context]) -> None:
+    context, arming = make_context(), Arming(required=True)
+    gate = ArmedGate(arming)
+    assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
+    leased(arming, context)
+    assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
+    arming.take("anna", context.now())
+    assert gate.check(NO_SAMPLE, context.now()) is None
+    context.loop.jump(LASTS * 1.1)  # type: ignore[attr-defined]
+    assert gate.check(NO_SAMPLE, context.now()) is Refused.UNHEARD
+    arming.end(Disarmed.OPERATOR)
+    assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
+
+
+def test_the_lease_gate_passes_what_is_of_this_arming_and_young(
+    make_context: Callable[..., Context], loop: VirtualLoop
+) -> None:
+    context, arming = make_context(), Arming(required=True)
+    gate = LeaseGate(arming)
+    assert gate.check(taken(1), 0.0) is Refused.DISARMED
+    lease = leased(arming, context)
+    arming.take("anna", context.now())
+    number = lease.number
+    found = [gate.check(taken(each), 0.0) for each in (0, number - 1, number, number + 1)]
+    assert found == [Refused.DISARMED, Refused.DISARMED, None, Refused.DISARMED]
+    loop.jump(LASTS * 1.1)
+    assert gate.check(taken(number), 0.0) is Refused.DISARMED
+
+
+def test_the_age_gate_counts_by_cause(make_context: Callable[..., Context]) -> None:
+    context = make_context()
+    age = MessageAge(context, FakePeer())
+    age.settle((0.5,), armed=False)
+    gate, now = AgeGate(age), context.stamps.now()
+    assert gate.check(Arrived(now, 0), 0.0) is None
+    assert age.total == 0
+    assert gate.check(Arrived(now - SECOND, 0), 0.0) is Refused.TOO_OLD
+    age.tick(1, 1.0)
+    age.tick(2, 2.0)
+    assert age.total == 1
+
+
+def test_the_rate_gate_takes_no_more_than_this_side_allows() -> None:
+    gate = RateGate(AllowedRates(), "/chat", 10.0)
+    found = [gate.check(NO_SAMPLE, number / 1000) for number in range(10_000)]
+    assert set(found) == {None, Refused.CALLS_A_SECOND}
+    assert found.count(None) <= 10 + 1.01 * 10 * 10
+
+
+class _Shut:
+    """A gate that nothing passes, and that notes what it is asked."""
+
+    def __init__(self, why: Refused | None, asked: list[Refused | None]) -> None:
+        self._why = why
+        self._asked = asked
+
+    def check(self, _: Sample, __: float) -> Refused | None:
+        self._asked.append(self._why)
+        return self._why
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_the_first_reason_counts_and_no_later_gate_is_asked(count: int) -> None:
+    asked: list[Refused | None] = []
+    gates: tuple[Gate, ...] = tuple(_Shut(None, asked) for _ in range(count - 1))
+    check = chained((*gates, _Shut(Refused.TOO_OLD, asked), _Shut(Refused.PAUSED, asked)))
+    assert check is not None
+    assert check(NO_SAMPLE, 0.0) is Refused.TOO_OLD
+    assert asked == [None] * (count - 1) + [Refused.TOO_OLD]
+
+
+def test_without_gates_there_is_nothing_to_ask() -> None:
+    assert chained(()) is None
+
+
+# --- the order of each way
+
+
+def order(gates: Gates) -> list[type[object]]:
+    return [type(each) for each in gates]
+
+
+def test_nothing_old_and_nothing_unarmed_gets_to_ros(make_context: Callable[..., Context]) -> None:
+    """What a long check or DDS could let in is asked once more, right before DDS gets the message."""
+    route = opened(make_context(ros=OnePublisher()), FakePeer(), "/cmd")
+    assert all(not each for each in incoming_gates(route))
+    route.arming.demand(required=True, deadman=0.0)
+    route.age.settle((0.5,), armed=True)
+    route.limit.allow_here(10.0)
+    batch, arriving, leaving = map(order, incoming_gates(route))
+    assert batch == [ArmedGate]
+    assert arriving == [LeaseGate, RateGate]
+    assert leaving == [LeaseGate, AgeGate]
+
+
+# --- each one is on the way as long as it is on
+
+
+def disarmed(route: IncomingRoute) -> None:
+    route.arming.demand(required=True, deadman=0.0)
+
+
+def aged(route: IncomingRoute) -> None:
+    route.age.settle((0.5,), armed=False)
+
+
+def limited(route: IncomingRoute) -> None:
+    route.limit.allow_here(0.001)
+
+
+def off(route: IncomingRoute) -> None:
+    route.arming.opened(required=False, deadman=0.0)
+    route.age.settle((), armed=False)
+    route.limit.allow_here(0.0)
+
+
+@pytest.mark.parametrize(
+    ("switch", "cause", "passed"), [(disarmed, "disarmed", 0), (aged, "expired", 0), (limited, "throttled", 2)]
+)
+def test_a_gate_is_asked_from_the_next_message_on_until_it_is_off(
+    switch: Callable[[IncomingRoute], None], cause: str, passed: int, make_context: Callable[..., Context]
+) -> None:
+    ros = OnePublisher()
+    context = make_context(ros=ros)
+    route = opened(context, FakePeer(), "/cmd")
+    old: Message = (b"old", context.stamps.now() - SECOND, 0)
+
+    def published() -> int:
+        before = len(ros.published.sizes)
+        route.deliver([old] * 5)
+        return len(ros.published.sizes) - before
+
+    assert published() == 5
+    switch(route)
+    assert published() == passed
+    off(route)
+    assert published() == 5
+    report = route.news()
+    assert report is not None
+    assert (report.received, report.delivered) == (15, 10 + passed)
+    assert report.dropped == {cause: 5 - passed}
+
+
+def test_a_message_of_an_arming_that_this_side_does_not_know_is_not_published(
+    make_context: Callable[..., Context],
+) -> None:
+    """Also one that is too short for the lease's number."""
+    ros = OnePublisher()
+    route = opened(make_context(ros=ros), FakePeer(), "/cmd")
+    route.deliver([(with_number(1, b"moves"), 0, LEASED), (b"1", 0, LEASED)])
+    arming = route.arming
+    arming.demand(required=True, deadman=0.0)
+    leased(arming, route.context)
+    arming.take("anna", route.context.now())
+    route.deliver([(b"moves", 0, 0), (b"1", 0, LEASED)])
+    assert not ros.published.sizes
+    report = route.news()
+    assert report is not None
+    assert report.dropped == {"disarmed": 4}
+
+
+def test_the_cause_of_an_expired_message_is_that_of_its_age(make_context: Callable[..., Context]) -> None:
+    context = make_context(ros=OnePublisher())
+    route = opened(context, FakePeer(), "/cmd")
+    aged(route)
+    for second in range(3):
+        route.deliver([(b"old", context.stamps.now() - SECOND, 0)] * 10)
+        route.age.tick(10 * second + 10, float(second))
+    late = route.age.late()
+    assert late is not None
+    assert late.cause is Cause.LINK_SLOW
