@@ -14,7 +14,7 @@ from rsb_bridge.model.profiles import PLAIN, PROFILES, profile_of
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.route.ledger import RouteLedger
-from rsb_bridge.route.rate_limit import AllowedRates, RateLimit
+from rsb_bridge.route.rate_limit import RateLimit
 from rsb_bridge.route.sending import Outbox
 from rsb_bridge.transport.registry import default_transports
 from rsb_console.command.check import summary
@@ -92,7 +92,7 @@ def test_queues(reliability: str) -> None:
 
 
 def test_its_rate_is_one_limit_among_others() -> None:
-    limit = RateLimit(0.0, "/scan", AllowedRates(), lambda *_: None)
+    limit = RateLimit(0.0, lambda *_: None)
     told: list[float] = []
     limit.switched = lambda: told.append(limit.rate)
     limit.set_profile_rate(10.0)

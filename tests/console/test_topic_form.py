@@ -146,7 +146,15 @@ MISTAKES = [
 ]
 
 
+@pytest.mark.parametrize(("key", "typed", "words"), MISTAKES)
+def test_a_mistake_is_named_with_its_field(key: str, typed: str, words: str) -> None:
+    found = problems_of(topic_of({"topic": "/scan", "direction": "transmit", key: typed}), SESSION, None)
+    assert found.keys() == {key}
+    assert words in found[key]
+
+
 def test_a_mistake_is_said_beside_its_field_and_nothing_is_added() -> None:
+    """Those of a field that is unfolded, of one that is not, and of the first one."""
     app = scripted_app()
 
     async def steps(pilot: Pilot[None]) -> None:
@@ -154,7 +162,7 @@ def test_a_mistake_is_said_beside_its_field_and_nothing_is_added() -> None:
         await pilot.press("a")
         await shown(pilot, "Add a topic")
         await fill(pilot, topic="/scan")
-        for key, typed, words in MISTAKES:
+        for key, typed, words in (MISTAKES[0], MISTAKES[-2], MISTAKES[-1]):
             field = form_of(app).fields[key]
             await fill(pilot, **{key: typed})
             await until(pilot, lambda f=field, w=words: w in str(f.problem.content), f"{words!r} beneath {key}")

@@ -9,6 +9,7 @@ import os
 import resource
 import socket
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -207,6 +208,43 @@ def test_half_a_pair_of_streams_holds_no_descriptor(
     assert carriers() == [3, 3]
     client.remove_topic(route(client, "/scan").key).result(60)
     eventually(lambda: carriers() == [1, 1])
+
+
+def test_topics_that_begin_at_one_moment_share_what_descriptors_there_are(
+    bridge: Bridge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If all take their first one before any takes its second one, none has both, however often they try."""
+    ports = {free_port() for _ in range(8)} - {bridge.port}
+    topics = [Topic(f"/topic{port}", "transmit", type="std_msgs/msg/String", qos=1, port=port) for port in ports]
+
+    def left() -> int:
+        """Six, of which those that are being opened count, too."""
+        links = inside(client).links()
+        return 6 - sum(len(each.carriers()) - 1 for each in links if each.linked) - opening
+
+    opening, in_vain = 0, list[bool]()
+    open_stream: Callable[..., Awaitable[Failure | None]] = replaced.OPEN_DATA_STREAM.value
+
+    async def opens(self: ClientLink, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
+        nonlocal opening
+        if left() < 1:
+            in_vain.append(large)
+            return Failure("none is left")
+        opening += 1
+        try:
+            return await open_stream(self, transport, port, large=large)
+        finally:
+            opening -= 1
+
+    short = SimpleNamespace(left=left, scarce=lambda: False, scarcity_message=lambda _: "none is left")
+    replaced.OPEN_DATA_STREAM.set(monkeypatch, opens)
+    client = bridge.client(*topics)
+    replaced.CLIENTS_DESCRIPTORS.set(monkeypatch, short)
+    server = bridge.server(ports=tuple(ports))
+    eventually(lambda: sum(event.code == EventCode.ROUTE_CONNECTED for event in server.events()) >= 3)
+    eventually(lambda: [len(each.carriers()) for each in inside(client).links()] == [7])
+    eventually(lambda: any("none is left" in route.reason for route in now(client).routes))
+    assert in_vain == [], "whoever begins gets both"
 
 
 def test_a_client_opens_no_socket_for_datagrams_from_the_reserve(

@@ -2,32 +2,46 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import pytest
 from tests.route.test_unpacking import OnePublisher, opened
 from tests.support.offline import FakePeer
 
+from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.calls import Refused
+from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.ros_interface import Request
 from rsb_bridge.ros.ros_thread import RosTurns
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import Arming, Disarmed
+from rsb_bridge.route.calls.calling import CallingRoute
+from rsb_bridge.route.calls.providing import ProvidingRoute
 from rsb_bridge.route.gates import (
     NO_SAMPLE,
     AgeGate,
     ArmedGate,
     Arrived,
-    Gates,
+    BudgetGate,
+    CallRateGate,
     LeaseGate,
+    PauseGate,
     RateGate,
+    SizeGate,
+    YoungGate,
+    calling_gates,
     chained,
+    hand_gates,
     incoming_gates,
+    providing_gates,
 )
 from rsb_bridge.route.lease import LASTS, LeaseHalf
+from rsb_bridge.route.lifecycle import PauseState, Revisions
+from rsb_bridge.route.peer import CallBudget
 from rsb_bridge.route.rate_limit import AllowedRates
 from rsb_bridge.wire.framing import LEASED
-from rsb_bridge.wire.headers import with_number
+from rsb_bridge.wire.headers import CallFrame, What, frame_size, with_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,6 +51,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.route.gates import Gate, Sample
     from rsb_bridge.route.incoming import IncomingRoute
+    from rsb_bridge.route.route import Route
     from rsb_bridge.wire.framing import Message
 
 SECOND = 10**9
@@ -108,6 +123,47 @@ def test_the_rate_gate_takes_no_more_than_this_side_allows() -> None:
     assert found.count(None) <= 10 + 1.01 * 10 * 10
 
 
+def test_the_gate_of_a_calls_rate_lets_a_second_of_them_come_at_once() -> None:
+    gate = CallRateGate(10.0, 0.0)
+    assert [gate.check(NO_SAMPLE, 0.0) for _ in range(11)] == [None] * 10 + [Refused.CALLS_A_SECOND]
+    assert [gate.check(NO_SAMPLE, 0.1) for _ in range(2)] == [None, Refused.CALLS_A_SECOND]
+
+
+def test_the_young_gate_asks_the_clock_of_the_side_that_took_it(make_context: Callable[..., Context]) -> None:
+    context = make_context()
+    age = MessageAge(context, FakePeer())
+    age.settle((0.5,), armed=False)
+    gate, now = YoungGate(age), context.stamps.now()
+    assert gate.check(Arrived(now - SECOND // 4, 0), 0.0) is None
+    assert gate.check(Arrived(now - SECOND, 0), 0.0) is Refused.TOO_OLD
+
+
+def test_the_pause_gate_asks_each_time() -> None:
+    pausing = PauseState(Revisions(), paused=False, is_client=True)
+    gate = PauseGate(pausing)
+    assert gate.check(NO_SAMPLE, 0.0) is None
+    pausing.paused = True
+    assert gate.check(NO_SAMPLE, 0.0) is Refused.PAUSED
+
+
+def test_what_passes_the_budget_has_its_place_in_it() -> None:
+    budget = CallBudget(0.0)
+    gate = BudgetGate(budget)
+    assert gate.check(Request(b"12345", b"", 0), 0.0) is None
+    assert gate.check(CallFrame(What.CALL, 0, 1, 0, b"12345"), 0.0) is None
+    assert budget.held == (2, 2 * frame_size(b"12345"))
+    full = CallBudget(0.0, share=0.0)
+    assert BudgetGate(full).check(Request(b"", b"", 0), 0.0) is Refused.CALLS_A_SECOND
+
+
+def test_the_size_gate_passes_what_the_transport_carries(make_context: Callable[..., Context]) -> None:
+    outbox = calls(make_context(), CallingRoute)._outbox
+    gate = SizeGate(outbox)
+    outbox.largest = 5
+    assert gate.check(Request(b"12345", b"", 0), 0.0) is None
+    assert gate.check(Request(b"123456", b"", 0), 0.0) is Refused.TOO_LARGE
+
+
 class _Shut:
     """A gate that nothing passes, and that notes what it is asked."""
 
@@ -123,7 +179,7 @@ class _Shut:
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_the_first_reason_counts_and_no_later_gate_is_asked(count: int) -> None:
     asked: list[Refused | None] = []
-    gates: tuple[Gate, ...] = tuple(_Shut(None, asked) for _ in range(count - 1))
+    gates: tuple[Gate[Sample], ...] = tuple(_Shut(None, asked) for _ in range(count - 1))
     check = chained((*gates, _Shut(Refused.TOO_OLD, asked), _Shut(Refused.PAUSED, asked)))
     assert check is not None
     assert check(NO_SAMPLE, 0.0) is Refused.TOO_OLD
@@ -137,21 +193,62 @@ def test_without_gates_there_is_nothing_to_ask() -> None:
 # --- the order of each way
 
 
-def order(gates: Gates) -> list[type[object]]:
+def order(gates: tuple[Gate[Any], ...]) -> list[type[object]]:
     return [type(each) for each in gates]
+
+
+def everything_on(route: Route) -> None:
+    route.arming.demand(required=True, deadman=0.0)
+    route.age.settle((0.5,), armed=True)
+    route.limit.allow_here(10.0)
 
 
 def test_nothing_old_and_nothing_unarmed_gets_to_ros(make_context: Callable[..., Context]) -> None:
     """What a long check or DDS could let in is asked once more, right before DDS gets the message."""
     route = opened(make_context(ros=OnePublisher()), FakePeer(), "/cmd")
     assert all(not each for each in incoming_gates(route))
-    route.arming.demand(required=True, deadman=0.0)
-    route.age.settle((0.5,), armed=True)
-    route.limit.allow_here(10.0)
+    everything_on(route)
     batch, arriving, leaving = map(order, incoming_gates(route))
     assert batch == [ArmedGate]
     assert arriving == [LeaseGate, RateGate]
     assert leaving == [LeaseGate, AgeGate]
+    assert order(hand_gates(route)) == [ArmedGate]
+
+
+def test_calls_pass_them_from_callers_to_the_channel(make_context: Callable[..., Context]) -> None:
+    """What stops or watches a robot passes whatever it is."""
+    route = calls(make_context(), CallingRoute)
+    fast, slow = CallRateGate(0.0, 0.0), CallRateGate(10.0, 0.0)
+    assert order(calling_gates(route, route._outbox, fast, limited=True).arriving) == [PauseGate, SizeGate, BudgetGate]
+    everything_on(route)
+    arriving, leaving = map(order, calling_gates(route, route._outbox, slow, limited=True))
+    assert arriving == [PauseGate, ArmedGate, YoungGate, SizeGate, CallRateGate, BudgetGate]
+    assert leaving == [YoungGate]
+    arriving, leaving = map(order, calling_gates(route, route._outbox, slow, limited=False))
+    assert (arriving, leaving) == ([SizeGate, BudgetGate], [])
+
+
+def test_calls_pass_them_from_the_channel_to_servers(make_context: Callable[..., Context]) -> None:
+    """What time may change is asked again after the check of contents."""
+    route = calls(make_context(), ProvidingRoute)
+    arriving, leaving = map(order, providing_gates(route, limited=True))
+    assert (arriving, leaving) == ([PauseGate], [BudgetGate])
+    everything_on(route)
+    arriving, leaving = map(order, providing_gates(route, limited=True))
+    assert arriving == [AgeGate, PauseGate, ArmedGate, LeaseGate]
+    assert leaving == [AgeGate, ArmedGate, LeaseGate, RateGate, BudgetGate]
+    arriving, leaving = map(order, providing_gates(route, limited=False))
+    assert (arriving, leaving) == ([], [BudgetGate])
+
+
+Calls = TypeVar("Calls", CallingRoute, ProvidingRoute)
+
+
+def calls(context: Context, half: type[Calls]) -> Calls:
+    """Return a half of an action's route."""
+    spec = Topic("/dock", "transmit", kind="action")
+    proposal = proposal_of(spec, context.transports["tcp"], client_name="robot1", use_name=False)
+    return half(context, FakePeer(), spec, proposal, proposed_here=False)
 
 
 # --- each one is on the way as long as it is on

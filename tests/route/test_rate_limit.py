@@ -9,6 +9,7 @@ from tests.route.test_unpacking import OnePublisher, opened
 from tests.support.held import held_by
 from tests.support.offline import FakePeer
 
+from rsb_bridge.route.gates import NO_SAMPLE, RateGate
 from rsb_bridge.route.ledger import THROTTLED, RouteLedger
 from rsb_bridge.route.rate_limit import AllowedRates, RateLimit
 from rsb_bridge.wire.records import ReceivedReport
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def limit(max_rate: float = 0.0) -> RateLimit:
-    return RateLimit(max_rate, "/chat", AllowedRates(), ignore)
+    return RateLimit(max_rate, ignore)
 
 
 def ignore(level: Level, code: EventCode, text: str) -> None:
@@ -49,20 +50,11 @@ def test_the_lowest_rate_counts_and_the_sender_is_told() -> None:
 @pytest.mark.parametrize("rate", [0.01, 1.0, 10.0, 1000.0])
 def test_a_peer_that_keeps_to_its_rate_loses_nothing(rate: float) -> None:
     """Also where its clock goes fast, its messages come unevenly, and the link stalls for a while."""
-    route = limit()
-    route.allow_here(rate)
+    gate = RateGate(AllowedRates(), "/chat", rate)
     times = [(number + (number % 2) * 0.9) / (rate * 1.0005) for number in range(2000)]
-    assert all(route.admits(at) for at in times)
+    assert not any(gate.check(NO_SAMPLE, at) for at in times)
     stalled = times[-1] + 1 / rate + 1.0
-    assert all(route.admits(stalled) for _ in range(int(rate)))
-
-
-def test_a_peer_that_keeps_to_none_gets_no_more_than_its_rate() -> None:
-    route = limit()
-    route.allow_here(10.0)
-    assert sum(route.admits(number / 1000) for number in range(100_000)) <= 10 + 1.01 * 10 * 100
-    route.allow_here(0.0)
-    assert all(route.admits(100.0) for _ in range(100))
+    assert not any(gate.check(NO_SAMPLE, stalled) for _ in range(int(rate)))
 
 
 def test_a_rate_is_a_topics_however_many_routes_bring_it_and_however_often_they_are_made_anew(

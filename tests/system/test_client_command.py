@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 from tests.support.bridge import link, linked
+from tests.support.commands import rsb_console
 from tests.support.domain import text
 from tests.support.waiting import eventually
 from tests.support.wording import says
@@ -21,17 +20,16 @@ from rsb_bridge.model.verdict import LinkCause
 from rsb_console.command.client_command import ClientEffect
 
 if TYPE_CHECKING:
+    import subprocess
+
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
     from tests.support.program import Programs
 
-COMMAND = str(Path(sys.executable).with_name("rsb-console"))
-
 
 def run(name: str, path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the command for a session file and the program that runs it."""
-    command = [COMMAND, "client", name, *arguments, str(path), "--control", f"{path}.sock", "--json"]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return rsb_console("client", name, *arguments, str(path), "--control", f"{path}.sock", "--json")
 
 
 def client(name: str, path: Path, *arguments: str) -> Any:
@@ -43,8 +41,7 @@ def client(name: str, path: Path, *arguments: str) -> Any:
 
 def used(path: Path) -> str:
     """Return the fingerprint of robot1's key in the server's status."""
-    command = [COMMAND, "status", "--control", f"{path}.sock", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = rsb_console("status", "--control", f"{path}.sock", "--json")
     link: dict[str, str] = json.loads(done.stdout).get("links", {}).get("robot1", {"state": ""})
     return link["fingerprint"] if link["state"] == "ok" else ""
 

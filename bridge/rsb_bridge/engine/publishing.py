@@ -20,6 +20,7 @@ from rsb_bridge.link.link import topics_of_peer
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.link.topic_view import check_names
 from rsb_bridge.model.by_hand import TICKET_LIFE, Draft, Published
+from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import console
 from rsb_bridge.model.demands import NO_DEMAND
@@ -32,6 +33,7 @@ from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.route.arming import without_history
+from rsb_bridge.route.gates import why_not_by_hand
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.peeking import PeekError
@@ -309,9 +311,10 @@ class Publishing:
         now = self._context.now()
         demand = self._context.demands.of("topic", topic, type_name)
         requiring = [route for route in routes if route.arming.required]
-        armed = [route for route in requiring if route.arming.passes(now)]
+        refusals = [why_not_by_hand(route, now) for route in requiring]
+        armed = [route for route, why in zip(requiring, refusals, strict=True) if why is None]
         if not armed and requiring:
-            if any(route.arming.stands(now) for route in requiring):
+            if Refused.UNHEARD in refusals:
                 raise LinkError(PublishProblem.NOT_HEARD(topic=topic))
             reason = next((each.reason for route in requiring if (each := route.arming.snapshot(now)) is not None), "")
             raise LinkError(PublishProblem.NOT_ARMED(topic=topic, reason=f" ({reason})" if reason else ""))

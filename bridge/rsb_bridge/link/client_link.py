@@ -81,6 +81,7 @@ class ClientLink(Link):
         self._search = ServerSearch(self.transport, context.now)
         self._unproven = 0  # servers that were announced when the link was made, and did not prove the key
         self._streams_opening: dict[tuple[str, int], asyncio.Task[None]] = {}
+        self._streams_wanted = 0  # by those, which have their descriptors yet to take
         self.handlers |= {Duplicate: self.on_duplicate, Shutdown: self.on_shutdown}
 
     @property
@@ -348,11 +349,19 @@ class ClientLink(Link):
     async def _open_streams(self, transport: StreamTransport, port: int) -> None:
         """Open the stream of small messages, then that of large ones, and let the waiting routes use them."""
         failure: Failure | None = None
+        lacks = self.channels.lacks(transport.name, port)
+        wanted = [large for large in ((True,) if transport.multiplexed else (False, True)) if lacks[large]]
+        # Where all topics open their first streams before any opens its second one, none may get that.
+        if descriptors.left() < self._streams_wanted + len(wanted):
+            failure, wanted = Failure(descriptors.scarcity_message("client")), []
+        self._streams_wanted += len(wanted)
         try:
-            for large in (True,) if transport.multiplexed else (False, True):
-                if failure is None and self.channels.lacks(transport.name, port)[large]:
-                    failure = await self._open_data_stream(transport, port, large=large)
+            while wanted and failure is None:
+                failure = await self._open_data_stream(transport, port, large=wanted[0])
+                del wanted[0]
+                self._streams_wanted -= 1
         finally:
+            self._streams_wanted -= len(wanted)
             self._streams_opening.pop((transport.name, port), None)
         if failure is None and self.channels.pair_of(transport.name, port) is None:
             failure = Failure(StreamProblem.CLOSED_HERE())  # the first one was lost before the second one came

@@ -58,7 +58,6 @@ class RateLimit:
 
     Args:
         max_rate: Hz, of the topic's entry, or 0 for any.
-        topic: its name on this side.
 
     Attributes:
         rate: Hz, or 0 if all messages cross.
@@ -66,15 +65,11 @@ class RateLimit:
         switched: called whenever one of them may have changed.
     """
 
-    def __init__(
-        self, max_rate: float, topic: str, rates: AllowedRates, log: Callable[[Level, EventCode, str], None]
-    ) -> None:
+    def __init__(self, max_rate: float, log: Callable[[Level, EventCode, str], None]) -> None:
         self.switched: Callable[[], None] = lambda: None
         self.rate = self._max_rate = max_rate
         self.here = 0.0
         self._there = self._there_before = self._profile = 0.0
-        self._topic = topic
-        self._rates = rates
         self._log = log
 
     @property
@@ -128,10 +123,6 @@ class RateLimit:
     def _changed(self) -> None:
         self.rate = _lowest(self._max_rate, self.allowed, self._profile)
         self.switched()
-
-    def admits(self, now: float) -> bool:
-        """Whether this side takes one more message of the peer at `now` (s)."""
-        return not self.here or self._rates.admits(self._topic, self.here, now)
 
 
 def _at_once(rate: float) -> float:

@@ -131,7 +131,7 @@ class Route:
         self._broke_at: float | None = None  # the data connection, if it has not been open since
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
         self.notices = Notices(self.log, context.wall)
-        self.limit = RateLimit(proposal.max_rate, self.local_topic, peer.budget.rates, self.log)
+        self.limit = RateLimit(proposal.max_rate, self.log)
         self.pausing = PauseState(peer.revisions, paused=proposal.paused, is_client=peer.is_client)
         self.arming = Arming()
         self.settling = Settling(context.loop, self.judge_again)

@@ -99,6 +99,11 @@ class What(IntEnum):
 _CALL_KINDS = {int(each): each for each in What}
 
 
+def frame_size(content: bytes) -> int:
+    """Return the bytes that a call holds of the budget for its request or its response."""
+    return CALL_HEADER_LENGTH + len(content)
+
+
 class CallFrame(NamedTuple):
     """One frame.
 

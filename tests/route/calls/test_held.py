@@ -19,6 +19,7 @@ from rsb_bridge.route.calls.goals import accepted_by
 from rsb_bridge.route.calls.kept_calls import KeptCall
 from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.calls.providing import ProvidingRoute
+from rsb_bridge.route.gates import why_not_by_hand
 from rsb_bridge.route.lease import BEAT, LASTS, LeaseHalf
 from rsb_bridge.wire.headers import CallFrame, What
 from rsb_bridge.wire.messages import Provide
@@ -136,17 +137,17 @@ def test_what_is_armed_is_not_said_to_be_disarmed_while_the_link_is_silent(
     route = providing(context, arm=True)
     lease = route.arming.lease = LeaseHalf(context.clock.steady, RosTurns(), lambda: None)
     lease.begin()
-    assert route.held_now(SEND_GOAL) is Refused.DISARMED
+    assert why_not_by_hand(route, context.now()) is Refused.DISARMED
     route.arming.take("anna", context.now())
     for newest in range(1, 3):  # the second shows that the other side knows that it is heard
         lease.hear(newest, lease.beat()[0])
-    assert route.held_now(SEND_GOAL) is None
+    assert why_not_by_hand(route, context.now()) is None
     while loop.time() <= LASTS + BEAT:
         loop.jump(BEAT)
         lease.beat()  # nobody answers
     assert route.arming.stands(context.now())
-    assert route.held_now(SEND_GOAL) is Refused.UNHEARD
-    assert route.held_now(CANCEL_GOAL) is None
+    assert why_not_by_hand(route, context.now()) is Refused.UNHEARD
+    assert refusal_of(route, CallFrame(What.CALL, CANCEL_GOAL, 1, 0, UNREADABLE)) is Refused.PROVIDER_GONE
     with pytest.raises(CallError, match=REMEDIES[Refused.UNHEARD]):
         loop.run_until_complete(route.call_by_hand(SEND_GOAL, GOAL))
 

@@ -16,7 +16,6 @@ import asyncio
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
-from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
@@ -26,7 +25,7 @@ from rsb_bridge.ros.ros_interface import Request, RosError
 from rsb_bridge.route.calls.call_endpoints import Offers, name_of, type_of
 from rsb_bridge.route.calls.call_servers import LocalServers, others_called, types_clash, way_here
 from rsb_bridge.route.calls.calls_ledger import refused_as
-from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
+from rsb_bridge.route.calls.calls_route import CallsRoute
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble
 from rsb_bridge.route.calls.goals import Goals, goal_of, rejection_of
 from rsb_bridge.route.calls.kept_calls import INTERRUPTION, KeptCall, KeptCalls
@@ -34,10 +33,11 @@ from rsb_bridge.route.calls.manual_call import CallError, ManualCall
 from rsb_bridge.route.calls.node_parameters import foreign_event
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
 from rsb_bridge.route.combined_verdict import node_names
+from rsb_bridge.route.gates import CallRateGate, calling_gates, chained, compose_when_switched
 from rsb_bridge.route.source_publishers import SlowSubscriberError
 from rsb_bridge.route.topic_verdict import named
 from rsb_bridge.route.type_versions import CompareTypes, hashes_text, messages_of, unknown_difference
-from rsb_bridge.wire.headers import CallFrame, What
+from rsb_bridge.wire.headers import CallFrame, What, frame_size
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
@@ -57,8 +57,6 @@ if TYPE_CHECKING:
 
 _CALLER = 16
 """Bytes of `Request.caller` that identify the caller; the others identify the request."""
-_AT_ONCE = 1.0
-"""Seconds' worth of `max_rate` that may come at once."""
 _OUTLIVING = (CANCEL_GOAL, GET_RESULT)
 _FOR_NOW = (Refused.PAUSED, Refused.DISARMED, Refused.UNHEARD, Refused.PROVIDER_GONE, Refused.LOST)
 """Refusals after which a later attempt may succeed."""
@@ -211,15 +209,18 @@ class CallingRoute(CallsRoute):
         self._pending = PendingCalls[CallerCall](context.loop, peer.budget.asked, self._expired, self._outbox.forget)
         self._last_number = 0
         self._messages = LaneMessages(self.members, self._offers, peer.budget.kept, self.notices)
-        self._allowed: TokenBucket | None = None  # None without a limit
-        self.limit.switched = self._limit
+        self._rate = CallRateGate(0.0, context.now())
+        compose_when_switched(self, self._compose_gates)
 
     def _lease_of_requests(self) -> LeaseHalf | None:
         return self.arming.lease if self.arming.required else None
 
-    def _limit(self) -> None:
-        rate = self.limit.rate
-        self._allowed = TokenBucket(max(1.0, rate * _AT_ONCE), rate, self.context.now()) if rate else None
+    def _compose_gates(self) -> None:
+        if self._rate.rate != self.limit.rate:
+            self._rate = CallRateGate(self.limit.rate, self.context.now())
+        gates = [calling_gates(self, self._outbox, self._rate, limited=limited) for limited in (False, True)]
+        self._arriving = [chained(each.arriving) for each in gates]
+        self._leaving = [chained(each.leaving) for each in gates]
 
     # --- offering
 
@@ -428,7 +429,7 @@ class CallingRoute(CallsRoute):
             payload, now = request.payload, self.context.now()
             self._asked_for(len(payload))
             size = frame_size(payload)
-            if (why := self._refusal(lane, request, size, now)) is not None:
+            if (why := self._refusal(lane, request, now)) is not None:
                 self._refuse(why)
                 if action is not None and lane == SEND_GOAL:
                     self._reject(action, server, request.caller, payload)
@@ -454,18 +455,10 @@ class CallingRoute(CallsRoute):
             self._asked_for(len(request.payload))
         self._lose(len(requests), "it is no longer offered")
 
-    def _refusal(self, lane: int, request: Request, size: int, now: float) -> Refused | None:
-        """Return the reason why a call is not sent, or take its `size` in the link's budget and return None."""
-        if (why := self.held_now(lane)) is not None:
-            return why
-        limited = self.members[lane].limited
-        if limited and self.age.is_on and not self.age.is_young(request.stamp):
-            return Refused.TOO_OLD
-        if len(request.payload) > self._outbox.largest:
-            return Refused.TOO_LARGE
-        if limited and self._allowed is not None and not self._allowed.take(1.0, now):
-            return Refused.CALLS_A_SECOND
-        return self.peer.budget.asked.take(size, now)
+    def _refusal(self, lane: int, request: Request, now: float) -> Refused | None:
+        """Return the reason why a call is not sent, or take its place in the link's budget and return None."""
+        check = self._arriving[self.members[lane].limited]
+        return None if check is None else check(request, now)
 
     def _begin(self, call: CallerCall, payload: bytes, lease: int, stamp: int) -> None:
         """Send a call that has its place in the budget."""
@@ -476,8 +469,10 @@ class CallingRoute(CallsRoute):
         self._outbox.put(CallFrame(what, call.lane, number, 0, payload, lease, stamp))
 
     def _leaves(self, frame: CallFrame) -> bool:
-        if frame.stamp and not self.age.is_young(frame.stamp):
-            self._take_refusal(frame, Refused.TOO_OLD)
+        check = self._leaving[self.members[frame.lane].limited]
+        # A call that is sent again has no stamp: it was young when it was sent first.
+        if check is not None and frame.stamp and (why := check(frame, self.context.now())) is not None:
+            self._take_refusal(frame, why)
             return False
         return True  # the outbox forgets calls that have ended
 
@@ -490,7 +485,7 @@ class CallingRoute(CallsRoute):
         lease = self.arming.newest_number if self.arming.required else 0
         made = Request(request, b"", self.context.stamps.now(), lease)
         size, now = frame_size(request), self.context.now()
-        if (why := self._refusal(lane, made, size, now)) is not None:
+        if (why := self._refusal(lane, made, now)) is not None:
             self._refuse(why)
             raise CallError(self.calls.last_failure)
         stamp = made.stamp if self.age.is_on and self.members[lane].limited else 0

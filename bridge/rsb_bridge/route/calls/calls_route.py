@@ -37,7 +37,7 @@ from rsb_bridge.route.message_check import (
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.type_versions import messages_of
 from rsb_bridge.wire.framing import LEASED, ZSTD, Message
-from rsb_bridge.wire.headers import CALL_HEADER_LENGTH, CallFrame, What, split_number, unpack_call
+from rsb_bridge.wire.headers import CallFrame, What, split_number, unpack_call
 from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import CallsReport
 
@@ -232,19 +232,6 @@ class CallsRoute(Route):
         if self.paused:
             return Refused.PAUSED
         return None if self.arming.stands(self.context.now()) else Refused.DISARMED
-
-    def unarmed_now(self, lane: int) -> Refused | None:
-        """Return why arming holds up a lane at this moment, or None."""
-        now = self.context.now()
-        if not self.members[lane].limited or self.arming.passes(now):
-            return None
-        return Refused.UNHEARD if self.arming.stands(now) else Refused.DISARMED
-
-    def held_now(self, lane: int) -> Refused | None:
-        """Return why a call of a lane may not pass at this moment, or None."""
-        if self.pausing.paused and self.members[lane].limited:
-            return Refused.PAUSED
-        return self.unarmed_now(lane) if self.arming.required else None
 
     # --- opening and closing
 
@@ -502,8 +489,3 @@ class CallsRoute(Route):
             calls=self.calls.snapshot(),
             lanes=tuple(member.name for member in self.members if not member.is_topic),
         )
-
-
-def frame_size(content: bytes) -> int:
-    """Return the bytes that a call holds of the budget for its request or its response."""
-    return CALL_HEADER_LENGTH + len(content)

@@ -25,7 +25,7 @@ from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.call_endpoints import Clients, name_of
 from rsb_bridge.route.calls.call_servers import CallLoopGuard, Provision, provision
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
-from rsb_bridge.route.calls.calls_route import CallsRoute, frame_size
+from rsb_bridge.route.calls.calls_route import CallsRoute
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble
 from rsb_bridge.route.calls.goal_cancels import GoalCancels
 from rsb_bridge.route.calls.goals import Goals, accepted_by
@@ -41,8 +41,8 @@ from rsb_bridge.route.calls.manual_call import CallError, call_directly
 from rsb_bridge.route.calls.node_parameters import own_event, why_no_parameters
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
 from rsb_bridge.route.combined_verdict import node_names
-from rsb_bridge.route.gates import LeaseGate
-from rsb_bridge.wire.headers import CallFrame, What
+from rsb_bridge.route.gates import chained, compose_when_switched, providing_gates, why_not_by_hand
+from rsb_bridge.wire.headers import CallFrame, What, frame_size
 from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.protocol_error import ProtocolError
 
@@ -122,7 +122,7 @@ class ProvidingRoute(CallsRoute):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.action = ProviderAction(context) if spec.kind == "action" else None
-        self._leased = LeaseGate(self.arming)
+        compose_when_switched(self, self._compose_gates)
         self._provision = Provision()
         self._loop_guard = CallLoopGuard(context, peer)
         self._via: dict[str, None] = {}  # the bridges that answers cross before they come here
@@ -330,37 +330,29 @@ class ProvidingRoute(CallsRoute):
         else:
             self._call(frame)
 
+    def _compose_gates(self) -> None:
+        gates = [providing_gates(self, limited=limited) for limited in (False, True)]
+        self._arriving = [chained(each.arriving) for each in gates]
+        self._leaving = [chained(each.leaving) for each in gates]
+
     def _refusal(self, frame: CallFrame) -> Refused | None:
         """Return the reason why a call is not made, or take its place in the link's budget and return None."""
-        now, limited = self.context.now(), self._is_limited(frame)
-        if limited and (why := self._why_held(frame)) is not None:
+        limited = self._is_limited(frame)
+        arriving, leaving = self._arriving[limited], self._leaving[limited]
+        if arriving is not None and (why := arriving(frame, self.context.now())) is not None:
             return why
         if self._last_sent is None or not self._last_sent.lanes:  # a question to DDS at each call would take its time
-            if self._is_answered(frame):
-                return self.peer.budget.provided.take(frame_size(frame.content), now)
-            return Refused.PROVIDER_GONE
-        if (why := self._malformed(frame, "_Request")) is not None:
+            if not self._is_answered(frame):
+                return Refused.PROVIDER_GONE
+        elif (why := self._malformed(frame, "_Request")) is not None:
             return why
-        timed = self.age.is_on or self.arming.required
-        if limited and timed and (why := self._why_held(frame)) is not None:  # the check may have taken long
-            return why
-        if limited and self.limit.here and not self.limit.admits(now):
-            return Refused.CALLS_A_SECOND
-        return self.peer.budget.provided.take(frame_size(frame.content), now)
+        return None if leaving is None else leaving(frame, self.context.now())
 
     def _is_limited(self, frame: CallFrame) -> bool:
         """Return whether arming, pauses and limits apply to a call: not if it only asks about a goal again."""
         if not self.members[frame.lane].limited:
             return False
         return frame.what is not What.AGAIN or question_of(frame.lane, frame.content) is None
-
-    def _why_held(self, frame: CallFrame) -> Refused | None:
-        """Return the reason why a limited call may not be made now, or None."""
-        if self.age.is_on and self.age.why_old(frame.stamp) is not None:
-            return Refused.TOO_OLD
-        if (why := self.held_now(frame.lane)) is not None:
-            return why
-        return self._leased.check(frame, self.context.now()) if self.arming.required else None
 
     def _is_answered(self, frame: CallFrame) -> bool:
         """Return whether a kept answer serves a call, without a server."""
@@ -391,7 +383,8 @@ class ProvidingRoute(CallsRoute):
 
     async def call_by_hand(self, lane: int, request: bytes) -> bytes:
         """Call the node here. Arming applies, but neither pause nor counts do: it is no call of the other side's."""
-        if (why := self.unarmed_now(lane)) is not None:
+        why = why_not_by_hand(self, self.context.now()) if self.members[lane].limited else None
+        if why is not None:
             raise CallError(f"{self.local_topic} cannot be called now: {REMEDIES[why]}")
         name, within = self.local_names[lane], self.timeout_of(lane)
         return await call_directly(self.context, name, self.entry(lane), request, within)
