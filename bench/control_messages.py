@@ -21,8 +21,8 @@ from tests.support.rogue import Rogue
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
-from rsb_bridge.model.benchmark import TYPE, TYPE_HASH, BenchmarkLimits, bench_topic
-from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.benchmark import BenchmarkLimits
+from rsb_bridge.model.purposes import BENCH
 from rsb_bridge.model.session import Client, Session
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.wire.framing import CONTROL_LIMIT
@@ -132,7 +132,7 @@ def main() -> None:
                 most, in_all, size, text = 0.0, 0.0, 0, ""
                 for _ in range(repeats):
                     with Rogue(port, key) as rogue:
-                        route = rogue.route(bench_topic("tcp", "transmit"), "tcp", Qos(), (TYPE, TYPE_HASH))
+                        route = rogue.internal(BENCH, ("tcp", "transmit"), "tcp")
                         text, content = list(messages(route))[number]
                         size = len(content)
                         time.sleep(0.3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, field
 from random import Random
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import msgspec
 
@@ -13,8 +13,10 @@ from rsb_bridge.model.clock import Clock, StampClock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import operator
 from rsb_bridge.model.demands import RunningDemands
+from rsb_bridge.model.purposes import PURPOSES
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.announcements import Announcements
+from rsb_bridge.ros.internal_ends import InternalEnds
 from rsb_bridge.ros.parameter_events import ParameterEvents
 from rsb_bridge.ros.ros_graph import NameSuggester, SimilarTopics
 from rsb_bridge.ros.ros_interface import RosError
@@ -28,7 +30,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.model.demands import DemandSource
+    from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import ArmedName, Session
+    from rsb_bridge.ros.internal_ends import RouteEnds
     from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.ros.ros_thread import RosToLoopQueue
     from rsb_bridge.telemetry.event_log import About, EventLog
@@ -46,6 +50,7 @@ class Context:
         clock: the wall clock.
         random: for jitter; never for secrets.
         transports: carry links and routes.
+        internal: the ends of internal routes, by purpose.
         limited: adds events that a peer may cause to `events`, up to a rate.
         now: seconds on the monotonic clock of all timers.
         stamps: the clock by which the age of messages is measured.
@@ -71,6 +76,7 @@ class Context:
     clock: Clock = field(default_factory=Clock)
     random: Random = field(default_factory=Random)
     transports: Transports = field(default_factory=default_transports)
+    internal: dict[str, InternalEnds[Any, Any]] = field(init=False)
     limited: RateLimitedEventLog = field(init=False)
     now: Callable[[], float] = field(init=False)
     stamps: StampClock = field(init=False)
@@ -87,6 +93,7 @@ class Context:
     names_changed: Callable[[], None] = lambda: None
 
     def __post_init__(self) -> None:
+        self.internal = {each.name: InternalEnds(each) for each in PURPOSES.values() if not each.in_graph}
         self.now = self.loop.time
         self.stamps = StampClock(self.clock)
         self.limited = RateLimitedEventLog(self.events, self.now)
@@ -130,6 +137,10 @@ class Context:
 
     def _warn(self, text: str) -> None:
         self.log(Level.WARNING, EventCode.ENGINE_ANNOUNCEMENTS, text)
+
+    def ends(self, purpose: Purpose) -> RouteEnds:
+        """Return where the routes of a purpose have their endpoints."""
+        return self.ros if purpose.in_graph else self.internal[purpose.name]
 
     def call(self, work: Callable[[], None]) -> None:
         """Do something on the I/O thread, from another; nothing happens once the engine has stopped."""

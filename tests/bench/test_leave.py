@@ -2,57 +2,38 @@
 
 from __future__ import annotations
 
-import pytest
-
 from rsb_bridge.config.client_entries import with_client
 from rsb_bridge.config.rights import Use, rights_of_client, rights_of_server
 from rsb_bridge.config.validation import build, validate
 from rsb_bridge.link.link_bench import HOUR, BenchBudget
-from rsb_bridge.model.benchmark import BenchmarkLimits, bench_topic, is_bench_topic
+from rsb_bridge.model.benchmark import BenchmarkLimits
+from rsb_bridge.model.purposes import BENCH
 from rsb_bridge.model.session import Client, Session
 
-TOPIC = bench_topic("tcp", "transmit")
 SERVER = {"name": "pc", "role": "server", "server_ip": "127.0.0.1", "server_port": 7060, "key_file": "k"}
 
 
-@pytest.mark.parametrize(
-    ("name", "measures"),
-    [
-        (TOPIC, True),
-        (f"/robot1{TOPIC}", True),
-        ("/rsb_bench", False),
-        ("/rsb_bench/x", False),
-        ("/a/b/rsb_bench/tcp/transmit", False),
-        ("/rsb_benches/tcp/transmit", False),
-        ("", False),
-    ],
-)
-def test_which_names_measure(name: str, measures: bool) -> None:
-    assert is_bench_topic(name) is measures
-
-
 def test_nobody_may_measure_without_leave_whatever_else_is_allowed() -> None:
-    for kind in ("topic", "service"):
-        use = Use(TOPIC, "publish", "tcp", kind)
-        assert rights_of_client(Client("robot1"), "pc").refusal(use) is not None
-        assert rights_of_client(Client("robot1", allow=("*",)), "pc").refusal(use) is not None
+    for client in (Client("robot1"), Client("robot1", allow=("*", "bench/*"))):
+        for sends in (True, False):
+            refusal = rights_of_client(client, "pc").purpose_refusal(BENCH, sends=sends)
+            assert "add bench: {}" in str(refusal)
 
 
 def test_with_leave_a_peer_measures_whatever_else_is_denied() -> None:
     client = Client("robot1", allow=("/scan",), deny=("*",), bench=BenchmarkLimits(max_rate=50.0))
     rights = rights_of_client(client, "pc")
-    assert rights.refusal(Use(TOPIC, "publish", "tcp")) is None
-    assert not rights.max_rate(Use(TOPIC, "publish", "tcp")), "the benchmark is held to it, and no single message"
-    assert rights.refusal(Use(TOPIC, "publish", "tcp", "service")) is not None
+    for sends in (True, False):
+        assert rights.purpose_refusal(BENCH, sends=sends) is None
     assert rights.refusal(Use("/odom", "publish", "tcp")) is not None, "leave to measure is no leave for anything else"
+    assert rights.refusal(Use("/bench/tcp/transmit", "publish", "tcp")) is not None
 
 
 def test_a_client_s_session_gives_leave_to_the_server() -> None:
     session = Session(name="robot1", role="client", server_ip="10.0.0.1", server_port=7060, key_file="k")
-    use = Use(TOPIC, "publish", "udp")
-    assert rights_of_server(session).refusal(use) is not None
+    assert rights_of_server(session).purpose_refusal(BENCH, sends=True) is not None
     given = Session(name="robot1", role="client", server_ip="10.0.0.1", server_port=7060, bench=BenchmarkLimits())
-    assert rights_of_server(given).refusal(use) is None
+    assert rights_of_server(given).purpose_refusal(BENCH, sends=True) is None
 
 
 def test_it_is_read_from_the_file_and_its_mistakes_are_found() -> None:

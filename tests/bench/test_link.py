@@ -1,4 +1,4 @@
-"""Measuring the link of two engines, neither of which has a ROS domain: what crosses is synthetic."""
+"""Measuring the link of two engines, neither of which has a ROS domain: what crosses joins no topic."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ from rsb_bridge.config.keys import read_key, write_key
 from rsb_bridge.engine import Engine
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.link_bench import REOPENED
-from rsb_bridge.model.benchmark import ENDED_BY_PEER, TYPE, TYPE_HASH, BenchmarkLimits, BenchmarkStep, bench_topic
-from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.benchmark import ENDED_BY_PEER, BenchmarkLimits, BenchmarkStep
+from rsb_bridge.model.purposes import BENCH
 from rsb_bridge.model.session import Client, Session
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.ros.synthetic import synthetic_of
 from rsb_bridge.wire.framing import MORE, ZSTD
 
 if TYPE_CHECKING:
@@ -56,10 +55,10 @@ class QuietRos(NoRos):
 
     def __init__(self, instance_id: str = NoRos.instance_id) -> None:
         self.instance_id = instance_id
-        self.node_name = f"rsb_bench_{instance_id}"
+        self.node_name = f"rsb_quiet_{instance_id}"
 
     def subscribe(self, topic: str, *_: object, **__: object) -> Any:
-        assert "rsb_bench" not in topic, "DDS hears of a synthetic topic"
+        assert "bench" not in topic, "DDS hears of it"
         return Endpoint()
 
     advertise = subscribe
@@ -156,7 +155,7 @@ def test_a_run_whose_topic_is_opened_again_has_no_figures(
     async def open_anew(bridge: Bridge) -> bool:
         (link,) = bridge.links()
         (route,) = link.routes.values()
-        source = synthetic_of(bridge.context.ros).sources[route.local_topic, link.name]  # type: ignore[union-attr]
+        source = bridge.context.internal[BENCH.name].sources[route.local_topic, link.name]
         if not source.busy or source.sent < 20:
             return False
         if first_heard == "the run":
@@ -183,7 +182,7 @@ def test_both_sides_do_not_measure_at_once(pair: Callable[..., Pair]) -> None:
 def test_a_server_measures_its_client_with_leave(pair: Callable[..., Pair]) -> None:
     both = pair(to_server=LEAVE)
     assert both.run(both.server, link="robot1").received == 40
-    assert "/robot1/rsb_bench/tcp/transmit" in both.topics()
+    assert "bench/tcp/transmit" in both.topics()
 
 
 def test_without_leave_it_is_refused_in_a_plain_sentence(pair: Callable[..., Pair]) -> None:
@@ -193,7 +192,7 @@ def test_without_leave_it_is_refused_in_a_plain_sentence(pair: Callable[..., Pai
 
 
 def test_two_clients_that_measure_at_once_have_their_own_figures(tmp_path: Path) -> None:
-    """Their topics have one name on a server that puts no client's name before them."""
+    """Their routes have one name on the server."""
     port, names = free_port(), ("robot1", "robot2")
     for name in names:
         write_key(tmp_path / f"{name}.key")
@@ -272,9 +271,8 @@ def test_a_higher_rate_than_the_leave_has_is_not_made(pair: Callable[..., Pair])
 def test_who_sends_faster_all_the_same_is_cut_off(pair: Callable[..., Pair]) -> None:
     both = pair(to_client=BenchmarkLimits(max_rate=100.0))
     both.run(both.client, rate=50.0, count=5)
-    synthetic = synthetic_of(inside(both.client).context.ros)
-    assert synthetic is not None
-    source = synthetic.sources["/rsb_bench/tcp/transmit", "robot1"]
+    internal = inside(both.client).context.internal[BENCH.name]
+    source = internal.sources["bench/tcp/transmit", "robot1"]
     source.start(100, 1000.0, 5000)
     eventually(lambda: not both.server.snapshot().routes, WITHIN)
 
@@ -327,7 +325,7 @@ def measures(server: Engine) -> bool:
 
 def storm(rogue: Rogue, transport: str, what: str, size: int) -> int:
     """Send 20 MB on a topic that measures, as fast as the server takes them; the bytes that went out."""
-    route = rogue.route(bench_topic(transport, "transmit"), transport, Qos(), (TYPE, TYPE_HASH))
+    route = rogue.internal(BENCH, (transport, "transmit"), transport)
     messages, sent = 20 * MEGABYTE // size, 0
     content = zstandard.ZstdCompressor(1).compress(bytes(MEGABYTE)) if what == "compressed" else bytes(size)
     try:

@@ -7,10 +7,11 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
 from rsb_bridge.link.link_bench import LinkBench
-from rsb_bridge.model.benchmark import BenchmarkLimits, BenchmarkStep, bench_topic
+from rsb_bridge.model.benchmark import BenchmarkLimits, BenchmarkStep
+from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.purposes import BENCH
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.ros.synthetic import Synthetic, Time
+from rsb_bridge.ros.internal_ends import InternalEnds
 from rsb_bridge.wire.messages import BenchAnswer, BenchAsk
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.route.route import Route
 
-UP, DOWN = bench_topic("tcp", "transmit"), bench_topic("tcp", "receive")
+UP, DOWN = BENCH.route_name("tcp", "transmit"), BENCH.route_name("tcp", "receive")
 PEER = "robot1"
 
 
@@ -29,14 +30,14 @@ class Here:
 
     def __init__(self) -> None:
         self.time = 0.0
-        self.ros = Synthetic(cast("Any", NoRos()), Time())
+        self.ends = InternalEnds[Any, Any](BENCH)
         self.denied: list[str] = []
         self.answers: list[BenchAnswer] = []
         loop = SimpleNamespace(call_soon=lambda work: work())
         self.routes: dict[str, Any] = {}
         ids = SimpleNamespace(open_route=lambda number: list(self.routes.values())[number])
         table = SimpleNamespace(deny=lambda _, reason: self.denied.append(reason))
-        context = SimpleNamespace(ros=self.ros, now=lambda: self.time, loop=loop)
+        context = SimpleNamespace(internal={BENCH.name: self.ends}, clock=Clock(), now=lambda: self.time, loop=loop)
         link = SimpleNamespace(
             context=context,
             routes=self.routes,
@@ -51,9 +52,10 @@ class Here:
         self.bench = LinkBench(cast("BaseLink", link), cast("RouteTable", table), cast("Any", None))
 
     def open(self, topic: str) -> Any:
-        """The peer opens a topic, which takes the place of another of its name."""
-        self.routes[topic] = SimpleNamespace(key=topic, local_topic=topic, proposed_here=False, id=1, refusal="")
-        return self.ros.advertise(topic, "", "", Qos(), PEER)
+        """The peer opens a route, which takes the place of another of its name."""
+        route = SimpleNamespace(key=topic, local_topic=topic, purpose=BENCH, proposed_here=False, id=1, refusal="")
+        self.routes[topic] = route
+        return self.ends.advertise(topic, "", "", Qos(), PEER)
 
     @property
     def own(self) -> set[Any]:
@@ -97,7 +99,7 @@ def test_a_peer_that_opens_its_topic_again_and_again_is_held_to_its_leave() -> N
 
 def test_the_rate_is_of_all_topics_together() -> None:
     here = Here()
-    for drain in [here.open(f"/rsb_bench/tcp/{number}") for number in range(5)]:
+    for drain in [here.open(BENCH.route_name("tcp", str(number))) for number in range(5)]:
         publish(drain, 90)
     here.second()
     assert "100 messages a second" in here.denied[0]
@@ -118,9 +120,9 @@ def test_what_the_peer_was_asked_to_send_is_not_charged_to_it() -> None:
 def test_one_run_at_a_time_whatever_the_topics() -> None:
     here = Here()
     sources = []
-    for topic in (DOWN, bench_topic("udp", "receive")):
-        here.routes[topic] = SimpleNamespace(local_topic=topic, proposed_here=False)
-        sources.append(here.ros.subscribe(topic, "", "", Qos(), lambda _: None, PEER))
+    for topic in (DOWN, BENCH.route_name("udp", "receive")):
+        here.routes[topic] = SimpleNamespace(local_topic=topic, purpose=BENCH, proposed_here=False)
+        sources.append(here.ends.subscribe(topic, "", "", Qos(), lambda _: None, PEER))
     try:
         cast("Any", sources[1]).start(100, 10.0, 50)
         assert "still being sent" in here.ask(size=100, rate=10.0, count=5).problem

@@ -178,7 +178,7 @@ _ANSWERS = {
 _MESSAGE = PeekedMessage(b"\0\1\0\0\7\0\0\0", 8, "std_msgs/msg/Int32", "", NOW, outgoing=False)
 _IMAGE, _MAP = Pixels(1, 2, b"\xff\0\0\0\xff\0"), Cells(("▲",))
 _CURVES = Series(NOW, 0.1, (Curve("x", (1.0, None), (2.0, None), 2.0, 1.5),))
-_TOPICS = ("/scan", "/camera", "/rsb_bench/tcp/transmit", "/cmd_vel", "/map", "/odom")
+_TOPICS = ("/scan", "/camera", "bench/tcp/transmit", "/cmd_vel", "/map", "/odom")
 
 
 class Robot(Running):

@@ -21,8 +21,8 @@ from rsb_bridge.config.rights import (
 )
 from rsb_bridge.config.session_file import SessionError, dump, parse
 from rsb_bridge.config.validation import validate
-from rsb_bridge.model.benchmark import BenchmarkLimits, bench_topic
-from rsb_bridge.model.pictures import view_topic
+from rsb_bridge.model.benchmark import BenchmarkLimits
+from rsb_bridge.model.purposes import BENCH, VIEW
 from rsb_bridge.model.session import Client, Grant, Session, Topic
 
 if TYPE_CHECKING:
@@ -197,28 +197,36 @@ def test_what_is_typed_in_one_line() -> None:
             typed_grants(wrong)
 
 
-@pytest.mark.parametrize("bench", [None, BenchmarkLimits()])
 @pytest.mark.parametrize(
-    ("use", "remedy"),
+    ("rights", "remedy"),
     [
-        (Use(view_topic(1), "read"), None),
-        (Use(view_topic(1), "publish"), DeniedRemedy.RENAME),
-        (Use(f"/robot1{view_topic(1)}", "publish"), DeniedRemedy.RENAME),
-        (Use(view_topic(1), "call", kind="service"), DeniedRemedy.RENAME),
-        (Use(bench_topic("tcp", "up"), "call", kind="service"), DeniedRemedy.RENAME),
+        ({}, None),
+        ({"allow": ("/scan",)}, None),
+        ({"allow": (Grant("/scan", may="read"),)}, None),
+        ({"allow": (Grant("/scan", may="publish"),)}, DeniedRemedy.ADD_LOOK),
+        ({"allow": (Grant(services="/*"),)}, DeniedRemedy.ADD_LOOK),
+        ({"deny": ("/scan", Grant("/*", may="publish"), Grant("*", protocol="udp"))}, None),
+        ({"deny": ("/**",)}, DeniedRemedy.NARROW_DENY),
+        ({"deny": (Grant("*", may="look"),), "allow": ("/scan",)}, DeniedRemedy.NARROW_DENY),
     ],
 )
-def test_a_reserved_name_is_refused_as_that(use: Use, remedy: Wording | None, bench: BenchmarkLimits | None) -> None:
-    refusal = rights_of_client(Client("robot1", bench=bench), "pc").refusal(use)
+def test_a_view_needs_the_right_to_look_at_something(rights: dict[str, Any], remedy: Wording | None) -> None:
+    refusal = rights_of_client(Client("robot1", **rights), "pc").purpose_refusal(VIEW, sends=False)
     if remedy is None:
         assert refusal is None
     else:
         assert refusal is not None
         assert says(refusal.remedy, remedy)
-        assert says(refusal.reason, DeniedText.NOT_ALLOWED, peer="robot1", use=str(use))
+        assert "look" in str(refusal)
+
+
+def test_nobody_sends_pictures_unasked() -> None:
+    refusal = rights_of_client(Client("robot1", bench=BenchmarkLimits()), "pc").purpose_refusal(VIEW, sends=True)
+    assert refusal is not None
+    assert says(refusal.reason, DeniedText.NO_SENDING, right="look", peer="robot1")
 
 
 def test_a_benchmark_without_permission_has_its_own_remedy() -> None:
-    refusal = rights_of_client(Client("robot1"), "pc").refusal(Use(bench_topic("tcp", "up"), "publish"))
+    refusal = rights_of_client(Client("robot1"), "pc").purpose_refusal(BENCH, sends=True)
     assert refusal is not None
     assert says(refusal.remedy, DeniedRemedy.ADD_BENCH)

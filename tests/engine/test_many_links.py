@@ -13,6 +13,7 @@ import pytest
 from tests.support.offline import loop, make_context
 
 from rsb_bridge.engine.bridge import Bridge
+from rsb_bridge.model.purposes import TOPIC
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_bridge.tasks import SLICE
@@ -67,7 +68,7 @@ class Route:
     def __init__(self, turns: Turns) -> None:
         self.snapshot = turns.called
         self.idle = False
-        self.shown = True
+        self.purpose = TOPIC
 
 
 class Many:

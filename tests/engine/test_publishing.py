@@ -23,12 +23,13 @@ from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.config.fields_text import read_fields
+from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.engine.publishing import AT_ONCE, ENDS_AFTER, TOPICS, PublishProblem
 from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting, on_console
 from rsb_bridge.model.commands import Command, PauseTopics, Publish, RemoveTopic, Restart, ShutDownLinks
-from rsb_bridge.model.pictures import view_topic
+from rsb_bridge.model.purposes import VIEW
 from rsb_bridge.model.session import ArmedName, Client, Topic
 from rsb_console.session.landing import Landing, LandingText
 
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.engine import Engine
     from rsb_bridge.model.by_hand import Published
+    from rsb_bridge.model.wording import Wording
 
 STRING, TWIST, TWIST_STAMPED = "std_msgs/msg/String", "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 DRIVEN = Topic("/cmd", "receive", arm=True, deadman=0.0)
@@ -166,12 +168,10 @@ def test_a_publisher_that_is_not_used_is_closed(bridge: Bridge, robot: Domain, m
     [
         ("/nobody", "", "", PublishProblem.NO_TYPE),
         ("/text", "", TWIST, PublishProblem.OTHER_TYPE),
-        (view_topic(1), "", STRING, PublishProblem.NOT_BY_HAND),
+        (VIEW.route_name("1"), "", STRING, TopicMistake.NOT_ABSOLUTE),
     ],
 )
-def test_refused(
-    bridge: Bridge, robot: Domain, topic: str, fields: str, type_name: str, problem: PublishProblem
-) -> None:
+def test_refused(bridge: Bridge, robot: Domain, topic: str, fields: str, type_name: str, problem: Wording) -> None:
     assert robot.listener("/text")
     client = bridge.client()
     eventually(lambda: any(each.topic == "/text" for each in client.topics(None).result(30)))

@@ -30,6 +30,7 @@ from rsb_bridge.link.link_views import VIEWS_OF_PEER, ViewRefused
 from rsb_bridge.link.topic_view import TopicView, ViewProblem
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.pictures import Cells, Picture, Wish
+from rsb_bridge.model.purposes import VIEW
 from rsb_bridge.model.session import Grant, Topic
 from rsb_bridge.view.renderer import Renderer
 
@@ -106,7 +107,7 @@ def viewer(engine: Engine) -> Any:
 
 
 def views(engine: Engine) -> list[str]:
-    return [key for link in inside(engine).links() for key, route in link.routes.items() if not route.shown]
+    return [key for link in inside(engine).links() for key, route in link.routes.items() if not route.purpose.is_shown]
 
 
 @pytest.mark.parametrize("viewer_is_server", [True, False])
@@ -315,7 +316,7 @@ def test_the_log_names_the_topic_and_not_the_route_of_the_pictures(bridge: Bridg
     server.end_look("me").result(30)
     eventually(lambda: any(event.code == EventCode.LINK_VIEW_ENDED for event in client.events()))
     said = [event for engine in (server, client) for event in engine.events()]
-    assert not [event for event in said if "rsb_look" in f"{event.text} {event.topic}"]
+    assert not [event for event in said if VIEW.route_name() in f"{event.text} {event.topic}"]
 
 
 def test_one_viewer_that_asks_for_two_topics_at_once_leaves_nothing(bridge: Bridge, robot: Domain) -> None:

@@ -9,6 +9,7 @@ import pytest
 from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.roles import ClientRole, ServerRole
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.purposes import Purpose
 from rsb_bridge.wire.codec import ReportParts, TopicListParts
 from rsb_bridge.wire.messages import ControlMessage, Neighbours
 
@@ -48,12 +49,14 @@ def test_a_feature_takes_part_in_ticks_losses_and_messages(link: Link) -> None:
         def disconnected(self) -> None:
             said.append(f"{self.name} stops")
 
-        def refusal(self, topic: str) -> str:
-            return f"{self.name} refuses {topic}" if topic == "/no" else ""
+        def refusal(self, name: str) -> str:
+            return f"{self.name} refuses {name}" if name == "bench/no" else ""
 
     first, last = link.extend(Feature("first")), link.extend(Feature("last"))
     link.handlers[Neighbours](Neighbours(bridges=("here",)))
     link.tick()
     link.lost("cut", EventCode.LINK_LOST)
     assert said == [Neighbours(bridges=("here",)), "first ticks", "last ticks", "last stops", "first stops"]
-    assert (link.refusal("/no"), link.refusal("/yes")) == (first.refusal("/no"), last.refusal("/yes"))
+    first.purpose, last.purpose = Purpose("bag"), Purpose("file")
+    assert link.refusal("bench/no", first.purpose) == "first refuses bench/no"
+    assert not link.refusal("bench/yes", first.purpose)

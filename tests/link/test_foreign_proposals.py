@@ -6,22 +6,27 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.support.bridge import happened, linked
+from tests.support.bridge import happened, linked, now
 from tests.support.inside import inside
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
+from rsb_bridge.model.benchmark import BenchmarkLimits
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import ARMED
-from rsb_bridge.model.session import Client, Kind, Topic
+from rsb_bridge.model.purposes import BENCH, VIEW
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Client, Grant, Kind, Topic
 from rsb_bridge.wire.messages import Accept, Amend, Propose, Refuse
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
 
     from rsb_bridge.engine import Engine
     from rsb_bridge.link.link import Link
+    from rsb_bridge.model.purposes import Purpose
 
 KINDS: tuple[Kind, ...] = ("service", "action", "parameters")
 
@@ -89,3 +94,74 @@ def test_what_has_to_be_armed_has_a_max_age(bridge: Bridge) -> None:
         assert mine.age.max_age == ARMED
         client.say(Amend(1, max_age=0.0))
         eventually(lambda: not mine.age.is_on)
+
+
+@pytest.mark.parametrize(
+    ("purpose", "change", "words"),
+    [
+        (VIEW, {}, "look"),
+        (BENCH, {}, "add bench: {}"),
+        (VIEW, {"from_client": False, "topic": "/scan", "remote_topic": "/scan"}, "/scan"),
+        (VIEW, {"from_client": False, "remote_topic": "view/2"}, "view/2"),
+        (VIEW, {"from_client": False, "topic": "bench/1", "remote_topic": "bench/1"}, "bench/1"),
+        (VIEW, {"from_client": False, "type": "std_msgs/msg/String"}, "type"),
+        (VIEW, {"from_client": False, "type": ""}, "type"),
+        (VIEW, {"from_client": False, "arm": True}, "arm"),
+        (VIEW, {"from_client": False, "max_age": 1.0}, "max_age"),
+        (VIEW, {"from_client": False, "kind": "service"}, "kind"),
+        (VIEW, {"from_client": False, "qos": Qos(durability="transient_local")}, "late joiners"),
+        (VIEW, {"from_client": False, "transport": "zenoh"}, "protocol"),
+        (VIEW, {"from_client": False, "replaces": 3}, "place"),
+        (VIEW, {"from_client": False, "purpose": "topic"}, "absolute"),
+        (VIEW, {"from_client": False, "purpose": "telepathy"}, "update"),
+        (VIEW, {"from_client": False}, ""),
+    ],
+)
+def test_an_internal_route_has_its_own_rules(
+    bridge: Bridge, purpose: Purpose, change: dict[str, Any], words: str
+) -> None:
+    """Whatever a peer calls it, it does not become a topic, and a topic does not become one."""
+    server = bridge.server()
+    name = purpose.route_name("1")
+    with rogue(bridge) as client:
+        asked = Propose(route=1, topic=name, remote_topic=name, from_client=True, type=purpose.type_name)
+        client.say(msgspec.structs.replace(asked, **{"purpose": purpose.name} | change))
+        answer = client.wait_for(Refuse, Accept)
+        if words:
+            assert isinstance(answer, Refuse)
+            assert answer.code == "denied"
+            assert words in answer.reason
+            assert not link(server).routes
+        else:
+            assert isinstance(answer, Accept)
+            assert now(server).routes == (), "operators see no view as a topic"
+
+
+def test_a_view_needs_a_right_to_look(bridge: Bridge) -> None:
+    client_entry = Client("robot1", key_file=bridge.key_file, allow=(Grant("/cmd_vel", may="publish"),))
+    bridge.server(key_file=None, clients=(client_entry,))
+    with rogue(bridge) as client:
+        asked = Propose(route=1, topic="view/1", remote_topic="view/1", from_client=False, type=VIEW.type_name)
+        client.say(msgspec.structs.replace(asked, purpose=VIEW.name))
+        refused = client.wait_for(Refuse, Accept)
+        assert isinstance(refused, Refuse)
+        assert "may: look" in refused.reason
+
+
+def test_nothing_that_a_peer_sends_to_measure_reaches_ros(bridge: Bridge, pc: Domain) -> None:
+    """A description of another type than the route's ends it."""
+    server = bridge.server(
+        key_file=None, clients=(Client("robot1", key_file=bridge.key_file, bench=BenchmarkLimits()),)
+    )
+    with rogue(bridge) as client:
+        string = ("std_msgs/msg/String", "RIHS01_" + "0" * 64)
+        proposed = {"purpose": BENCH.name, "type": BENCH.type_name}
+        _, answer = client.describe(BENCH.route_name("tcp", "transmit"), "tcp", Qos(), string, **proposed)
+        assert isinstance(answer, Refuse)
+        assert answer.code == "type_differs"
+        stream, frames = client.stream(client.internal(BENCH, ("tcp", "transmit"), "tcp"))
+        for _ in range(10):
+            stream.sendall(frames.write(b"\0\1\0\0" + bytes(100), 0, 0))
+        drains = inside(server).context.internal[BENCH.name].drains
+        eventually(lambda: sum(each.messages for each in drains.values()) == 10)
+        assert not [name for name, _ in pc.node.get_topic_names_and_types() if "bench" in name]

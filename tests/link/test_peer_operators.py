@@ -8,6 +8,7 @@ import pytest
 from tests.support.offline import FakePeer
 
 from rsb_bridge.link.peer_operators import PeerOperators
+from rsb_bridge.model.purposes import TOPIC
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ class Scan:
     local_topic = "/scan"
     spec = Topic("/scan", "transmit")
     paused = True
-    shown = True
+    purpose = TOPIC
 
 
 @pytest.fixture

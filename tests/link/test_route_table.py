@@ -16,10 +16,10 @@ from rsb_bridge.link.base_link import LinkStatus, RouteIds
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.link.route_table import RouteTable
-from rsb_bridge.model.benchmark import bench_topic
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import sources_of_entries
-from rsb_bridge.model.pictures import view_topic
+from rsb_bridge.model.purposes import BENCH, VIEW, Purpose
+from rsb_bridge.model.purposes import TOPIC as ORDINARY
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.route import route_key
 from rsb_bridge.wire.messages import Close
@@ -75,9 +75,10 @@ class Side(FakePeer):
 
     # --- what an operator does, and what happens to a route
 
-    def add(self, topic: Topic = TOPIC, replaces: Route | None = None) -> None:
+    def add(self, topic: Topic = TOPIC, replaces: Route | None = None, purpose: Purpose = ORDINARY) -> None:
+        tcp = self.context.transports["tcp"]
         try:
-            proposal = proposal_of(topic, self.context.transports["tcp"], client_name="robot1", use_name=False)
+            proposal = proposal_of(topic, tcp, client_name="robot1", use_name=False, purpose=purpose)
             self.table.check_add(topic, proposal, route_key("robot1", proposal), replaces)
         except LinkError:
             return  # it is there
@@ -349,10 +350,12 @@ def test_a_limit_that_changed_while_apart_keeps_the_route(
     assert kept.spec.max_rate == kept.proposal.max_rate == 2.0
 
 
-@pytest.mark.parametrize("name", [bench_topic("tcp", "out"), view_topic(1)], ids=["measures", "pictures"])
-def test_a_peer_cannot_have_a_session_list_what_is_the_links_own(name: str, make_pair: Callable[[], Pair]) -> None:
+@pytest.mark.parametrize("purpose", [BENCH, VIEW], ids=["measures", "pictures"])
+def test_a_peer_cannot_have_a_session_list_what_is_the_links_own(
+    purpose: Purpose, make_pair: Callable[[], Pair]
+) -> None:
     client, _ = make_pair()
-    client.add(Topic(name, "transmit"))
+    client.add(Topic(purpose.route_name("1"), "transmit"), purpose=purpose)
     (route,) = client.routes.values()
     client.table.handle(Close(route.id, "edited", edited=True))
     assert client.listed == []

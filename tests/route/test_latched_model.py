@@ -205,6 +205,7 @@ class Route:
         self.topic.opened()
         subscription = TopicSubscription(
             self.context,
+            self.context.ros,
             subject,
             cast("OutgoingPath", self),
             self.meter,

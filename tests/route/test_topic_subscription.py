@@ -79,6 +79,7 @@ def make_subscription(
     """Return an active subscription."""
     subscription = TopicSubscription(
         context,
+        context.ros,
         SubscriptionSpec("/fast", "std_msgs/msg/String", "", qos, "robot1"),
         cast("OutgoingPath", Path()),
         owner.meter,

@@ -7,8 +7,9 @@ import select
 import socket
 import threading
 import time
-from typing import TYPE_CHECKING, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.datagram import DatagramWriter, Probe
 from rsb_bridge.wire.events import Accepted, Established, MessageReceived, StreamName
@@ -18,7 +19,7 @@ from rsb_bridge.wire.records import Source
 from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.wire.events import Event
     from rsb_bridge.wire.messages import ControlMessage
     from rsb_bridge.wire.sealing import SessionKeys
@@ -97,12 +98,20 @@ class Rogue:
         assert isinstance(answer, Ready)
         return number
 
+    def internal(self, purpose: Purpose, parts: tuple[str, ...], transport: str) -> int:
+        """Have the server open an internal route on which this side claims to send. Return its id."""
+        name, kind = purpose.route_name(*parts), (purpose.type_name, purpose.type_hash)
+        number, answer = self.describe(name, transport, Qos(), kind, purpose=purpose.name, type=purpose.type_name)
+        assert isinstance(answer, Ready)
+        return number
+
     def describe(
-        self, topic: str, transport: str, qos: Qos, kind: tuple[str, str] = BLOB
+        self, topic: str, transport: str, qos: Qos, kind: tuple[str, str] = BLOB, **proposed: Any
     ) -> tuple[int, Ready | Refuse]:
         """Propose a route and say what this side sends on it: its id, and what the server says to the latter."""
         number = self.new_route()
-        self.say(Propose(route=number, topic=topic, remote_topic=topic, from_client=True, transport=transport))  # type: ignore[arg-type]
+        proposed |= {"topic": topic, "remote_topic": topic, "from_client": True, "transport": transport}
+        self.say(Propose(route=number, **proposed))
         assert isinstance(self.wait_for(Accept, Refuse), Accept)
         self.say(Describe(number, *kind, qos=qos, sources=(Source((f"rsb_rogue{topic}",)),)))
         answer = self.wait_for(Ready, Refuse)

@@ -92,6 +92,7 @@ EXAMPLES = [
         paused=True,
     ),
     Propose(route=5, topic="/fibonacci", remote_topic="/fibonacci", from_client=True, kind="action", timeout=5.0),
+    Propose(route=7, topic="view/1", remote_topic="view/1", from_client=False, purpose="view"),
     Accept(route=1, topic="/robot1/scan", arm=True, deadman=2.0),
     Refuse(route=1, code="type_differs", reason="the type's hash differs"),
     Describe(

@@ -17,12 +17,10 @@ from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key
 from rsb_bridge.config.topic_rules import range_problems, service_names
 from rsb_bridge.config.yaml_text import SessionError, inline, read_yaml
 from rsb_bridge.model import transports
-from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import NAME_BYTES, OPERATORS, PORTS_PER_CLIENT
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.patterns import Pattern, is_pattern
-from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.session import Grant, May, Problem
 from rsb_bridge.model.text import is_clean, join_first
 from rsb_bridge.model.wording import Wording
@@ -32,6 +30,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.model.benchmark import BenchmarkLimits
+    from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Client, Direction, Identity, Kind, Operator, Session
 
 TOPIC_USES: Final[tuple[May, May]] = ("publish", "read")
@@ -124,6 +123,8 @@ class DeniedText(Wording):
     OTHER_PROTOCOL = "{owner} allows {use} to {peer} over {protocols} only"
     NOT_ALLOWED = "{owner} does not let {peer} {may} {use}"
     NO_BENCHMARK = "{owner} does not let {peer} measure this link"
+    NO_LOOK = "{owner} does not let {peer} look at any topic"
+    NO_SENDING = "{owner} takes no {purpose} from {peer}: the right {right} lets it receive only"
 
 
 class DeniedRemedy(Wording):
@@ -132,7 +133,9 @@ class DeniedRemedy(Wording):
     CHANGE_DENY = "change {entry} in deny {place}"
     CHANGE_ALLOW = "change {entry} in allow {place}"
     ADD_BENCH = "add bench: {{}} {place}"
-    RENAME = "choose another name, this one is reserved for pictures and benchmarks"
+    ADD_LOOK = "add {{topics: PATTERN, may: look}} to allow {place}"
+    NARROW_DENY = "narrow {entry} in deny {place}, which includes look"
+    RECEIVE = "propose it from the side that receives"
     ADD_ALLOW = "add {entry} to allow {place}"
     LIST = "list it under {list} {place}, with {direction}"
     LIST_OR_ALLOW = "list it under {list} {place}, with {direction}, or add {entry} to allow there"
@@ -302,12 +305,6 @@ class Rights:
 
     def refusal(self, use: Use) -> DeniedUse | None:
         """Return the reason why the peer may not do something, or None if it may."""
-        if is_view_topic(use.topic):  # its viewer asks for topics, whose rights are checked then
-            return None if use.may == "read" and use.kind == "topic" else self._reserved(use)
-        if is_bench_topic(use.topic):
-            if use.kind != "topic":
-                return self._reserved(use)
-            return None if self.bench is not None else self._no_benchmark()
         for grant in self._about(self.deny, use, also=_meant_by(use)):
             if not grant.protocol or use.protocol in protocols_of(grant):
                 return DeniedUse(
@@ -325,10 +322,29 @@ class Rights:
         reason = DeniedText.NOT_ALLOWED(owner=self.owner, peer=self.peer, may=use.may, use=use)
         return DeniedUse(reason, self._remedy(use))
 
-    def _reserved(self, use: Use) -> DeniedUse:
-        """Return the refusal of a use that only this program's own topics could have."""
-        reason = DeniedText.NOT_ALLOWED(owner=self.owner, peer=self.peer, may=use.may, use=use)
-        return DeniedUse(reason, DeniedRemedy.RENAME())
+    def purpose_refusal(self, purpose: Purpose, *, sends: bool) -> DeniedUse | None:
+        """Return the reason why the peer may not have an internal route, or None if it may.
+
+        Args:
+            purpose: of the route.
+            sends: whether the peer is to send on it.
+        """
+        if sends and not purpose.peer_sends:
+            text = DeniedText.NO_SENDING(owner=self.owner, peer=self.peer, purpose=purpose.name, right=purpose.right)
+            return DeniedUse(text, DeniedRemedy.RECEIVE())
+        if purpose.right == "bench":
+            return None if self.bench is not None else self._no_benchmark()
+        return self._no_look()
+
+    def _no_look(self) -> DeniedUse | None:
+        """Return the reason why the peer may look at no topic at all, or None. Each topic is checked when it looks."""
+        reason = DeniedText.NO_LOOK(owner=self.owner, peer=self.peer)
+        for grant in self.deny:
+            if grant.topics and _covers(grant, "look") and not grant.protocol and set(grant.topics) <= {"/", "*"}:
+                return DeniedUse(reason, DeniedRemedy.NARROW_DENY(entry=_text(grant), place=self.place))
+        if self.allow and not any(grant.topics and _covers(grant, "look") for grant in self.allow):
+            return DeniedUse(reason, DeniedRemedy.ADD_LOOK(place=self.place))
+        return None
 
     def _no_benchmark(self) -> DeniedUse:
         reason = DeniedText.NO_BENCHMARK(owner=self.owner, peer=self.peer)

@@ -35,6 +35,7 @@ from rsb_bridge.model.wording import Wording
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+    from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Protocol
     from rsb_bridge.model.transports import TransportTraits
 
@@ -47,6 +48,16 @@ A_KIND: Final[dict[Kind, str]] = {
 """Each kind, in a sentence."""
 _NAMED: Final[dict[Kind, str]] = {"topic": "topic", "service": "service", "action": "action", "parameters": "node"}
 _OF_AN_ACTION = re.compile(r"(?P<action>.*)/_action/[^/]*")
+_OF_TOPICS = {
+    "kind": "topic",
+    "arm": False,
+    "deadman": None,
+    "on_end": None,
+    "limits": None,
+    "max_age": None,
+    "timeout": None,
+}
+"""The keys that an internal route does not have, and their defaults."""
 _FOLDERS: dict[Kind, str] = {"service": "srv", "action": "action"}
 _TEXTS = {"topic": "/unnamed", "type": AUTO, "qos": AUTO, "remote_topic": None, "on_end": None}
 """The fields that may be any text, each with what the other rules are given if it is an encryption key."""
@@ -113,6 +124,8 @@ class TopicMistake(Wording):
         "{name} is listed already, with provider: {provider}: only one side can answer; keep the entry of "
         "the side whose node answers"
     )
+    OTHER_NAME = "{name} does not name a route for {purpose}: both sides have to call it {purpose}/NAME"
+    ONLY_TOPICS = "a route for {purpose} has nothing else here: leave it out"
     BRIDGED_ALREADY = "{service} is bridged already, with {noun} {name}: keep one of the two"
 
 
@@ -221,6 +234,24 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
         yield from on_end_problems(text_of(topic.on_end), join(location, "on_end"), topic.kind)
     if topic.kind == "topic":  # else it is a key of another kind
         yield from limits_problems(topic.limits, join(location, "limits"), "topic", topic.type, topic.topic)
+
+
+def internal_problems(entry: Topic, purpose: Purpose, session: Session | None) -> Iterator[Problem]:
+    """Mistakes in an internal route, which has the form of a topic's entry, and is in no session.
+
+    Args:
+        session: of this side, which tells what the link can carry.
+    """
+    if not purpose.has_name(entry.topic) or entry.remote_topic not in (None, entry.topic):
+        yield Problem("topic", TopicMistake.OTHER_NAME(name=show(entry.topic), purpose=purpose.name))
+    if entry.type != purpose.type_name:
+        yield Problem("type", TopicMistake.ONLY_TOPICS(purpose=purpose.name))
+    for key, default in _OF_TOPICS.items():
+        if getattr(entry, key) != default:
+            yield Problem(key, TopicMistake.ONLY_TOPICS(purpose=purpose.name))
+    yield from _transport(entry, "", session)
+    yield from _qos(entry.qos, "qos")
+    yield from range_problems(entry, "")
 
 
 def problems_here(topic: Topic, session: Session) -> Iterator[Problem]:

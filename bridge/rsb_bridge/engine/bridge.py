@@ -40,11 +40,11 @@ from rsb_bridge.model.command_origin import operator
 from rsb_bridge.model.demands import DemandText, as_armed, sources_of
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
+from rsb_bridge.ros.internal_ends import resources
 from rsb_bridge.ros.known_messages import STRING, STRING_HASH, string_bytes
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.ros_graph import CALLED, graph_of
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.ros.synthetic import resources
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.peeking import PeekError

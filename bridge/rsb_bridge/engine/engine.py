@@ -32,7 +32,6 @@ from rsb_bridge.model.commands import AddClient, ChangeClient, History, Reload, 
 from rsb_bridge.model.snapshot import Event, Level, Reloaded, Snapshot
 from rsb_bridge.ros.ros_interface import RosError, RosInterface
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
-from rsb_bridge.ros.synthetic import ros_side
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 from rsb_bridge.transport.registry import Transports, transports_of
@@ -121,6 +120,12 @@ class PendingCommands:
                 return False
             self._futures.remove(future)  # type: ignore[arg-type]
         return future.set_running_or_notify_cancel()
+
+
+def _node(domain: int, name: str) -> RosInterface:
+    from rsb_bridge.ros.node import RosNode  # noqa: PLC0415 -- only a running engine needs ROS
+
+    return RosNode(domain, name)
 
 
 def not_running() -> Future[T]:
@@ -260,7 +265,7 @@ class Engine(EngineApi):
         keys, granted = load_keys(self._session, self._base)
         self.access.warn_of(keys, granted)
         self.access.grant(granted)
-        ros = ros_side(self._ros, domain, self._session.name, self._clock)
+        ros = self._ros or _node(domain, self._session.name)
         try:
             ros.start()
         except RosError as error:

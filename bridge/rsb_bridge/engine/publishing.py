@@ -19,14 +19,12 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.link import topics_of_peer
 from rsb_bridge.link.peer_operators import acting_operator
 from rsb_bridge.link.topic_view import check_names
-from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.by_hand import TICKET_LIFE, Draft, Published
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import console
 from rsb_bridge.model.demands import NO_DEMAND
 from rsb_bridge.model.names import expand_type_name
-from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.qos import Qos, match_publishers, match_subscriptions
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import join_first, sanitize_text
@@ -84,7 +82,6 @@ class PublishProblem(Wording):
 
     TOO_FAST = "{limit} messages of yours on {topic} are not published yet: wait for the answers"
     TOO_MANY = "messages are published by hand on {limit} topics already: wait some seconds"
-    NOT_BY_HAND = "{topic} is for the bridges themselves"
     NO_TYPE = "{topic} has no publisher and no subscription here, and no route knows its type: name the type"
     TYPES_DIFFER = "{topic} has several types here ({types}): name one"
     OTHER_TYPE = "{topic} has the type {actual}, not {wanted}"
@@ -197,7 +194,7 @@ class Publishing:
             FieldError: a field does not fit.
         """
         topic = command.topic
-        self._check_name(topic)
+        check_names([topic])
         publication = self._publications.get(topic)
         if publication is None:
             if len(self._publications) >= TOPICS:
@@ -300,11 +297,6 @@ class Publishing:
 
     # --- safety
 
-    def _check_name(self, topic: str) -> None:
-        check_names([topic])
-        if is_bench_topic(topic) or is_view_topic(topic):
-            raise LinkError(PublishProblem.NOT_BY_HAND(topic=topic))
-
     def _check_armed(
         self, topic: str, type_name: str, routes: Sequence[TopicRoute[DataChannel]], *, driven: bool
     ) -> list[TopicRoute[DataChannel]]:
@@ -384,7 +376,7 @@ class Publishing:
             LinkError: the type is unknown, or not the wanted one.
             RosError: the graph cannot be read.
         """
-        self._check_name(topic)
+        check_names([topic])
         ros = self._context.ros
         publishers = await asyncio.to_thread(ros.publishers, topic)
         subscriptions = await asyncio.to_thread(ros.subscriptions, topic)

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.control_channel import ControlChannel, Slices
     from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.path_fault import PathFault
+    from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Kind
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About
@@ -270,9 +271,9 @@ class BaseLink(ABC):
         self.handlers |= extension.messages
         return extension
 
-    def refusal(self, topic: str) -> str:
-        """Return why the peer may not have a topic by that name now, or an empty string."""
-        return next(filter(None, (each.refusal(topic) for each in self._extensions)), "")
+    def refusal(self, name: str, purpose: Purpose) -> str:
+        """Return why the peer may not have an internal route by that name now, or an empty string."""
+        return next((each.refusal(name) for each in self._extensions if each.purpose is purpose), "")
 
     def _meter_of(self, route_id: int) -> Meter | None:
         meters = (each.meter_of(route_id) for each in self._extensions)

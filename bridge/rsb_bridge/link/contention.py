@@ -10,7 +10,6 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import TEXT_LENGTH
@@ -327,7 +326,7 @@ class Contention:
 
     def _is_measured(self) -> bool:
         """Whether a benchmark is open, which fills the link on purpose."""
-        return any(is_bench_topic(route.local_topic) for route in self._routes())
+        return any(route.purpose.fills_link for route in self._routes())
 
     def _calls(self) -> float:
         """Return the bytes/s of calls, which go ahead of all topics."""

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.link.control_channel import Slices
+    from rsb_bridge.model.purposes import Purpose
 
 
 class Extension:
@@ -16,9 +17,11 @@ class Extension:
 
     Attributes:
         messages: its handlers of control messages, by type. A handler may return work to be done in slices.
+        purpose: the purpose of the internal routes that it serves, or None.
     """
 
     messages: Mapping[type, Callable[[Any], Slices | None]] = {}
+    purpose: Purpose | None = None
 
     def connected(self) -> None:
         """Begin a connection: the peer is authenticated."""
@@ -29,8 +32,8 @@ class Extension:
     def tick(self) -> None:
         """Do the regular work, once a second, linked or not."""
 
-    def refusal(self, topic: str) -> str:
-        """Return why the peer may not have a topic by that name now, or an empty string."""
+    def refusal(self, name: str) -> str:
+        """Return why the peer may not have an internal route by that name now, or an empty string."""
         return ""
 
     def meter_of(self, route_id: int) -> Meter | None:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.peer_operators import acting_operator
-from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import (
@@ -20,7 +19,6 @@ from rsb_bridge.model.demands import (
     smallest_max_age,
 )
 from rsb_bridge.model.on_end import suits
-from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.arming import ANSWERED_WITHIN, DISARM_TEXT, Disarmed
@@ -275,8 +273,8 @@ class LinkArming:
 
     def demand_on(self, route: Route, demands: Demands | RunningDemands) -> Demand | None:
         """Return what this side's session, or some lines of it, demands of a route's names."""
-        if is_bench_topic(route.local_topic) or is_view_topic(route.local_topic):
-            return None  # no node has it
+        if not route.purpose.in_graph:
+            return None
         client, far = ("", "") if self._peer.is_client else (self._peer.name, route.far_topic)
         kind, type_name = route.spec.kind, route.proposal.type
         return demands.of(kind, route.local_topic, type_name, client=client, client_name=far)

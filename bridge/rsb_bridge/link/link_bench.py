@@ -1,7 +1,7 @@
-"""Measures a link with topics that no node has: for this side's operator, or for the peer if this side permits it.
+"""Measures a link with internal routes: for this side's operator, or for the peer if this side permits it.
 
-The measuring side proposes the topics and orders each run. The other side sends or counts, and reports its usage,
-without DDS: `rsb_bridge.ros.synthetic` makes and takes the messages.
+The measuring side proposes the routes and orders each run. The other side sends or counts, and reports its usage:
+`rsb_bridge.ros.internal_ends` makes and takes the messages.
 """
 
 from __future__ import annotations
@@ -18,15 +18,13 @@ from rsb_bridge.model.benchmark import (
     MOST_SIZE,
     REFUSED,
     STOPPED,
-    TYPE,
     Outcome,
     Usage,
-    bench_topic,
-    is_bench_topic,
 )
+from rsb_bridge.model.purposes import BENCH
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.ros.synthetic import SyntheticArrivals, resources, synthetic_of
+from rsb_bridge.ros.internal_ends import BenchArrivals, BenchDrain, BenchSource, Time, resources
 from rsb_bridge.wire.messages import BenchAnswer, BenchAsk
 
 if TYPE_CHECKING:
@@ -38,7 +36,8 @@ if TYPE_CHECKING:
     from rsb_bridge.link.proposed_topics import ProposedTopics
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.benchmark import BenchmarkLimits, BenchmarkStep
-    from rsb_bridge.ros.synthetic import SyntheticReader, SyntheticSource
+    from rsb_bridge.ros.internal_ends import InternalEnds
+    from rsb_bridge.ros.ros_interface import Sink
     from rsb_bridge.route.route import Route
 
 HOUR = 3600.0
@@ -47,7 +46,7 @@ _DEPTH = 2000
 _ANSWERED_WITHIN = 5.0
 _OPENED_WITHIN = 10.0
 _IDLE_FOR = 5.0
-"""s after which the topics of a benchmark that orders nothing more are removed."""
+"""s after which the routes of a benchmark that orders nothing more are removed."""
 _STOPPED_FOR = 60.0
 """s for which the peer may not begin again after this side's operator has stopped it."""
 _QUIET = 0.7
@@ -136,12 +135,16 @@ class BenchBudget:
 class LinkBench(Extension):
     """One link's benchmark, in either role."""
 
+    purpose = BENCH
+
     def __init__(self, link: BaseLink, table: RouteTable, proposed: ProposedTopics) -> None:
         context = self._context = link.context
         self._link = link
         self._table = table
         self._proposed = proposed
-        self._synthetic = synthetic_of(context.ros)
+        self._ends: InternalEnds[BenchSource, BenchDrain] = context.internal[BENCH.name]
+        self._ends.serve(link.name, self._source, self._drain)
+        self._clocks = Time(context.clock.time_ns)
         self._now = context.now
         self._budget = BenchBudget(self._now)
         self._request = 0
@@ -150,28 +153,32 @@ class LinkBench(Extension):
         self._used_at = 0.0
         self._stopped_until = float("-inf")
         self._busy = False
-        self._seen: dict[SyntheticReader, int] = {}
+        self._seen: dict[BenchDrain, int] = {}
         """Messages of the peer by drain, as of the last tick."""
-        self._own: set[SyntheticReader] = set()
+        self._own: set[BenchDrain] = set()
         """Drains of this side's own runs, which the peer's limits do not cover."""
+        self._opened_drains: list[BenchDrain] = []
+        """Those opened since the last tick."""
         self._ends_soon = False
-        if self._synthetic is not None:
-            self._synthetic.admits[link.name] = self._admits
 
     # --- for the peer
 
-    def refusal(self, topic: str) -> str:
-        if not is_bench_topic(topic):
-            return ""
-        if self._synthetic is None:
-            return "nothing can be measured here"
+    def _source(self, sink: Sink, closed: Callable[[], None]) -> BenchSource:
+        return BenchSource(sink, self._clocks, closed)
+
+    def _drain(self, closed: Callable[[], None]) -> BenchDrain:
+        drain = BenchDrain(self._clocks, closed, self._admits)
+        self._opened_drains.append(drain)
+        return drain
+
+    def refusal(self, name: str) -> str:
         if self._now() < self._stopped_until:
             return "an operator has stopped the benchmark: wait a minute before the next one"
         return self._budget.refusal(self._link.rights.bench)
 
     def removed(self, route: Route) -> None:
-        """Keep the peer from measuring for a while: an operator of this side has removed one of its topics."""
-        if is_bench_topic(route.local_topic) and not route.proposed_here:
+        """Keep the peer from measuring for a while: an operator of this side has removed one of its routes."""
+        if route.purpose is BENCH and not route.proposed_here:
             self._stopped_until = self._now() + _STOPPED_FOR
 
     def _asked(self, ask: BenchAsk) -> None:
@@ -182,13 +189,13 @@ class LinkBench(Extension):
 
     async def _answer(self, ask: BenchAsk) -> BenchAnswer:
         route = self._link.ids.open_route(ask.route)
-        if route is None or not is_bench_topic(route.local_topic):
+        if route is None or route.purpose is not BENCH:
             return BenchAnswer(ask.request, "this route does not measure the link")
-        source, drain = self._ends(route)
+        source, drain = self._ends_of(route)
         if ask.reset and drain is not None:
             drain.reset()
         problem = self._send_for_peer(ask, route, source) if ask.count else ""
-        usage, arrived = self.usage(), drain.arrived if drain is not None else SyntheticArrivals(0, (0.0, 0.0, 0.0))
+        usage, arrived = self.usage(), drain.arrived if drain is not None else BenchArrivals(0, (0.0, 0.0, 0.0))
         leave = self._link.rights.bench
         busy = source is not None and source.busy
         return BenchAnswer(
@@ -205,9 +212,9 @@ class LinkBench(Extension):
             0.0 if leave is None else leave.max_rate,
         )
 
-    def _send_for_peer(self, ask: BenchAsk, route: Route, source: SyntheticSource | None) -> str:
+    def _send_for_peer(self, ask: BenchAsk, route: Route, source: BenchSource | None) -> str:
         """Begin to send for the peer; return why this is not possible, or an empty string."""
-        if source is None or route.proposed_here:  # whose topic it is orders the runs
+        if source is None or route.proposed_here:  # its proposer orders the runs
             return "the side that asks sends on this route itself"
         if any(self._sends_for_peer(each) for each in self._routes(proposed_here=False)):
             return "messages of the previous run are still being sent"
@@ -222,18 +229,18 @@ class LinkBench(Extension):
 
     def meter_of(self, route_id: int) -> Meter | None:
         route = self._link.ids.open_route(route_id)
-        if route is None or route.proposed_here or route.outgoing or not is_bench_topic(route.local_topic):
+        if route is None or route.proposed_here or route.outgoing or route.purpose is not BENCH:
             return None
         return lambda size: self._budget.take(self._link.rights.bench, wire=size) or self._end_soon()
 
-    def _admits(self, drain: SyntheticReader, size: int) -> bool:
-        """Whether an unpacked message may come to a measuring topic."""
+    def _admits(self, drain: BenchDrain, size: int) -> bool:
+        """Whether an unpacked message may come to a drain."""
         if drain in self._own:
             return True
         return self._budget.take(self._link.rights.bench, payload=size) or self._end_soon()
 
     def _end_soon(self) -> bool:
-        """End the peer's topics at the next turn of the loop: now a message of a topic is being handled."""
+        """End the peer's routes at the next turn of the loop: now a message of one is being handled."""
         if not self._ends_soon:
             self._ends_soon = True
             self._context.loop.call_soon(self._end_refused)
@@ -246,7 +253,7 @@ class LinkBench(Extension):
                 self._table.deny(route, refused)
 
     def tick(self) -> None:
-        """Count the peer's messages, and remove the topics of a benchmark that orders nothing more."""
+        """Count the peer's messages, and remove the routes of a benchmark that orders nothing more."""
         if not self._link.linked:
             return
         count = self._come()
@@ -259,12 +266,10 @@ class LinkBench(Extension):
                 self._table.remove(route, _ENDED)
 
     def _come(self) -> int:
-        """Return how many messages the peer has sent since the last tick, on closed topics, too."""
-        if self._synthetic is None:
-            return 0
+        """Return how many messages the peer has sent since the last tick, on closed routes, too."""
         messages = 0
-        opened = dict.fromkeys(self._synthetic.opened(self._link.name), 0)
-        for drain, before in (self._seen | opened).items():
+        opened, self._opened_drains = self._opened_drains, []
+        for drain, before in (self._seen | dict.fromkeys(opened, 0)).items():
             if drain not in self._own:
                 messages += drain.messages - before
             self._seen[drain] = drain.messages
@@ -274,7 +279,7 @@ class LinkBench(Extension):
         return messages
 
     def _sends_for_peer(self, route: Route) -> bool:
-        source, _ = self._ends(route)
+        source, _ = self._ends_of(route)
         return source is not None and source.busy
 
     # --- for this side's operator
@@ -296,7 +301,7 @@ class LinkBench(Extension):
             self._used_at = self._now()
 
     def end(self) -> None:
-        """Remove the topics."""
+        """Remove the routes."""
         for route in self._routes(proposed_here=True):
             self._table.remove(route, _ENDED)
 
@@ -314,8 +319,6 @@ class LinkBench(Extension):
         return sum(each.sent_bytes for each in carriers), sum(each.received_bytes for each in carriers)
 
     def _check(self, order: BenchmarkStep) -> None:
-        if self._synthetic is None:
-            raise LinkError("nothing can be measured here")
         if not self._link.linked:
             raise LinkError(f"{self._link.name} is not linked: {self._link.down_reason}")
         if not LEAST_SIZE <= order.size <= MOST_SIZE:
@@ -331,7 +334,7 @@ class LinkBench(Extension):
             raise LinkError(f"{REFUSED}: it allows {theirs.max_rate:g} messages a second to a benchmark")
         ours = self.usage()
         if sends:
-            source, _ = self._ends(route)
+            source, _ = self._ends_of(route)
             if source is None:
                 raise LinkError(_why_not(route))
             if source.busy:
@@ -342,7 +345,7 @@ class LinkBench(Extension):
             sent, rate, received = source.sent, source.rate, answer.received
             latencies = (answer.p50, answer.p99, answer.p999)
         else:
-            _, drain = self._ends(route)
+            _, drain = self._ends_of(route)
             if drain is None:
                 raise LinkError(_why_not(route))
             drain.reset()
@@ -373,19 +376,25 @@ class LinkBench(Extension):
         )
 
     async def _opened(self, order: BenchmarkStep) -> Route:
-        """Return the topic's route, once messages can cross on it."""
+        """Return the route, once messages can cross on it."""
         link_transport = self._context.transports.of_link(self._context.session.server_ip)
         transport = order.transport or link_transport.name
-        name = bench_topic(transport, order.direction)
+        name = BENCH.route_name(transport, order.direction)
         route = next((each for each in self._routes(proposed_here=True) if each.spec.topic == name), None)
         if route is None:
             if self._routes(proposed_here=False):
                 raise LinkError("the other side is measuring the link: try again later")
             protocol: Any = order.transport or None
-            topic = Topic(
-                name, order.direction, TYPE, protocol, qos=_DEPTH, compression="none", stale_after=0.0, late_after=0.0
-            )  # fmt: skip
-            route = self._proposed.add(topic)
+            entry = Topic(
+                name,
+                order.direction,
+                protocol=protocol,
+                qos=_DEPTH,
+                compression="none",
+                stale_after=0.0,
+                late_after=0.0,
+            )
+            route = self._proposed.add_internal(BENCH, entry)
         deadline = self._now() + _OPENED_WITHIN
         while not self._open(route):
             if route.refusal:
@@ -396,14 +405,14 @@ class LinkBench(Extension):
         return route
 
     def _open(self, route: Route) -> bool:
-        source, drain = self._ends(route)
+        source, drain = self._ends_of(route)
         return route.flowing and (source is not None if route.outgoing else drain is not None)
 
     async def _ask(self, route: Route, opening: int, **wanted: Any) -> BenchAnswer:
-        """Ask the peer about a topic, in the opening in which the run began.
+        """Ask the peer about a route, in the opening in which the run began.
 
         Raises:
-            LinkError: the peer refuses, or the topic was opened again: the peer has forgotten the old opening, and
+            LinkError: the peer refuses, or the route was opened again: the peer has forgotten the old opening, and
                 may not have heard of the new one.
         """
         _check_opening(route, opening)
@@ -430,7 +439,7 @@ class LinkBench(Extension):
             answer = newer
         return answer
 
-    async def _settled_here(self, drain: SyntheticReader, order: BenchmarkStep) -> None:
+    async def _settled_here(self, drain: BenchDrain, order: BenchmarkStep) -> None:
         come, grown = drain.count, self._now()
         deadline, interval = self._deadline(order), max(_QUIET, 2 / order.rate)
         while come < order.count and self._now() < min(grown + interval, deadline):
@@ -445,24 +454,19 @@ class LinkBench(Extension):
     # --- both
 
     def _routes(self, *, proposed_here: bool) -> list[Route]:
-        return [
-            each
-            for each in self._link.routes.values()
-            if each.proposed_here == proposed_here and is_bench_topic(each.local_topic)
-        ]
+        routes = self._link.routes.values()
+        return [each for each in routes if each.proposed_here == proposed_here and each.purpose is BENCH]
 
-    def _ends(self, route: Route) -> tuple[SyntheticSource | None, SyntheticReader | None]:
-        if self._synthetic is None:
-            return None, None
+    def _ends_of(self, route: Route) -> tuple[BenchSource | None, BenchDrain | None]:
         end = route.local_topic, self._link.name
-        return self._synthetic.sources.get(end), self._synthetic.drains.get(end)
+        return self._ends.sources.get(end), self._ends.drains.get(end)
 
 
-REOPENED = "the topic was reopened during the run, so that the count is incomplete"
+REOPENED = "the route was reopened during the run, so that the count is incomplete"
 
 
 def _check_opening(route: Route, opening: int) -> None:
-    """Check that a topic is in the opening in which the run began.
+    """Check that a route is in the opening in which the run began.
 
     Raises:
         LinkError: it is not.
@@ -477,7 +481,7 @@ def _why_not(route: Route) -> str:
     """Return why no message crosses on a measuring route."""
     if route.refusal:
         return route.refusal
-    return f"{STOPPED}: it has removed or paused the topic" if not route.flowing else route.trouble()
+    return f"{STOPPED}: it has removed or paused the route" if not route.flowing else route.trouble()
 
 
 def _usage_in(answer: BenchAnswer) -> Usage:

@@ -1,8 +1,7 @@
 """Pictures of one peer's topics for this side's viewers, and of this side's topics for the peer's.
 
-Each view has a route of its own, at the lowest priority, whose topic no node has (`rsb_bridge.ros.synthetic`). So its
-pictures are sealed, limited and counted like messages, and give way to them. `Look` tells the sending side what to
-draw.
+Each view has an internal route of its own, at the lowest priority. So its pictures are sealed, limited and counted like
+messages, and give way to them. `Look` tells the sending side what to draw.
 """
 
 from __future__ import annotations
@@ -21,20 +20,18 @@ from rsb_bridge.link.topic_view import TopicView, check_names
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.pictures import (
     PICTURE_LIMIT,
-    TYPE,
     Picture,
     PictureError,
     Viewed,
     decode_picture,
     encode_picture,
-    is_view_topic,
-    view_topic,
 )
+from rsb_bridge.model.purposes import VIEW
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.ros.synthetic import synthetic_of
+from rsb_bridge.ros.internal_ends import PictureSink, PictureSource
 from rsb_bridge.wire.messages import Look, LookAnswer
 
 if TYPE_CHECKING:
@@ -43,7 +40,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.proposed_topics import ProposedTopics
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.pictures import Wish
-    from rsb_bridge.ros.synthetic import PictureSink, PictureSource
+    from rsb_bridge.ros.internal_ends import InternalEnds
     from rsb_bridge.route.route import Route
 
 VIEWS_OF_PEER = 4
@@ -61,7 +58,6 @@ class ViewRefused(Wording):
     TOO_MANY = "{limit} views of this link are open already: close one of them"
     NOT_LINKED = "{link} is not linked: {reason}"
     NO_VIEW = "this route carries no pictures"
-    NOT_POSSIBLE = "no pictures can be drawn here"
     NOT_OPENED = "the view was not opened: {reason}"
 
 
@@ -89,12 +85,15 @@ class PeerView:
 class LinkViews(Extension):
     """One link's views, in both directions."""
 
+    purpose = VIEW
+
     def __init__(self, link: BaseLink, table: RouteTable, proposed: ProposedTopics) -> None:
         self._context = link.context
         self._link = link
         self._table = table
         self._proposed = proposed
-        self._synthetic = synthetic_of(link.context.ros)
+        self._ends: InternalEnds[PictureSource, PictureSink] = link.context.internal[VIEW.name]
+        self._ends.serve(link.name, PictureSource, PictureSink)
         self.messages = {Look: self._asked, LookAnswer: self._answered}
         self._questions: Questions[LookAnswer] = Questions(link.send, link.spawn, _ANSWERED_WITHIN)
         self._request = 0
@@ -104,12 +103,8 @@ class LinkViews(Extension):
 
     # --- for the peer
 
-    def refusal(self, topic: str) -> str:
-        if not is_view_topic(topic):
-            return ""
-        if self._synthetic is None:
-            return ViewRefused.NOT_POSSIBLE()
-        own = [route for route in self._routes() if not route.proposed_here and route.local_topic != topic]
+    def refusal(self, name: str) -> str:
+        own = [route for route in self._routes() if not route.proposed_here and route.local_topic != name]
         return ViewRefused.TOO_MANY(limit=VIEWS_OF_PEER) if len(own) >= VIEWS_OF_PEER else ""
 
     def _asked(self, look: Look) -> None:
@@ -132,7 +127,7 @@ class LinkViews(Extension):
             LinkError: the peer may not, or the topic cannot be viewed.
         """
         route = self._link.ids.open_route(look.route)
-        if route is None or route.proposed_here or not route.outgoing or not is_view_topic(route.local_topic):
+        if route is None or route.proposed_here or not route.outgoing or route.purpose is not VIEW:
             raise LinkError(ViewRefused.NO_VIEW())
         check_names(look.topics)
         if refusal := self._refusal(look.topics, route):
@@ -142,7 +137,7 @@ class LinkViews(Extension):
             drawing[0].change(look.topics, wish)
             return
         context = self._context
-        source = None if self._synthetic is None else self._source(route)
+        source = self._ends.sources.get((route.local_topic, self._link.name))
         if source is None:
             raise LinkError(ViewRefused.NO_VIEW())
         view = TopicView(
@@ -169,10 +164,6 @@ class LinkViews(Extension):
         text = f"{topic}: {self._link.name} {'looks at pictures of it' if begins else 'stopped looking'}"
         code = EventCode.LINK_VIEW_BEGAN if begins else EventCode.LINK_VIEW_ENDED
         self._context.log(Level.INFO, code, text, link=self._link.name, topic=topic)
-
-    def _source(self, route: Route) -> PictureSource | None:
-        assert self._synthetic is not None
-        return self._synthetic.picture_sources.get((route.local_topic, self._link.name))
 
     def tick(self) -> None:
         """End views whose routes are closed, or whose topics the peer may no longer look at."""
@@ -202,26 +193,23 @@ class LinkViews(Extension):
         Raises:
             LinkError: it cannot be opened.
         """
-        if self._synthetic is None:
-            raise LinkError(ViewRefused.NOT_POSSIBLE())
         if not self._link.linked:
             raise LinkError(ViewRefused.NOT_LINKED(link=self._link.name, reason=self._link.down_reason))
         if sum(route.proposed_here for route in self._routes()) >= VIEWS_OF_PEER:
             raise LinkError(ViewRefused.TOO_MANY(limit=VIEWS_OF_PEER))
         self._number += 1
         transport = self._context.transports.of_link(self._context.session.server_ip)
-        topic = Topic(
-            view_topic(self._number),
+        entry = Topic(
+            VIEW.route_name(str(self._number)),
             "receive" if self._link.is_client else "transmit",
-            TYPE,
-            transport.name,
+            protocol=transport.name,
             qos=1,
             compression="zstd",
             stale_after=0.0,
             late_after=0.0,
             priority="low",
         )  # fmt: skip
-        view = PeerView(self._proposed.add(topic))
+        view = PeerView(self._proposed.add_internal(VIEW, entry))
         try:
             await self._opened(view)
         except BaseException:  # the asker may be cancelled
@@ -274,16 +262,15 @@ class LinkViews(Extension):
 
     async def _opened(self, view: PeerView) -> None:
         """Wait until pictures can cross."""
-        assert self._synthetic is not None
         route, deadline = view.route, self._context.now() + OPENED_WITHIN
         key = route.local_topic, self._link.name
-        while not (route.flowing and key in self._synthetic.picture_sinks):
+        while not (route.flowing and key in self._ends.drains):
             if route.refusal:
                 raise LinkError(route.refusal)
             if route.key not in self._link.routes or self._context.now() > deadline:
                 raise LinkError(ViewRefused.NOT_OPENED(reason=route.trouble()))
             await asyncio.sleep(_LOOK_EVERY)
-        sink = self._synthetic.picture_sinks[key]
+        sink = self._ends.drains[key]
         if view.sink is not sink:
             view.sink, sink.taken = sink, partial(self._arrived, view)
 
@@ -292,7 +279,7 @@ class LinkViews(Extension):
         self._context.call(partial(view.take, encoded))
 
     def _routes(self) -> list[Route]:
-        return [each for each in self._link.routes.values() if is_view_topic(each.local_topic)]
+        return [each for each in self._link.routes.values() if each.purpose is VIEW]
 
 
 async def _send(context: Context, source: PictureSource, picture: Picture) -> None:

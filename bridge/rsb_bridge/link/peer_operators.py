@@ -92,7 +92,7 @@ class PeerOperators:
         self._did(code, what, route, message.who, "", new)
 
     def _did(self, code: EventCode, what: str, route: Route, who: str, old: str, new: str) -> None:
-        if not route.shown:
+        if not route.purpose.is_shown:
             return  # a view, whose beginning and end are logged with the topic that is looked at
         if not self._budget.take(1, self._now()):
             return

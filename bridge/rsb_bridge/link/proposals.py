@@ -9,7 +9,7 @@ from msgspec import UNSET
 
 from rsb_bridge import __version__
 from rsb_bridge.config.rights import Use, uses
-from rsb_bridge.config.topic_rules import entry_problems, overlap, problems_here
+from rsb_bridge.config.topic_rules import entry_problems, internal_problems, overlap, problems_here
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.limits import ROUTES_PER_LINK, ROUTES_PROPOSED_BY_SERVER
@@ -17,6 +17,7 @@ from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.on_end import text_of
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.profiles import PLAIN, compression_of
+from rsb_bridge.model.purposes import PURPOSES, TOPIC, Purpose
 from rsb_bridge.model.session import RANKS, Topic, priority_of
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.wire.messages import Amend, Propose
@@ -24,7 +25,7 @@ from rsb_bridge.wire.messages import Amend, Propose
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
-    from rsb_bridge.config.rights import Rights
+    from rsb_bridge.config.rights import DeniedUse, Rights
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.session import Kind, Session
@@ -48,7 +49,13 @@ _AMENDABLE = {name: _NONE[name] for name, key in TOPIC_KEYS.items() if key.live}
 
 
 def proposal_of(
-    topic: Topic, transport: Transport, *, client_name: str, use_name: bool, profile: LinkProfile = PLAIN
+    topic: Topic,
+    transport: Transport,
+    *,
+    client_name: str,
+    use_name: bool,
+    profile: LinkProfile = PLAIN,
+    purpose: Purpose = TOPIC,
 ) -> Propose:
     """Return the proposal of a topic to the peer.
 
@@ -56,6 +63,7 @@ def proposal_of(
         topic: the validated topic, with the client's names.
         client_name: name of the client, which is the prefix.
         use_name: whether the server's name of the topic has the prefix.
+        purpose: of the route.
     """
     on_server = topic.remote_topic or (server_topic(topic.topic, client_name) if use_name else topic.topic)
     from_client = topic.direction == "transmit"
@@ -72,6 +80,7 @@ def proposal_of(
         on_end=text_of(topic.on_end) if topic.arm else "",
         kind=topic.kind,
         priority=RANKS[topic.priority],
+        purpose=purpose.name,
         **{name: _NONE[name] if (value := getattr(topic, name)) is None else value for name in _DEFAULTS},
     )
 
@@ -157,22 +166,62 @@ def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
     Raises:
         LinkError: the peer may not have the topic.
     """
+    purpose = _purpose_of(proposal)
+    if not purpose.in_graph:
+        return _authorized_internal(proposal, purpose, link, session)
     if pattern := next(filter(is_pattern, (proposal.topic, proposal.remote_topic)), ""):
         raise LinkError(f"{pattern} is a pattern: the other side has to propose each that matches by its name")
     for problem in entry_problems(topic_of(proposal)):  # first: a prefix can make a valid name of an invalid one
         raise LinkError(str(problem))
     ours = link.with_local_name(proposal)
     use = use_of(ours, is_client=link.is_client)
-    if refusal := link.rights.refusal(use):
+    if refusal := _refusal(ours, link.rights, is_client=link.is_client):
         raise LinkError(str(refusal))
-    if refused := link.refusal(use.topic):
-        raise LinkError(refused)
     for problem in problems_here(topic_of(ours), session):
         raise LinkError(str(problem))
     if use.may == "publish" and use.topic == session.shutdown_topic:
         raise LinkError(Denied.SHUTDOWN_TOPIC(topic=use.topic))
     check_driver_topic(use, session)
     return ours
+
+
+def _purpose_of(proposal: Propose) -> Purpose:
+    """Return the purpose of a peer's proposal.
+
+    Raises:
+        LinkError: only newer versions know it.
+    """
+    purpose = PURPOSES.get(proposal.purpose)
+    if purpose is None:
+        raise LinkError(f"rsb-console {__version__} does not know what {proposal.purpose} is: update it")
+    return purpose
+
+
+def _authorized_internal(proposal: Propose, purpose: Purpose, link: BaseLink, session: Session) -> Propose:
+    """Return the peer's proposal of an internal route, whose name is the same on both sides.
+
+    Raises:
+        LinkError: the peer may not have it.
+    """
+    for problem in internal_problems(topic_of(proposal), purpose, session):
+        raise LinkError(str(problem))
+    if proposal.replaces:
+        raise LinkError(f"a route for {purpose.name} cannot take the place of another one")
+    if proposal.qos is not None and proposal.qos.latched:
+        raise LinkError(f"a route for {purpose.name} needs a QoS that keeps nothing for late joiners")
+    if refusal := _refusal(proposal, link.rights, is_client=link.is_client):
+        raise LinkError(str(refusal))
+    if refused := link.refusal(proposal.topic, purpose):
+        raise LinkError(refused)
+    return proposal
+
+
+def _refusal(proposal: Propose, rights: Rights, *, is_client: bool) -> DeniedUse | None:
+    """Return why the peer may not have what it proposed, by this side's names, or None if it may."""
+    purpose = PURPOSES[proposal.purpose]
+    if purpose.in_graph:
+        return rights.refusal(use_of(proposal, is_client=is_client))
+    return rights.purpose_refusal(purpose, sends=proposal.from_client != is_client)
 
 
 def check_driver_topic(use: Use, session: Session) -> None:
@@ -222,13 +271,13 @@ def check_overlap(topic: Topic, routes: Iterable[Route]) -> None:
 def denied(routes: Collection[Route], rights: Rights, *, is_client: bool) -> dict[Route, str]:
     """Return the routes that the peer proposed and may not have by these rights, each with the reason."""
     found = {
-        route: rights.refusal(use_of(route.proposal, is_client=is_client))
-        for route in routes
-        if not route.proposed_here
+        route: _refusal(route.proposal, rights, is_client=is_client) for route in routes if not route.proposed_here
     }
     return {route: str(refusal) for route, refusal in found.items() if refusal}
 
 
 def allow_rate(route: Route, link: BaseLink) -> bool:
     """Limit a route to the rate that the peer may have. Return whether the limit has changed."""
+    if not route.purpose.in_graph:
+        return False  # the feature that serves the purpose has limits of its own
     return route.limit.allow_here(link.rights.max_rate(use_of(route.proposal, is_client=link.is_client)))

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.topic_rules import transport_of
+import msgspec
+
+from rsb_bridge.config.topic_rules import internal_problems, transport_of
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import check_driver_topic, proposal_of, same_route, use_of
-from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.route import route_key
 
 if TYPE_CHECKING:
     from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.route_table import RouteTable
+    from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import Propose
@@ -33,9 +34,8 @@ class ProposedTopics:
     def all(self) -> tuple[Topic, ...]:
         """Return the topics that this side proposes by name, in the session's order. May be called from any thread."""
         routes = tuple(self._link.routes.values())
-        proposed = [route.spec for route in routes if route.proposed_here and not route.pattern]
-        topics = [topic for topic in proposed if not (is_bench_topic(topic.topic) or is_view_topic(topic.topic))]
-        return (*topics, *tuple(self._table.superseded.values()))
+        listed = [route for route in routes if route.proposed_here and not route.pattern and route.purpose.in_graph]
+        return (*(route.spec for route in listed), *tuple(self._table.superseded.values()))
 
     def add(self, topic: Topic, *, by_pattern: bool = False) -> Route:
         """Bridge one more topic, which this side proposes; it takes over a route that a pattern has made.
@@ -51,6 +51,26 @@ class ProposedTopics:
         if route is not None and route.pattern:
             return self.replace(route, topic)
         return self._table.add(topic, proposal, proposed_here=True, by_pattern=by_pattern)
+
+    def add_internal(self, purpose: Purpose, entry: Topic) -> Route:
+        """Propose an internal route to the peer, which has to permit it.
+
+        Args:
+            purpose: of the route.
+            entry: the route, in the form of a topic's entry; its name is a `Purpose.route_name`.
+
+        Raises:
+            LinkError: the link cannot carry it, or there is such a route.
+        """
+        session, link = self._context.session, self._link
+        entry = msgspec.structs.replace(entry, type=purpose.type_name)
+        for problem in internal_problems(entry, purpose, session):
+            raise LinkError(str(problem))
+        transport = self._context.transports[transport_of(entry, session).name]
+        proposal = proposal_of(
+            entry, transport, client_name=link.name, use_name=False, profile=link.profile, purpose=purpose
+        )
+        return self._table.add(entry, proposal, proposed_here=True)
 
     def check(self, topic: Topic) -> None:
         """Check a pattern.

@@ -25,10 +25,8 @@ from rsb_bridge.link.proposals import (
     topic_of,
     with_changes,
 )
-from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
-from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import Disarmed
@@ -93,11 +91,6 @@ def _half_of(proposal: Propose, *, is_client: bool) -> type[Route]:
     """Return the class of a route's half on this side."""
     sending, receiving = (OutgoingRoute, IncomingRoute) if proposal.kind == "topic" else (CallingRoute, ProvidingRoute)
     return sending if proposal.from_client == is_client else receiving
-
-
-def _is_the_links_own(route: Route) -> bool:
-    """Whether a route measures the link, or carries pictures, and is no entry of a session."""
-    return is_bench_topic(route.spec.topic) or is_view_topic(route.spec.topic)
 
 
 def _dispatch(message: _HalfMessage, route: Route) -> None:
@@ -227,7 +220,7 @@ class RouteTable(Extension):
         if isinstance(route, IncomingRoute | CallingRoute):
             route.compare_types = self.compare_types
         route.replaces = replaces
-        if proposed_here:
+        if proposed_here and route.purpose.in_graph:
             self.listed.add(spec.identity)
             self.superseded = {key: topic for key, topic in self.superseded.items() if topic.identity != spec.identity}
             self._context.demands.changed()
@@ -550,7 +543,7 @@ class RouteTable(Extension):
         If that proposal never comes, the route is abandoned after a while, as any other of the peer's.
         """
         route = self._link.ids.find(message.route)
-        if route is not None and _is_the_links_own(route):
+        if route is not None and not route.purpose.in_graph:
             self._removed(message)  # no session lists it
             return
         if route is None or route.id not in (0, message.route):
@@ -563,7 +556,7 @@ class RouteTable(Extension):
 
     def _keep_entry(self, route: Route, key: str) -> None:
         """Keep this side's entry of a route whose place the peer's route with that key takes."""
-        if route.proposed_here and not route.pattern and not _is_the_links_own(route):
+        if route.proposed_here and not route.pattern and route.purpose.in_graph:
             self.superseded[key] = route.spec
 
     def _renamed(self, old: Route, new: Route) -> None:

@@ -1,14 +1,10 @@
-"""Measuring a link with topics that no node has: their names, the orders and the results."""
+"""Measuring a link: the orders and the results."""
 
 from __future__ import annotations
 
 from typing import Literal
 
 import msgspec
-
-TYPE = "rsb_bridge/msg/Bench"
-TYPE_HASH = "RIHS01_" + "0" * 64
-_PART = "rsb_bench"
 
 
 class BenchmarkLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -30,7 +26,7 @@ class BenchmarkStep(msgspec.Struct, frozen=True, omit_defaults=True):
 
     Attributes:
         what: ``run`` sends messages over a link; ``measure`` only reads the usage of the bridge's process so far;
-            ``end`` removes the topics of the link.
+            ``end`` closes its channels.
         link: name of the link, or an empty string for a client's, or a server's only one.
         transport: transport that carries the messages, or an empty string for the link's.
         direction: ``transmit`` goes from client to server.
@@ -102,16 +98,3 @@ class Outcome(msgspec.Struct, frozen=True, omit_defaults=True):
     sending: Usage = Usage()
     receiving: Usage = Usage()
     most_rate: float = 0.0
-
-
-def bench_topic(transport: str, direction: str) -> str:
-    """Return the name of the topic that measures a transport in a direction, as the client sees it."""
-    return f"/{_PART}/{transport.replace('-', '_')}/{direction}"
-
-
-def is_bench_topic(topic: str) -> bool:
-    """Whether `bench_topic` made the name, with or without a client's name as a prefix."""
-    if _PART not in topic:
-        return False
-    parts = topic.split("/")
-    return len(parts) > 3 and _PART in parts[1:3]

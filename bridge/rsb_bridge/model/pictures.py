@@ -1,7 +1,7 @@
 """Pictures of messages: a viewer's wish, and what the sending side draws for it.
 
 The side that has a topic renders its messages for the viewer's terminal, and sends only the picture. It crosses a link
-on a route of its own, whose topic no node has (`view_topic`).
+on an internal route of its own (`rsb_bridge.model.purposes.VIEW`).
 """
 
 from __future__ import annotations
@@ -12,10 +12,6 @@ import msgspec
 from msgspec import Meta
 
 from rsb_bridge.model.text import UNPRINTABLE, sanitize_text, single_cells
-
-TYPE = "rsb_bridge/msg/Picture"
-TYPE_HASH = "RIHS01_" + "1" * 64
-_PART = "rsb_look"
 
 MOST_COLUMNS, MOST_ROWS = 400, 150
 """Cells of the largest picture."""
@@ -261,14 +257,3 @@ def check_picture(picture: Picture) -> Picture:
         content = msgspec.structs.replace(content, curves=curves)
         picture = msgspec.structs.replace(picture, content=content)
     return picture
-
-
-def view_topic(number: int) -> str:
-    """Return the name of the topic that carries a view's pictures, as the client sees it."""
-    return f"/{_PART}/view{number}"
-
-
-def is_view_topic(topic: str) -> bool:
-    """Whether `view_topic` made the name, with or without a client's name as a prefix."""
-    parts = topic.split("/")
-    return len(parts) > 2 and _PART in parts[1:3]

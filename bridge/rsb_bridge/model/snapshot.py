@@ -261,6 +261,7 @@ class RouteSnapshot:
         max_age: s after which a message or a request is dropped, as the two sides' sessions say, or 0 for no limit.
         limits: what a hand may ask, as the two sides' sessions say, or None for any velocity.
         limited_by: the lines that have a number of `limits`: ``robot.yaml:14``.
+        purpose: what it carries, as in `rsb_bridge.model.purposes`.
     """
 
     key: str
@@ -308,6 +309,7 @@ class RouteSnapshot:
     max_age: float = 0.0
     limits: VelocityLimits | None = None
     limited_by: tuple[str, ...] = ()
+    purpose: str = "topic"
 
     @property
     def max_rate(self) -> float | None:

@@ -29,9 +29,9 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
+from rsb_bridge.ros.internal_ends import percentiles
 from rsb_bridge.ros.known_messages import made_at, stamped_string
 from rsb_bridge.ros.native.rclpy_extension import wait_set
-from rsb_bridge.ros.synthetic import percentiles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

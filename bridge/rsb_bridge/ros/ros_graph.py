@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 
     from rsb_bridge.model.session import Kind
+    from rsb_bridge.ros.internal_ends import RouteEnds
     from rsb_bridge.ros.ros_interface import Endpoint, RosInterface
 
 Asked = TypeVar("Asked", bound="Hashable")
@@ -114,7 +115,7 @@ def topics_of(ros: RosInterface) -> list[TopicInfo]:
     return found
 
 
-def type_hint(ros: RosInterface, topic: str) -> tuple[str, str]:
+def type_hint(ros: RouteEnds, topic: str) -> tuple[str, str]:
     """Return the type of a topic's endpoints and its hash, or empty strings if they disagree or are missing."""
     return agreed_type([*ros.publishers(topic), *ros.subscriptions(topic)])
 

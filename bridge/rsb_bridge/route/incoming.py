@@ -120,7 +120,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.compare_types: CompareTypes = unknown_difference
-        self._outputs = SourcePublishers(context, peer, self._failed_later)
+        self._outputs = SourcePublishers(context, self.purpose, peer, self._failed_later)
         self._rest_message: RestMessage | None = None
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self.check = MessageCheck(context, peer.budget.checks)
@@ -284,7 +284,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def advance(self) -> None:
         """Open the channel once there is a publisher, and look for subscribers."""
         if not self._outputs:
-            self._hint = type_hint(self.context.ros, self.remote_topic)
+            self._hint = type_hint(self.ends, self.remote_topic)
             return
         if self.accepted and self.channel is None:
             # While it is paused, too: the other side may not know yet, and frames without a channel hold up all others.
@@ -294,14 +294,14 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if self._subscribers and self._subscribers == before and now - self._asked_at < _ASKED_EVERY:
             return  # the same ones, most likely: to ask for them costs too much to do so at every change of the graph
         self._asked_at = now
-        self.endpoints = self.context.ros.subscriptions(self.remote_topic)
+        self.endpoints = self.ends.subscriptions(self.remote_topic)
         requested = [endpoint.qos for endpoint in self.endpoints]
         self._subscriber_qos = match_subscriptions(requested) if requested else None
         self._clash, self._others = "", ()
         if self.qos is None:
             return
         if any(clashes(self.qos, qos) for qos in requested):
-            self._others = tuple(self.context.ros.publishers(self.remote_topic))
+            self._others = tuple(self.ends.publishers(self.remote_topic))
         if not self._subscribers:
             self._clash = next((clash for qos in requested if (clash := incompatible(self.qos, qos))), "")
 
@@ -483,7 +483,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def tick(self) -> None:
         super().tick()
         self._outputs.tick()
-        self.check.look(self.remote_topic, self.endpoints)
+        if self.purpose.in_graph:  # else no node knows the type
+            self.check.look(self.remote_topic, self.endpoints)
         counts = self.channel.counts() if self.channel is not None else None
         expired = counts.expired if counts else 0
         if self._received != self._received_before:

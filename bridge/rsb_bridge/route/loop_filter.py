@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
+    from rsb_bridge.ros.internal_ends import RouteEnds
     from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
     from rsb_bridge.route.peer import Peer
 
@@ -209,17 +210,19 @@ class LoopFilter:
         table: the sources of the present opening.
     """
 
-    def __init__(self, context: Context, peer: Peer, due: Callable[[], None]) -> None:
+    def __init__(self, context: Context, ends: RouteEnds, peer: Peer, due: Callable[[], None]) -> None:
         """Begin with an empty table.
 
         Args:
             context: shared context of the engine.
+            ends: where the publishers are.
             peer: receiver of the messages.
             due: called when the wait for a publisher's hops is over: `look` decides about it then.
         """
         self.table = SourceTable()
         self._overflowed = 0
         self._context = context
+        self._ends = ends
         self._due = due
         self._timer: asyncio.TimerHandle | None = None
         self._peer = peer
@@ -229,7 +232,7 @@ class LoopFilter:
     def look(self, topic: str, remote_topic: str) -> list[Endpoint]:
         """Update the table from the ROS graph; return the publishers whose messages may be carried."""
         announcements, ros = self._context.announcements, self._context.ros
-        endpoints = [*ros.publishers(topic), *announcements.own_publishers(topic, besides=self._peer.name)]
+        endpoints = [*self._ends.publishers(topic), *announcements.own_publishers(topic, besides=self._peer.name)]
         publications = [
             Publication(each.gid, each.node.lstrip("/"), *(announcements.origin_of(each) or (None,)))
             for each in endpoints

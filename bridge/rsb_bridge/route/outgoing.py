@@ -156,7 +156,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._report: ReceivedReport | None = None  # of the present opening
         self._kept_there: Collection[bytes] = ()  # publishers of a latched topic whose messages the peer keeps
         self._described: Describe | None = None
-        self._loop_filter = LoopFilter(context, peer, self.advance)
+        self._loop_filter = LoopFilter(context, self.ends, peer, self.advance)
         self._path = OutgoingPath(context, self, self._ledger, self._loop_filter)
         self.limit.switched = lambda: self._path.limit(self.limit.rate)
         self._resolver = Resolver(context, proposal)
@@ -183,6 +183,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self.age.publishers.since = None if described.qos.latched else self.context.stamps.now()
             self._subscription = TopicSubscription(
                 self.context,
+                self.ends,
                 SubscriptionSpec(self.topic, described.type, described.type_hash, described.qos, self.peer.name),
                 self._path,
                 self.meter,
@@ -398,7 +399,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if self.paused or self._refused:
             return False
         own = self.context.announcements.own_publishers(self.topic, besides=self.peer.name)
-        return bool(own or self.context.ros.publishers(self.topic))
+        return bool(own or self.ends.publishers(self.topic))
 
     def _tick_lateness(self, now: float) -> None:
         unreported = self._unreported.age(self._ledger.sent_now, self._ledger.reported_now, now)

@@ -15,7 +15,7 @@ import msgspec
 
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.pictures import is_view_topic
+from rsb_bridge.model.purposes import PURPOSES
 from rsb_bridge.model.session import HIGHEST, RANKS, priority_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot
 from rsb_bridge.model.text import sanitize_text
@@ -54,8 +54,6 @@ _REFUSED_WITHIN = 5.0
 _REOPENS_WITHIN = 10.0
 """Seconds after which a data connection that broke and is not open again is a fault. The kernel gives one up after 6 s,
 and the pauses before the next attempts are 1 and 2 s."""
-_PICTURES = "pictures"
-"""The name in the log of a route that no operator has listed."""
 
 
 class Owner(Peer, Protocol):
@@ -76,6 +74,8 @@ class Route:
     Attributes:
         key: its name in commands.
         spec: the topic's entry, as the client sees it.
+        purpose: what it carries.
+        ends: where it has its endpoints.
         topic: its name on the sending side; for calls, here and below, the callers' side.
         remote_topic: its name on the receiving side.
         from_client: whether the client sends.
@@ -109,13 +109,14 @@ class Route:
         self.peer = peer
         self.spec = spec
         self.proposal = proposal
+        self.purpose = PURPOSES[proposal.purpose]
+        self.ends = context.ends(self.purpose)
         self.topic = proposal.topic
         self.remote_topic = proposal.remote_topic
         self.from_client = proposal.from_client
         self.transport = context.transports[proposal.transport]
         self.proposed_here = proposed_here
         self.key = route_key(peer.name, proposal)
-        self.shown = not is_view_topic(self.topic)
         self.pattern = ""
         self.id = 0
         self.edits_peer = False
@@ -574,6 +575,7 @@ class Route:
             max_age=self.age.max_age,
             limits=self.arming.limits,
             limited_by=self.arming.limited_by,
+            purpose=self.purpose.name,
         )
 
     def _expected_rate(self) -> float | None:
@@ -592,9 +594,10 @@ class Route:
 
     def log(self, level: Level, code: EventCode, text: str, **about: Unpack[About]) -> None:
         """Add an event about this route."""
-        if not self.shown and level is Level.INFO:
+        is_shown = self.purpose.is_shown
+        if not is_shown and level is Level.INFO:
             return  # a view's beginning and end are logged with the topic that is looked at
-        name = self.local_topic if self.shown else _PICTURES
+        name = self.local_topic if is_shown else self.purpose.name
         about["link"], about["topic"] = self.peer.name, name
         self.context.log(level, code, f"{name}: {text}", **about)
 

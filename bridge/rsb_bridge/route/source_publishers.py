@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Refused
+    from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import Publisher
     from rsb_bridge.route.gates import LastLook
@@ -279,12 +280,14 @@ class _SourcePublisher:
     def __init__(
         self,
         context: Context,
+        purpose: Purpose,
         peer: Peer,
         spec: PublicationSpec,
         origin: Origin,
         failed: Callable[[Exception], None],
     ) -> None:
         self._context = context
+        self._purpose = purpose
         self._peer = peer
         self._spec = spec
         self._origin = origin
@@ -317,7 +320,7 @@ class _SourcePublisher:
 
     def _advertise(self, depth: int) -> Publisher:
         topic, type_name, type_hash, qos = self._spec
-        publisher = self._context.ros.advertise(
+        publisher = self._context.ends(self._purpose).advertise(
             topic, type_name, type_hash, msgspec.structs.replace(qos, depth=depth), origin=self._peer.name
         )
         self._gids.add(publisher.gid)
@@ -330,6 +333,8 @@ class _SourcePublisher:
         return _Announced(publisher, self._closed)
 
     def _announce(self, gid: bytes) -> None:
+        if not self._purpose.in_graph:
+            return  # no other bridge can take its messages
         topic, type_name, type_hash, qos = self._spec
         endpoint = Endpoint(f"/{self._context.ros.node_name}", type_name, type_hash, qos, gid)
         self._context.announcements.announce(topic, self._peer.name, endpoint, self._origin)
@@ -346,14 +351,16 @@ class SourcePublishers:
         sinks: get the messages; in the same order.
     """
 
-    def __init__(self, context: Context, peer: Peer, failed: Callable[[Exception], None]) -> None:
+    def __init__(self, context: Context, purpose: Purpose, peer: Peer, failed: Callable[[Exception], None]) -> None:
         """Begin without publishers.
 
         Args:
             context: shared by all parts of the engine.
+            purpose: of the route.
             failed: called if publishing fails after `publish` has returned.
         """
         self._context = context
+        self._purpose = purpose
         self._peer = peer
         self._failed = failed
         self._type = TypeUse(context.ros, peer.budget.types)
@@ -403,7 +410,7 @@ class SourcePublishers:
         if further and not self._peer.budget.further_publishers.take(1):
             raise RosError("this link has too many publishers")
         try:
-            output = _SourcePublisher(self._context, self._peer, spec, origin, self._failed)
+            output = _SourcePublisher(self._context, self._purpose, self._peer, spec, origin, self._failed)
         except (RosError, LatchedFullError):
             if further:
                 self._peer.budget.further_publishers.give(1)

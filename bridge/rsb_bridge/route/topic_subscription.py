@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
+    from rsb_bridge.ros.internal_ends import RouteEnds
     from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, Subscription
     from rsb_bridge.route.lease import LeaseHalf
     from rsb_bridge.route.sending import OutgoingPath
@@ -55,6 +56,7 @@ class TopicSubscription:
     def __init__(
         self,
         context: Context,
+        ends: RouteEnds,
         spec: SubscriptionSpec,
         path: OutgoingPath,
         meter: RateMeter,
@@ -70,6 +72,7 @@ class TopicSubscription:
 
         Args:
             context: shared by all parts of the engine.
+            ends: where the topic is subscribed to.
             path: gets the messages; after `close` it drops messages that are still in the ROS queue.
             meter: of the topic's messages so far.
             log: adds an event about the subscription.
@@ -81,6 +84,7 @@ class TopicSubscription:
         """
         self.histories: Histories | None = None
         self._context = context
+        self._ends = ends
         self._spec = spec
         self._meter = meter
         self._log = log
@@ -182,9 +186,7 @@ class TopicSubscription:
                 put(marked(batch))
 
             sink = put_marked
-        return self._context.ros.subscribe(
-            spec.topic, spec.type_name, spec.type_hash, qos, sink, spec.origin, on_failure
-        )
+        return self._ends.subscribe(spec.topic, spec.type_name, spec.type_hash, qos, sink, spec.origin, on_failure)
 
     def _changed(self) -> None:
         if self.failure:

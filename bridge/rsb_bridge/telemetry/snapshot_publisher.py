@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from rsb_bridge.model.clock import Clock
+    from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.snapshot import RefusedClient, Snapshot
     from rsb_bridge.telemetry.acknowledgements import AnyFaulty
     from rsb_bridge.telemetry.event_log import EventLog
@@ -40,8 +41,7 @@ class ShownRoute(Protocol):
         """Return the route as it is now."""
         ...
 
-    shown: bool
-    """Whether it appears in snapshots."""
+    purpose: Purpose
 
     @property
     def idle(self) -> bool:
@@ -178,4 +178,4 @@ class SnapshotPublisher:
 
 
 def _routes_of(bridge: ShownBridge) -> list[ShownRoute]:
-    return [route for link in bridge.links() for route in link.routes.values() if route.shown]
+    return [route for link in bridge.links() for route in link.routes.values() if route.purpose.is_shown]

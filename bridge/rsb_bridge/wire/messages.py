@@ -129,6 +129,7 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
             "sending side" is the callers'.
         timeout: s until a call without an answer is given up, or 0 for 30 s and for topics.
         priority: of a topic, `rsb_bridge.model.session.RANKS`.
+        purpose: a name of `rsb_bridge.model.purposes.PURPOSES`; another one is a newer peer's, and refused.
     """
 
     route: RouteId
@@ -156,6 +157,7 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
     max_age: MaxAge | None = None
     on_end: Name = ""
     limits: VelocityLimits | None = None
+    purpose: Name = "topic"
 
     def __post_init__(self) -> None:
         check_qos(self.qos, depth_known=True)

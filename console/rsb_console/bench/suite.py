@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.benchmark import ENDED_BY_PEER, MOST_SECONDS, BenchmarkStep, Outcome, is_bench_topic
+from rsb_bridge.model.benchmark import ENDED_BY_PEER, MOST_SECONDS, BenchmarkStep, Outcome
+from rsb_bridge.model.purposes import BENCH
 from rsb_console.bench.results import BenchError, BenchProblem, Load, Point, Run, Side, StoppedError, Way
 from rsb_console.look.formats import byte_count
 
@@ -344,7 +345,7 @@ class _LinkEnds:
     def _others(self) -> float:
         """Bytes/s of the link's own topics, the same way."""
         now = self._engine.snapshot()
-        own = (route for route in now.routes if route.link == self._link and not is_bench_topic(route.topic))
+        own = (route for route in now.routes if route.link == self._link and route.purpose != BENCH.name)
         return sum(route.bytes_per_second for route in own if route.outgoing == self._sends_here)
 
     def most(self, _: int) -> float:

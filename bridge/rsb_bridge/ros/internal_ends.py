@@ -1,6 +1,7 @@
-"""Topics without nodes, for measuring a link and for pictures: `Synthetic` makes and takes their messages.
+"""The ends of channels: what makes their messages, and what takes them where they arrive. They never reach DDS.
 
-A route handles them like other topics: it seals, limits and counts their messages. They never reach DDS.
+A route asks the `InternalEnds` of its purpose for its endpoints, as it asks `rsb_bridge.ros.ros_interface.RosInterface`
+for those of a topic.
 """
 
 from __future__ import annotations
@@ -8,24 +9,20 @@ from __future__ import annotations
 import secrets
 import threading
 import time
-from collections import defaultdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 
-from rsb_bridge.model import pictures
-from rsb_bridge.model.benchmark import TYPE, TYPE_HASH, is_bench_topic
-from rsb_bridge.model.pictures import is_view_topic
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
+from rsb_bridge.ros.ros_interface import Endpoint, Publisher, RawMessage, RosError, Subscription
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable
 
-    from rsb_bridge.model.clock import Clock
-    from rsb_bridge.ros.ros_interface import OnFailure, Publisher, RosInterface, Sink, Subscription
+    from rsb_bridge.model.purposes import Purpose
+    from rsb_bridge.ros.ros_interface import OnFailure, Sink
 
-_NODE = "/rsb_bench"
-_GID = b"rsb_bench".ljust(16, b"\0")
+_NODE = "/rsb_internal"
+_GID = b"rsb_internal".ljust(16, b"\0")
 _HEADER = b"\x00\x01\x00\x00"
 _STAMP = 8  # bytes
 _SAMPLES = 100_000
@@ -35,9 +32,12 @@ _LATE, _LATE_SECONDS = 2, 0.5
 """A run ends after this multiple of its duration plus these seconds: the sender does not keep up."""
 _BYTES_PER_KB = 1024
 
+SourceT = TypeVar("SourceT", bound=Subscription)
+DrainT = TypeVar("DrainT", bound=Publisher)
 
-class SyntheticArrivals(NamedTuple):
-    """Messages that have arrived on a topic since its last reset.
+
+class BenchArrivals(NamedTuple):
+    """Messages that have arrived on an internal route since its last reset.
 
     Attributes:
         latencies: s on the two wall clocks: the 50th, 99th and 99.9th percentile.
@@ -56,8 +56,8 @@ class Time:
         self.sleep = time.sleep
 
 
-class SyntheticSource:
-    """Makes the messages of one topic, as the ROS thread does for ordinary topics."""
+class BenchSource:
+    """Makes the messages of one internal route that measures, as the ROS thread does for topics."""
 
     def __init__(self, sink: Sink, clocks: Time, closed: Callable[[], None]) -> None:
         self._sink = sink
@@ -113,8 +113,8 @@ class SyntheticSource:
         self._closed()
 
 
-class SyntheticReader:
-    """Takes the messages of one topic where they arrive.
+class BenchDrain:
+    """Takes the messages of one internal route that measures, where they arrive.
 
     Args:
         closed: called at the end.
@@ -124,14 +124,14 @@ class SyntheticReader:
         count: messages since the last reset.
         messages: in all, and `bytes` of them.
         closed: whether it takes no more.
-        gid: an id as publishers have, which no source has; the bridge announces it as its own.
+        gid: an id as publishers have.
     """
 
     subscriber_count = 1
     acknowledged = True
 
     def __init__(
-        self, clocks: Time, closed: Callable[[], None], admits: Callable[[SyntheticReader, int], bool] = lambda *_: True
+        self, clocks: Time, closed: Callable[[], None], admits: Callable[[BenchDrain, int], bool] = lambda *_: True
     ) -> None:
         self._clocks = clocks
         self._closed = closed
@@ -158,11 +158,11 @@ class SyntheticReader:
         self._latencies.clear()
 
     @property
-    def arrived(self) -> SyntheticArrivals:
+    def arrived(self) -> BenchArrivals:
         """Messages since the last reset."""
         self._latencies.sort()  # the peer may ask often, and what is sorted already takes a tenth of the time
         p50, p99, p999 = (each / 1e9 for each in percentiles(self._latencies))
-        return SyntheticArrivals(self.count, (p50, p99, p999))
+        return BenchArrivals(self.count, (p50, p99, p999))
 
     def close(self) -> None:
         """Stop taking messages."""
@@ -201,7 +201,7 @@ class PictureSink:
 
     Attributes:
         taken: called with each picture; set by the user.
-        gid: as of `SyntheticReader`.
+        gid: as of `BenchDrain`.
     """
 
     subscriber_count = 1
@@ -221,36 +221,65 @@ class PictureSink:
         self._closed()
 
 
-class Synthetic:
-    """A ROS side with such topics in addition to its graph's.
+class RouteEnds(Protocol):
+    """What a route asks for its endpoints: the node for topics, and `InternalEnds` for channels."""
+
+    def publishers(self, topic: str) -> list[Endpoint]: ...
+
+    def subscriptions(self, topic: str) -> list[Endpoint]: ...
+
+    def subscribe(
+        self,
+        topic: str,
+        type_name: str,
+        type_hash: str,
+        qos: Qos,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
+    ) -> Subscription: ...
+
+    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher: ...
+
+
+class InternalEnds(Generic[SourceT, DrainT]):
+    """The ends of all internal routes of one purpose, over all links. Only a link that serves the purpose has ends.
+
+    Args:
+        purpose: of the channels.
 
     Attributes:
-        picture_sources: the sources of pictures that routes send, by topic and link.
-        picture_sinks: where the pictures of the other side go, by topic and link.
-        sources: the sources that routes send from, by topic and link: several links may have a topic of one name.
-        drains: the drains that routes publish to, by topic and link.
-        admits: by link, a function that tells whether a drain may take a message of so many bytes.
+        sources: make the messages of the internal routes that this side sends on, by internal route and link.
+        drains: take those of the internal routes that this side receives on, by internal route and link.
     """
 
-    def __init__(self, ros: RosInterface, clocks: Time) -> None:
-        self._ros = ros
-        self._clocks = clocks
-        self.sources: dict[tuple[str, Hashable], SyntheticSource] = {}
-        self.drains: dict[tuple[str, Hashable], SyntheticReader] = {}
-        self.admits: dict[Hashable, Callable[[SyntheticReader, int], bool]] = {}
-        self.picture_sources: dict[tuple[str, Hashable], PictureSource] = {}
-        self.picture_sinks: dict[tuple[str, Hashable], PictureSink] = {}
-        self._opened: defaultdict[Hashable, list[SyntheticReader]] = defaultdict(list)
+    def __init__(self, purpose: Purpose) -> None:
+        self._endpoint = Endpoint(_NODE, purpose.type_name, purpose.type_hash, Qos(), _GID)
+        self._purpose = purpose
+        self._made: dict[Hashable, tuple[Callable[[Sink, Callable[[], None]], SourceT], Callable[..., DrainT]]] = {}
+        self.sources: dict[tuple[str, Hashable], SourceT] = {}
+        self.drains: dict[tuple[str, Hashable], DrainT] = {}
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._ros, name)
+    def serve(
+        self,
+        link: Hashable,
+        source: Callable[[Sink, Callable[[], None]], SourceT],
+        drain: Callable[[Callable[[], None]], DrainT],
+    ) -> None:
+        """Make the ends of a link's internal routes from now on.
+
+        Args:
+            link: name of the link.
+            source: makes a source, which passes its messages to the sink, and calls the function once it is closed.
+            drain: makes a drain, which calls the function once it is closed.
+        """
+        self._made[link] = source, drain
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """See `rsb_bridge.ros.ros_interface.RosInterface`, also for the methods below."""
-        return [endpoint] if (endpoint := _endpoint_of(topic)) else self._ros.publishers(topic)
+        return [self._endpoint] if self._purpose.has_name(topic) else []
 
-    def subscriptions(self, topic: str) -> list[Endpoint]:
-        return [endpoint] if (endpoint := _endpoint_of(topic)) else self._ros.subscriptions(topic)
+    subscriptions = publishers
 
     def subscribe(
         self,
@@ -262,44 +291,23 @@ class Synthetic:
         origin: Hashable,
         on_failure: OnFailure | None = None,
     ) -> Subscription:
-        key = topic, origin
-        if is_view_topic(topic):
-            views = self.picture_sources
-            picture_source = views[key] = PictureSource(sink, lambda: _forget(views, key, picture_source))
-            return picture_source
-        if not is_bench_topic(topic):
-            return self._ros.subscribe(topic, type_name, type_hash, qos, sink, origin, on_failure)
-        source = self.sources[key] = SyntheticSource(sink, self._clocks, lambda: _forget(self.sources, key, source))
+        del type_name, type_hash, qos, on_failure
+        key, (make, _) = (topic, origin), self._makers(origin)
+        source: SourceT = make(sink, lambda: _forget(self.sources, key, source))
+        self.sources[key] = source
         return source
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
-        key = topic, origin
-        if is_view_topic(topic):
-            views = self.picture_sinks
-            picture_sink = views[key] = PictureSink(lambda: _forget(views, key, picture_sink))
-            return picture_sink
-        if not is_bench_topic(topic):
-            return self._ros.advertise(topic, type_name, type_hash, qos, origin)
-        drain = self.drains[key] = SyntheticReader(
-            self._clocks,
-            lambda: _forget(self.drains, key, drain),
-            lambda of, size: origin not in self.admits or self.admits[origin](of, size),
-        )
-        self._opened[origin].append(drain)
+        del type_name, type_hash, qos
+        key, (_, make) = (topic, origin), self._makers(origin)
+        drain: DrainT = make(lambda: _forget(self.drains, key, drain))
+        self.drains[key] = drain
         return drain
 
-    def opened(self, origin: Hashable) -> list[SyntheticReader]:
-        """Return a link's drains that were opened since the last call, including closed ones."""
-        return self._opened.pop(origin, [])
-
-
-def _endpoint_of(topic: str) -> Endpoint | None:
-    """Return the end of a topic without nodes, or None if it is an ordinary topic."""
-    if is_bench_topic(topic):
-        return Endpoint(_NODE, TYPE, TYPE_HASH, Qos(), _GID)
-    if is_view_topic(topic):
-        return Endpoint(_NODE, pictures.TYPE, pictures.TYPE_HASH, Qos(), _GID)
-    return None
+    def _makers(self, link: Hashable) -> tuple[Callable[[Sink, Callable[[], None]], SourceT], Callable[..., DrainT]]:
+        if link not in self._made:
+            raise RosError(f"{link} has no internal routes for {self._purpose.name}")
+        return self._made[link]
 
 
 def _forget(held: dict[tuple[str, Hashable], Any], key: tuple[str, Hashable], which: object) -> None:
@@ -307,31 +315,10 @@ def _forget(held: dict[tuple[str, Hashable], Any], key: tuple[str, Hashable], wh
         del held[key]
 
 
-def synthetic_of(ros: RosInterface) -> Synthetic | None:
-    """Return the side as a `Synthetic`, or None if it is an ordinary one."""
-    return ros if isinstance(ros, Synthetic) else None
-
-
 def resources() -> tuple[float, int]:
     """Processor time (s) and resident memory (bytes) of this process."""
     status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
     return time.process_time(), int(status.partition("VmRSS:")[2].split()[0]) * _BYTES_PER_KB
-
-
-def ros_side(ros: RosInterface | None, domain: int, name: str, clock: Clock) -> RosInterface:
-    """Return the ROS side in a domain, with these topics, not started yet.
-
-    Args:
-        ros: the side to extend, or None for rclpy's.
-        clock: the wall clock.
-    """
-    return cast("RosInterface", Synthetic(ros or _node(domain, name), Time(clock.time_ns)))
-
-
-def _node(domain: int, name: str) -> RosInterface:
-    from rsb_bridge.ros.node import RosNode  # noqa: PLC0415 -- only a running engine needs ROS
-
-    return RosNode(domain, name)
 
 
 def percentiles(values: Collection[int]) -> tuple[int, int, int]:

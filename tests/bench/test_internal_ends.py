@@ -6,18 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from rsb_bridge.model.benchmark import bench_topic
+from rsb_bridge.model.purposes import BENCH
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.internal_ends import BenchDrain, BenchSource, InternalEnds, Time, percentiles
 from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.ros.synthetic import Synthetic, SyntheticReader, SyntheticSource, Time, percentiles
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.ros.ros_interface import RawMessage
 
-TOPIC = bench_topic("tcp", "transmit")
+NAME = BENCH.route_name("tcp", "transmit")
 
 
 class Clocks(Time):
@@ -36,7 +35,7 @@ class Clocks(Time):
 @pytest.mark.parametrize(("rate", "count"), [(100.0, 50), (20_000.0, 4_000), (0.5, 1)])
 def test_messages_come_at_their_rate_and_in_batches(rate: float, count: int) -> None:
     clocks, batches = Clocks(), list[list["RawMessage"]]()
-    source = SyntheticSource(lambda batch: batches.append([*batch]), clocks, lambda: None)
+    source = BenchSource(lambda batch: batches.append([*batch]), clocks, lambda: None)
     source.send(2500, rate, count)
     messages = [message for batch in batches for message in batch]
     assert [message.number for message in messages] == [*range(1, count + 1)]
@@ -48,7 +47,7 @@ def test_messages_come_at_their_rate_and_in_batches(rate: float, count: int) -> 
 
 def test_large_messages_go_one_by_one() -> None:
     sizes: list[int] = []
-    SyntheticSource(lambda batch: sizes.append(len(batch)), Clocks(), lambda: None).send(6_000_000, 1e6, 5)
+    BenchSource(lambda batch: sizes.append(len(batch)), Clocks(), lambda: None).send(6_000_000, 1e6, 5)
     assert sizes == [1] * 5
 
 
@@ -58,7 +57,7 @@ def test_a_sender_that_does_not_keep_up_ends_and_says_how_fast_it_was() -> None:
     def slow(_: Sequence[RawMessage]) -> None:
         clocks.passed += 64.0
 
-    source = SyntheticSource(slow, clocks, lambda: None)
+    source = BenchSource(slow, clocks, lambda: None)
     source.send(100, 100.0, 10_000)
     assert 64 < source.sent < 300
     assert 0.5 < source.rate < 1.5
@@ -66,14 +65,14 @@ def test_a_sender_that_does_not_keep_up_ends_and_says_how_fast_it_was() -> None:
 
 def test_what_arrives_is_counted_with_its_latency() -> None:
     clocks = Clocks()
-    drain = SyntheticReader(clocks, lambda: None)
+    drain = BenchDrain(clocks, lambda: None)
 
     def late(batch: Sequence[RawMessage]) -> None:
         clocks.passed += 0.25
         for message in batch:
             drain.publish(message.payload)
 
-    source = SyntheticSource(late, clocks, lambda: None)
+    source = BenchSource(late, clocks, lambda: None)
     source.send(100, 1.0, 8)
     assert drain.arrived == (8, (0.25, 0.25, 0.25))
     assert drain.bytes == 800
@@ -81,24 +80,28 @@ def test_what_arrives_is_counted_with_its_latency() -> None:
     assert drain.arrived == (0, (0.0, 0.0, 0.0))
 
 
-def test_only_these_topics_are_synthetic_and_only_as_long_as_they_are_open() -> None:
-    ros = Synthetic(NoRos(), Clocks())
-    assert ros.publishers(TOPIC)
-    assert ros.subscriptions(TOPIC)
-    assert ros.publishers("/scan") == []
+def test_an_internal_route_has_ends_only_as_long_as_it_is_open_and_only_on_a_link_that_serves_it() -> None:
+    clocks, ends = Clocks(), InternalEnds[BenchSource, BenchDrain](BENCH)
+    assert [each.type_name for each in ends.publishers(NAME) + ends.subscriptions(NAME)] == [BENCH.type_name] * 2
+    for stranger in ("/scan", "/bench/tcp/transmit", "view/1", "bench", "bench/../scan"):
+        assert ends.publishers(stranger) == ends.subscriptions(stranger) == []
     with pytest.raises(RosError):
-        ros.advertise("/scan", "a/msg/B", "", Qos(), "")
-    publisher = ros.advertise(TOPIC, "a/msg/B", "", Qos(), "")
-    subscription = ros.subscribe(TOPIC, "a/msg/B", "", Qos(), lambda _: None, "")
-    assert [*ros.drains, *ros.sources] == [(TOPIC, ""), (TOPIC, "")]
-    newer = ros.advertise(TOPIC, "a/msg/B", "", Qos(), "")
+        ends.advertise(NAME, "", "", Qos(), "robot1")
+    with pytest.raises(RosError):
+        ends.subscribe(NAME, "", "", Qos(), lambda _: None, "robot1")
+    ends.serve(
+        "robot1", lambda sink, closed: BenchSource(sink, clocks, closed), lambda closed: BenchDrain(clocks, closed)
+    )
+    publisher = ends.advertise(NAME, "", "", Qos(), "robot1")
+    subscription = ends.subscribe(NAME, "", "", Qos(), lambda _: None, "robot1")
+    assert [*ends.drains, *ends.sources] == [(NAME, "robot1")] * 2
+    newer = ends.advertise(NAME, "", "", Qos(), "robot1")
     publisher.close()
-    assert ros.drains == {(TOPIC, ""): newer}
+    assert ends.drains == {(NAME, "robot1"): newer}
     newer.close()
     subscription.close()
-    assert not ros.drains
-    assert not ros.sources
-    assert ros.node_name == NoRos.node_name
+    assert not ends.drains
+    assert not ends.sources
 
 
 def test_percentiles() -> None:

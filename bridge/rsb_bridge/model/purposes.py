@@ -1,0 +1,66 @@
+"""The purposes of routes: what a route carries, and which rules apply to it.
+
+A route whose purpose is not `TOPIC` is an internal route: it crosses the link as a topic does, sealed, limited and
+counted, and joins no topic of ROS. A further purpose is one entry here, and a feature of `rsb_bridge.link` that serves
+it: an `Extension` with that purpose.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+_NAME_LENGTH = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Purpose:
+    """A purpose of routes.
+
+    Attributes:
+        name: the purpose in proposals, and the first part of its routes' names.
+        in_graph: whether ROS nodes have its names. Only then, the rules of topics hold: of their names, prefixes and
+            types, of rights by pattern, of demands to arm, of loops, and of sessions.
+        right: the peer's right that a proposal needs, as a session calls it, or an empty string for those of topics.
+        peer_sends: whether the peer may propose to send.
+        is_shown: whether operators see its routes as rows, in the history and in the log.
+        fills_link: whether it fills the link on purpose, which is then no sign of contention.
+        type_name: the type of its messages, which is installed nowhere, or an empty string for those of topics.
+        type_hash: the hash of that type.
+    """
+
+    name: str
+    in_graph: bool = False
+    right: Literal["", "look", "bench"] = ""
+    peer_sends: bool = True
+    is_shown: bool = True
+    fills_link: bool = False
+    type_name: str = ""
+    type_hash: str = ""
+
+    def route_name(self, *parts: str) -> str:
+        """Return the name of an internal route. It begins with no slash, so that it is no name of a topic."""
+        return "/".join((self.name, *parts))
+
+    def has_name(self, name: str) -> bool:
+        """Whether `route_name` could have made a name."""
+        return len(name) <= _NAME_LENGTH and re.fullmatch(rf"{self.name}(/[a-z0-9-]+)+", name) is not None
+
+
+TOPIC = Purpose("topic", in_graph=True)
+"""Messages and calls of ROS nodes."""
+VIEW = Purpose(
+    "view",
+    right="look",
+    peer_sends=False,
+    is_shown=False,
+    type_name="rsb_bridge/msg/Picture",
+    type_hash="RIHS01_" + "1" * 64,
+)
+"""Pictures of messages, for a viewer on the side that proposes it."""
+BENCH = Purpose(
+    "bench", right="bench", fills_link=True, type_name="rsb_bridge/msg/Bench", type_hash="RIHS01_" + "0" * 64
+)
+"""Messages that measure the link."""
+PURPOSES = {each.name: each for each in (TOPIC, VIEW, BENCH)}
