@@ -204,7 +204,7 @@ class DatagramCarrier:
 
     @property
     def knows_its_rate(self) -> bool:
-        """Whether what has to wait here is more than the path carries."""
+        """Whether the path carries less than the routes want to send."""
         return self._pacer.path.known
 
     @property

@@ -1,6 +1,6 @@
-"""Finds how much a path carries by the datagrams that arrive, and the pace at which they fill no queue.
+"""Measures the rate of a path by arriving datagrams, and keeps the pace at which no queue fills up.
 
-Nothing repairs datagrams, so those that arrive in a span of time are what the path carries. Loss and delay tell less: a
+Nothing repairs datagrams, so their arrivals in a span of time are the rate of the path. Loss and delay tell less: a
 radio loses packets at any pace, and a short queue overflows before the link's window takes a byte for late. At 20
 Mbit/s, with a queue of 0.16 s and 2 % lost, messages of 4 kB arrived to 58 % while the window alone limited them
 (`bench.robot`). The idea and its gains are those of Cardwell et al. 2016, "BBR: Congestion-Based Congestion Control".
@@ -53,7 +53,7 @@ class PathRate:
 
     @property
     def known(self) -> bool:
-        """Whether the rate has stopped growing, so that what has to wait is more than the path carries."""
+        """Whether the rate has stopped growing, so that waiting datagrams show an overload."""
         return self._gain != _GROWING
 
     def passed(self, size: float, datagrams: int, opened: int, sent_at: float, now: float, *, limited: bool) -> bool:
@@ -104,7 +104,7 @@ class PathRate:
         rates = self._rates
         before = max((each for _, each in rates), default=0.0)
         if not limited and rate <= before:
-            return  # there was no more to send
+            return  # the routes had nothing more to send
         rates.append((now, rate))
         while len(rates) > _REMEMBERED_SPANS and rates[0][0] < now - _REMEMBERED:
             rates.popleft()

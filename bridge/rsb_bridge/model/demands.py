@@ -36,7 +36,7 @@ class OriginText(Wording):
 
 
 class DemandText(Wording):
-    """What becomes of a demand that a session file does not make any more, for operators."""
+    """Texts for operators about a demand that a session file no longer makes."""
 
     DROPPED = "{name}: its demand to be armed ends ({origin})"
     STAYS = "{name}: still has to be armed ({origin}): reload with --drop-arm ends that"
@@ -433,9 +433,9 @@ class Holder(Protocol):
 
 
 class RunningDemands:
-    """What has to be armed now: each entry adds its demand, and only an operator drops one.
+    """The present demands for arming: each entry adds its demand, and only an operator drops one.
 
-    An entry that is edited stands for itself. If it goes, or its name changes, its demand stays, as a line of `armed`.
+    An edited entry demands what it says now. If it goes, or its name changes, its demand stays, as a line of `armed`.
     Lines without `arm` go with their entries.
 
     Args:
@@ -506,7 +506,7 @@ class RunningDemands:
         self.changed()
 
     def _read(self) -> Demands:
-        """Take in what has changed. Whatever it says, nothing that was demanded gets lost."""
+        """Take in changes. No demand gets lost by them."""
         if self._is_stale or self._given is not self._armed():
             before, present = self._demands.sources, self._present()
             if present != before:  # it is equal after most changes, of which peers can cause many
@@ -579,7 +579,7 @@ class RunningDemands:
                 holder.demand_dropped(source)
 
     def _forget(self) -> None:
-        """Drop what is to be dropped, and is not in an entry any more."""
+        """Drop the demands that an operator has dropped, unless an entry still makes them."""
         self._read()
         gone = {_line(each) for old in self._dropping for each in (old, kept(old, old.name))}
         self._demands = Demands(source for source in self._demands.sources if _line(source) not in gone)

@@ -222,7 +222,7 @@ class PictureSink:
 
 
 class RouteEnds(Protocol):
-    """What a route asks for its endpoints: the node for topics, and `InternalEnds` for channels."""
+    """Gives a route its endpoints: the node for topics, and `InternalEnds` for channels."""
 
     def publishers(self, topic: str) -> list[Endpoint]: ...
 

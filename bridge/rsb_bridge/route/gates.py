@@ -164,7 +164,7 @@ class CallRateGate:
 
 
 class Carries(Protocol):
-    """What sends calls, as far as gates know it."""
+    """A sender of calls, as far as gates know it."""
 
     @property
     def largest(self) -> int:
