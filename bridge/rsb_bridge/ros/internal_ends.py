@@ -1,4 +1,4 @@
-"""The ends of channels: what makes their messages, and what takes them where they arrive. They never reach DDS.
+"""The ends of internal routes: sources of their messages, and drains where they arrive. They never reach DDS.
 
 A route asks the `InternalEnds` of its purpose for its endpoints, as it asks `rsb_bridge.ros.ros_interface.RosInterface`
 for those of a topic.
@@ -222,7 +222,7 @@ class PictureSink:
 
 
 class RouteEnds(Protocol):
-    """Gives a route its endpoints: the node for topics, and `InternalEnds` for channels."""
+    """Gives a route its endpoints: the node for topics, and `InternalEnds` for internal routes."""
 
     def publishers(self, topic: str) -> list[Endpoint]: ...
 
@@ -246,7 +246,7 @@ class InternalEnds(Generic[SourceT, DrainT]):
     """The ends of all internal routes of one purpose, over all links. Only a link that serves the purpose has ends.
 
     Args:
-        purpose: of the channels.
+        purpose: of the routes.
 
     Attributes:
         sources: make the messages of the internal routes that this side sends on, by internal route and link.
