@@ -158,6 +158,33 @@ def test_a_radio_is_filled_without_a_queue_whatever_it_loses(chance: float) -> N
     assert (path.arrived - arrived) * DATAGRAM / (path.time - began) > 0.85 * 2.5e6 * (1 - chance)
 
 
+@pytest.mark.parametrize(("speed", "delay"), [(100e6, 0.0002), (12.5e6, 0.02), (2.5e6, 0.02)])
+def test_images_with_pauses_between_them_are_not_spread_over_the_pauses(speed: float, delay: float) -> None:
+    """60 kB at 25 Hz, which the path carries: each arrives as soon as it can, however long it goes on."""
+    path = Path(speed=speed, delay=delay)
+    took = []
+    for _ in range(250):
+        began = path.time
+        assert path.send(60_000, 1.0)
+        took.append(path.time - began)
+        while path.time < began + 0.04:
+            path.step()
+    assert sorted(took[50:])[100] < delay + 60_000 / speed + 0.005
+    assert max(took[50:]) < 2 * delay + 60_000 / speed + 0.01
+
+
+def test_a_late_receipt_of_what_was_written_off_tells_no_round_trip() -> None:
+    pacer = Pacer()
+    pacer.sent(2000, 1, 0.0)
+    pacer.receipt(0, 1, 8 << 20, 0.5)
+    pacer.sent(2000, 3, 0.5)
+    pacer.write_off()
+    pacer.sent(2000, 5, 1.0)
+    pacer.receipt(3, 4, 8 << 20, 1.001)
+    pacer.receipt(5, 6, 8 << 20, 1.5)
+    assert pacer.patience == 1.0
+
+
 def test_a_path_that_becomes_wider_is_soon_filled() -> None:
     path = Path(speed=2.5e6, delay=0.02)
     path.queue_limit = 400_000

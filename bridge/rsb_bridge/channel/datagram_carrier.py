@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 _PAUSE = 0.001
 """s; what the I/O loop's timers resolve."""
+_NO_PAUSE = 0.005
+"""s in which a busy I/O loop may not come to send although something waits."""
 _LEAST_BURST, _BURST_LASTS = 16 * 1024, 0.005
 """Bytes that go at once after a pause: so many, or what crosses in so many s."""
 WINDOW = 2
@@ -38,8 +40,8 @@ class Pacer:
         self.path = PathRate()
         self._tokens = self._burst = self.path.pace * _BURST_LASTS
         self._filled_at = 0.0
-        self._limited = False
-        self._sent = 0
+        self._limited = self._is_held = self._was_idle = False
+        self._sent, self._sent_at = 0, 0.0
         self._arrived = 0
         self._under_way: deque[tuple[int, int, float]] = deque()  # last sequence number, bytes sent with it, when
         self._passed = (-1, 0)  # the last receipted sequence number, and bytes sent up to it
@@ -53,8 +55,10 @@ class Pacer:
         self._filled_at = now
         if self.window:
             tokens = min(tokens, self.limit - self.in_transit)
-        if tokens <= 0:
-            self._limited = True
+        if tokens < 1:
+            self._limited = self._is_held = True
+        elif not self._is_held and now - self._sent_at > _NO_PAUSE:
+            self._was_idle = True
         return int(tokens)
 
     @property
@@ -88,12 +92,18 @@ class Pacer:
 
     def pause(self) -> float:
         """Time (s) until it is worth asking for room again, where no receipt comes before."""
-        if self._tokens > 0 and self.window:
+        if self._tokens >= 1 and self.window:
             return self.patience
         return min(_BURST_LASTS, max(_PAUSE, (self._burst / 2 - self._tokens) / self.path.pace))
 
     def sent(self, size: int, sequence: int, now: float) -> None:
         """Note that `size` bytes were sent; the last datagram had this sequence number."""
+        if self._was_idle:
+            # A pause says nothing about the path: images at 30 Hz would each be spread over 33 ms.
+            self._was_idle = self._limited = False
+            self.path.interrupted()
+        self._is_held = False
+        self._sent_at = now
         self._tokens -= size
         self._sent += size
         self._under_way.append((sequence, self._sent, now))
@@ -112,7 +122,8 @@ class Pacer:
             (begin, reached), (last, after, at) = self._passed, self._under_way[0]
             part = (newest - begin) / (last - begin)
             self._arrived = max(self._arrived, reached + int(part * (after - reached)))
-            sent_at = at if sent_at is None else sent_at
+            if newest > begin:  # else it is a late receipt of datagrams that are written off
+                sent_at = at if sent_at is None else sent_at
         datagrams, arrived = newest - self._newest, min(max(0, opened - self._opened), newest - self._newest)
         self._newest, self._opened = newest, max(opened, self._opened)
         if sent_at is None:

@@ -16,13 +16,14 @@ LEAST_ON_PATH = 32 * 1024
 """Bytes that may be on any path: a slow one is left to the link's window, and a receipt for less costs too much."""
 _GROWING, _PROBING, _DRAINING = 2.9, 1.25, 0.75
 """Paces in ratio to the path's rate: until it grows no more; in the first of `_SPANS` spans; and in the second."""
-_SPANS, _GROWS, _FULL_AFTER = 8, 1.25, 3
+_SPANS, _GROWS, _FULL_AFTER, _OVERFLOWS = 8, 1.25, 3, 0.8
+"""It grows no more after so many spans in which it has grown by less, or once less than this part arrives."""
 _SPAN, _ROUND_TRIPS = 0.005, 2.0
 """A span takes so many s and round trips, at least: radios deliver in lumps."""
 _REMEMBERED, _REMEMBERED_SPANS = 1.0, 10
 """The greatest rate counts for so many s and spans, at least."""
 _QUEUE = 0.05
-"""The path may hold what crosses in this s and in two of its shortest round trips, as round trips of a radio vary."""
+"""The path may hold what crosses in so many s and in two of its shortest round trips, since those of a radio vary."""
 _SHORTEST_COUNTS = 10.0
 """s for which the shortest round trip counts: a path may change to a longer one."""
 _ENOUGH = 20
@@ -77,6 +78,9 @@ class PathRate:
         if self._began is None:
             self._begin(sent_at, now)
             return False
+        if limited and self._gain == _GROWING and round_trip < _QUEUE + 2 * self._round_trips[0][1]:
+            # It doubles in a round trip, as TCP's window does in slow start, until a queue shows.
+            self.most += int(size)
         self._bytes += size * opened / datagrams
         self._passed += datagrams
         self._opened += opened
@@ -87,6 +91,10 @@ class PathRate:
         self._note(self._bytes / max(lasted, sent_at - self._sent_at), now, limited=limited)
         self._begin(sent_at, now)
         return True
+
+    def interrupted(self) -> None:
+        """Begin a new span with the next receipt."""
+        self._began = None
 
     def silent(self, *, full: bool) -> None:
         """Note that receipts stay away; a path that is `full` may carry far less than it did."""
@@ -103,8 +111,8 @@ class PathRate:
     def _note(self, rate: float, now: float, *, limited: bool) -> None:
         rates = self._rates
         before = max((each for _, each in rates), default=0.0)
-        if not limited and rate <= before:
-            return  # the routes had nothing more to send
+        if rate <= 0.0 or (not limited and rate <= before):
+            return  # the routes had nothing more to send, or receipts of several routes do not add up yet
         rates.append((now, rate))
         while len(rates) > _REMEMBERED_SPANS and rates[0][0] < now - _REMEMBERED:
             rates.popleft()
@@ -115,7 +123,9 @@ class PathRate:
             # As long as probing finds more, it goes on.
             self._span = 0 if self._span == 0 and greatest > before else (self._span + 1) % _SPANS
         elif limited:
-            self._full = 0 if greatest > _GROWS * before else self._full + 1
+            overflows = self._passed >= _ENOUGH and self._opened < _OVERFLOWS * self._passed
+            grows = greatest > _GROWS * before
+            self._full = _FULL_AFTER if overflows else 0 if grows else self._full + 1
             self._span = int(self._full >= _FULL_AFTER)  # the queue is full now
         if self._gain != _GROWING or self._span:
             self._gain = {0: _PROBING, 1: _DRAINING}.get(self._span, 1.0)
@@ -128,4 +138,5 @@ class PathRate:
         carries = max(rate for _, rate in self._rates) / (max(self._shares) or 1.0)
         self.pace = self._gain * carries
         self.crossing = int(carries * self._round_trips[0][1])
-        self.most = max(LEAST_ON_PATH, int(carries * _QUEUE) + 2 * self.crossing)
+        least = self.most if self._gain == _GROWING else LEAST_ON_PATH
+        self.most = max(least, int(carries * _QUEUE) + 2 * self.crossing)
