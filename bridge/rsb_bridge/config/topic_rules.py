@@ -125,6 +125,7 @@ class TopicMistake(Wording):
         "the side whose node answers"
     )
     OTHER_NAME = "{name} does not name a route for {purpose}: both sides have to call it {purpose}/NAME"
+    OTHER_TYPE = "a route for {purpose} carries {type_name} only"
     ONLY_TOPICS = "a route for {purpose} has nothing else here: leave it out"
     BRIDGED_ALREADY = "{service} is bridged already, with {noun} {name}: keep one of the two"
 
@@ -245,7 +246,7 @@ def internal_problems(entry: Topic, purpose: Purpose, session: Session | None) -
     if not purpose.has_name(entry.topic) or entry.remote_topic not in (None, entry.topic):
         yield Problem("topic", TopicMistake.OTHER_NAME(name=show(entry.topic), purpose=purpose.name))
     if entry.type != purpose.type_name:
-        yield Problem("type", TopicMistake.ONLY_TOPICS(purpose=purpose.name))
+        yield Problem("type", TopicMistake.OTHER_TYPE(purpose=purpose.name, type_name=purpose.type_name))
     for key, default in _OF_TOPICS.items():
         if getattr(entry, key) != default:
             yield Problem(key, TopicMistake.ONLY_TOPICS(purpose=purpose.name))

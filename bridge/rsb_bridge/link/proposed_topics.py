@@ -124,7 +124,12 @@ class ProposedTopics:
         try:
             self.add(topic)
         except LinkError as error:
-            self._link.log(Level.WARNING, EventCode.ROUTE_REFUSED, f"{topic.topic}: {error}", topic=topic.topic)
+            self._link.log(
+                Level.WARNING,
+                EventCode.ROUTE_REFUSED,
+                f"{topic.topic}: left out until a reload: {error}",
+                topic=topic.topic,
+            )
 
     def check_replace(self, route: Route, topic: Topic) -> None:
         """Raise `LinkError` where `replace` would."""

@@ -136,7 +136,11 @@ def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[ReloadStep]:
     topics = tuple(topics)
     yield from _pattern_steps(link, [topic for topic in topics if topic.is_pattern])
     wanted = {topic.identity: topic for topic in topics if not topic.is_pattern}
-    routes = {route.spec.identity: route for route in link.routes.values() if route.proposed_here and not route.pattern}
+    routes = {
+        route.spec.identity: route
+        for route in link.routes.values()
+        if route.proposed_here and not route.pattern and route.purpose.in_graph  # others are in no file
+    }
     superseded = {topic.identity: key for key, topic in link.table.superseded.items()}
     for identity, route in routes.items():
         if identity not in wanted and route.edits_peer:

@@ -26,7 +26,7 @@ class BenchmarkStep(msgspec.Struct, frozen=True, omit_defaults=True):
 
     Attributes:
         what: ``run`` sends messages over a link; ``measure`` only reads the usage of the bridge's process so far;
-            ``end`` closes its channels.
+            ``end`` closes its routes.
         link: name of the link, or an empty string for a client's, or a server's only one.
         transport: transport that carries the messages, or an empty string for the link's.
         direction: ``transmit`` goes from client to server.

@@ -436,9 +436,9 @@ class History(Command[HistoryReport], frozen=True, tag="history"):
 
 
 class Bench(Command[Outcome], frozen=True, tag="bench"):
-    """Send messages over a link on a topic that no node has, and measure them.
+    """Send messages over a link on an internal route, and measure them.
 
-    The peer has to allow it (`rsb_bridge.model.benchmark.BenchmarkLimits`). The topic is removed some seconds after the
+    The peer has to allow it (`rsb_bridge.model.benchmark.BenchmarkLimits`). The route is removed some seconds after the
     last step.
     """
 

@@ -1,8 +1,8 @@
 """The gates that samples pass on their way: nothing old and nothing unarmed gets through (`Gate`).
 
 The functions at the end list the gates of each way in the order in which they are asked, without those that are off.
-What depends on time is asked twice: when a sample comes, before it costs anything, and right before it is handed on,
-because unpacking, checks and requests to DDS take long.
+What depends on a message's age or lease is asked twice: when a sample comes, before it costs anything, and right before
+it is handed on, because unpacking, checks and requests to DDS take long.
 """
 
 from __future__ import annotations

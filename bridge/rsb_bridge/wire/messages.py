@@ -526,7 +526,7 @@ class BenchAsk(ControlMessageBase, frozen=True):
     """The measuring side asks for the other side's counts. Answered by a `BenchAnswer` of the same number.
 
     Attributes:
-        route: the measuring topic's route id.
+        route: id of the route that measures.
         reset: whether to count arrivals from 0 again.
         size: bytes of each message to be sent by the other side.
         rate: Hz of these messages.

@@ -6,6 +6,7 @@ The `zenoh` package is an extra. It is imported when a network is opened, and by
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import os
 import socket
@@ -352,11 +353,15 @@ class Network:
         except zenoh.ZError as error:
             raise OSError(why_unreachable(self.settings, config, str(error))) from None
         self._deleted = zenoh.SampleKind.DELETE
-        changes = session.info.declare_transport_events_listener()
+        try:
+            changes = session.info.declare_transport_events_listener()
+            session.info.declare_link_events_listener(self._linked, history=True)
+        except zenoh.ZError as error:  # it has been closed already
+            _close(session)
+            raise OSError(Unreachable.ERROR(error=first_sentence(str(error)))) from None
         watcher = threading.Thread(target=self._watch, args=(changes,), name="zenoh-watch", daemon=True)
         watcher.start()
         _open_sessions[session] = watcher
-        session.info.declare_link_events_listener(self._linked, history=True)
         with self._lock:
             if not self._closed:
                 self._session, self._config_used = session, config
@@ -406,7 +411,10 @@ class Network:
 
     def _linked(self, event: zenoh.LinkEvent) -> None:
         """Prepare the socket of a link to a router or peer."""
-        if event.kind != self._deleted:
+        if event.kind == self._deleted:
+            return
+        # Without descriptors, or with an address of another form, the link works as Zenoh made it.
+        with contextlib.suppress(OSError, ValueError):
             sockets.prepare(event.link)
 
     def _changed(self, event: zenoh.TransportEvent) -> None:
