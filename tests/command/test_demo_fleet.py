@@ -216,11 +216,13 @@ def test_what_libraries_print_in_a_child_does_not_reach_its_parent(tmp_path: Pat
 
 def descendants(pid: int) -> set[int]:
     """The children of a process, and theirs."""
-    children = {
-        int(child)
-        for thread in Path(f"/proc/{pid}/task").iterdir()
-        for child in (thread / "children").read_text().split()
-    }
+    tasks, children = Path(f"/proc/{pid}/task"), set[int]()
+    while tasks.exists():
+        try:
+            children = {int(child) for thread in tasks.iterdir() for child in (thread / "children").read_text().split()}
+        except (FileNotFoundError, ProcessLookupError):
+            continue  # a thread has ended meanwhile: its children are another one's now
+        break
     return children.union(*map(descendants, children))
 
 
