@@ -32,8 +32,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.demands import DemandSource
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import ArmedName, Session
-    from rsb_bridge.ros.internal_ends import RouteEnds
-    from rsb_bridge.ros.ros_interface import RosInterface
+    from rsb_bridge.ros.ros_interface import RosInterface, RouteEnds
     from rsb_bridge.ros.ros_thread import RosToLoopQueue
     from rsb_bridge.telemetry.event_log import About, EventLog
 

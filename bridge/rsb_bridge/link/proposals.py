@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 from msgspec import UNSET
@@ -23,7 +23,7 @@ from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.wire.messages import Amend, Propose
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Collection, Iterable, Mapping
 
     from rsb_bridge.config.rights import DeniedUse, Rights
     from rsb_bridge.link.base_link import BaseLink
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.transport import Transport
 
+T = TypeVar("T")
 KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
 """The kinds that this version knows, by their names on the wire."""
 
@@ -103,7 +104,7 @@ def topic_of(proposal: Propose) -> Topic:
         compression=proposal.compression,
         deadman=proposal.deadman if proposal.arm else None,
         on_end=(proposal.on_end or None) if proposal.arm else None,
-        kind=_kind_of(proposal),
+        kind=_known(KINDS, proposal.kind),
         priority=priority_of(proposal.priority) if proposal.kind == "topic" else "normal",
         **_values_of(proposal),
     )
@@ -114,16 +115,16 @@ def _values_of(proposal: Propose) -> dict[str, Any]:
     return {name: _DEFAULTS[name] if value == _NONE[name] else value for name, value in values.items()}
 
 
-def _kind_of(proposal: Propose) -> Kind:
-    """Return the kind of a peer's proposal.
+def _known(names: Mapping[str, T], name: str) -> T:
+    """Return what a name in a peer's proposal stands for.
 
     Raises:
         LinkError: only newer versions know it.
     """
-    kind = KINDS.get(proposal.kind)
-    if kind is None:
-        raise LinkError(f"rsb-console {__version__} does not know what {proposal.kind} is: update it")
-    return kind
+    found = names.get(name)
+    if found is None:
+        raise LinkError(f"rsb-console {__version__} does not know what {name} is: update it")
+    return found
 
 
 _OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "replaces": 0}
@@ -166,7 +167,7 @@ def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
     Raises:
         LinkError: the peer may not have the topic.
     """
-    purpose = _purpose_of(proposal)
+    purpose = _known(PURPOSES, proposal.purpose)
     if not purpose.in_graph:
         return _authorized_internal(proposal, purpose, link, session)
     if pattern := next(filter(is_pattern, (proposal.topic, proposal.remote_topic)), ""):
@@ -183,18 +184,6 @@ def authorized(proposal: Propose, link: BaseLink, session: Session) -> Propose:
         raise LinkError(Denied.SHUTDOWN_TOPIC(topic=use.topic))
     check_driver_topic(use, session)
     return ours
-
-
-def _purpose_of(proposal: Propose) -> Purpose:
-    """Return the purpose of a peer's proposal.
-
-    Raises:
-        LinkError: only newer versions know it.
-    """
-    purpose = PURPOSES.get(proposal.purpose)
-    if purpose is None:
-        raise LinkError(f"rsb-console {__version__} does not know what {proposal.purpose} is: update it")
-    return purpose
 
 
 def _authorized_internal(proposal: Propose, purpose: Purpose, link: BaseLink, session: Session) -> Propose:
@@ -236,7 +225,7 @@ def check_driver_topic(use: Use, session: Session) -> None:
 
 def use_of(proposal: Propose, *, is_client: bool) -> Use:
     """Return the peer's use of a topic on this side, by a proposal with this side's name."""
-    kind = _kind_of(proposal)
+    kind = _known(KINDS, proposal.kind)
     sends, takes = uses(kind)
     if proposal.from_client != is_client:
         return Use(proposal.remote_topic, sends, proposal.transport, kind)

@@ -10,7 +10,7 @@ import secrets
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import Endpoint, Publisher, RawMessage, RosError, Subscription
@@ -221,27 +221,6 @@ class PictureSink:
         self._closed()
 
 
-class RouteEnds(Protocol):
-    """Gives a route its endpoints: the node for topics, and `InternalEnds` for internal routes."""
-
-    def publishers(self, topic: str) -> list[Endpoint]: ...
-
-    def subscriptions(self, topic: str) -> list[Endpoint]: ...
-
-    def subscribe(
-        self,
-        topic: str,
-        type_name: str,
-        type_hash: str,
-        qos: Qos,
-        sink: Sink,
-        origin: Hashable,
-        on_failure: OnFailure | None = None,
-    ) -> Subscription: ...
-
-    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher: ...
-
-
 class InternalEnds(Generic[SourceT, DrainT]):
     """The ends of all internal routes of one purpose, over all links. Only a link that serves the purpose has ends.
 
@@ -276,7 +255,7 @@ class InternalEnds(Generic[SourceT, DrainT]):
         self._made[link] = source, drain
 
     def publishers(self, topic: str) -> list[Endpoint]:
-        """See `rsb_bridge.ros.ros_interface.RosInterface`, also for the methods below."""
+        """See `rsb_bridge.ros.ros_interface.RouteEnds`, also for the methods below."""
         return [self._endpoint] if self._purpose.has_name(topic) else []
 
     subscriptions = publishers

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 
     from rsb_bridge.model.session import Kind
-    from rsb_bridge.ros.internal_ends import RouteEnds
-    from rsb_bridge.ros.ros_interface import Endpoint, RosInterface
+    from rsb_bridge.ros.ros_interface import Endpoint, RosInterface, RouteEnds
 
 Asked = TypeVar("Asked", bound="Hashable")
 

@@ -225,7 +225,44 @@ OnFailure = Callable[[RosError], None]
 """Called on the ROS thread, at most once, when a subscription failed and has closed itself."""
 
 
-class RosInterface(Protocol):
+class RouteEnds(Protocol):
+    """Gives routes their endpoints: the node for topics, `rsb_bridge.ros.internal_ends` for internal routes."""
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        """Return the publishers on a topic, our own node's left out."""
+        ...
+
+    def subscriptions(self, topic: str) -> list[Endpoint]:
+        """Return the subscriptions on a topic, our own node's left out."""
+        ...
+
+    def subscribe(
+        self,
+        topic: str,
+        type_name: str,
+        type_hash: str,
+        qos: Qos,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
+    ) -> Subscription:
+        """Subscribe raw, to a type installed here or known by name and hash only.
+
+        A message that a publisher of the same `origin` on this node published is never yielded: that keeps a topic
+        bridged both ways over one link from looping. A subscription that fails later closes itself and calls
+        `on_failure`; it is never called for one that was closed.
+
+        Raises:
+            RosError: no such type and no hash, an rmw that cannot do without the type, a bad name.
+        """
+        ...
+
+    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
+        """Create a raw publisher; types and errors as `subscribe`."""
+        ...
+
+
+class RosInterface(RouteEnds, Protocol):
     """One domain's ROS graph, and our node in it. Every method may be called from any thread.
 
     Attributes:
@@ -264,14 +301,6 @@ class RosInterface(Protocol):
 
     def topics(self) -> dict[str, list[str]]:
         """Return every topic of the graph with its type names; topics that only our own node holds are left out."""
-        ...
-
-    def publishers(self, topic: str) -> list[Endpoint]:
-        """Return the publishers on a topic, our own node's left out."""
-        ...
-
-    def subscriptions(self, topic: str) -> list[Endpoint]:
-        """Return the subscriptions on a topic, our own node's left out."""
         ...
 
     def installed_hash(self, type_name: str) -> str | None:
@@ -314,31 +343,6 @@ class RosInterface(Protocol):
         Raises:
             RosError: the node could not be asked.
         """
-        ...
-
-    def subscribe(
-        self,
-        topic: str,
-        type_name: str,
-        type_hash: str,
-        qos: Qos,
-        sink: Sink,
-        origin: Hashable,
-        on_failure: OnFailure | None = None,
-    ) -> Subscription:
-        """Subscribe raw, to a type installed here or known by name and hash only.
-
-        A message that a publisher of the same `origin` on this node published is never yielded: that keeps a topic
-        bridged both ways over one link from looping. A subscription that fails later closes itself and calls
-        `on_failure`; it is never called for one that was closed.
-
-        Raises:
-            RosError: no such type and no hash, an rmw that cannot do without the type, a bad name.
-        """
-        ...
-
-    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
-        """Create a raw publisher; types and errors as `subscribe`."""
         ...
 
     def services(self) -> dict[str, list[str]]:

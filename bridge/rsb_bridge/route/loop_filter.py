@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.internal_ends import RouteEnds
-    from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
+    from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, RouteEnds
     from rsb_bridge.route.peer import Peer
 
 EXPLAINED_WITHIN = 3.0

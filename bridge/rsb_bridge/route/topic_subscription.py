@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.internal_ends import RouteEnds
-    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, Subscription
+    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RouteEnds, Subscription
     from rsb_bridge.route.lease import LeaseHalf
     from rsb_bridge.route.sending import OutgoingPath
     from rsb_bridge.telemetry.meters import RateMeter
