@@ -1,6 +1,6 @@
-"""An action over a short outage; `python -m tests.calls.cutting 30` plays longer ones, and bridges that are killed.
+"""An action over short outages: the link is cut, and either bridge is killed.
 
-`tests/system/test_actions_killed.py` kills bridges in the middle of goals, too.
+`python -m tests.calls.cutting 30` plays longer ones.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ pytest.importorskip("test_msgs", reason="no package with an action is installed 
 from tests.calls.cutting import OUTAGES, happen
 
 if TYPE_CHECKING:
+    from tests.calls.cutting import Outage
     from tests.support.domain import Domain
 
 
-def test_goals_outlive_a_link_that_is_cut(robot: Domain, pc: Domain) -> None:
-    cut, *_ = OUTAGES
-    assert happen(cut, 1.0, robot, pc).numbers > 2
+@pytest.mark.parametrize("outage", OUTAGES, ids=[outage.words for outage in OUTAGES])
+def test_goals_outlive(outage: Outage, robot: Domain, pc: Domain) -> None:
+    assert happen(outage, 1.0, robot, pc).numbers > 2

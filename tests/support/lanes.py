@@ -22,7 +22,7 @@ ALONE = {"bluetooth", "network", "release"}
 """Folders whose tests share machines, hosts or builds."""
 SHARED = {"calls": 3}
 """Folders that start processes for all their tests, and so run in a few lanes."""
-FIRST = ("simulation", "checks", "pure", *ALONE, "soak", "calls", "tests/engine/test_verdicts.py")
+FIRST = ("simulation", "checks", "pure", *ALONE, "soak", "calls", "tests/system/test_torture.py")
 """What takes the longest: begun late, it has one worker wait at the end while the others have nothing to do."""
 
 

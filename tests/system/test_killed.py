@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rsb_bridge.engine import Engine
 
 
-@pytest.mark.parametrize("times", [12, *long(50)])
+@pytest.mark.parametrize("times", [9, *long(50)])
 def test_again_and_again(times: int, bridge: Bridge, programs: Programs, robot: Domain, pc: Domain) -> None:
     """Two bridges at once, one whose client dies and one whose server does; the other halves live in this process.
 

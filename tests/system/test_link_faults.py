@@ -19,6 +19,7 @@ from tests.console.live import COMMAND
 from tests.console.tmux import Tmux
 from tests.support.forker import Forked
 from tests.support.log_lines import check_lines
+from tests.support.long import long_cases
 from tests.support.waiting import eventually
 from tests.support.wording import says
 
@@ -152,7 +153,7 @@ def test_the_keys_differ(sides: Sides, bridge: Bridge) -> None:
     server.screen(f"✗ robot1: refused 127.0.0.1: {words}")
 
 
-@pytest.mark.parametrize(("there", "older", "newer"), [(1, "client", "server"), (3, "server", "client")])
+@pytest.mark.parametrize(("there", "older", "newer"), [(1, "client", "server"), *long_cases((3, "server", "client"))])
 def test_the_versions_differ(sides: Sides, there: int, older: str, newer: str) -> None:
     server, client = sides.server(), sides.client(version=there)
     programs = {"server": server, "client": client}

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.locks import domains_of
-from tests.support.long import long_cases
-from tests.system.torture import ages, attacks, demands, rests
+from tests.support.long import long, long_cases
+from tests.system.torture import attacks, rests
 from tests.system.torture.ends import WITNESS, Arrival
 from tests.system.torture.judge import Window, judge
 from tests.system.torture.stage import TOPIC, Nodes
@@ -39,23 +39,31 @@ def check(found: Findings) -> None:
     assert not [each for each in found.notes if each.startswith(attacks.NOT_AGAIN)], found
 
 
-def _freeze(stage: Stage) -> None:
+def _freeze_robot(stage: Stage) -> None:
     attacks.freeze_robot(stage, 2.5)
+
+
+def _freeze_pc(stage: Stage) -> None:
+    attacks.freeze_pc(stage, 2.5)
 
 
 @pytest.mark.parametrize(
     ("name", "transport", "attack"),
     [
-        ("freeze-robot", "tcp", _freeze),
+        ("freeze-robot", "tcp", _freeze_robot),
+        ("freeze-pc", "udp", _freeze_pc),
         ("hold", "udp", attacks.hold(("data", "datagrams", "control"), 2.0)),
+        ("hold-control-first", "tcp", attacks.hold(("control", "data"), 2.0)),
+        *long_cases(("freeze-robot", "udp", _freeze_robot), ("freeze-pc", "tcp", _freeze_pc), ("add-up", "tcp", None)),
     ],
 )
-def test_nothing_old_reaches_the_robot(nodes: Nodes, name: str, transport: Transport, attack: Attack) -> None:
+def test_nothing_old_reaches_the_robot(nodes: Nodes, name: str, transport: Transport, attack: Attack | None) -> None:
     check(attacks.attack(nodes, name, transport, attack))
 
 
-def test_nothing_reaches_the_robot_after_an_operator_was_told_that_it_is_disarmed(nodes: Nodes) -> None:
-    check(attacks.attack(nodes, "disarm-data-held", "tcp"))
+@pytest.mark.parametrize("name", ["disarm-held", "disarm-data-held", *long("disarm-frozen", "disarm-0.4s")])
+def test_nothing_reaches_the_robot_after_an_operator_was_told_that_it_is_disarmed(nodes: Nodes, name: str) -> None:
+    check(attacks.attack(nodes, name, "tcp"))
 
 
 @pytest.mark.parametrize(
@@ -75,21 +83,6 @@ def test_the_last_message_at_the_robot_rests_however_its_arming_ends(
     """When it comes is for `python -m tests.system.torture rests`, on a machine with nothing else to do."""
     found = rests.run(nodes, name, transport, driver)
     assert (found.last, found.moving_after_rest) == ("rest", 0), found
-
-
-@pytest.mark.long
-def test_no_demand_is_lost(nodes: Nodes) -> None:
-    """Nobody arms anything; a case that crosses has lost what a session demands."""
-    found = demands.run(nodes, (*demands.CASES, *demands.EDITS), watched=1.0)
-    control = found.pop(demands.CONTROL)
-    assert min(control.before, control.after, control.restarted) > 0
-    assert {name: crossed for name, crossed in found.items() if crossed.wrong} == {}
-
-
-@pytest.mark.long
-@pytest.mark.skipif(not ages.KNOWN, reason="this version does not know max_age")
-def test_nothing_older_than_max_age_reaches_the_robot(nodes: Nodes) -> None:
-    check(ages.run(nodes, "add-up", "tcp", "pc-pattern"))
 
 
 def test_the_judge_is_not_blind() -> None:

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tests.support.locks import two_domains
-from tests.system.torture import ages, attacks, clock, demands, rests
-from tests.system.torture.stage import SIDES, Nodes
+from tests.system.torture import attacks, clock, rests
+from tests.system.torture.stage import Nodes
 
 from rsb_bridge.api import EngineError
 
@@ -31,14 +31,14 @@ _HEAD = ("attack", "over", "crossed", "old", "after", "unarmed", "oldest", "tole
 def main() -> int:
     """Do the attacks."""
     parser = argparse.ArgumentParser(prog="python -m tests.system.torture", description=__doc__)
-    parser.add_argument("what", choices=("armed", "demands", "ages", "rests", "all"))
+    parser.add_argument("what", choices=("armed", "rests", "all"))
     parser.add_argument("names", nargs="*", metavar="NAME", help="attacks, instead of all")
     parser.add_argument("--by", nargs="+", choices=rests.DRIVERS, default=rests.DRIVERS, help="who drives, for rests")
     parser.add_argument("--over", nargs="+", choices=_TRANSPORTS, default=_TRANSPORTS)
     arguments = parser.parse_args()
     wrong = 0
-    steps = {*attacks.STEPS, *ages.STEPS}
-    with_steps = clock.POSSIBLE and arguments.what not in ("demands", "rests") and steps & {*(arguments.names or steps)}
+    steps = {*attacks.STEPS}
+    with_steps = clock.POSSIBLE and arguments.what != "rests" and steps & {*(arguments.names or steps)}
     for stepped in (False, True) if with_steps else (False,):
         with tempfile.TemporaryDirectory() as folder:
             os.environ |= {"XDG_RUNTIME_DIR": folder, "XDG_STATE_HOME": folder, "RSB_CONSOLE_ISOLATED": "1"}
@@ -46,12 +46,8 @@ def main() -> int:
             try:
                 if arguments.what in ("armed", "all"):
                     wrong += _armed(nodes, arguments)
-                if arguments.what in ("demands", "all") and not stepped:
-                    wrong += _demands(nodes)
                 if arguments.what in ("rests", "all") and not stepped:
                     wrong += _rests(nodes, arguments)
-                if arguments.what in ("ages", "all"):
-                    wrong += _ages(nodes, arguments)
             finally:
                 nodes.close()
     return int(wrong > 0)
@@ -68,19 +64,6 @@ def _armed(nodes: Nodes, arguments: argparse.Namespace) -> int:
     return wrong
 
 
-def _ages(nodes: Nodes, arguments: argparse.Namespace) -> int:
-    every: Iterable[str] = ages.STEPS if nodes.clocks else ages.WORKS
-    print(f"max_age: {ages.MAX_AGE}" if ages.KNOWN else "max_age is not known: without it")  # noqa: T201
-    _print(*_HEAD)
-    wrong = 0
-    for name in [each for each in every if each in (arguments.names or every)]:
-        for transport in arguments.over:
-            wrong += _case(name, transport, lambda: ages.run(nodes, name, transport))  # noqa: B023 -- called at once
-    for place in ages.PLACES if not (nodes.clocks or arguments.names) else ():
-        wrong += _case("hold", f"tcp {place}", lambda: ages.run(nodes, "hold", "tcp", place))  # noqa: B023
-    return wrong
-
-
 def _case(name: str, transport: str, run: Callable[[], Findings]) -> int:
     try:
         found = run()
@@ -91,18 +74,6 @@ def _case(name: str, transport: str, run: Callable[[], Findings]) -> int:
     in_dds = [f"{found.in_dds} of these were given to DDS in time"] if found.in_dds else []
     _print(name, transport, *figures, "; ".join(in_dds + found.notes))
     return found.wrong
-
-
-def _demands(nodes: Nodes) -> int:
-    wrong = 0
-    for server in SIDES:
-        for cases in (demands.CASES, demands.EDITS):
-            print(f"{f'the {server} is the server':52}{'crossed':>8}{'edited':>8}{'again':>8}  codes")  # noqa: T201
-            for name, found in demands.run(nodes, cases, server=server).items():
-                figures = "".join(f"{each:>8}" for each in (found.before, found.after, found.restarted))
-                print(f"{name:52}{figures}  {found.codes or ''}", flush=True)  # noqa: T201
-                wrong += 0 if name == demands.CONTROL else found.wrong
-    return wrong
 
 
 def _rests(nodes: Nodes, arguments: argparse.Namespace) -> int:

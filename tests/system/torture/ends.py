@@ -96,17 +96,9 @@ class Talker(_Process):
     def __init__(self, pc: int, robot: int, environ: Mapping[str, str] | None = None) -> None:
         super().__init__("talk", pc, robot, environ=environ)
 
-    def talk(self, topics: Iterable[str], rate: float, *, latched: bool = False, twist: bool = False) -> None:
+    def talk(self, topics: Iterable[str], rate: float, *, twist: bool = False) -> None:
         """Publish each topic at `rate` Hz from now on, and nothing else; with `twist`, as velocities."""
-        self.ask(topics=[*topics], rate=rate, latched=latched, twist=twist)
-
-    def matched(self) -> dict[str, int]:
-        """How many subscriptions each topic has."""
-        return dict(self.ask(matched=True))
-
-    def published(self) -> dict[str, int]:
-        """How many messages of each topic were published so far."""
-        return dict(self.ask(published=True))
+        self.ask(topics=[*topics], rate=rate, twist=twist)
 
 
 class Ear(_Process):
@@ -160,7 +152,7 @@ def _twist(**linear: float) -> Any:
 def talk(pc: int, robot: int) -> None:
     """Publish until the input ends."""
     from std_msgs.msg import String
-    from tests.support.domain import LATCHED, RELIABLE, Domain
+    from tests.support.domain import Domain
 
     domain, own = Domain(pc), Domain(robot)
     witness = _Voice(own.publisher(WITNESS), _WITNESS_RATE)
@@ -173,20 +165,13 @@ def talk(pc: int, robot: int) -> None:
             if not line:
                 return
             order = json.loads(line)
-            if "matched" in order:
-                _say({name: each.publisher.get_subscription_count() for name, each in voices.items()})
-            elif "published" in order:
-                _say({name: each.number for name, each in voices.items()})
-            else:
-                domain.clear()
-                qos = LATCHED if order["latched"] else RELIABLE
-                twist = order["twist"]
-                kind = type(_twist()) if twist else String
-                voices = {
-                    name: _Voice(domain.publisher(name, kind, qos), order["rate"], twist=twist)
-                    for name in order["topics"]
-                }
-                _say("done")
+            domain.clear()
+            twist = order["twist"]
+            kind = type(_twist()) if twist else String
+            voices = {
+                name: _Voice(domain.publisher(name, kind), order["rate"], twist=twist) for name in order["topics"]
+            }
+            _say("done")
         now = time.monotonic()
         for voice in (witness, *voices.values()):
             if voice.due <= now:

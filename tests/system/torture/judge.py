@@ -101,14 +101,11 @@ class Witness:
         return CLOCK_TOLERANCE + max((age for _, age in self._ages), default=0.0)
 
 
-def judge(
-    arrivals: Sequence[Arrival], windows: Sequence[Window], oldest: float = OLDEST, *, true_clock: bool = True
-) -> Findings:
+def judge(arrivals: Sequence[Arrival], windows: Sequence[Window], *, true_clock: bool = True) -> Findings:
     """Count what reached the robot and should not have.
 
     Args:
         arrivals: of one topic, and of the witness.
-        oldest: s that a message may have at its arrival.
         true_clock: whether the robot's bridge has this machine's wall clock.
     """
     witness = Witness(arrivals)
@@ -117,7 +114,7 @@ def judge(
         if each.topic == WITNESS:
             continue
         tolerance = witness.tolerance(each.arrived)
-        wrong = _wrong(each.published, each.arrived, windows, oldest, tolerance)
+        wrong = _wrong(each.published, each.arrived, windows, tolerance)
         found.crossed += 1
         found.oldest = max(found.oldest, each.arrived - each.published)
         found.old += wrong.old
@@ -127,7 +124,7 @@ def judge(
             if found.wrong < _DESCRIBED:
                 found.notes.append(_describe(each, wrong, windows))
             found.wrong += 1
-            found.in_dds += true_clock and not any(_wrong(each.published, each.bridged, windows, oldest, tolerance))
+            found.in_dds += true_clock and not any(_wrong(each.published, each.bridged, windows, tolerance))
     return found
 
 
@@ -144,9 +141,9 @@ def _describe(arrival: Arrival, wrong: _Wrong, windows: Sequence[Window]) -> str
     return f"[{names}: number {arrival.number}, {ages}; {since}]"
 
 
-def _wrong(published: float, moment: float, windows: Sequence[Window], oldest: float, tolerance: float) -> _Wrong:
+def _wrong(published: float, moment: float, windows: Sequence[Window], tolerance: float) -> _Wrong:
     """Judge a message that was published by a bridge, or reached the robot, at that moment."""
     window = next((each for each in reversed(windows) if each.asked <= published), None)
     shown = window.shown if window is not None and window.shown is not None else float("inf")
     unarmed = window is None or published > shown + tolerance
-    return _Wrong(moment - published > oldest + tolerance, not unarmed and moment > shown + tolerance, unarmed)
+    return _Wrong(moment - published > OLDEST + tolerance, not unarmed and moment > shown + tolerance, unarmed)

@@ -171,9 +171,7 @@ class Stage:
     """A bridge over one transport. A context manager.
 
     Args:
-        server: the side that listens for the other one.
-        entries: of each side's session, in addition to the usual ones; the default has `TOPIC`, which requires arming.
-        entry: further settings of the topic.
+        entry: further settings of `TOPIC`, which requires arming.
 
     Attributes:
         pc: the control PC's.
@@ -182,25 +180,15 @@ class Stage:
         notes: what an attack has to say.
     """
 
-    def __init__(
-        self,
-        nodes: Nodes,
-        transport: Transport = "tcp",
-        *,
-        server: Side = "pc",
-        entries: dict[Side, dict[str, Any]] | None = None,
-        entry: dict[str, Any] | None = None,
-    ) -> None:
+    def __init__(self, nodes: Nodes, transport: Transport = "tcp", *, entry: dict[str, Any] | None = None) -> None:
         self._nodes = nodes
         self.transport = transport
-        self._server: Side = server
         self.router: Router | None = None
         self.relay: Relay
         self.windows: list[Window] = []
         self.notes: list[str] = []
         self._resources = contextlib.ExitStack()
         self._lock = threading.Lock()
-        self._entries = entries
         self._entry = entry or {}
         self._arms: Bridge | None = None
         self._over = threading.Event()
@@ -242,14 +230,17 @@ class Stage:
             port = free_port()
             self.relay = self._resources.enter_context(Relay(("127.0.0.1", port)))
             places = {
-                side: {"server_ip": "127.0.0.1", "server_port": port if side == self._server else self.relay.port}
+                side: {"server_ip": "127.0.0.1", "server_port": port if side == "pc" else self.relay.port}
                 for side in SIDES
             }
-        entries = self._entries if self._entries is not None else self._usual_entries()
+        topic = {"topic": TOPIC, "direction": "receive", "arm": True, "deadman": 0, "protocol": self.transport}
+        roles: dict[Side, dict[str, Any]] = {
+            "robot": {"role": "client", "topics": [topic | self._entry]},
+            "pc": {"role": "server"},
+        }
         bridges = {}
         for side, domain in zip(SIDES, nodes.domains, strict=True):
-            role = "server" if side == self._server else "client"
-            session = common | places[side] | {"role": role, "domain_id": domain} | entries.get(side, {})
+            session = common | places[side] | {"domain_id": domain} | roles[side]
             file = folder / f"{side}.yaml"
             file.write_text(yaml.safe_dump(session, sort_keys=False))
             bridges[side] = Bridge(nodes.forkers[side], file)
@@ -262,12 +253,6 @@ class Stage:
         watching.start()
         self._resources.callback(watching.join)
         self._resources.callback(self._over.set)
-
-    def _usual_entries(self) -> dict[Side, dict[str, Any]]:
-        client: Side = "robot" if self._server == "pc" else "pc"
-        direction = "receive" if client == "robot" else "transmit"
-        entry = {"topic": TOPIC, "direction": direction, "arm": True, "deadman": 0, "protocol": self.transport}
-        return {client: {"topics": [entry | self._entry]}}
 
     # --- what people do
 
