@@ -45,7 +45,6 @@ EVERYTHING = 1 << 30
 
 
 def installed() -> Iterator[str]:
-    """Every message type that is installed here."""
     for package in PACKAGES:
         for module in pkgutil.iter_modules(importlib.import_module(f"{package}.msg").__path__):
             found = importlib.import_module(f"{package}.msg.{module.name}")
@@ -56,7 +55,6 @@ TYPES = sorted({name for name in installed() if "Metaclass" not in name and inst
 
 
 def described(name: str) -> TypeDescription:
-    """The description of an installed type."""
     text = installed_description(name)
     assert text is not None
     return read_description(text, hash_of(installed_class(name)))  # type: ignore[arg-type]

@@ -14,8 +14,6 @@ POINT = FieldType(1, 0, 0, "a_msgs/msg/Point")
 
 
 def described(*fields: tuple[str, FieldType], **others: tuple[tuple[str, FieldType], ...]) -> TypeDescription:
-    """Return the description of a type and of the types that it refers to."""
-
     def message(name: str, of: tuple[tuple[str, FieldType], ...]) -> MessageType:
         return MessageType(f"a_msgs/msg/{name}", tuple(MessageField(*each) for each in of))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 MOST = 99
@@ -12,7 +13,10 @@ OWN = {"self", "cls", "super()"}
 
 
 def private(path: Path) -> list[str]:
-    nodes = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Attribute)]
+    text = path.read_text(encoding="utf-8")
+    if {*re.findall(r"(?<!\bself)(?<!\bcls)\.(_[A-Za-z]\w*)", text)} <= PUBLIC:
+        return []  # to parse all takes seconds
+    nodes = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Attribute)]
     hidden = [each for each in nodes if each.attr.startswith("_") and each.attr[:2] != "__" and each.attr not in PUBLIC]
     return [f"{path}:{each.lineno} {each.attr}" for each in hidden if ast.unparse(each.value) not in OWN]
 

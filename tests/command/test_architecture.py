@@ -69,10 +69,10 @@ def _names_of(statement: ast.stmt) -> set[str]:
     return set()
 
 
-@pytest.mark.parametrize("name", _NAMES)
-def test_what_the_page_names_exists(name: str) -> None:
-    is_topic = name.startswith("/")
-    assert is_topic or name in _LIBRARY or is_named(name) or is_file(name)
+def test_what_the_page_names_exists() -> None:
+    names = [name for name in _NAMES if not name.startswith("/") and name not in _LIBRARY]  # no topics
+    assert len(names) > 100
+    assert [name for name in names if not is_named(name) and not is_file(name)] == []
 
 
 @pytest.mark.parametrize("package", ["rsb_bridge", "rsb_console"])

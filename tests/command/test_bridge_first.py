@@ -1,7 +1,8 @@
-"""A bridge's name, as an option or as a plain word, in each command that attaches."""
+"""The words of a command: a bridge's name, as an option or as a plain word, and options wherever they stand."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -50,16 +51,41 @@ def parsed(*words: str) -> dict[str, Any]:
         ("add --control /run/x.sock /scan transmit", {"bridge": None, "topic": "/scan"}),
         ("client add robot1 /etc/pc.yaml", {"bridge": None, "name": "robot1"}),
         ("fleet exec robot1 -- pause /scan", {"bridge": None, "names": ["robot1"]}),
+        # options stand anywhere
+        ("client add robot2 --prefix pc.yaml", {"name": "robot2", "use_name": True, "session": Path("pc.yaml")}),
+        ("client add --prefix robot2 pc.yaml", {"name": "robot2", "use_name": True, "session": Path("pc.yaml")}),
+        ("client add robot2 pc.yaml --prefix", {"name": "robot2", "use_name": True, "session": Path("pc.yaml")}),
+        ("client add robot2", {"name": "robot2", "use_name": None, "session": None}),
+        ("add /scan --link a transmit qos=1 --json depth=2", {"direction": "transmit", "keys": ["qos=1", "depth=2"]}),
+        ("add --service /dock --provider client", {"topic": "/dock", "kind": "service", "keys": [], "direction": None}),
+        ("call --json /dock --link a {a:1}", {"topic": "/dock", "link": "a", "request": "{a:1}"}),
+        ("param set /node --json speed -5", {"topic": "/node", "parameter": "speed", "value": "-5"}),
+        ("param set /node speed -- -x", {"parameter": "speed", "value": "-x"}),
+        ("status --json robot1", {"bridge": "robot1", "json": True}),
+        ("status --bridge robot1", {"bridge": "robot1"}),
+        ("status", {"bridge": None}),
+        ("keygen --force", {"path": Path("key.txt"), "force": True}),
+        ("wait --for flowing /scan --timeout 3", {"wanted": ["flowing", "/scan"], "timeout": 3.0}),
+        ("run --no-ui a.yaml --debug", {"session": Path("a.yaml"), "debug": True}),
     ],
 )
-def test_the_name_is_found(words: str, found: dict[str, Any]) -> None:
+def test_what_words_say_is_found_wherever_options_stand(words: str, found: dict[str, Any]) -> None:
     assert {name: value for name, value in parsed(*words.split()).items() if name in found} == found
 
 
-def test_a_mistyped_command_of_a_fleet_is_no_bridge(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        parsed("fleet", "exce", "robot1")
-    assert "exce" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    "words",
+    [
+        "fleet exce robot1",  # no bridge
+        *("status a b", "client add a b c", "remove /scan --what", "param get /node", "wait"),
+        *(f"demo --fleet --robots {count}" for count in ("0", "-1", "many")),
+        *(f"hz /scan --window={window}" for window in ("0", "121", "1.5", "x", "-1", "9" * 5000)),
+    ],
+)
+def test_what_no_command_takes_is_refused(words: str) -> None:
+    with pytest.raises(SystemExit) as caught:
+        parsed(*words.split())
+    assert caught.value.code == 2
 
 
 def test_each_command_that_attaches_has_the_option() -> None:

@@ -9,7 +9,6 @@ import msgspec
 import pytest
 from tests.console.scripted import SESSION, ScriptedEngine, answered, route
 from tests.support import surroundings
-from tests.support.commands import Ran
 from tests.support.wording import says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
@@ -23,7 +22,7 @@ from rsb_bridge.model.snapshot import ArmingSnapshot, Ledger, Stage, State
 from rsb_bridge.model.topic_keys import ForeignKey
 from rsb_console.command.call_command import CallProblem
 from rsb_console.command.remote import RemoteProblem
-from rsb_console.command.target import BridgeChoice, RouteChoice
+from rsb_console.command.target import RouteChoice
 from rsb_console.session.landing import LandingText
 
 if TYPE_CHECKING:
@@ -36,7 +35,6 @@ if TYPE_CHECKING:
 
 
 def called(topic: str, kind: Kind = "service", **changes: Any) -> RouteSnapshot:
-    """Add callable entries; the client's node answers."""
     lanes = {"action": ("send_goal", "cancel_goal"), "parameters": ("get_parameters", "set_parameters")}
     return replace(
         route(topic, key=f"{kind} {topic}", spec=Topic(topic, "receive", kind=kind)),
@@ -50,22 +48,12 @@ NODE = called("/controller", "parameters")
 SCAN = route("/dock", key="scan", outgoing=True, spec=Topic("/dock", "transmit"))
 
 
-@pytest.fixture(autouse=True)
-def _here(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
-
-
 @pytest.fixture
 def engine(machine: Machine) -> ScriptedEngine:
     routes = (DOCK, NAVIGATE, NODE)
     made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=tuple(r.spec for r in routes)), routes=routes)
     machine.serve(made)
     return made
-
-
-@pytest.fixture
-def ran(capsys: pytest.CaptureFixture[str]) -> Any:
-    return lambda *arguments: Ran(capsys, *arguments)
 
 
 def answer(engine: ScriptedEngine, text: str) -> None:
@@ -135,15 +123,11 @@ def test_every_kind_is_edited_paused_armed_and_removed_by_its_name(ran: Any, eng
         assert ran("edit", each.topic, "timeout=5", "paused=yes").code == 0
         for command in ("remove", "pause", "disarm"):
             assert ran(command, each.topic).code == 0
-    changes = [replace_spec(each, timeout=5.0, paused=True) for each in (DOCK, NAVIGATE, NODE)]
+    changes = [msgspec.structs.replace(each.spec, timeout=5.0, paused=True) for each in (DOCK, NAVIGATE, NODE)]
     assert [each[:3] for each in engine.commands if each[0] == "edit"] == [
         ("edit", each.key, changed) for each, changed in zip((DOCK, NAVIGATE, NODE), changes, strict=True)
     ]
     assert [each[1] for each in engine.commands if each[0] == "remove"] == [DOCK.key, NAVIGATE.key, NODE.key]
-
-
-def replace_spec(route: RouteSnapshot, **changes: Any) -> Topic:
-    return msgspec.structs.replace(route.spec, **changes)
 
 
 def test_a_topic_and_a_service_of_one_name_are_told_apart_by_their_kind(ran: Any, engine: ScriptedEngine) -> None:
@@ -353,20 +337,3 @@ def test_a_node_that_refuses_is_quoted(ran: Any, engine: ScriptedEngine, monkeyp
     )
     unreadable = ran("param", "list", "/controller")
     assert (unreadable.code, says(unreadable.err, CallProblem.UNREADABLE, topic="/controller")) == (1, True)
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("call", "/dock"),
-        ("param", "dump", "/n"),
-        ("param", "describe", "/n", "a"),
-        ("param", "list", "/n"),
-        ("param", "get", "/n", "a"),
-        ("param", "set", "/n", "a", "1"),
-    ],
-)
-def test_without_a_bridge_they_say_so(ran: Any, machine: Machine, words: tuple[str, ...]) -> None:
-    machine.serve()
-    refused = ran(*words, "--bridge", "robot7")
-    assert (refused.code, says(refused.err, BridgeChoice.UNKNOWN, name="robot7")) == (3, True)

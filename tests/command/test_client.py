@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, get_args
 
@@ -12,7 +13,6 @@ import pytest
 from msgspec.structs import replace
 from tests.console.scripted import LINK, ScriptedEngine
 from tests.support import surroundings
-from tests.support.commands import Ran
 from tests.support.wording import says
 
 from rsb_bridge.config.client_entries import ClientProblem
@@ -33,6 +33,7 @@ from rsb_console.session.client_files import ClientFileProblem, RobotFileText
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from tests.support.commands import Ran
     from tests.support.control import Machine
 
 Run: TypeAlias = "Callable[..., Ran]"
@@ -49,12 +50,6 @@ clients:
 """
 
 
-@pytest.fixture(autouse=True)
-def _here(machine: Machine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
-    monkeypatch.chdir(tmp_path)
-
-
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     """Write a server's session file, and its client's key."""
@@ -65,8 +60,9 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    return lambda *arguments: Ran(capsys, "client", *arguments)
+def run(ran: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+    monkeypatch.chdir(tmp_path)
+    return partial(ran, "client")
 
 
 def test_a_robot_is_added_with_all_that_it_needs(path: Path, run: Run) -> None:

@@ -15,8 +15,9 @@ from typing import Any, get_args
 
 import pytest
 from tests.support import replaced, surroundings
-from tests.support.commands import parser_and_commands, rsb_console
+from tests.support.commands import rsb_console
 from tests.support.locks import alone
+from tests.support.long import long
 from tests.support.wording import says
 
 from rsb_bridge.config.advice import Advice
@@ -68,17 +69,20 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def process(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
-    """Run the installed command."""
     return subprocess.run([COMMAND, *arguments], capture_output=True, text=True, timeout=120, check=False, **options)
 
 
 def with_first(before: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the command in a Python that first does something else."""
-    script = f"import sys\n{before}\nfrom rsb_console.cli import main\nsys.exit(main({list(arguments)!r}))"
+    script = script_of(before, arguments)
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
 
 
-@pytest.mark.parametrize("arguments", [("--help",), ("--version",), ("keygen", "--force"), ("check", "robot1.yaml")])
+def script_of(before: str, arguments: tuple[str, ...]) -> str:
+    return f"import sys\n{before}\nfrom rsb_console.cli import main\nsys.exit(main({list(arguments)!r}))"
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("keygen", "--force"), ("check", "robot1.yaml")])
 def test_it_answers_at_once_without_ros_and_textual(arguments: tuple[str, ...]) -> None:
     rsb_console("keygen")
     counted = "import atexit; atexit.register(lambda: print('modules', len(sys.modules)))"
@@ -88,17 +92,7 @@ def test_it_answers_at_once_without_ros_and_textual(arguments: tuple[str, ...]) 
     assert int(run.stdout.rpartition("modules")[2]) < MOST_MODULES  # what it takes to start is what it imports
 
 
-def test_what_libraries_print_is_kept_out_of_the_log() -> None:
-    script = (
-        "import os; from rsb_bridge.model.text import keep_output_clean; "
-        "from rsb_console.command import shell; "
-        "keep_output_clean(); os.write(1, b'theirs'); shell.print_line('ours')"
-    )
-    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
-    assert (run.stdout, run.stderr) == ("ours\n", "theirs")
-
-
-@pytest.mark.parametrize(("closed", "name", "code"), [(">&-", "robot1", 0), ("2>&-", "robot1", 0), ("2>&-", "none", 2)])
+@pytest.mark.parametrize(("closed", "name", "code"), [(">&-", "robot1", 0), ("2>&-", "none", 2)])
 def test_closed_outputs_change_nothing_but_what_is_said(closed: str, name: str, code: int) -> None:
     rsb_console("keygen")
     run = subprocess.run(["sh", "-c", f'exec "$0" check {name}.yaml {closed}', COMMAND], timeout=120, check=False)
@@ -434,39 +428,6 @@ def test_bad_arguments_are_refused_in_words() -> None:
         assert "Traceback" not in run.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ("client add robot2 --prefix pc.yaml", {"name": "robot2", "use_name": True, "session": Path("pc.yaml")}),
-        ("client add --prefix robot2 pc.yaml", {"name": "robot2", "use_name": True, "session": Path("pc.yaml")}),
-        ("client add robot2 pc.yaml --prefix", {"name": "robot2", "use_name": True, "session": Path("pc.yaml")}),
-        ("client add robot2", {"name": "robot2", "use_name": None, "session": None}),
-        ("add /scan --link a transmit qos=1 --json depth=2", {"direction": "transmit", "keys": ["qos=1", "depth=2"]}),
-        ("add --service /dock --provider client", {"topic": "/dock", "kind": "service", "keys": [], "direction": None}),
-        ("call --json /dock --link a {a: 1}", {"topic": "/dock", "link": "a", "request": "{a:1}"}),
-        ("param set /node --json speed -5", {"topic": "/node", "parameter": "speed", "value": "-5"}),
-        ("param set /node speed -- -x", {"parameter": "speed", "value": "-x"}),
-        ("status --json robot1", {"bridge": "robot1", "json": True}),
-        ("status --bridge robot1", {"bridge": "robot1"}),
-        ("status", {"bridge": None}),
-        ("keygen --force", {"path": Path("key.txt"), "force": True}),
-        ("wait --for flowing /scan --timeout 3", {"wanted": ["flowing", "/scan"], "timeout": 3.0}),
-        ("run --no-ui a.yaml --debug", {"session": Path("a.yaml"), "debug": True}),
-    ],
-)
-def test_options_stand_anywhere(words: str, expected: dict[str, object]) -> None:
-    arguments = words.replace("{a: 1}", "{a:1}").split()
-    found = vars(parser_and_commands()[0].parse_args(arguments))
-    assert {key: found[key] for key in expected} == expected
-
-
-@pytest.mark.parametrize("words", ["status a b", "client add a b c", "remove /scan --what", "param get /node", "wait"])
-def test_what_no_command_takes_is_refused_beside_options(words: str) -> None:
-    with pytest.raises(SystemExit) as caught:
-        parser_and_commands()[0].parse_args(words.split())
-    assert caught.value.code == 2
-
-
 def test_a_session_named_like_a_command_is_reached_by_its_path() -> None:
     Path("checks").write_text(SESSION.replace("udp", "tpc"))
     assert "checks:7: topic /scan, protocol" in rsb_console("checks").stderr
@@ -492,14 +453,14 @@ def test_an_unforeseen_failure_is_one_line_and_a_log(folder: Path, monkeypatch: 
     assert stderr.count("\n") == 1
 
 
-def test_an_interrupt_is_quiet() -> None:
+def test_an_interrupt_is_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
     """The command raises what Ctrl-C raises: no command here runs long enough to be hit by a real one."""
-    broken = (
-        "from rsb_console.command import arguments\n"
-        "def check(_): raise KeyboardInterrupt\n"
-        "arguments.check_session = check"
-    )
-    run = with_first(broken, "check", "robot1.yaml")
+
+    def check(_: object) -> int:
+        raise KeyboardInterrupt
+
+    replaced.CHECK_SESSION.set(monkeypatch, check)
+    run = rsb_console("check", "robot1.yaml", may_crash=True)
     assert (run.returncode, run.stdout, run.stderr) == (130, "", "")
 
 
@@ -525,9 +486,8 @@ def test_names_outside_the_terminals_encoding_are_escaped() -> None:
 
 def started_headless(before: str, *arguments: str) -> subprocess.Popen[str]:
     """Start the command in a Python that first does something else, and return it once it has printed a line."""
-    script = f"import sys\n{before}\nfrom rsb_console.cli import main\nsys.exit(main({list(arguments)!r}))"
     return subprocess.Popen(
-        [sys.executable, "-c", script],
+        [sys.executable, "-c", script_of(before, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -535,7 +495,7 @@ def started_headless(before: str, *arguments: str) -> subprocess.Popen[str]:
     )
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [*long(signal.SIGINT), signal.SIGTERM])
 def test_a_signal_while_the_engine_starts_ends_it_cleanly(number: signal.Signals) -> None:
     """The engine's start says when it begins, so that the signal meets it."""
     rsb_console("keygen")

@@ -20,6 +20,7 @@ import pytest
 from argcomplete.finders import CompletionFinder
 from tests.console.scripted import SESSION, ScriptedEngine, route
 from tests.support import constants, replaced
+from tests.support.captured import captured
 from tests.support.commands import options_of, parser_and_commands, subcommands_of
 
 from rsb_bridge.model.session import Topic
@@ -194,9 +195,7 @@ def test_bash_completes_with_what_is_installed(tmp_path: Path) -> None:
         _python_argcomplete rsb-console keyg rsb-console
         echo "${{COMPREPLY[@]}}"
     """
-    run = subprocess.run(
-        ["bash", "--norc", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
-    )
+    run = captured("bash", "--norc", "-c", script, cwd=tmp_path)
     assert run.stdout.split()[-2:] == ["rsb-console", "keygen"], run.stderr
 
 

@@ -17,13 +17,15 @@ from rsb_console.command.doctor import lines
 from rsb_console.terminal.terminal_check import terminal_check
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
+
+    from tests.support.commands import Ran
 
 SESSION = "name: robot1\nrole: client\nserver_ip: 127.0.0.1\nserver_port: 7060\nkey_file: robot1.key\ndomain_id: 5\n"
 
 
 def run(*arguments: str, **environ: str) -> subprocess.CompletedProcess[str]:
-    """The command, in a process of its own."""
     command = [sys.executable, "-m", "rsb_console", "doctor", *arguments]
     return subprocess.run(command, env=os.environ | environ, capture_output=True, text=True, timeout=120, check=False)
 
@@ -52,18 +54,16 @@ def test_what_is_wrong_comes_last_and_counts(tmp_path: Path) -> None:
     assert "Traceback" not in ran.stdout
 
 
-def test_a_session(tmp_path: Path) -> None:
+def test_a_session(tmp_path: Path, ran: Callable[..., Ran]) -> None:
     path = tmp_path / "robot1.yaml"
     path.write_text(SESSION)
-    assert run(str(path)).returncode == 1  # its key is missing
+    assert ran("doctor", str(path)).code == 1  # its key is missing
     write_key(tmp_path / "robot1.key")
-    ran = run(str(path), "--json")
-    assert ran.returncode == 0
-    assert {each["code"]: each["grade"] for each in json.loads(ran.stdout)["findings"] if each["code"] == "keys"} == {
-        "keys": "ok"
-    }
+    report = ran("doctor", str(path), "--json")
+    assert report.code == 0
+    assert [each["grade"] for each in report.json["findings"] if each["code"] == "keys"] == ["ok"]
     path.write_text("name: robot1\nrole: nobody\n")
-    assert run(str(path)).returncode == 2
+    assert ran("doctor", str(path)).code == 2
 
 
 def test_commands_are_not_broken_into_lines() -> None:

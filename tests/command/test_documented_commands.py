@@ -224,7 +224,6 @@ class Control(ServerEngine):
 
 
 def lasts(line: str) -> bool:
-    """Whether a command lasts until Ctrl-C."""
     return re.search("^(arm|echo|hz|bw) |--rate", line) is not None and not re.search("--(once|count|for)", line)
 
 
@@ -243,7 +242,6 @@ def prepare(line: str) -> None:
 
 
 def run(line: str) -> int:
-    """Run a line. Return the exit code."""
     if line.startswith("fleet edit"):
         line += " --settle 0.1"  # instead of 10 s
     try:
@@ -288,7 +286,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def serve(machine: Machine, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
-    """Serves the bridge that a line is for."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
 
     def serve(line: str) -> None:
@@ -328,7 +325,6 @@ def over_zenoh(line: Line) -> bool:
 
 
 def check(line: str, capsys: pytest.CaptureFixture[str], consoles: list[object]) -> None:
-    """Run a line, and check that it does what it says."""
     assert run(line) == (INTERRUPTED if lasts(line) else OK), capsys.readouterr().err
     assert bool(consoles) is opens_console(line)
 

@@ -59,7 +59,6 @@ LINES = [*shell_lines()]
 
 
 def named(pattern: str) -> set[str]:
-    """Return the names in lines and sentences of code."""
     codes = [code for text in _TEXTS.values() for code in re.findall(r"`([^`\n]+)`", text)]
     lines = [" ".join(words) for _, words in LINES]
     return {name for text in (*codes, *lines) for name in re.findall(pattern, text)}

@@ -55,7 +55,6 @@ def test_the_fields_of_calls_that_are_documented_are_printed() -> None:
 
 
 def called_section() -> str:
-    """Return the section about the fields of services and actions."""
     return re.split(r"\n#+ ", HEADLESS.partition("### A route of calls\n")[2])[0]
 
 

@@ -12,7 +12,6 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from tests.console.scripted import NOW, SESSION, ScriptedEngine, route
-from tests.support.commands import Ran
 from tests.support.wording import says
 
 from rsb_bridge.model.session import Topic
@@ -29,20 +28,13 @@ SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit"))
 
 
 @pytest.fixture
-def engine(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> ScriptedEngine:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+def engine(machine: Machine) -> ScriptedEngine:
     made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,))
     machine.serve(made)
     return made
 
 
-@pytest.fixture
-def ran(capsys: pytest.CaptureFixture[str]) -> Any:
-    return lambda *arguments: Ran(capsys, *arguments)
-
-
 def peeked(message: Any, **changes: Any) -> PeekedMessage:
-    """A message as the engine shows it."""
     kind = f"{type(message).__module__.split('.')[0]}/msg/{type(message).__name__}"
     payload = serialize_message(message)
     shown = PeekedMessage(payload, len(payload), kind, hash_of(type(message)), NOW + 0.25, outgoing=False)
@@ -184,7 +176,6 @@ def test_where_nothing_comes_it_says_why(ran: Any, engine: ScriptedEngine) -> No
     assert says(late.err, RemoteProblem.NO_MORE_MESSAGES, topic="/scan", seconds=0.2)
     assert "no publisher of /scan in domain 4" in late.err
     assert ran("echo", "/scn", "--once").code == 2
-    assert ran("echo", "--control", "/nonexistent", "/scan").code == 3
 
 
 def test_it_is_a_read(ran: Any, engine: ScriptedEngine) -> None:

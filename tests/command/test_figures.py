@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
-import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast
 
@@ -13,12 +11,8 @@ import msgspec
 import pytest
 from tests.console.scripted import LINK, NOW, SESSION, ScriptedEngine, route
 from tests.support import constants, replaced
-from tests.support.bridge import carries, linked
-from tests.support.commands import Ran, parser_and_commands
-from tests.support.domain import text
 from tests.support.held import held_by
 from tests.support.running import Running
-from tests.support.waiting import eventually
 
 from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.session import Topic
@@ -29,12 +23,8 @@ from rsb_console.command.figures import SnapshotWindow
 from rsb_console.command.formatting import link_word, links_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from rclpy.publisher import Publisher
-    from tests.support.bridge import Bridge
+    from tests.support.commands import Ran
     from tests.support.control import Machine
-    from tests.support.domain import Domain
 
     from rsb_bridge.control.remote_engine import RemoteEngine
 
@@ -42,37 +32,13 @@ SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit", expected_ra
 DOCK = route("/dock", spec=Topic("/dock", "transmit", kind="service"), outgoing=True, calls=CallsSnapshot(asked=2))
 
 
-@contextlib.contextmanager
-def publishing(out: Publisher, period: float) -> Iterator[None]:
-    """Publish messages of about 100 bytes every so many s."""
-    ends = threading.Event()
-
-    def publish() -> None:
-        while not ends.wait(period):
-            out.publish(text("x" * 96))
-
-    thread = threading.Thread(target=publish)
-    thread.start()
-    try:
-        yield
-    finally:
-        ends.set()
-        thread.join()
-
-
 @pytest.fixture
 def engine(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> Running:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
     constants.FIGURES_EVERY.set(monkeypatch, 0.05)
     constants.FIGURES_LEDGER_FROM.set(monkeypatch, 0.0)
     made = Running(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN, DOCK))
     machine.serve(made)
     return made
-
-
-@pytest.fixture
-def ran(capsys: pytest.CaptureFixture[str]) -> Any:
-    return lambda *arguments: Ran(capsys, *arguments)
 
 
 def objects(done: Ran) -> list[dict[str, Any]]:
@@ -148,13 +114,6 @@ def test_a_name_that_is_not_bridged_is_wrong_usage(ran: Any, engine: Running, na
 @pytest.mark.parametrize("name", ["hz", "bw"])
 def test_a_service_has_no_figures_of_messages(ran: Any, engine: Running, name: str) -> None:
     assert ran(name, "/dock", "--count", "1").code == 2
-
-
-@pytest.mark.parametrize("window", ["0", "121", "1.5", "x", "-1", "9" * 5000])
-def test_a_window_is_what_the_engine_remembers(capsys: pytest.CaptureFixture[str], window: str) -> None:
-    with pytest.raises(SystemExit) as ended:
-        parser_and_commands()[0].parse_args(["hz", "/scan", f"--window={window}"])
-    assert ended.value.code == 2
 
 
 def test_what_is_removed_meanwhile_ends_it(ran: Any, engine: Running, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -242,7 +201,6 @@ class Dropping(Running):
 def test_what_a_full_link_delivers_stands_beside_what_it_is_given(
     ran: Any, machine: Machine, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
     constants.FIGURES_EVERY.set(monkeypatch, 0.05)
     machine.serve(Dropping(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,)))
     people = ran(name, "/scan", *(() if name == "info" else ("--count", "3")))
@@ -267,32 +225,6 @@ def test_figures_begin_with_a_snapshot_of_their_own() -> None:
 def test_info_of_a_service(ran: Any, engine: Running) -> None:
     assert "2 asked" in ran("info", "/dock").out
     assert ran("info", "/dock", "--json").json["calls"]["asked"] == 2
-
-
-def test_at_a_bridge_that_runs(
-    bridge: Bridge, robot: Domain, pc: Domain, machine: Machine, monkeypatch: pytest.MonkeyPatch, ran: Any
-) -> None:
-    """Real messages, at 20 Hz: the sending side throttles them to half of that."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
-    chat, out = pc.listener("/chat"), robot.publisher("/chat")
-    server, client = bridge.both(Topic("/chat", "transmit", max_rate=10.0))
-    eventually(lambda: linked(client) and linked(server) and chat.matched)
-    carries([out], server, ["/chat"])
-    machine.serve(client)
-    with publishing(out, 0.05):
-        done = ran("hz", "/chat", "--count", "8", "--json")
-        assert done.code == 0
-        last = objects(done)[-1]
-        # A slow machine publishes and carries less; tests/route/test_throttle.py has the exact rates.
-        assert 0 < last["rate"] <= 13
-        assert 0 < last["offered_rate"] <= 26
-        assert 0 < last["delivered_rate"] <= 14, "the peer reports once a second"
-        (size,) = objects(ran("bw", "/chat", "--count", "1", "--json"))
-        assert 100 <= size["mean_size"] <= 110
-    found = ran("info", "/chat", "--json").json
-    assert found["type"] == "std_msgs/msg/String"
-    assert found["publishers"] == ["/stock"]
-    assert found["transport"] == "tcp"
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,14 @@ import os
 import re
 import signal
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import pytest
 from tests.console.scripted import NOW, ScriptedEngine, call_route
 from tests.support import surroundings
-from tests.support.commands import Ran, parser_and_commands
+from tests.support.commands import parser_and_commands
 from tests.support.fleet import ServerEngine
 
 from rsb_bridge.model.by_hand import Published
@@ -23,17 +24,14 @@ from rsb_console.command.remote_arguments import IN_FLEET
 from rsb_console.fleet.fleet import Memory, Remembered, memory_path
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.commands import Ran
     from tests.support.control import Machine
 
+Fleet: TypeAlias = "Callable[..., Ran]"
 QUICK = ("--seconds", "0.1")
 SETTLE = ("--settle", "0.2")
-
-
-@pytest.fixture(autouse=True)
-def _here(machine: Machine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
-    monkeypatch.setenv("RSB_CONSOLE_ISOLATED", "1")
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
 
 @pytest.fixture
@@ -43,20 +41,22 @@ def engine(machine: Machine) -> ServerEngine:
     return made
 
 
-def fleet(capsys: pytest.CaptureFixture[str], *words: str) -> Ran:
-    return Ran(capsys, "fleet", *words)
+@pytest.fixture
+def fleet(ran: Fleet, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Fleet:
+    monkeypatch.setenv("RSB_CONSOLE_ISOLATED", "1")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return partial(ran, "fleet")
 
 
 def answers(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
-    """Somebody is there, and types this."""
     surroundings.set_stdin(monkeypatch, text, is_terminal=True)
 
 
 # --- how they are
 
 
-def test_all_is_well(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    ran = fleet(capsys, "--json", *QUICK)
+def test_all_is_well(engine: ServerEngine, fleet: Fleet) -> None:
+    ran = fleet("--json", *QUICK)
     assert ran.code == 0
     assert ran.json["ok"] is True
     assert ran.json["summary"]["robots"] == 3
@@ -68,9 +68,9 @@ def test_all_is_well(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -
     assert first["since"] == NOW - 300.0
 
 
-def test_something_is_wrong(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+def test_something_is_wrong(engine: ServerEngine, fleet: Fleet) -> None:
     engine.link("robot2", state=State.DOWN, reason="no answer")
-    ran = fleet(capsys, "--json", *QUICK)
+    ran = fleet("--json", *QUICK)
     assert ran.code == 1
     assert (ran.json["ok"], ran.json["robots"][0]["name"], ran.json["robots"][0]["state"]) == (
         False,
@@ -79,49 +79,47 @@ def test_something_is_wrong(engine: ServerEngine, capsys: pytest.CaptureFixture[
     )
 
 
-def test_a_robot_that_has_gone_is_dismissed(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_robot_that_has_gone_is_dismissed(engine: ServerEngine, fleet: Fleet) -> None:
     memory = Memory(memory_path())
     memory.saw(Remembered("control", "robot9", NOW - 3600))
     memory.save()
-    ran = fleet(capsys, "--json", *QUICK)
+    ran = fleet("--json", *QUICK)
     assert (ran.code, ran.json["robots"][0]["name"], ran.json["robots"][0]["gone"]) == (1, "robot9", True)
-    assert fleet(capsys, "dismiss", "robot1").code == 2  # it is there
-    assert fleet(capsys, "dismiss").code == 2
-    ran = fleet(capsys, "exec", "--all", "--", "topics")
+    assert fleet("dismiss", "robot1").code == 2  # it is there
+    assert fleet("dismiss").code == 2
+    ran = fleet("exec", "--all", "--", "topics")
     assert "robot9" in ran.err
     assert "robot9" not in ran.out
-    assert fleet(capsys, "dismiss", "robot9", "--json").json == {"ok": True, "dismissed": ["robot9"]}
-    assert fleet(capsys, "--json", *QUICK).code == 0
+    assert fleet("dismiss", "robot9", "--json").json == {"ok": True, "dismissed": ["robot9"]}
+    assert fleet("--json", *QUICK).code == 0
 
 
-def test_no_server(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_server(machine: Machine, fleet: Fleet) -> None:
     machine.serve(ScriptedEngine())  # a client
     for arguments, code in ((("--json",), 3), (("--json", "--bridge", "robot1"), 2), (("--json", "--bridge", "no"), 3)):
-        ran = fleet(capsys, *arguments)
+        ran = fleet(*arguments)
         assert (ran.code, ran.json["ok"]) == (code, False)
 
 
-def test_the_screen_needs_a_terminal(
-    engine: ServerEngine, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_screen_needs_a_terminal(engine: ServerEngine, fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
     with Path(os.devnull).open() as nothing:
         surroundings.set_stdin(monkeypatch, nothing)
-        ran = fleet(capsys)
+        ran = fleet()
     assert (ran.code, "fleet --json" in ran.err) == (2, True)
 
 
-def test_the_fields_that_are_documented_are_printed(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_fields_that_are_documented_are_printed(engine: ServerEngine, fleet: Fleet) -> None:
     section = (Path(__file__).parents[2] / "docs" / "headless.md").read_text().partition("| field of a robot |")[2]
     rows = [line.split("|")[1] for line in section.partition("\n\n")[0].splitlines()[2:]]
-    printed = fleet(capsys, "--json", *QUICK).json["robots"][0]
+    printed = fleet("--json", *QUICK).json["robots"][0]
     assert {field for row in rows for field in re.findall(r"`(\w+)`", row)} == printed.keys()
 
 
 # --- a command for some robots
 
 
-def test_a_command_for_each(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    ran = fleet(capsys, "exec", "robot1", "robot3", "--", "pause", "/camera")
+def test_a_command_for_each(engine: ServerEngine, fleet: Fleet) -> None:
+    ran = fleet("exec", "robot1", "robot3", "--", "pause", "/camera")
     assert ran.code == 0
     assert [line.partition(" of ")[0] for line in ran.out.splitlines()] == [
         "robot1: paused: /camera",
@@ -130,38 +128,37 @@ def test_a_command_for_each(engine: ServerEngine, capsys: pytest.CaptureFixture[
     assert engine.commands == [("pause", "robot1 /camera", True), ("pause", "robot3 /camera", True)]
 
 
-def test_options_may_stand_before_the_command(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    """They may also follow it."""
-    assert fleet(capsys, "--json", "--bridge", "control", "exec", "robot1", "--", "status").json["ok"] is True
-    assert fleet(capsys, "exec", "robot1", "--json", "--bridge", "control", "--", "status").json["ok"] is True
+def test_options_may_stand_before_the_command(engine: ServerEngine, fleet: Fleet) -> None:
+    assert fleet("--json", "--bridge", "control", "exec", "robot1", "--", "status").json["ok"] is True
+    assert fleet("exec", "robot1", "--json", "--bridge", "control", "--", "status").json["ok"] is True
     for arguments in (("--bridge", "no", "exec", "robot1"), ("exec", "robot1", "--bridge", "no")):
-        assert fleet(capsys, *arguments, "--", "status").code == 3
-    assert fleet(capsys, "exec", "robot1", "--", "status").code == 0
+        assert fleet(*arguments, "--", "status").code == 3
+    assert fleet("exec", "robot1", "--", "status").code == 0
 
 
-def test_for_a_group_as_json(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    ran = fleet(capsys, "exec", "--group", "hall", "--json", "--", "topics")
+def test_for_a_group_as_json(engine: ServerEngine, fleet: Fleet) -> None:
+    ran = fleet("exec", "--group", "hall", "--json", "--", "topics")
     (one,) = ran.json["robots"]
     assert (ran.code, ran.json["ok"], one["robot"], one["code"]) == (0, True, "robot1", 0)
     assert {topic["topic"] for topic in one["output"][0]["topics"]} == {"/robot1/scan", "/robot1/camera"}
 
 
-def test_what_fails_for_one_is_named(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_fails_for_one_is_named(engine: ServerEngine, fleet: Fleet) -> None:
     now = engine.now
     engine.now = replace(now, routes=tuple(each for each in now.routes if each.key != "robot2 /camera"))
-    ran = fleet(capsys, "exec", "--all", "--", "pause", "/camera")
+    ran = fleet("exec", "--all", "--", "pause", "/camera")
     assert ran.code == 1
     one, two, three = ran.out.splitlines()
     assert one.startswith("robot1: paused")
     assert three.startswith("robot3: paused")
     assert two.startswith("robot2: /camera is not bridged")
-    ran = fleet(capsys, "exec", "--all", "--json", "--", "pause", "/camera")
+    ran = fleet("exec", "--all", "--json", "--", "pause", "/camera")
     assert [each["code"] for each in ran.json["robots"]] == [0, 2, 0]
 
 
-def test_a_status_is_of_one_robot(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_status_is_of_one_robot(engine: ServerEngine, fleet: Fleet) -> None:
     engine.link("robot1", state=State.DOWN, reason="no answer")
-    ran = fleet(capsys, "exec", "--all", "--json", "--", "status")
+    ran = fleet("exec", "--all", "--json", "--", "status")
     assert [each["code"] for each in ran.json["robots"]] == [1, 0, 0]
     assert [*ran.json["robots"][1]["output"][0]["links"]] == ["robot2"]
 
@@ -189,16 +186,14 @@ def test_a_status_is_of_one_robot(engine: ServerEngine, capsys: pytest.CaptureFi
         ("robot1", "--", "pause", "/scan", "--link", "robot2"),
     ],
 )
-def test_what_is_no_command_for_a_robot(
-    engine: ServerEngine, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
-) -> None:
-    assert fleet(capsys, "exec", *arguments).code == 2
+def test_what_is_no_command_for_a_robot(engine: ServerEngine, fleet: Fleet, arguments: tuple[str, ...]) -> None:
+    assert fleet("exec", *arguments).code == 2
     assert engine.commands == []
 
 
 @pytest.mark.parametrize("words", [("pub", "/camera"), ("call", "/dock")])
 def test_each_robot_gets_what_standard_input_has(
-    engine: ServerEngine, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: tuple[str, str]
+    engine: ServerEngine, fleet: Fleet, monkeypatch: pytest.MonkeyPatch, words: tuple[str, str]
 ) -> None:
     """Not only the first one, while the others get the defaults of every field."""
     routes = tuple(call_route("service", "/dock", key=f"dock {name}", link=name) for name in ("robot1", "robot2"))
@@ -206,7 +201,7 @@ def test_each_robot_gets_what_standard_input_has(
     engine.published = [Published(is_done=True, nodes=1)] * 2
     engine.called.set_result("success: true\n")
     surroundings.set_stdin(monkeypatch, "data: true")
-    assert fleet(capsys, "exec", "robot1", "robot2", "--", *words, "-").code == 0
+    assert fleet("exec", "robot1", "robot2", "--", *words, "-").code == 0
     published = [each[1].fields for each in engine.commands if each[0] == "publish"]  # type: ignore[attr-defined]
     called = [each[2] for each in engine.commands if each[0] == "call"]
     assert published + called == ["data: true"] * 2
@@ -219,46 +214,38 @@ def test_every_command_that_is_allowed_exists() -> None:
 # --- a change from robot to robot
 
 
-def test_what_would_change(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
-    ran = fleet(capsys, "edit", "robot1", "robot2", "/camera", "max_rate=5", "--dry-run")
+def test_what_would_change(engine: ServerEngine, fleet: Fleet) -> None:
+    ran = fleet("edit", "robot1", "robot2", "/camera", "max_rate=5", "--dry-run")
     assert (ran.code, ran.out.splitlines()) == (0, [f"{name}: max_rate none → 5" for name in ("robot1", "robot2")])
-    ran = fleet(capsys, "edit", "--all", "/camra", "max_rate=5", "--dry-run", "--json")
+    ran = fleet("edit", "--all", "/camra", "max_rate=5", "--dry-run", "--json")
     assert (ran.code, len(ran.json["plan"])) == (1, 3)
     assert engine.commands == []
 
 
-def test_a_change_after_a_yes(
-    engine: ServerEngine, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_change_after_a_yes(engine: ServerEngine, fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
     wanted = ("edit", "--group", "yard", "/camera", "max_rate=5", *SETTLE)
     answers(monkeypatch, "\n")
-    assert fleet(capsys, *wanted).code == 1
+    assert fleet(*wanted).code == 1
     assert engine.commands == []
     answers(monkeypatch, "y\n")
-    assert fleet(capsys, *wanted).code == 0
+    assert fleet(*wanted).code == 0
     assert [(each[0], each[1]) for each in engine.commands] == [("edit", "robot2 /camera")]
-    assert fleet(capsys, *wanted).code == 0  # nothing is to change any more
+    assert fleet(*wanted).code == 0  # nothing is to change any more
     assert len(engine.commands) == 1
 
 
-def test_nobody_is_asked(
-    engine: ServerEngine, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_nobody_is_asked_and_what_is_no_change_is_refused(
+    engine: ServerEngine, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     surroundings.set_stdin(monkeypatch, "")
-    assert fleet(capsys, "edit", "robot1", "/camera", "max_rate=5").code == 2
-    assert fleet(capsys, "edit", "robot1", "/camera", "max_rate=5", "--json").code == 2
+    assert fleet("edit", "robot1", "/camera", "max_rate=5").code == 2
+    assert fleet("edit", "robot1", "/camera", "max_rate=5", "--json").code == 2
+    for words in (("/camera",), ("max_rate=5",), ("/a", "/b", "max_rate=5")):
+        assert fleet("edit", "robot1", *words).code == 2
     assert engine.commands == []
 
 
-@pytest.mark.parametrize(
-    "words", [("robot1", "/camera"), ("robot1", "max_rate=5"), ("robot1", "/a", "/b", "max_rate=5")]
-)
-def test_what_is_no_change(engine: ServerEngine, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
-    assert fleet(capsys, "edit", *words).code == 2
-
-
 def max_rate(edit: tuple[object, ...]) -> float | None:
-    """Return the value after an edit."""
     topic = edit[2]
     assert isinstance(topic, Topic)
     return topic.max_rate
@@ -276,19 +263,17 @@ def broken_at(name: str) -> ServerEngine:
     return ServerEngine("robot1", "robot2", "robot3", edited=edited)
 
 
-def test_it_stops_and_says_the_way_back(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_stops_and_says_the_way_back(machine: Machine, fleet: Fleet) -> None:
     engine = broken_at("robot2")
     machine.serve(engine)
-    ran = fleet(capsys, "edit", "--all", "/camera", "max_rate=5", "--yes", *SETTLE)
+    ran = fleet("edit", "--all", "/camera", "max_rate=5", "--yes", *SETTLE)
     assert ran.code == 1
     assert [each[1] for each in engine.commands] == ["robot1 /camera", "robot2 /camera"]
     assert "stopped at robot2" in ran.err
     assert "fleet edit robot2 robot1 /camera max_rate=\n" in ran.err
 
 
-def test_it_stops_after_the_robot_at_which_it_is_interrupted(
-    machine: Machine, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_stops_after_the_robot_at_which_it_is_interrupted(machine: Machine, fleet: Fleet) -> None:
     def edited(route: RouteSnapshot) -> RouteSnapshot:
         signal.raise_signal(signal.SIGINT)
         return replace(route, state=State.OK, reason="")
@@ -296,15 +281,15 @@ def test_it_stops_after_the_robot_at_which_it_is_interrupted(
     before = signal.getsignal(signal.SIGINT)
     engine = ServerEngine("robot1", "robot2", edited=edited)
     machine.serve(engine)
-    ran = fleet(capsys, "edit", "--all", "/camera", "max_rate=5", "--yes", "--json", *SETTLE)
+    ran = fleet("edit", "--all", "/camera", "max_rate=5", "--yes", "--json", *SETTLE)
     assert (ran.code, ran.json["done"], ran.json["left"]) == (1, ["robot1"], ["robot2"])
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_it_goes_back_by_itself(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_goes_back_by_itself(machine: Machine, fleet: Fleet) -> None:
     engine = broken_at("robot2")
     machine.serve(engine)
-    ran = fleet(capsys, "edit", "--all", "/camera", "max_rate=5", "--yes", "--undo", "--json", *SETTLE)
+    ran = fleet("edit", "--all", "/camera", "max_rate=5", "--yes", "--undo", "--json", *SETTLE)
     assert ran.code == 1
     assert (ran.json["done"], ran.json["failed"]["robot"], ran.json["left"]) == (["robot1"], "robot2", ["robot3"])
     assert (ran.json["undone"], ran.json["not_undone"]) == (True, [])
@@ -313,11 +298,9 @@ def test_it_goes_back_by_itself(machine: Machine, capsys: pytest.CaptureFixture[
     ]  # fmt: skip
 
 
-def test_it_offers_to_go_back(
-    machine: Machine, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_offers_to_go_back(machine: Machine, fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = broken_at("robot1")
     machine.serve(engine)
     answers(monkeypatch, "y\ny\n")
-    assert fleet(capsys, "edit", "--all", "/camera", "max_rate=5", *SETTLE).code == 1
+    assert fleet("edit", "--all", "/camera", "max_rate=5", *SETTLE).code == 1
     assert [max_rate(each) for each in engine.commands] == [5.0, None]

@@ -28,8 +28,6 @@ _COMMAND = re.compile(r"\x1b_G([^;\x1b]*)(?:;([^\x1b]*))?\x1b\\")
 
 
 class Terminal:
-    """A terminal that gives a set answer."""
-
     def __init__(self, answer: bytes) -> None:
         self._master, self.slave = pty.openpty()
         self._answer = answer

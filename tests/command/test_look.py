@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from argparse import Namespace
 from concurrent.futures import Future
+from functools import partial
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 from xml.etree import ElementTree
@@ -13,14 +14,10 @@ import pytest
 from rich.style import Style
 from tests.console.scripted import ScriptedEngine
 from tests.support import constants, replaced, surroundings
-from tests.support.bridge import linked
-from tests.support.commands import Ran
-from tests.support.domain import LATCHED, text
 from tests.support.waiting import eventually
 from tests.support.wording import has_text, says
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.engine.viewing import LookProblem
 from rsb_bridge.model.pictures import Cells, Curve, Picture, Pixels, Series, Viewed, Wish
 from rsb_console.command import look_command
 from rsb_console.command.look_command import LookText
@@ -30,9 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from tests.support.bridge import Bridge
     from tests.support.control import Machine
-    from tests.support.domain import Domain
 
     from rsb_bridge.control.remote_engine import RemoteEngine
 
@@ -127,16 +122,15 @@ CURVES = Series(0.0, 0.5, (Curve("x", (1.0, 2.0), (1.0, 3.0), 3.0, 2.0),))
 
 
 @pytest.fixture
-def engine(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> ScriptedEngine:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+def engine(machine: Machine) -> ScriptedEngine:
     made = ScriptedEngine()
     machine.serve(made)
     return made
 
 
 @pytest.fixture
-def ran(capsys: pytest.CaptureFixture[str]) -> Any:
-    return lambda *arguments: Ran(capsys, "look", *arguments)
+def ran(ran: Any) -> Any:
+    return partial(ran, "look")
 
 
 def viewed(content: Cells | Pixels | Series | None = CHARACTERS, problem: str = "", note: str = "a note") -> Viewed:
@@ -145,7 +139,6 @@ def viewed(content: Cells | Pixels | Series | None = CHARACTERS, problem: str = 
 
 
 def looks(engine: ScriptedEngine) -> list[tuple[Any, ...]]:
-    """Return the questions for pictures: topics, wish and link each."""
     return [command[1:] for command in engine.commands if command[0] == "look"]
 
 
@@ -264,8 +257,6 @@ def test_the_command_ends_its_view(ran: Any, engine: ScriptedEngine, answer: Vie
 
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Make standard output a terminal with these variables."""
-
     def make(**variables: str) -> None:
         for name in ("NO_COLOR", "COLORTERM"):
             monkeypatch.delenv(name, raising=False)
@@ -388,11 +379,6 @@ def test_where_nothing_comes_it_gives_up(ran: Any, engine: ScriptedEngine) -> No
     eventually(engine.viewing.cancelled)
 
 
-def test_without_a_bridge(ran: Any, engine: ScriptedEngine) -> None:
-    assert engine.commands == []
-    assert ran("/scan", "--control", "/nonexistent", "--once").code == 3
-
-
 def test_a_damaged_image_is_refused(ran: Any, engine: ScriptedEngine, tmp_path: Path) -> None:
     damaged = Pixels(2, 2, b"RIFFxxxxWEBP", "webp")
     engine.viewed = [viewed(damaged), viewed(damaged)]
@@ -408,34 +394,3 @@ def test_nothing_in_a_picture_reaches_the_terminal_as_a_command(
     printed = ran("/scan", "--once").out
     assert all(character.isprintable() or character == "\n" for character in printed)
     assert '\\"[red]' in printed
-
-
-# -- a bridge that runs
-
-
-def test_at_a_bridge_that_runs(
-    bridge: Bridge, robot: Domain, machine: Machine, monkeypatch: pytest.MonkeyPatch, ran: Any, tmp_path: Path
-) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
-    publisher = robot.publisher("/chat", qos=LATCHED)
-    publisher.publish(text("hello"))
-    server, client = bridge.both()
-    eventually(lambda: linked(client) and linked(server))
-    machine.serve(server)
-    found = eventually(lambda: _json(ran("/chat", "--once", "--json", "--timeout", "20")), 60)
-    assert found["type"] == "std_msgs/msg/String"
-    assert found["side"]
-    assert found["messages"] == 1
-    assert any("hello" in row for row in found["rows"])
-    assert ran("/chat", "--output", str(tmp_path / "chat.txt")).code == 0
-    assert "hello" in (tmp_path / "chat.txt").read_text(encoding="utf-8")
-    nowhere = ran("/nothing", "--once")
-    assert nowhere.code == 1
-    assert says(nowhere.err, LookProblem.NOWHERE, topic="/nothing")
-    assert ran("/chat", "--link", "nobody", "--once").code != 0
-    assert publisher.topic_name == "/chat"
-
-
-def _json(done: Ran) -> Any:
-    """Return the picture, or None before the sides know each other's topics."""
-    return done.json if done.code == 0 else None

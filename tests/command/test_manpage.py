@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 import shutil
-import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.captured import captured
 from tests.support.commands import options_of, parser_and_commands, subcommands_of
 
 if TYPE_CHECKING:
@@ -62,12 +62,6 @@ def test_every_command_takes_what_the_page_says() -> None:
 
 @pytest.mark.skipif(shutil.which("groff") is None, reason="groff is not installed")
 def test_groff_takes_it(manpage: ModuleType) -> None:
-    run = subprocess.run(
-        ["groff", "-man", "-Tutf8", "-ww", "-K", "utf8", "-P-cbou", manpage.PAGE],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    run = captured("groff", "-man", "-Tutf8", "-ww", "-K", "utf8", "-P-cbou", manpage.PAGE)
     assert run.stderr == ""
     assert "rsb-console keygen" in run.stdout

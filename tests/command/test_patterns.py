@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.console.scripted import LINK, SESSION, ScriptedEngine, route
-from tests.support.commands import Ran
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, State
@@ -23,13 +22,7 @@ IMAGE = route("/camera/image", outgoing=True, spec=Topic("/camera/image", "trans
 
 
 def pattern(spec: Topic, state: State = State.OK, **changes: Any) -> PatternSnapshot:
-    """A pattern of the link."""
     return PatternSnapshot(f"key of {spec.topic}", LINK.name, spec, state, "1 bridged", True, spec.topic, **changes)
-
-
-@pytest.fixture(autouse=True)
-def _here(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
 
 
 @pytest.fixture
@@ -40,11 +33,6 @@ def engine(machine: Machine) -> ScriptedEngine:
     made.now = replace(made.now, links=(link,))
     machine.serve(made)
     return made
-
-
-@pytest.fixture
-def ran(capsys: pytest.CaptureFixture[str]) -> Any:
-    return lambda *arguments: Ran(capsys, *arguments)
 
 
 def test_a_topic_says_which_pattern_it_comes_from(ran: Any, engine: ScriptedEngine) -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import getpass
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
-import yaml
 from tests.console.scripted import ScriptedEngine, route
 from tests.support import replaced, surroundings
 from tests.support.bridge import linked
-from tests.support.commands import Ran, rsb_console
+from tests.support.commands import rsb_console
 from tests.support.consoles import Consoles
 from tests.support.domain import text
 from tests.support.waiting import eventually
@@ -44,21 +44,16 @@ ALONE = Published(is_done=True, ticket=6, type_name=STRING)
 OLD = Published(is_done=False, ticket=7, type_name=STRING)
 
 
-@pytest.fixture(autouse=True)
-def _here(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
-
-
 @pytest.fixture
-def engine(machine: Machine) -> ScriptedEngine:
+def engine(machine: Machine, here: None) -> ScriptedEngine:
     made = ScriptedEngine()
     machine.serve(made)
     return made
 
 
 @pytest.fixture
-def ran(capsys: pytest.CaptureFixture[str]) -> Any:
-    return lambda *arguments: Ran(capsys, "pub", *arguments)
+def ran(ran: Any) -> Any:
+    return partial(ran, "pub")
 
 
 class Clock:
@@ -104,17 +99,13 @@ def test_one_message(ran: Any, engine: ScriptedEngine) -> None:
     assert (command.ticket, command.rest) == (0, "")
 
 
-def test_the_type_of_a_new_topic(ran: Any, engine: ScriptedEngine) -> None:
-    engine.published = [TAKEN]
-    assert ran("/words", "", "--type", STRING).code == 0
-    assert [(each.fields, each.type_name) for each in sent(engine)] == [("", STRING)]
-
-
-def test_the_message_of_standard_input(ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_message_of_standard_input_and_the_type_of_a_new_topic(
+    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
     engine.published = [TAKEN]
     surroundings.set_stdin(monkeypatch, "data: hello\n")
-    assert ran("/words", "-").code == 0
-    assert [each.fields for each in sent(engine)] == ["data: hello\n"]
+    assert ran("/words", "-", "--type", STRING).code == 0
+    assert [(each.fields, each.type_name) for each in sent(engine)] == [("data: hello\n", STRING)]
 
 
 def test_no_more_of_standard_input_is_read_than_a_message_may_have(
@@ -126,19 +117,16 @@ def test_no_more_of_standard_input_is_read_than_a_message_may_have(
     assert [len(each.fields) for each in sent(engine)] == [FIELDS_LENGTH + 1]
 
 
-def test_some_messages_once_a_second(ran: Any, engine: ScriptedEngine, clock: Clock) -> None:
+@pytest.mark.parametrize(("options", "every"), [((), 1.0), (("--rate", "4"), 0.25)])
+def test_some_messages_once_a_second_or_at_a_rate(
+    ran: Any, engine: ScriptedEngine, clock: Clock, options: tuple[str, ...], every: float
+) -> None:
     engine.published = [TAKEN] * 3
-    done = ran("/words", "data: hello", "--count", "3")
+    done = ran("/words", "data: hello", "--count", "3", *options)
     assert done.code == 0
     assert len(done.out.splitlines()) == 1
     assert [each.ticket for each in sent(engine)] == [0, 5, 5]
-    assert clock.slept == [1.0, 1.0]
-
-
-def test_some_messages_at_a_rate(ran: Any, engine: ScriptedEngine, clock: Clock) -> None:
-    engine.published = [TAKEN] * 5
-    assert ran("/words", "data: hello", "--count", "5", "--rate", "4").code == 0
-    assert clock.slept == [0.25] * 4
+    assert clock.slept == [every] * 2
 
 
 @pytest.mark.parametrize(
@@ -200,9 +188,8 @@ def test_after_the_last_message_it_does_not_wait(
 
 
 def test_where_it_does_not_go_is_named(ran: Any, engine: ScriptedEngine) -> None:
-    engine.now = _with_routes(
-        engine, route("/words", State.DOWN, outgoing=True, link="robot2", reason="no link \x1b[2J")
-    )
+    down = route("/words", State.DOWN, outgoing=True, link="robot2", reason="no link \x1b[2J")
+    engine.now = replace(engine.now, routes=(down,))
     engine.published = [TAKEN]
     done = ran("/words", "data: hello")
     assert done.code == 0
@@ -215,6 +202,9 @@ def test_nobody_gets_it(ran: Any, engine: ScriptedEngine) -> None:
     done = ran("/words", "data: hello")
     assert (done.code, done.out) == (1, "")
     assert says(done.err, PubText.NOBODY, topic="/words")
+    engine.published = [ALONE]
+    done = ran("/words", "", "--json")
+    assert (done.code, done.json["ok"], done.json["count"]) == (1, False, 1)
 
 
 def test_nobody_gets_the_last_of_several(ran: Any, engine: ScriptedEngine, clock: Clock) -> None:
@@ -224,13 +214,13 @@ def test_nobody_gets_the_last_of_several(ran: Any, engine: ScriptedEngine, clock
 
 
 def test_the_result_for_programs(ran: Any, engine: ScriptedEngine, clock: Clock) -> None:
-    engine.now = _with_routes(
-        engine,
+    routes = (
         route("/words", State.DOWN, key="2", outgoing=True, link="robot2", reason="no link"),
         route("/words", key="3", link="robot3"),
         route("/other", key="4", outgoing=True, link="robot4"),
         route("/words", outgoing=True),
     )
+    engine.now = replace(engine.now, routes=routes)
     engine.published = [TAKEN] * 2
     done = ran("/words", "data: hello", "--count", "2", "--json")
     assert done.code == 0
@@ -247,12 +237,6 @@ def test_the_result_for_programs(ran: Any, engine: ScriptedEngine, clock: Clock)
     assert [each for each in clock.slept if each > _LOOK_EVERY] == [1.0]
 
 
-def test_nobody_for_programs(ran: Any, engine: ScriptedEngine) -> None:
-    engine.published = [ALONE]
-    done = ran("/words", "", "--json")
-    assert (done.code, done.json["ok"], done.json["count"]) == (1, False, 1)
-
-
 @pytest.mark.parametrize("options", [(), ("--json",)])
 def test_a_refusal(ran: Any, engine: ScriptedEngine, options: tuple[str, ...]) -> None:
     engine.published = [EngineError("no luck \x1b[2J")]
@@ -260,11 +244,6 @@ def test_a_refusal(ran: Any, engine: ScriptedEngine, options: tuple[str, ...]) -
     assert done.code == 1
     assert "no luck" in done.out + done.err
     assert "\x1b" not in done.out + done.err
-
-
-def test_without_a_bridge(ran: Any, engine: ScriptedEngine) -> None:
-    assert engine.commands == []
-    assert ran("/words", "", "--control", "/nonexistent").code == 3
 
 
 @pytest.mark.parametrize(
@@ -310,14 +289,10 @@ def test_a_message_to_begin_with(ran: Any, engine: ScriptedEngine) -> None:
     engine.drafts["/words"] = Draft(STRING, "data: ''\n")
     done = ran("/words", "--template")
     assert (done.code, done.out, done.err) == (0, "data: ''\n", "")
-    assert engine.commands == [("draft", "/words", "")]
-
-
-def test_a_message_to_begin_with_for_programs(ran: Any, engine: ScriptedEngine) -> None:
     engine.drafts["/words"] = Draft(STRING, "data: hello\n", is_last=True)
     done = ran("/words", "--template", "--type", STRING, "--json")
     assert done.json == {"ok": True, "type": STRING, "message": "data: hello\n", "is_last": True}
-    assert engine.commands == [("draft", "/words", STRING)]
+    assert engine.commands == [("draft", "/words", ""), ("draft", "/words", STRING)]
 
 
 def test_no_message_to_begin_with(ran: Any, engine: ScriptedEngine) -> None:
@@ -334,34 +309,6 @@ def consoles() -> Iterator[Consoles]:
     made = Consoles()
     yield made
     made.close()
-
-
-def test_at_a_bridge_that_runs(bridge: Bridge, robot: Domain, pc: Domain, machine: Machine, ran: Any) -> None:
-    words, near = pc.listener("/words"), robot.listener("/words")
-    server, client = bridge.both(Topic("/words", "transmit"))
-    eventually(lambda: linked(client) and linked(server))
-    machine.serve(client)
-    assert yaml.safe_load(eventually(lambda: ran("/words", "--template").out)) == {"data": ""}
-    found = ran("/words", "data: hello", "--json").json
-    assert found == {
-        "ok": True,
-        "topic": "/words",
-        "type": STRING,
-        "count": 1,
-        "subscriptions": found["subscriptions"],
-        "links": ["robot1"],
-        "not_over": [],
-        "landed": found["landed"],
-    }
-    assert [each["ok"] for each in found["landed"]] == [True]
-    assert found["subscriptions"] >= 1
-    eventually(lambda: words.texts(10) == ["hello"] and near.texts(10) == ["hello"])
-    assert ran("/words", "dta: hello").code == 2
-    nobody = ran("/nobody", "", "--type", STRING)
-    assert (nobody.code, nobody.out) == (1, "")
-    unknown = ran("/unknown", "")
-    assert unknown.code == 1
-    assert says(unknown.err, PublishProblem.NO_TYPE, topic="/unknown")
 
 
 def test_an_armed_topic_of_a_bridge_that_runs(
@@ -382,7 +329,3 @@ def test_an_armed_topic_of_a_bridge_that_runs(
     eventually(lambda: motors.texts(10) == ["go"] * 3)
     publisher.publish(text("by a node"))
     eventually(lambda: motors.texts(10)[-1] == "by a node")
-
-
-def _with_routes(engine: ScriptedEngine, *routes: Any) -> Any:
-    return replace(engine.now, routes=routes)

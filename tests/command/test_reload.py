@@ -30,15 +30,12 @@ from rsb_console.command.shell import HUNG_UP
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from tests.support.control import Machine
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
 ENDS_WITHIN = 60.0
 
 
-@pytest.fixture(autouse=True)
-def _here(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+pytestmark = pytest.mark.usefixtures("here")
 
 
 @pytest.fixture
@@ -65,7 +62,6 @@ class Systemd:
         self._thread.start()
 
     def hear(self, beginning: str) -> str:
-        """The next message that begins so."""
         while not (heard := self._heard.get(timeout=ENDS_WITHIN)).startswith(beginning):
             pass
         return heard
@@ -112,17 +108,17 @@ def start(
 
 
 def says(process: subprocess.Popen[str], code: str) -> Any:
-    """The next event of a code."""
     assert process.stdout
     return next(event for line in process.stdout if (event := json.loads(line)).get("code") == code)
 
 
 def topics(capsys: pytest.CaptureFixture[str]) -> list[str]:
-    """Return the topics that the bridge has."""
     return [each["topic"] for each in Ran(capsys, "topics", "--json").json["topics"]]
 
 
-def test_sighup_without_a_terminal_reloads(path: Path, systemd: Systemd, capsys: pytest.CaptureFixture[str]) -> None:
+def test_sighup_without_a_terminal_and_the_command_reload(
+    path: Path, systemd: Systemd, capsys: pytest.CaptureFixture[str]
+) -> None:
     with start(path, {"NOTIFY_SOCKET": str(systemd.path)}) as process:
         try:
             systemd.hear("READY=1")
@@ -149,11 +145,26 @@ def test_sighup_without_a_terminal_reloads(path: Path, systemd: Systemd, capsys:
             assert "robot1.yaml:" in failed["text"]
             assert "nonsense" in failed["text"]
             assert topics(capsys) == ["/scan", "/map"]
-            process.terminate()
+
+            save(msgspec.structs.replace(session, topics=(Topic("/scan", "transmit", max_rate=2.0),)), path)
+            done = Ran(capsys, "reload")
+            assert done.code == 0
+            assert "/scan (transmit): max_rate none → 2.0" in done.out.splitlines()
+            assert topics(capsys) == ["/scan"]
+            user = pwd.getpwuid(os.getuid()).pw_name
+            assert says(process, "operator.reloaded")["who"].startswith(user)
+            path.write_text(path.read_text().replace("2.0", "fast"))
+            bad = Ran(capsys, "reload", "--json")
+            assert bad.code == 1
+            assert "robot1.yaml:" in bad.json["error"]
+            assert "max_rate" in bad.json["error"]
+            assert Ran(capsys, "stop").code == 0
+            assert says(process, "operator.stopped")["who"].startswith(user)
             systemd.hear("STOPPING=1")
             assert process.wait(ENDS_WITHIN) == 0
         finally:
             process.kill()
+    eventually(lambda: Ran(capsys, "status").code == 3)
 
 
 def test_sighup_with_a_terminal_ends_the_bridge(path: Path, systemd: Systemd) -> None:
@@ -188,25 +199,3 @@ def test_nohup_keeps_the_bridge_when_the_terminal_goes(
             assert '"text": "stopping: SIGTERM"' in process.stdout.read()
         finally:
             process.kill()
-
-
-def test_the_command_reloads(path: Path, systemd: Systemd, capsys: pytest.CaptureFixture[str]) -> None:
-    with start(path, {"NOTIFY_SOCKET": str(systemd.path)}) as process:
-        try:
-            systemd.hear("READY=1")
-            session = load(path)
-            save(msgspec.structs.replace(session, topics=(Topic("/scan", "transmit", max_rate=2.0),)), path)
-            done = Ran(capsys, "reload")
-            assert (done.code, done.out) == (0, "/scan (transmit): max_rate none → 2.0\n")
-            assert says(process, "operator.reloaded")["who"].startswith(pwd.getpwuid(os.getuid()).pw_name)
-            path.write_text(path.read_text().replace("2.0", "fast"))
-            bad = Ran(capsys, "reload", "--json")
-            assert bad.code == 1
-            assert "robot1.yaml:" in bad.json["error"]
-            assert "max_rate" in bad.json["error"]
-            assert Ran(capsys, "stop").code == 0
-            assert says(process, "operator.stopped")["who"].startswith(pwd.getpwuid(os.getuid()).pw_name)
-            assert process.wait(ENDS_WITHIN) == 0
-        finally:
-            process.kill()
-    eventually(lambda: Ran(capsys, "status").code == 3)

@@ -6,18 +6,16 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from concurrent.futures import Future
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 import pytest
 from tests.console.scripted import EVENTS, ROUTES, SESSION, ScriptedEngine, route
 from tests.support import constants, replaced
-from tests.support.commands import Ran
+from tests.support.forker import Forked
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 from tests.support.wording import says
@@ -48,21 +46,16 @@ from rsb_console.session.draft import TypedProblem
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from tests.support.control import Machine
 
     from rsb_bridge.model.commands import Command
 
-COMMAND = str(Path(sys.executable).with_name("rsb-console"))
 LINK = ScriptedEngine().now.links[0]
 NO_LINK = RouteChoice.UNKNOWN_LINK(bridge="robot1", name="robot7", known="robot1")
 NOT_BRIDGED = RouteChoice.NOT_BRIDGED(topic="/scna", hint="; did you mean /scan?")
 SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit", max_rate=5.0))
-
-
-@pytest.fixture(autouse=True)
-def _here(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
 
 
 @pytest.fixture
@@ -71,11 +64,6 @@ def engine(machine: Machine) -> ScriptedEngine:
     made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,))
     machine.serve(made)
     return made
-
-
-@pytest.fixture
-def ran(capsys: pytest.CaptureFixture[str]) -> Any:
-    return lambda *arguments: Ran(capsys, *arguments)
 
 
 def test_status_says_how_it_is_and_whether_something_is_wrong(ran: Any, engine: ScriptedEngine) -> None:
@@ -106,12 +94,13 @@ def test_what_is_wrong_with_a_link_is_said_once_and_not_of_each_topic(ran: Any, 
     assert "2 topics wait for it: /scan and /map" in status.out
 
 
-def test_status_says_who_paused(ran: Any, engine: ScriptedEngine) -> None:
+def test_status_says_who_paused_or_shut_down_and_when_the_link_asks_again(ran: Any, engine: ScriptedEngine) -> None:
     paused = replace(SCAN, state=State.PAUSED, cause="paused", reason="paused (anna on pts/3)")
     engine.now = replace(engine.now, routes=(paused,))
-    status = ran("status")
-    assert status.code == 0
-    assert "anna on pts/3" in status.out
+    assert "anna on pts/3" in ran("status").out
+    down = replace(LINK, state=State.DOWN, cause="shut_down", reason="shut down by bert on pts/4", retry_in=26.3)
+    engine.now = replace(engine.now, links=(down,))
+    assert "bert on pts/4; asks again in 27 s" in ran("status").out
 
 
 def test_status_names_a_client_that_is_refused(ran: Any, engine: ScriptedEngine) -> None:
@@ -123,14 +112,6 @@ def test_status_names_a_client_that_is_refused(ran: Any, engine: ScriptedEngine)
     assert "robot9 at 10.0.0.9" in status.out
     (of_client,) = ran("status", "--json").json["refused"]
     assert (of_client["name"], of_client["cause"], of_client["attempts"]) == ("robot9", "unknown_name", 3)
-
-
-def test_status_says_when_a_link_that_is_shut_down_asks_again(ran: Any, engine: ScriptedEngine) -> None:
-    down = replace(LINK, state=State.DOWN, cause="shut_down", reason="shut down by anna on pts/3", retry_in=26.3)
-    engine.now = replace(engine.now, links=(down,))
-    status = ran("status")
-    assert status.code == 1
-    assert "anna on pts/3; asks again in 27 s" in status.out
 
 
 WAITS = replace(SCAN, state=State.WAITING, cause="no_publisher", reason="no publisher of /scan", age=None)
@@ -381,20 +362,6 @@ def test_a_server_waits_for_a_topic_that_a_client_may_bring(ran: Any, machine: M
     assert says(late.err, RemoteProblem.NOT_BROUGHT, topic="/scna", hint="; did you mean /scan?")
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("--link", "robot1", "/map", "receive", "max_rate=5"),
-        ("/map", "--link", "robot1", "receive", "max_rate=5"),
-        ("/map", "receive", "--link", "robot1", "max_rate=5"),
-        ("/map", "receive", "max_rate=5", "--link", "robot1"),
-    ],
-)
-def test_options_stand_anywhere(ran: Any, engine: ScriptedEngine, words: tuple[str, ...]) -> None:
-    assert ran("add", *words).code == 0
-    assert engine.commands == [("add", Topic("/map", "receive", max_rate=5.0), "robot1")]
-
-
 def test_what_is_not_understood_is_refused_with_the_commands_own_usage(
     ran: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -415,26 +382,30 @@ def test_on_a_server_of_several_the_client_has_to_be_named(ran: Any, machine: Ma
     assert ran("add", "/map", "receive", "--link", "robot2").code == 0
 
 
-@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "report"])  # which needs no bridge that runs
+NEEDED = {
+    **dict.fromkeys(("edit", "remove", "pause", "resume", "ack", "arm", "disarm", "echo", "hz", "bw", "info"), "/scan"),
+    "wait": "--for stopped",
+    "add": "/scan transmit",
+    "look": "/scan --once",
+    "pub": "/scan {}",
+    "call": "/dock",
+    "param dump": "/n",
+    "param describe": "/n a",
+    "param list": "/n",
+    "param get": "/n a",
+    "param set": "/n a 1",
+}
+"""The arguments that commands need."""
+
+
+@pytest.mark.parametrize("name", sorted({*COMMANDS, *NEEDED} - {"report"}))  # which needs no bridge that runs
 def test_every_command_takes_the_bridge_in_the_same_way(ran: Any, machine: Machine, name: str) -> None:
-    needed = {"wait": ("--for", "stopped"), "add": ("/scan", "transmit")}
-    about_topic = ("edit", "remove", "pause", "resume", "ack", "arm", "disarm", "echo", "hz", "bw", "info")
-    arguments = ("/scan",) if name in about_topic else needed.get(name, ())
-    refused = ran(name, *arguments, "--bridge", "robot7", "--json")
-    assert refused.code == 3
+    words = *name.split(), *NEEDED.get(name, "").split()
+    assert ran(*words, "--bridge", "robot7", "--json").code == 3
     machine.serve()
-    assert says(ran(name, *arguments, "--bridge", "robot7").err, BridgeChoice.UNKNOWN, name="robot7")
-    if not arguments:
+    assert says(ran(*words, "--bridge", "robot7").err, BridgeChoice.UNKNOWN, name="robot7")
+    if name not in NEEDED:
         assert ran(name, "robot7").code == 3
-
-
-def test_on_a_server_a_topic_may_be_called_as_on_the_client(ran: Any, machine: Machine) -> None:
-    shown = route("/robot1/scan", spec=Topic("/scan", "transmit"))
-    engine = ScriptedEngine(routes=(shown,))
-    machine.serve(engine)
-    for name in ("/scan", "/robot1/scan"):
-        assert ran("pause", name).code == 0
-    assert engine.commands == [("pause", "/robot1/scan", True)] * 2
 
 
 def test_without_a_bridge_they_say_so(ran: Any, machine: Machine) -> None:
@@ -519,30 +490,21 @@ def session(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def bridge(session: Path) -> Iterator[subprocess.Popen[str]]:
-    """It runs headless."""
+def bridge(here: None, session: Path) -> Iterator[Forked]:
     with start("run", "--no-ui", str(session)) as process:
-        assert process.stdout
         assert "connecting" in process.stdout.readline()
         yield process
         process.kill()
 
 
-def start(*arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen([COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+def start(*arguments: str) -> Forked:
+    return Forked("rsb_console", *arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
-def command(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([COMMAND, *arguments], capture_output=True, text=True, timeout=120, check=False)
-
-
-def test_a_headless_bridge_is_attached_to_changed_and_stopped(
-    ran: Any, bridge: subprocess.Popen[str], session: Path
-) -> None:
+def test_a_headless_bridge_is_attached_to_changed_and_stopped(ran: Any, bridge: Forked, session: Path) -> None:
     status = ran("status", "--json").json
     assert (status["pid"], status["file"]) == (bridge.pid, str(session))
     with start("events", "--json", "--follow") as following:
-        assert following.stdout
         assert json.loads(following.stdout.readline())["code"] == "link.connecting"
         assert ran("add", "/map", "receive", "type=OccupancyGrid").code == 0
         assert ran("pause", "/scan").code == 0
@@ -559,12 +521,13 @@ def test_a_headless_bridge_is_attached_to_changed_and_stopped(
     assert ran("status").code == 3
 
 
-def test_a_session_is_not_started_twice(ran: Any, bridge: subprocess.Popen[str], session: Path) -> None:
-    second = command("run", "--no-ui", str(session))
+def test_a_session_is_not_started_twice(ran: Any, bridge: Forked, session: Path) -> None:
+    with start("run", "--no-ui", str(session)) as second:
+        _, errors = second.communicate(60)
     assert second.returncode == 4
-    assert says(second.stderr, SessionRuns.ANSWERING, name="robot1", pid=bridge.pid)
-    assert says(second.stderr, HeadlessText.RUNS_ALREADY, command="rsb-console attach robot1")
-    assert "Traceback" not in second.stderr
+    assert says(errors, SessionRuns.ANSWERING, name="robot1", pid=bridge.pid)
+    assert says(errors, HeadlessText.RUNS_ALREADY, command="rsb-console attach robot1")
+    assert "Traceback" not in errors
     bridge.send_signal(signal.SIGKILL)
     bridge.wait()
     with start("run", "--no-ui", str(session)) as third:
@@ -573,34 +536,17 @@ def test_a_session_is_not_started_twice(ran: Any, bridge: subprocess.Popen[str],
         assert third.wait(60) == 0
 
 
-def test_disarm_answers_also_where_the_name_has_one_route(ran: Any, engine: ScriptedEngine) -> None:
-    engine.now = replace(engine.now, routes=(SCAN,))
-    done = ran("disarm", "/scan")
-    assert done.code == 0
-    assert "disarmed" in done.out
-    assert json.loads(ran("disarm", "/scan", "--json").out) == {"ok": True}
-
-
-def test_the_details_say_who_has_armed_it_and_the_limit_of_its_age(ran: Any, engine: ScriptedEngine) -> None:
+def test_the_details_say_who_has_armed_it_and_its_limits(ran: Any, engine: ScriptedEngine) -> None:
     armed = ArmingSnapshot(armed=True, by="anna on pts/3", left=12.0, deadman=20.0)
-    engine.now = replace(engine.now, routes=(replace(SCAN, arming=armed, max_age=0.5, ledger=Ledger()),))
-    text = ran("info", "/scan").out
-    assert "anna on pts/3" in text
-    assert "0.5 s" in text
-    assert json.loads(ran("info", "/scan", "--json").out)["max_age"] == 0.5
-    assert json.loads(ran("info", "/scan", "--json").out)["limits"] is None
-
-
-def test_the_details_have_the_limits_and_whose_they_are(ran: Any, engine: ScriptedEngine) -> None:
-    limited = replace(SCAN, limits=VelocityLimits(0.5), limited_by=("robot.yaml:14",), ledger=Ledger())
-    engine.now = replace(engine.now, routes=(limited,))
-    (line,) = [each for each in ran("info", "/scan").out.splitlines() if "robot.yaml:14" in each]
-    assert "0.5 m/s" in line
-    assert json.loads(ran("info", "/scan", "--json").out)["limits"] == {
-        "linear": 0.5,
-        "angular": None,
-        "limited_by": ["robot.yaml:14"],
-    }
+    shown = replace(SCAN, arming=armed, max_age=0.5, limits=VelocityLimits(0.5), limited_by=("robot.yaml:14",))
+    engine.now = replace(engine.now, routes=(replace(shown, ledger=Ledger()),))
+    lines = ran("info", "/scan").out.splitlines()
+    assert any("anna on pts/3" in line for line in lines)
+    assert any("0.5 s" in line for line in lines)
+    assert any("robot.yaml:14" in line and "0.5 m/s" in line for line in lines)
+    found = ran("info", "/scan", "--json").json
+    limits = {"linear": 0.5, "angular": None, "limited_by": ["robot.yaml:14"]}
+    assert (found["max_age"], found["limits"]) == (0.5, limits)
 
 
 @pytest.mark.parametrize(("option", "command"), [("--ask", "ask_holder"), ("--take", "take_arming"), ("", "arm")])
@@ -636,26 +582,35 @@ def test_who_asks_in_a_shell_gives_signs_of_life(
     assert alive[:3] == [False] * 3
 
 
-class Keys:
-    """Stands for the terminal of `arm`, whose operator presses Enter all the time until somebody asks.
-
-    Attributes:
-        keeps: whether the operator answers.
-    """
-
+class Terminal:
     engine: ScriptedEngine
-    questions: list[str]
-    keeps: bool
-    patch: pytest.MonkeyPatch
 
     def __init__(self, *_: object) -> None:
-        self._answers = 0
+        pass
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         pass
+
+    def _becomes(self, arming: ArmingSnapshot) -> None:
+        self.engine.now = replace(self.engine.now, routes=(replace(SCAN, arming=arming),))
+
+
+class Keys(Terminal):
+    """Stands for the terminal of `arm`, whose operator presses Enter all the time until somebody asks.
+
+    Attributes:
+        keeps: whether the operator answers.
+    """
+
+    questions: list[str]
+    keeps: bool
+    patch: pytest.MonkeyPatch
+
+    def __init__(self, *_: object) -> None:
+        self._answers = 0
 
     def wait(self, seconds: float) -> bool:
         constants.OLD_AFTER.set(self.patch, 50.0)
@@ -667,9 +622,6 @@ class Keys:
         if self._answers > 1:
             self._becomes(ArmingSnapshot(armed=False))
         return self.keeps and self._answers == 1
-
-    def _becomes(self, arming: ArmingSnapshot) -> None:
-        self.engine.now = replace(self.engine.now, routes=(replace(SCAN, arming=arming),))
 
 
 @pytest.mark.parametrize("keeps", [True, False])
@@ -693,24 +645,12 @@ def test_who_holds_a_topic_in_a_shell_is_asked_for_it_and_enter_keeps_it(
     assert answers == ([("answer_asker", "/scan", False)] if keeps else [])
 
 
-class Holding:
+class Holding(Terminal):
     """Stands for the terminal of `arm`, while another operator takes the topic and holds it."""
-
-    engine: ScriptedEngine
-
-    def __init__(self, *_: object) -> None:
-        pass
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
     def wait(self, seconds: float) -> bool:
         time.sleep(seconds)
-        arming = ArmingSnapshot(armed=True, by="bert\x1b[2J", here=True, asked_by="carl", goes_in=9.0)
-        self.engine.now = replace(self.engine.now, routes=(replace(SCAN, arming=arming),))
+        self._becomes(ArmingSnapshot(armed=True, by="bert\x1b[2J", here=True, asked_by="carl", goes_in=9.0))
         self.engine.holds = ()
         return False
 
@@ -729,7 +669,7 @@ def test_arm_ends_once_another_operator_holds_the_topic(
     assert not says(result.err, RemoteProblem.ASKED_FOR)
 
 
-class StandsStill(Holding):
+class StandsStill(Terminal):
     """Stands for the terminal of `arm`, whose bridge stands still and then shows for a moment what was before."""
 
     def __init__(self, *_: object) -> None:
@@ -742,8 +682,7 @@ class StandsStill(Holding):
                 time.sleep(_STANDS_STILL)
                 self.engine.holds = ()
             case 3:
-                arming = ArmingSnapshot(armed=False, why=Disarmed.LEASE, reason=Standstill.LOOP.value)
-                self.engine.now = replace(self.engine.now, routes=(replace(SCAN, arming=arming),))
+                self._becomes(ArmingSnapshot(armed=False, why=Disarmed.LEASE, reason=Standstill.LOOP.value))
         return False
 
 

@@ -14,7 +14,6 @@ import pytest
 from tests.console.scripted import LINK, NOW, REMEMBERED, ScriptedEngine
 from tests.history.world import World
 from tests.support import constants, surroundings
-from tests.support.commands import Ran
 from tests.support.wording import says
 
 from rsb_bridge.history import history_files
@@ -33,19 +32,12 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture(autouse=True)
-def state(machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of the files."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setenv("TZ", "UTC")
     constants.SERVICES_STATE.set(monkeypatch, tmp_path / "none")
     (tmp_path / "state" / "rsb-console").mkdir(parents=True)
     return tmp_path / "state" / "rsb-console"
-
-
-@pytest.fixture
-def ran(capsys: pytest.CaptureFixture[str]) -> Any:
-    return lambda *arguments: Ran(capsys, *arguments)
 
 
 def test_a_hand_over_begins_with_the_totals(ran: Any, machine: Machine) -> None:

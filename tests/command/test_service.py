@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from tests.support import constants
+from tests.support.captured import captured
 from tests.support.commands import parser_and_commands
 from tests.support.systemd import exposure
 from tests.support.wording import says
@@ -170,12 +171,12 @@ def test_systemd_takes_the_units(tmp_path: Path, system: bool, name: str) -> Non
     )
     unit = tmp_path / made.name
     unit.write_text(made.text())
-    run = subprocess.run(
-        ["systemd-analyze", "verify", "--recursive-errors=no", *(() if system else ("--user",)), str(unit)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
+    run = captured(
+        "systemd-analyze",
+        "verify",
+        "--recursive-errors=no",
+        *(() if system else ("--user",)),
+        str(unit),
         env={"XDG_RUNTIME_DIR": str(tmp_path), "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)},
     )
     assert [line for line in run.stderr.splitlines() if unit.name in line] == []

@@ -155,13 +155,7 @@ def test_a_mistake_of_a_service_has_its_line_and_key(fields: str, code: Wording,
         ("services", "{service: /d}", "provider", ValueMistake.MISSING, {}),
         ("services", "{service: /d, provider: robot}", "provider", ValueMistake.MISFIT, {"value": "'robot'"}),
         ("services", "{provider: client}", "service", ValueMistake.MISSING, {"expected": "text"}),
-        (
-            "services",
-            "{service: /a/_action/get_result, provider: client}",
-            "service",
-            TopicMistake.PART_OF_ACTION,
-            {"action": "/a"},
-        ),
+        ("services", "{service: /a/_action/get_result, provider: client}", "service", TopicMistake.PART_OF_ACTION, {}),
         ("services", "{service: /_rsb_bridge/published, provider: client}", "service", TopicMistake.OF_THE_BRIDGE, {}),
         ("services", "{topic: /d, provider: client, service: /d}", "topic", ForeignKey.LIST_UNDER, {"list": "topics"}),
         (
@@ -178,13 +172,7 @@ def test_a_mistake_of_a_service_has_its_line_and_key(fields: str, code: Wording,
             TopicMistake.NOT_A_PATTERN,
             {"name": "'/d/**x'"},
         ),
-        (
-            "parameters",
-            "{node: n, provider: client}",
-            "node",
-            TopicMistake.NOT_ABSOLUTE,
-            {"name": "'n'", "noun": "node"},
-        ),
+        ("parameters", "{node: n, provider: client}", "node", TopicMistake.NOT_ABSOLUTE, {}),
         ("parameters", "{node: /n, provider: client, type: x}", "type", ForeignKey.TYPE_OF_PARAMETERS, {}),
         ("topics", "{topic: /a, direction: transmit, kind: service}", "kind", ForeignKey.KIND_OF_TOPIC, {}),
         ("topics", "{topic: /a, direction: transmit, timeout: 3}", "timeout", ForeignKey.TIMEOUT_OF_TOPIC, {}),
@@ -201,58 +189,45 @@ def test_a_mistake_of_an_entry_has_its_line_and_key(
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "location", "code", "parameters"),
+    ("text", "place", "code", "parameters"),
     [
-        (
-            service("protocol: udp", BLUETOOTH),
-            7,
-            "services[0].protocol",
-            TopicMistake.CALL_NEEDS_RELIABLE,
-            {"protocol": "udp"},
-        ),
+        (service("protocol: udp", BLUETOOTH), "7 services[0].protocol", TopicMistake.CALL_NEEDS_RELIABLE, {}),
         (
             service("protocol: tcp", BLUETOOTH),
-            7,
-            "services[0].protocol",
+            "7 services[0].protocol",
             TopicMistake.NOT_ON_BLUETOOTH,
             {"protocol": "tcp"},
         ),
         (
             entry("services", "/d"),
-            7,
-            "services[0]",
+            "7 services[0]",
             ValueMistake.NOT_A_MAPPING,
             {"value": "'/d'", "keys": "service, provider"},
         ),
-        (CLIENT + "services: /d\n", 6, "services", ValueMistake.NOT_A_LIST, {"value": "'/d'"}),
+        (CLIENT + "services: /d\n", "6 services", ValueMistake.NOT_A_LIST, {"value": "'/d'"}),
         (
             CLIENT + "service: []\n",
-            6,
-            "service",
+            "6 service",
             ValueMistake.MISSPELT_KEY,
             {"hint": Hint.DID_YOU_MEAN(name="services")},
         ),
         (
             SERVER + "services:\n  - {service: /d, provider: client}\n",
-            2,
-            "role",
+            "2 role",
             SessionMistake.TOPICS_OF_SERVER,
             {"list": "services"},
         ),
         (
             SERVER + "clients:\n  - name: a\n    services:\n      - {service: /d, provider: client, timeout: -1}\n",
-            9,
-            "clients[0].services[0].timeout",
+            "9 clients[0].services[0].timeout",
             TopicMistake.OUT_OF_RANGE,
             {"value": -1.0},
         ),
     ],
 )
-def test_a_mistake_has_its_line_and_place(
-    text: str, line: int, location: str, code: Wording, parameters: dict[str, Any]
-) -> None:
+def test_a_mistake_has_its_line_and_place(text: str, place: str, code: Wording, parameters: dict[str, Any]) -> None:
     (problem,) = problems(text)
-    assert (problem.location, problem.line) == (location, line)
+    assert f"{problem.line} {problem.location}" == place
     assert says(problem.message, code, **parameters)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import csv
 import os
+import re
 import stat
 from dataclasses import replace
 from pathlib import Path
@@ -136,7 +137,6 @@ def test_files_of_before_are_closed_to_others(tmp_path: Path) -> None:
 
 
 def writes(tree: ast.AST) -> bool:
-    """Whether a module opens files to write them."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Call):
             name = ast.unparse(node.func)
@@ -155,6 +155,6 @@ def test_no_module_writes_files_but_by_the_functions_that_keep_them_private() ->
         path.relative_to(package).as_posix()
         for package in PACKAGES
         for path in package.rglob("*.py")
-        if writes(ast.parse(path.read_text()))
+        if re.search(r"write_(text|bytes)|open\(", text := path.read_text()) and writes(ast.parse(text))
     }
     assert found <= set(WRITES_OTHERWISE), found - set(WRITES_OTHERWISE)

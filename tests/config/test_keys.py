@@ -39,12 +39,6 @@ def test_a_key_is_one_that_fernet_takes(tmp_path: Path) -> None:
     assert generate() != generate()
 
 
-def test_a_key_of_fernets_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "key.txt"
-    path.write_bytes(Fernet.generate_key())
-    assert len(read_key(path).secret) == 32
-
-
 def test_the_thesis_key_file_with_its_date_is_read(tmp_path: Path) -> None:
     """Its generate_key.py wrote a line with the date, an empty one, and the key without a line's end."""
     path = tmp_path / "key.txt"

@@ -124,17 +124,7 @@ def test_what_the_validation_accepts_the_wire_carries(session: Session) -> None:
 
 
 def accepts(session: Session, *topics: Topic) -> bool:
-    """Whether a session with these topics alone is valid."""
     return not validate(msgspec.structs.replace(session, topics=topics))
-
-
-@given(sessions.filter(lambda session: session.topics))
-def test_a_topic_is_judged_in_a_form_as_in_a_file(session: Session) -> None:
-    """`check` reads a file, the console's form gives a topic: neither lets through what the other refuses."""
-    session = msgspec.structs.replace(session, name="robot1", topics=session.topics[:1])
-    in_file = [problem.message for problem in validate(session) if "server_port" not in problem.message]
-    in_form = validate_topic(session.topics[0], session, client="robot1" if session.use_name else None)
-    assert in_file == [problem.message for problem in in_form]
 
 
 @given(

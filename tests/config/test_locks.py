@@ -13,6 +13,7 @@ import pytest
 from packaging.markers import Marker
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from tests.support.captured import captured
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -40,7 +41,6 @@ _LINE = re.compile(r"(?P<name>[a-z0-9-]+)==(?P<version>\S+)( ; (?P<marker>.+))?"
 
 
 def entries(lock: str) -> list[tuple[str, str, str, list[str]]]:
-    """Name, version, marker and hashes of each package."""
     text = (ROOT / "locks" / f"{lock}.txt").read_text(encoding="utf-8").replace(" \\\n", "\n")
     found: list[tuple[str, str, str, list[str]]] = []
     for line in text.splitlines():
@@ -88,8 +88,5 @@ def test_pip_takes_the_lock_of_a_robot() -> None:
     if reached.returncode:
         pytest.skip("pip reaches no index")
     locked = ROOT / "locks" / "run.txt"
-    run = subprocess.run(
-        [*dry, "--require-hashes", "--requirement", str(locked)],
-        capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
+    run = captured(*dry, "--require-hashes", "--requirement", str(locked), timeout=300)
     assert run.returncode == 0, run.stderr

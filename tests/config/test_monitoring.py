@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 import yaml
+from tests.support.captured import captured
 
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.telemetry.metrics import DROPPED, FAMILIES
@@ -104,7 +104,5 @@ def test_panels_overlap_nowhere() -> None:
 
 @pytest.mark.skipif(shutil.which("promtool") is None, reason="promtool is not installed")
 def test_prometheus_takes_the_rules() -> None:
-    run = subprocess.run(
-        ["promtool", "check", "rules", _RULES], capture_output=True, text=True, timeout=60, check=False
-    )
+    run = captured("promtool", "check", "rules", _RULES)
     assert run.returncode == 0, run.stdout + run.stderr

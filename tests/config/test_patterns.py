@@ -28,12 +28,10 @@ services:
 
 
 def read(text: str) -> Session:
-    """The session that a file says."""
     return parse(HEAD + text, Path("robot1.yaml"))
 
 
 def locations(topic: Topic, session: Session | None = None) -> set[str]:
-    """The keys in which a topic has mistakes."""
     return {problem.location for problem in validate_topic(topic, session)}
 
 

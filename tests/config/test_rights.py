@@ -1,4 +1,4 @@
-"""The effect of `allow` and `deny`, on a server and on a client."""
+"""The effect of `allow` and `deny` on topics and on what is called, on a server and on a client."""
 
 from __future__ import annotations
 
@@ -8,22 +8,29 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.support.wording import says
 
+from rsb_bridge.config.advice import Advice, advise
+from rsb_bridge.config.decoding import Hint, ValueMistake
 from rsb_bridge.config.rights import (
+    EVERY_CALL,
     DeniedRemedy,
     DeniedText,
     GrantError,
     Place,
     Rights,
+    RightsMistake,
     Use,
+    listings,
     rights_of_client,
     rights_of_server,
     typed_grants,
 )
 from rsb_bridge.config.session_file import SessionError, dump, parse
 from rsb_bridge.config.validation import validate
+from rsb_bridge.link.proposals import use_of
 from rsb_bridge.model.benchmark import BenchmarkLimits
 from rsb_bridge.model.purposes import BENCH, VIEW
 from rsb_bridge.model.session import Client, Grant, Session, Topic
+from rsb_bridge.wire.messages import Propose
 
 if TYPE_CHECKING:
     from rsb_bridge.model.wording import Wording
@@ -31,8 +38,22 @@ if TYPE_CHECKING:
 CLIENT: dict[str, Any] = {
     "name": "robot1", "role": "client", "server_ip": "10.0.0.1", "server_port": 7060, "key_file": "k"
 }  # fmt: skip
-ON_CLIENT = Place.ON_CLIENT(client="robot1")
+SERVER: dict[str, Any] = CLIENT | {"name": "pc", "role": "server"}
+HEAD = "name: robot1\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 7060\nkey_file: k\n"
+ON_CLIENT, ON_SERVER = Place.ON_CLIENT(client="robot1"), Place.ON_SERVER(client="robot1", server="pc")
 DRIVE = Grant("/cmd_vel", may="publish", protocol="udp", max_rate=10.0)
+CALL, SERVE = Grant(services="/dock", may="call"), Grant(services="/dock", may="serve")
+DOCK = Topic("/dock", "receive", kind="service")  # the robot's own node docks it
+MAP = Topic("/get_map", "transmit", kind="service")
+NAVIGATE = Topic("/navigate", "receive", kind="action")
+
+
+def call(name: str, kind: Any = "service", protocol: str = "tcp") -> Use:
+    return Use(name, "call", protocol, kind)
+
+
+def serve(name: str, kind: Any = "service", protocol: str = "tcp") -> Use:
+    return Use(name, "serve", protocol, kind)
 
 
 def client_allows(use: Use, **session: Any) -> bool:
@@ -60,6 +81,19 @@ def server_allows(use: Use, **client: Any) -> bool:
         ({"allow": (DRIVE, "/*")}, Use("/cmd_vel", "read", "tcp"), True),
         ({"deny": (Grant("/camera/*", may="read"),)}, Use("/camera/raw", "read", "tcp"), False),
         ({"deny": (Grant("/*", protocol="bluetooth"),)}, Use("/camera/raw", "read", "tcp"), True),
+        ({}, call("/dock"), False),
+        ({}, serve("/dock"), False),
+        ({"topics": (DOCK,)}, call("/dock"), True),
+        ({"topics": (DOCK,)}, serve("/dock"), False),
+        ({"topics": (DOCK,)}, call("/dock", "action"), False),
+        ({"topics": (DOCK,)}, Use("/dock", "publish", "tcp"), False),
+        ({"topics": (MAP,)}, serve("/get_map"), True),
+        ({"topics": (MAP,)}, call("/get_map"), False),
+        ({"topics": (DOCK,), "deny": ("/dock",)}, call("/dock"), False),
+        ({"topics": (DOCK,), "allow": ("/*",)}, call("/dock"), True),
+        ({"allow": ("/*",)}, call("/dock"), False),
+        ({"allow": (CALL,)}, call("/dock"), True),
+        ({"allow": (CALL,)}, serve("/dock"), False),
     ],
 )
 def test_what_a_server_may_do_on_a_client(session: dict[str, Any], use: Use, may: bool) -> None:
@@ -77,6 +111,26 @@ def test_what_a_server_may_do_on_a_client(session: dict[str, Any], use: Use, may
         ({"allow": ("/*",), "deny": (Grant("/clock", may="publish"),)}, Use("/clock", "read", "tcp"), True),
         ({"allow": (Grant("/scan", protocol=("tcp", "udp")),)}, Use("/scan", "read", "bluetooth"), False),
         ({"allow": (Grant("/scan", protocol=("tcp", "udp")),)}, Use("/scan", "read", "udp"), True),
+        ({}, call("/dock"), True),
+        ({}, serve("/dock"), True),
+        ({"allow": ("/*",)}, call("/dock"), False),
+        ({"allow": ("/*",)}, serve("/dock"), False),
+        ({"allow": ("/*", CALL)}, call("/dock"), True),
+        ({"allow": ("/*", CALL)}, serve("/dock"), False),
+        ({"allow": ("/*", CALL)}, call("/undock"), False),
+        ({"allow": (CALL,)}, Use("/dock", "read", "tcp"), False),
+        ({"allow": (CALL,)}, call("/robot1/dock"), True),
+        ({"allow": (Grant(services="/nav/*"),)}, call("/nav/to_pose", "action"), True),
+        ({"allow": (Grant(services="/n"),)}, call("/n", "parameters"), True),
+        ({"allow": (Grant(services="/n"),)}, call("/n/set_parameters"), False),
+        ({"allow": (Grant(services="/n/get_parameters"),)}, call("/n", "parameters"), False),
+        ({"allow": (Grant(services="/dock", protocol="tcp"),)}, call("/dock", protocol="bluetooth"), False),
+        ({"deny": ("/dock",)}, call("/dock"), False),
+        ({"deny": ("/dock",)}, Use("/dock", "read", "tcp"), False),
+        ({"deny": (Grant("/dock"),)}, call("/dock"), True),
+        ({"deny": (SERVE,)}, call("/dock"), True),
+        ({"deny": (SERVE,)}, Use("/dock", "read", "tcp"), True),
+        ({"deny": (Grant(services="/dock", protocol="bluetooth"),)}, call("/dock"), True),
     ],
 )
 def test_what_a_client_may_do_on_a_server(client: dict[str, Any], use: Use, may: bool) -> None:
@@ -120,7 +174,7 @@ def test_a_peer_is_shown_what_it_may_read_or_publish() -> None:
             Use("/b", "read"),
             DeniedText.NOT_ALLOWED,
             DeniedRemedy.ADD_ALLOW,
-            {"entry": "{topics: /b, may: read}", "place": Place.ON_SERVER(client="robot1", server="pc")},
+            {"entry": "{topics: /b, may: read}", "place": ON_SERVER},
         ),
         (
             rights_of_server(Session(**CLIENT, deny=("/cmd*",))),
@@ -136,6 +190,46 @@ def test_a_peer_is_shown_what_it_may_read_or_publish() -> None:
             DeniedRemedy.CHANGE_ALLOW,
             {"place": ON_CLIENT},
         ),
+        (
+            rights_of_server(Session(**CLIENT)),
+            call("/navigate", "action"),
+            DeniedText.NOT_ALLOWED,
+            DeniedRemedy.LIST,
+            {"list": "actions", "place": ON_CLIENT, "direction": "provider: client"},
+        ),
+        (
+            rights_of_server(Session(**CLIENT, allow=("/a",))),
+            serve("/n", "parameters"),
+            DeniedText.NOT_ALLOWED,
+            DeniedRemedy.LIST_OR_ALLOW,
+            {
+                "list": "parameters",
+                "place": ON_CLIENT,
+                "direction": "provider: server",
+                "entry": "{services: /n, may: serve}",
+            },
+        ),
+        (
+            rights_of_client(Client("robot1", allow=("/dock",)), "pc"),
+            call("/dock"),
+            DeniedText.NOT_ALLOWED,
+            DeniedRemedy.ADD_ALLOW,
+            {"entry": "{services: /dock, may: call}", "place": ON_SERVER},
+        ),
+        (
+            rights_of_client(Client("robot1", deny=("/d*",)), "pc"),
+            call("/dock"),
+            DeniedText.DENIED,
+            DeniedRemedy.CHANGE_DENY,
+            {"place": ON_SERVER, "entry": "/d*"},
+        ),
+        (
+            rights_of_client(Client("robot1", deny=(CALL,)), "pc"),
+            call("/dock"),
+            DeniedText.DENIED,
+            DeniedRemedy.CHANGE_DENY,
+            {"place": ON_SERVER, "entry": "{services: /dock, may: call}"},
+        ),
     ],
 )
 def test_a_refusal_names_the_use_and_the_remedy(
@@ -149,13 +243,16 @@ def test_a_refusal_names_the_use_and_the_remedy(
 
 def test_grants_are_read_and_written() -> None:
     text = (
-        "name: robot1\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 7060\nkey_file: k\n"
-        "allow: [/camera/*, {topics: /cmd_vel, may: publish, protocol: udp, max_rate: 10}]\n"
-        "deny:\n  - topics: /tf\n    may: read\n    protocol: [tcp, udp]\n"
+        f"{HEAD}allow: [/camera/*, {{topics: /cmd_vel, may: publish, protocol: udp, max_rate: 10}},"
+        " {services: /dock, may: call, max_rate: 10.0}]\n"
+        "deny:\n  - topics: /tf\n    may: read\n    protocol: [tcp, udp]\n  - services: /tf2/*\n"
     )
     session = parse(text, Path("robot1.yaml"))
-    assert session.allow == ("/camera/*", DRIVE)
-    assert session.deny == (Grant("/tf", may="read", protocol=("tcp", "udp")),)
+    dock = Grant(services="/dock", may="call", max_rate=10.0)
+    assert session.allow == ("/camera/*", DRIVE, dock)
+    assert session.deny == (Grant("/tf", may="read", protocol=("tcp", "udp")), Grant(services="/tf2/*"))
+    assert "{services: /dock, may: call, max_rate: 10.0}" in dump(session)
+    assert typed_grants("{services: /dock, may: call, max_rate: 10}") == (dock,)
     assert parse(dump(session), Path("again.yaml")) == session
 
 
@@ -177,9 +274,8 @@ def test_grants_are_read_and_written() -> None:
     ],
 )
 def test_a_mistake_has_its_place_and_line(entry: str, location: str) -> None:
-    text = f"name: r\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 7060\nkey_file: k\n{entry}\n"
     with pytest.raises(SessionError) as raised:
-        parse(text, Path("robot1.yaml"))
+        parse(f"{HEAD}{entry}\n", Path("robot1.yaml"))
     assert {(problem.location, problem.line) for problem in raised.value.problems} == {(location, 6)}
 
 
@@ -230,3 +326,153 @@ def test_a_benchmark_without_permission_has_its_own_remedy() -> None:
     refusal = rights_of_client(Client("robot1"), "pc").purpose_refusal(BENCH, sends=True)
     assert refusal is not None
     assert says(refusal.remedy, DeniedRemedy.ADD_BENCH)
+
+
+# -- services, actions and parameters
+
+
+@pytest.mark.parametrize(
+    ("denied", "use"),
+    [
+        ("/n/set_parameters", call("/n", "parameters")),
+        ("*/set_parameters*", call("/n", "parameters")),
+        ("/n", call("/n/set_parameters_atomically")),
+        ("/navigate/_action/send_goal", call("/navigate", "action")),
+    ],
+)
+def test_who_is_denied_a_part_has_no_way_around_by_the_whole(denied: str, use: Use) -> None:
+    for rights in (
+        rights_of_client(Client("robot1", deny=(denied,)), "pc"),
+        rights_of_server(
+            Session(**CLIENT, deny=(Grant(services=denied),), topics=(Topic(use.topic, "receive", kind=use.kind),))
+        ),
+    ):
+        refusal = rights.refusal(use)
+        assert refusal is not None
+        assert denied in refusal.remedy
+
+
+def test_calls_have_a_rate_of_their_own() -> None:
+    rights = rights_of_client(
+        Client("robot1", allow=("/*", Grant("/dock", max_rate=1.0), Grant(services="/dock", max_rate=5.0))), "pc"
+    )
+    assert rights.max_rate(call("/dock")) == 5.0
+    assert rights.max_rate(Use("/dock", "publish")) == 1.0
+
+
+def test_names_that_nothing_may_be_done_with_are_not_shown() -> None:
+    rights = rights_of_server(Session(**CLIENT, topics=(DOCK, NAVIGATE), deny=("/navigate",)))
+    assert rights.shows("/dock", "service")
+    assert not rights.shows("/dock", "action")
+    assert not rights.shows("/navigate", "action")
+    assert not rights.shows("/other", "service")
+    assert rights.shows("/other")
+
+
+@pytest.mark.parametrize(
+    ("from_client", "is_client", "use"),
+    [
+        (True, False, Use("/far", "call", "tcp", "service")),
+        (False, True, Use("/far", "call", "tcp", "service")),
+        (True, True, Use("/near", "serve", "tcp", "service")),
+        (False, False, Use("/near", "serve", "tcp", "service")),
+    ],
+)
+def test_whose_nodes_call_decides_what_a_proposal_asks_for(from_client: bool, is_client: bool, use: Use) -> None:
+    """`Propose.topic` is the name on the callers' side."""
+    proposal = Propose(
+        route=1, topic="/near", remote_topic="/far", from_client=from_client, transport="tcp", kind="service", type="",
+        compression="none", qos=None, port=0, max_rate=0.0, expected_rate=0.0, stale_after=None,
+    )  # fmt: skip
+    assert use_of(proposal, is_client=is_client) == use
+
+
+@pytest.mark.parametrize(
+    ("entry", "location", "code", "parameters"),
+    [
+        ("allow: [{services: dock}]", "allow[0].services", RightsMistake.NO_MATCH, {"noun": "service"}),
+        ("allow: [{services: /dock/}]", "allow[0].services", RightsMistake.SLASHES, {"noun": "service"}),
+        ("allow: [{services: /a, topics: /a}]", "allow[0].services", RightsMistake.BOTH, {}),
+        ("allow: [{may: call}]", "allow[0].topics", RightsMistake.NO_PATTERN, {}),
+        (
+            "allow: [{services: /a, may: read}]",
+            "allow[0].may",
+            RightsMistake.OTHER_USE,
+            {"may": "read", "others": "topics", "noun": "service", "uses": "call or serve"},
+        ),
+        (
+            "allow: [{topics: /a, may: serve}]",
+            "allow[0].may",
+            RightsMistake.OTHER_USE,
+            {"may": "serve", "others": "services", "noun": "topic", "uses": "publish or read or look"},
+        ),
+        ("allow: [{services: /a, protocol: udp}]", "allow[0].protocol", RightsMistake.UNRELIABLE, {"protocol": "udp"}),
+        (
+            "allow: [{services: /a, protocol: [tcp, udp]}]",
+            "allow[0].protocol",
+            RightsMistake.UNRELIABLE,
+            {"protocol": "udp"},
+        ),
+        ("deny: [{services: /a, max_rate: 5}]", "deny[0].max_rate", RightsMistake.RATE_OF_DENIED, {}),
+        (
+            "allow: [{service: /a}]",
+            "allow[0].service",
+            ValueMistake.MISSPELT_KEY,
+            {"hint": Hint.DID_YOU_MEAN(name="services")},
+        ),
+    ],
+)
+def test_a_mistake_has_its_place_and_words(
+    entry: str, location: str, code: Wording, parameters: dict[str, Any]
+) -> None:
+    with pytest.raises(SessionError) as raised:
+        parse(f"{HEAD}{entry}\n", Path("robot1.yaml"))
+    problem = raised.value.problems[0]
+    assert (problem.location, problem.line) == (location, 6)
+    assert says(problem.message, code, **parameters)
+
+
+def test_the_table_says_what_may_be_called_and_what_of_it_changes_a_robot() -> None:
+    clients = (
+        Client("open"),
+        Client("named", use_name=True),
+        Client("viewer", allow=("/*",)),
+        Client("reader", allow=(Grant(services="*/get_parameters", may="call"), Grant(services="/dock", may="serve"))),
+        Client("driver", allow=(CALL, Grant(services="/n/*"), Grant(services="/x/get_state")), deny=("/n/*",)),
+        Client("shut", deny=("*",)),
+    )
+    found = {each.peer: each for each in listings(Session(**SERVER, clients=clients))}
+    calls = {peer: [row[1:5] for row in each.rows if row.may[0] in "cs"] for peer, each in found.items()}
+    assert calls["open"] == [("call, serve", "all", "tcp", "any")]
+    assert calls["named"] == [("call, serve", "/named/*", "tcp", "any")]
+    assert calls["viewer"] == [("call, serve", "nothing", "-", "-")]
+    assert calls["reader"] == [("call", "*/get_parameters", "tcp", "any"), ("serve", "/dock", "tcp", "any")]
+    assert calls["driver"] == [
+        ("call", "/dock, /n/* and /x/get_state, not /n/*", "tcp", "any"),
+        ("serve", "/n/* and /x/get_state, not /n/*", "tcp", "any"),
+    ]
+    assert {peer: each.acts for peer, each in found.items()} == {
+        "open": (EVERY_CALL,),
+        "named": (), "viewer": (), "reader": (), "shut": (),
+        "driver": ("/dock",),
+    }  # fmt: skip
+
+
+def test_on_a_client_the_table_says_what_its_lists_let_the_server_do() -> None:
+    state = Topic("/n/get_state", "receive", kind="service")
+    (found,) = listings(Session(**CLIENT, topics=(DOCK, MAP, NAVIGATE, state)))
+    rows = {row.may: row.topics for row in found.rows}
+    assert rows["call"] == "/dock, /n/get_state and /navigate (action)"
+    assert rows["serve"] == "/get_map"
+    assert rows["publish"] == "nothing"
+    assert set(found.acts) == {"/dock", "/navigate (action)"}
+
+
+def test_what_allow_and_deny_would_refuse_and_crosses_all_the_same_is_warned_of() -> None:
+    session = Session(**CLIENT, topics=(DOCK, MAP, Topic("/a", "transmit")), deny=("/dock",), domain_id=3)
+    (problem,) = [each for each in advise(session, None) if says(each.message, Advice.CROSSES_ALTHOUGH_DENIED)]
+    assert problem.location == "services[0]"
+    assert problem.place == "service /dock"
+    server = Session(**SERVER, clients=(Client("robot1", allow=("/a",), topics=(DOCK,)),), domain_id=3)
+    (problem,) = [each for each in advise(server, None) if says(each.message, Advice.CROSSES_ALTHOUGH_DENIED)]
+    assert (problem.location, problem.place) == ("clients[0].services[0]", "service /dock")

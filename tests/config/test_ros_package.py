@@ -6,13 +6,13 @@ import importlib.util
 import os
 import re
 import shutil
-import subprocess
 import tomllib
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.captured import captured
 
 from rsb_console.command.arguments import parser_and_commands
 
@@ -66,26 +66,17 @@ def test_ros2_run_starts_the_prefixs_own_command_else_the_one_on_path(
     command_in(tmp_path / "path", "on PATH")
     if own:
         command_in(prefix / "bin", "own")
-    run = subprocess.run(
-        [prefix / "lib" / "rsb_console" / "rsb-console", "check", "a b"],
+    run = captured(
+        prefix / "lib" / "rsb_console" / "rsb-console",
+        "check",
+        "a b",
         env={"PATH": f"{tmp_path / 'path'}:{os.defpath}"},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
     )
     assert (run.returncode, run.stdout) == (7, f"{expected} check a b\n"), run.stderr
 
 
 def test_without_any_command_it_says_what_to_install(prefix: Path) -> None:
-    run = subprocess.run(
-        [prefix / "lib" / "rsb_console" / "rsb-console"],
-        env={"PATH": os.defpath},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    run = captured(prefix / "lib" / "rsb_console" / "rsb-console", env={"PATH": os.defpath})
     assert run.returncode == 127
     assert "pipx install" in run.stderr
 

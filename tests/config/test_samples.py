@@ -3,10 +3,10 @@
 import re
 import shlex
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
+from tests.support.captured import captured
 from tests.support.systemd import exposure
 
 from rsb_bridge.config.session_file import load, parse
@@ -60,13 +60,7 @@ def test_the_unit_runs_a_command_that_exists() -> None:
 def test_systemd_takes_the_unit(tmp_path: Path) -> None:
     unit = tmp_path / "rsb-console@robot1.service"
     shutil.copy(UNIT, unit)
-    run = subprocess.run(
-        ["systemd-analyze", "verify", "--recursive-errors=no", str(unit)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    run = captured("systemd-analyze", "verify", "--recursive-errors=no", str(unit))
     assert [line for line in run.stderr.splitlines() if unit.name in line] == []
 
 

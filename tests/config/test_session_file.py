@@ -199,11 +199,3 @@ def test_readers_and_a_kill_see_one_whole_session_or_the_other(tmp_path: Path) -
         seen = {len(load(path).topics) for _ in range(60)}
         os.kill(saver.pid, signal.SIGKILL)
     assert seen | {len(load(path).topics)} <= {0, 100}
-
-
-@pytest.mark.parametrize("topics", [(), (Topic("/scan", "transmit"),)])
-def test_each_key_of_a_session_stands_on_a_line_of_its_own(topics: tuple[Topic, ...]) -> None:
-    session = Session(**{field: getattr(SESSION, field) for field in SESSION.__struct_fields__} | {"topics": topics})
-    lines = dump(session).splitlines()
-    assert lines[:2] == ["name: robot1", "role: client"]
-    assert lines[5:] == (["topics:", "- {topic: /scan, direction: transmit}"] if topics else [])

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import itertools
 import re
-import subprocess
 import tomllib
 from fnmatch import translate
+from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import pytest
 import yaml
+from tests.support.captured import captured
 
 ROOT = Path(__file__).parents[2]
 WORKFLOWS = sorted((ROOT / ".github/workflows").glob("*.yml"))
@@ -59,17 +60,23 @@ def test_a_build_installs_by_hash(path: str) -> None:
             assert "install" not in command or "--require-hashes" in command or "--no-deps" in command, command
 
 
-def in_context(path: str) -> bool:
-    """Whether Docker gets a file of the checkout: the last pattern that matches it, or a folder of it, decides."""
-    excluded = False
-    lines = (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines()
-    above = [path, *map(str, PurePosixPath(path).parents)]
+@cache
+def ignored() -> list[tuple[bool, re.Pattern[str]]]:
+    """The lines of `.dockerignore`: whether each excludes, and what."""
+    lines = [line for line in (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines() if line[:1] not in "#"]
+    found = []
     for line in lines:
         pattern = line.removeprefix("!")
         ways = {pattern, pattern.removeprefix("**/"), pattern.replace("**/", "*/")}
-        if line and line[0] != "#" and any(re.match(translate(way), each) for way in ways for each in above):
-            excluded = line[0] != "!"
-    return not excluded
+        found.append((line[0] != "!", re.compile("|".join(map(translate, sorted(ways))))))
+    return found
+
+
+def in_context(path: str) -> bool:
+    """Whether Docker gets a file of the checkout: the last pattern that matches it, or a folder of it, decides."""
+    above = [path, *map(str, PurePosixPath(path).parents)]
+    excludes = [excluded for excluded, pattern in ignored() if any(map(pattern.match, above))]
+    return not (excludes and excludes[-1])
 
 
 @pytest.mark.parametrize(
@@ -85,9 +92,7 @@ def test_what_lies_in_the_checkout_stays_out_of_the_image(path: str) -> None:
 
 
 def test_the_image_gets_what_the_wheel_is_built_from() -> None:
-    tracked = subprocess.run(
-        ("git", "ls-files"), cwd=ROOT, capture_output=True, text=True, check=True, timeout=60
-    ).stdout.splitlines()
+    tracked = captured("git", "ls-files", cwd=ROOT, check=True).stdout.splitlines()
     wheel = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]
     sources = [
         *wheel["packages"],

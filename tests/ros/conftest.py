@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-import threading
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 from tests.support import replaced
@@ -14,24 +13,16 @@ from rsb_bridge.ros.self_test import findings
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"  # read by each context that joins a domain
 
-from rclpy.context import Context
-from rclpy.executors import MultiThreadedExecutor
-from rclpy.node import Node
 from tests.ros.domains import DOMAIN
-from tests.support import waiting
-from tests.support.participants import KnownNode, join
+from tests.support.participants import KnownNode
+from tests.support.spun import Joined, Spun
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from rclpy.node import Node
+
     from rsb_bridge.ros.node import RosNode
-
-
-@pytest.fixture
-def eventually() -> Callable[[Callable[[], Any]], Any]:
-    """Wait for a condition, with a deadline, and return what it returned."""
-
-    return waiting.eventually
 
 
 @pytest.fixture
@@ -73,46 +64,11 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
 
 @pytest.fixture
 def rclpy_node() -> Iterator[Node]:
-    """A stock rclpy node, as a robot's own programs are."""
-    with _stock(start_parameter_services=True) as node:
-        yield node
+    with contextlib.closing(Joined(DOMAIN, "stock")) as stock:
+        yield stock.node
 
 
 @pytest.fixture
 def stock() -> Iterator[Node]:
-    """A stock rclpy node that is spun."""
-    with _stock(start_parameter_services=False) as node:
-        executor = MultiThreadedExecutor(4, context=node.context)
-        executor.add_node(node)
-        spinning = threading.Thread(target=executor.spin)
-        spinning.start()
-        yield node
-        executor.shutdown()
-        spinning.join(60)
-
-
-@contextlib.contextmanager
-def _stock(*, start_parameter_services: bool) -> Iterator[Node]:
-    node: Node
-
-    def enter() -> Node:
-        nonlocal node
-        context = Context()
-        context.init([], domain_id=DOMAIN)
-        node = Node(
-            "stock",
-            context=context,
-            enable_rosout=False,
-            use_global_arguments=False,
-            start_parameter_services=start_parameter_services,
-        )
-        return node
-
-    def leave() -> None:
-        node.destroy_node()
-        node.context.shutdown()
-        node.context.destroy()
-
-    join(DOMAIN, enter, leave)
-    yield node
-    leave()
+    with contextlib.closing(Spun(DOMAIN, "stock", start_parameter_services=False)) as stock:
+        yield stock.node

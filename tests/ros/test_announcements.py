@@ -98,7 +98,6 @@ class FakeRos(NoRos):
         return self.publisher
 
     def announce(self, announcer: Endpoint, content: bytes) -> None:
-        """Another node announces something."""
         assert self.sink is not None
         self.sink([RawMessage(serialize_string(content), 0, announcer.gid)])
 
@@ -122,7 +121,6 @@ class Domain:
         self.changes += 1
 
     def wait(self, seconds: float) -> None:
-        """Let time pass."""
         self._loop.run_until_complete(asyncio.sleep(seconds))
 
 
@@ -136,7 +134,6 @@ def endpoint(node: str, gid: bytes) -> Endpoint:
 
 
 def bridge_announcement(*gids: bytes, via: str = "rsb_there/chat") -> bytes:
-    """A bridge announces publishers on the chat."""
     publishers = [{"topic": CHAT, "gid": gid.hex(), "via": [via]} for gid in gids]
     return json.dumps({"version": 1, "publishers": publishers}).encode()
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from std_msgs.msg import String
 from tests.support.inside import break_waiting
+from tests.support.waiting import eventually
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RosProblem
@@ -50,7 +51,7 @@ class Watcher:
 
 @pytest.mark.parametrize("kind", ["publisher", "subscription"])
 def test_an_endpoint_that_comes_or_goes_is_a_change(
-    kind: str, open_node: Callable[..., RosNode], rclpy_node: Node, eventually: Callable[..., Any]
+    kind: str, open_node: Callable[..., RosNode], rclpy_node: Node
 ) -> None:
     node = open_node()
     watcher = Watcher(node)
@@ -68,9 +69,7 @@ def test_an_endpoint_that_comes_or_goes_is_a_change(
     eventually(lambda: not ends("/news"))
 
 
-def test_the_last_change_comes_after_what_it_is_about(
-    open_node: Callable[..., RosNode], rclpy_node: Node, eventually: Callable[..., Any]
-) -> None:
+def test_the_last_change_comes_after_what_it_is_about(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
     """A poll a second after the last change shows all of it, and the matched endpoints."""
     node = open_node()
     watcher = Watcher(node)
@@ -88,9 +87,7 @@ def test_the_last_change_comes_after_what_it_is_about(
     eventually(all_seen)  # a busy machine may take more than a second from one change to the next
 
 
-def test_messages_are_no_changes(
-    open_node: Callable[..., RosNode], rclpy_node: Node, eventually: Callable[..., Any]
-) -> None:
+def test_messages_are_no_changes(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
     node = open_node()
     watcher = Watcher(node)
     taken = threading.Event()
@@ -113,7 +110,7 @@ def test_messages_are_no_changes(
 
 
 def test_a_thread_that_ends_by_itself_says_so(
-    open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = open_node()
     watcher = Watcher(node)

@@ -21,7 +21,6 @@ STRING = "std_msgs/msg/String"
 
 
 def endpoint_info(**changes: Any) -> dict[str, Any]:
-    """Return rclpy's information about an endpoint."""
     profile = {
         "reliability": ReliabilityPolicy.RELIABLE,
         "durability": DurabilityPolicy.VOLATILE,

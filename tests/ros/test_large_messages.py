@@ -8,6 +8,7 @@ import threading
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support.waiting import eventually
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RosError
@@ -26,7 +27,7 @@ def _payload(size: int) -> bytes:
     return (_HEADER + random.Random(size).randbytes(1 << 16) * (size // (1 << 16) + 1))[:size]
 
 
-def test_messages_of_all_sizes_are_exact(open_node: Callable[..., RosNode], eventually: Callable[..., Any]) -> None:
+def test_messages_of_all_sizes_are_exact(open_node: Callable[..., RosNode]) -> None:
     sender, receiver = open_node(name="sender"), open_node(name="receiver")
     taken: list[bytes] = []
     arguments = ("/large", "made_up_msgs/msg/Blob", _HASH, Qos(depth=100))
@@ -41,9 +42,7 @@ def test_messages_of_all_sizes_are_exact(open_node: Callable[..., RosNode], even
         assert payload == _payload(size)
 
 
-def test_the_first_ones_do_not_wait_until_many_are_taken(
-    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
-) -> None:
+def test_the_first_ones_do_not_wait_until_many_are_taken(open_node: Callable[..., RosNode]) -> None:
     """Nor are all of them held at once by what takes them."""
     sender, receiver = open_node(name="sender"), open_node(name="receiver")
     batches: list[list[int]] = []
@@ -65,7 +64,7 @@ def test_the_first_ones_do_not_wait_until_many_are_taken(
     assert max(map(sum, batches)) < (4 << 20) + 200_000
 
 
-def test_our_own_large_messages_are_left_out(open_node: Callable[..., RosNode], eventually: Callable[..., Any]) -> None:
+def test_our_own_large_messages_are_left_out(open_node: Callable[..., RosNode]) -> None:
     """The messages after them are whole."""
     ours, other = open_node(), open_node(name="other")
     taken: list[bytes] = []

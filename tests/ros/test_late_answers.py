@@ -11,6 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from std_srvs.srv import SetBool
 from tests.support import replaced
+from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
 from rsb_bridge.ros.native import librcl
@@ -40,7 +41,6 @@ class Callers:
         replaced.SERVICE_TIME.set(monkeypatch, SimpleNamespace(monotonic=lambda: self.now))
 
     def send(self, caller: bytes, number: int, _: bytes) -> bool:
-        """Send an answer as `Server` does."""
         self.tried += 1
         if caller in self.broken:
             raise RosError("broken")
@@ -51,7 +51,6 @@ class Callers:
 
 @pytest.fixture
 def callers(monkeypatch: pytest.MonkeyPatch) -> Callers:
-    """Nobody is found yet."""
     return Callers(monkeypatch)
 
 
@@ -124,7 +123,6 @@ def test_who_cannot_be_answered_is_given_up_alone(callers: Callers) -> None:
 def test_a_caller_that_dds_will_never_match_holds_up_nobody(
     open_node: Callable[..., RosNode],
     stock: Node,
-    eventually: Callable[..., Any],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It wants answers that were published before; nobody waits 100 ms for it, again and again."""
@@ -166,9 +164,7 @@ def test_a_caller_that_dds_will_never_match_holds_up_nobody(
     assert sent
 
 
-def test_a_server_that_goes_takes_its_late_answers_with_it(
-    open_node: Callable[..., RosNode], rclpy_node: Node, eventually: Callable[..., Any]
-) -> None:
+def test_a_server_that_goes_takes_its_late_answers_with_it(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
     ours = open_node()
     failures: list[str] = []
     ours.watch(lambda: None, failures.append)

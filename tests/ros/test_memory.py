@@ -6,16 +6,15 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tests.support import constants, replaced
 from tests.support.resources import resources
+from tests.support.waiting import eventually
 
 from rsb_bridge.ros import memory
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import pytest
 
 _LARGE = """
@@ -65,7 +64,7 @@ def test_children_inherit_no_profile() -> None:
     assert not environment
 
 
-def test_free_memory_goes_back_to_the_kernel(monkeypatch: pytest.MonkeyPatch, eventually: Callable[..., Any]) -> None:
+def test_free_memory_goes_back_to_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
     constants.HEAP_TRIMMED_EVERY.set(monkeypatch, 0.05)
     threads = threading.active_count()
     with memory.large_blocks_kept():

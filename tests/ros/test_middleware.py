@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests.support.captured import captured
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
@@ -19,31 +19,37 @@ from rsb_bridge.ros.ros_interface import RosError
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
 
 
-@pytest.mark.parametrize("variable", ["RMW_IMPLEMENTATION", "RCL_ASSERT_RMW_ID_MATCHES"])
-def test_the_program_names_a_middleware_that_is_missing(variable: str, tmp_path: Path) -> None:
+def problem(variable: str) -> str:
+    return MiddlewareProblem.NOT_INSTALLED(
+        variable=variable,
+        wanted="rmw_nonsense_cpp",
+        installed="rmw_fastrtps_cpp",
+        package=package_of("rmw_nonsense_cpp"),
+    )
+
+
+def test_the_program_names_a_middleware_that_is_missing(tmp_path: Path) -> None:
     write_key(tmp_path / "robot1.key")
     session = Session(name="robot1", role="client", server_ip="127.0.0.1", server_port=49152, key_file="robot1.key")
     save(session, tmp_path / "robot1.yaml")
-    run = subprocess.run(
-        [COMMAND, "run", str(tmp_path / "robot1.yaml"), "--no-ui"],
-        env={**os.environ, variable: "rmw_nonsense_cpp"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
+    run = captured(
+        COMMAND,
+        "run",
+        str(tmp_path / "robot1.yaml"),
+        "--no-ui",
+        env={**os.environ, "RMW_IMPLEMENTATION": "rmw_nonsense_cpp"},
     )
     assert run.returncode == 1, run
     [line] = run.stderr.splitlines()
-    assert (
-        MiddlewareProblem.NOT_INSTALLED(
-            variable=variable,
-            wanted="rmw_nonsense_cpp",
-            installed="rmw_fastrtps_cpp",
-            package=package_of("rmw_nonsense_cpp"),
-        )
-        in line
-    )
+    assert problem("RMW_IMPLEMENTATION") in line
     assert run.stdout == ""
+
+
+def test_so_does_the_middleware_that_rcl_demands() -> None:
+    variable = "RCL_ASSERT_RMW_ID_MATCHES"
+    with pytest.raises(RosError) as raised:
+        check_middleware({**os.environ, variable: "rmw_nonsense_cpp"})
+    assert problem(variable) in str(raised.value)
 
 
 def test_the_index_of_every_installation_is_read(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -12,6 +11,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from tests.ros.domains import ANOTHER
 from tests.support import constants
+from tests.support.resources import resources
+from tests.support.waiting import eventually
 
 from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.ros.node import RosNode
@@ -26,7 +27,6 @@ DEEP = Qos(depth=5000)
 
 
 def payload(text: str) -> bytes:
-    """A serialized std_msgs/String."""
     data = text.encode() + b"\0"
     return b"\0\1\0\0" + len(data).to_bytes(4, "little") + data
 
@@ -54,14 +54,6 @@ class Received:
             assert self.hold.wait(120)
 
 
-def threads() -> int:
-    return len(list(Path("/proc/self/task").iterdir()))
-
-
-def descriptors() -> int:
-    return len(list(Path("/proc/self/fd").iterdir()))
-
-
 @pytest.fixture
 def start_one() -> None:
     """Start and stop a first node, which leaves Fast DDS's and the logger's own threads for good."""
@@ -70,9 +62,7 @@ def start_one() -> None:
     node.stop()
 
 
-def test_graph_shows_others_and_not_ourselves(
-    open_node: Callable[..., RosNode], rclpy_node: Node, eventually: Callable[..., Any]
-) -> None:
+def test_graph_shows_others_and_not_ourselves(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
     ours = open_node(name="robot-1 é")
     qos = Qos("best_effort", "transient_local", deadline=0.5, lifespan=2.0)
     ours.subscribe("/ours_only", STRING, "", DEEP, Received(), "link")
@@ -90,7 +80,7 @@ def test_graph_shows_others_and_not_ourselves(
     assert (stock.node, stock.qos) == ("/stock", Qos(depth=0))
     assert ours.subscriptions("/shared") == []
     assert publisher.subscriber_count == 0
-    topics = eventually(lambda: "/theirs" in (found := ours.topics()) and found)
+    topics = eventually(lambda: found if "/theirs" in (found := ours.topics()) else None)
     assert topics["/theirs"] == topics["/shared"] == [STRING]
     assert "/ours_only" not in topics
     [seen] = eventually(lambda: [name for name in rclpy_node.get_node_names() if name.startswith("rsb_robot_1__")])
@@ -99,17 +89,7 @@ def test_graph_shows_others_and_not_ourselves(
     assert rclpy_node.get_service_names_and_types_by_node(seen, "/") == []
 
 
-def test_two_bridges_of_one_name_are_two_nodes(
-    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
-) -> None:
-    one, other = open_node(), open_node()
-    one.advertise("/chat", STRING, "", DEEP, "link")
-    assert len(eventually(lambda: other.publishers("/chat"))) == 1
-
-
-def test_nothing_of_the_same_origin_comes_back_under_two_way_traffic(
-    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
-) -> None:
+def test_nothing_of_the_same_origin_comes_back_under_two_way_traffic(open_node: Callable[..., RosNode]) -> None:
     """A foreign publisher and one of another origin shout at once on the same topic: all of theirs, none of ours."""
     ours, foreign = open_node(), open_node(name="foreign")
     received = Received()
@@ -143,7 +123,7 @@ def test_nothing_of_the_same_origin_comes_back_under_two_way_traffic(
 
 
 def test_a_latched_topic_tells_its_history_to_each_new_subscription(
-    open_node: Callable[..., RosNode], rclpy_node: Node, eventually: Callable[..., Any]
+    open_node: Callable[..., RosNode], rclpy_node: Node
 ) -> None:
     node = open_node()
     latched = rclpy_node.create_publisher(
@@ -160,9 +140,7 @@ def test_a_latched_topic_tells_its_history_to_each_new_subscription(
         subscription.close()
 
 
-def test_our_own_latched_message_does_not_come_back_to_a_later_subscription(
-    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
-) -> None:
+def test_our_own_latched_message_does_not_come_back_to_a_later_subscription(open_node: Callable[..., RosNode]) -> None:
     node, other = open_node(), open_node(name="other")
     node.advertise("/map", STRING, "", PROFILES["latched"], "link").publish(payload("ours"))
     theirs = Received()
@@ -176,9 +154,7 @@ def test_our_own_latched_message_does_not_come_back_to_a_later_subscription(
     assert received.payloads == [payload("theirs")]
 
 
-def test_what_dds_drops_before_us_is_counted_publisher_by_publisher(
-    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
-) -> None:
+def test_what_dds_drops_before_us_is_counted_publisher_by_publisher(open_node: Callable[..., RosNode]) -> None:
     node, one, two = open_node(), open_node(name="one"), open_node(name="two")
     received = Received()
     subscription = node.subscribe("/fast", STRING, "", Qos(depth=4), received, "link")
@@ -199,9 +175,7 @@ def test_what_dds_drops_before_us_is_counted_publisher_by_publisher(
     assert subscription.lost == 200 - 4
 
 
-def test_a_flood_on_one_topic_lets_another_have_its_turn(
-    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
-) -> None:
+def test_a_flood_on_one_topic_lets_another_have_its_turn(open_node: Callable[..., RosNode]) -> None:
     node, other = open_node(), open_node(name="other")
     order: list[str] = []
     gate = Received()
@@ -222,7 +196,7 @@ def test_a_flood_on_one_topic_lets_another_have_its_turn(
     assert order.index("calm") <= 128
 
 
-def test_keep_all_keeps_all(open_node: Callable[..., RosNode], eventually: Callable[..., Any]) -> None:
+def test_keep_all_keeps_all(open_node: Callable[..., RosNode]) -> None:
     node, other = open_node(), open_node(name="other")
     received = Received()
     received.hold.clear()
@@ -238,9 +212,7 @@ def test_keep_all_keeps_all(open_node: Callable[..., RosNode], eventually: Calla
     assert max(received.batches) == 64
 
 
-def test_a_slow_reader_does_not_hold_up_who_publishes(
-    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
-) -> None:
+def test_a_slow_reader_does_not_hold_up_who_publishes(open_node: Callable[..., RosNode]) -> None:
     """A keep_all publisher of DDS's own kind would block 100 ms for each message past 5000, then refuse it."""
     node, other = open_node(), open_node(name="other")
     received = Received()
@@ -257,7 +229,7 @@ def test_a_slow_reader_does_not_hold_up_who_publishes(
     received.hold.set()
 
 
-def test_stamps_are_this_machines_clock(open_node: Callable[..., RosNode], eventually: Callable[..., Any]) -> None:
+def test_stamps_are_this_machines_clock(open_node: Callable[..., RosNode]) -> None:
     node, other = open_node(), open_node(name="other")
     received = Received()
     node.subscribe("/chat", STRING, "", DEEP, received, "link")
@@ -269,20 +241,7 @@ def test_stamps_are_this_machines_clock(open_node: Callable[..., RosNode], event
     assert before <= received.stamps[0] <= time.time_ns()
 
 
-def test_domains_do_not_hear_each_other(open_node: Callable[..., RosNode], eventually: Callable[..., Any]) -> None:
-    here, there, elsewhere = open_node(), open_node(name="there"), open_node(ANOTHER, "elsewhere")
-    received, unheard = Received(), Received()
-    here.subscribe("/chat", STRING, "", DEEP, received, "link")
-    elsewhere.subscribe("/chat", STRING, "", DEEP, unheard, "link")
-    publisher = there.advertise("/chat", STRING, "", DEEP, "link")
-    eventually(lambda: publisher.subscriber_count)
-    publisher.publish(payload("hello"))
-    eventually(lambda: received.payloads)
-    assert not unheard.payloads
-    assert "/chat" not in elsewhere.topics()
-
-
-def test_a_closed_subscription_is_silent(open_node: Callable[..., RosNode], eventually: Callable[..., Any]) -> None:
+def test_a_closed_subscription_is_silent(open_node: Callable[..., RosNode]) -> None:
     """`close` returns only once a sink that is being called has returned, and frees the endpoint."""
     node, other = open_node(), open_node(name="other")
     received = Received()
@@ -304,9 +263,7 @@ def test_a_closed_subscription_is_silent(open_node: Callable[..., RosNode], even
     assert received.payloads == [payload("1")]
 
 
-def test_a_sink_may_close_its_subscription_and_stop_the_node(
-    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
-) -> None:
+def test_a_sink_may_close_its_subscription_and_stop_the_node(open_node: Callable[..., RosNode]) -> None:
     before = set(threading.enumerate())
     node = open_node()
     (thread,) = (each for each in set(threading.enumerate()) - before if each.name == "ros")
@@ -326,9 +283,7 @@ def test_a_sink_may_close_its_subscription_and_stop_the_node(
     assert len(called) == 1
 
 
-def test_a_sink_may_close_another_subscription_that_has_messages_waiting(
-    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
-) -> None:
+def test_a_sink_may_close_another_subscription_that_has_messages_waiting(open_node: Callable[..., RosNode]) -> None:
     node, other = open_node(), open_node(name="other")
     gate, closed, later = Received(), Received(), Received()
     gate.hold.clear()
@@ -347,8 +302,8 @@ def test_a_sink_may_close_another_subscription_that_has_messages_waiting(
 
 
 @pytest.mark.usefixtures("start_one")
-def test_fifty_nodes_and_endpoints_leave_nothing_behind(eventually: Callable[..., Any]) -> None:
-    before = threads(), descriptors()
+def test_fifty_nodes_and_endpoints_leave_nothing_behind() -> None:
+    before = resources()
     for _ in range(50):
         node = RosNode(ANOTHER, "robot1")
         node.start()
@@ -359,12 +314,12 @@ def test_fifty_nodes_and_endpoints_leave_nothing_behind(eventually: Callable[...
         node.stop()
         node.stop()
     # Fast DDS itself leaves a descriptor for each port in /dev/shm that a killed process has just left.
-    eventually(lambda: threads() <= before[0] and descriptors() < before[1] + 50)
+    eventually(lambda: (now := resources()).threads <= before.threads and now.descriptors < before.descriptors + 50)
 
 
 @pytest.mark.usefixtures("start_one")
-def test_stop_returns_within_a_second_though_a_sink_blocks(eventually: Callable[..., Any]) -> None:
-    before = threads()
+def test_stop_returns_within_a_second_though_a_sink_blocks() -> None:
+    before = resources().threads
     node, other = RosNode(ANOTHER, "robot1"), RosNode(ANOTHER, "other")
     node.start()
     other.start()
@@ -380,7 +335,7 @@ def test_stop_returns_within_a_second_though_a_sink_blocks(eventually: Callable[
     assert time.monotonic() - started < 30  # the sink would block for ever
     received.hold.set()
     other.stop()
-    eventually(lambda: threads() <= before)
+    eventually(lambda: resources().threads <= before)
 
 
 def test_an_idle_node_costs_next_to_nothing(open_node: Callable[..., RosNode]) -> None:
@@ -393,7 +348,7 @@ def test_an_idle_node_costs_next_to_nothing(open_node: Callable[..., RosNode]) -
 
 
 def test_what_dds_drops_of_a_newcomer_is_counted_from_its_first_message(
-    open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For an earlier publisher, nobody knows which messages the subscription should have had."""
     constants.DISCOVERED_WITHIN.set(monkeypatch, -1.0)
@@ -419,7 +374,7 @@ def test_what_dds_drops_of_a_newcomer_is_counted_from_its_first_message(
 
 
 def test_a_history_that_begins_late_is_no_loss(
-    open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     constants.DISCOVERED_WITHIN.set(monkeypatch, -1.0)
     node, other = open_node(), open_node(name="other")

@@ -13,6 +13,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from tests.ros.domains import DOMAIN
 from tests.support import replaced
 from tests.support.filled import filled
+from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
 from rsb_bridge.model.names import SHORT_NAMES, TypeNameProblem
@@ -45,7 +46,7 @@ def install(package: str) -> str:
 
 
 def test_every_common_type_crosses_from_and_to_a_stock_node(
-    open_node: Callable[..., RosNode], rclpy_node: Node, eventually: Callable[..., Any]
+    open_node: Callable[..., RosNode], rclpy_node: Node
 ) -> None:
     ours = open_node()
     raw: dict[str, list[bytes]] = {name: [] for name in INSTALLED}
@@ -93,7 +94,7 @@ def test_every_common_type_crosses_from_and_to_a_stock_node(
     ids=["tf", "large", "action"],
 )
 def test_a_type_that_is_installed_nowhere_crosses(
-    type_name: str, payload: bytes, open_node: Callable[..., RosNode], eventually: Callable[..., Any]
+    type_name: str, payload: bytes, open_node: Callable[..., RosNode]
 ) -> None:
     one, other = open_node(), open_node(name="other")
     received: dict[RosNode, list[bytes]] = {one: [], other: []}
@@ -126,7 +127,7 @@ def stock_relay() -> Iterator[None]:
 
 @pytest.mark.usefixtures("stock_relay")
 def test_a_bare_name_and_hash_speak_with_the_real_type_of_another_process(
-    open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The type is hidden from us, not from the other process; nav_msgs takes the part of a package that we lack."""
     odometry = INSTALLED[ODOMETRY]
@@ -152,7 +153,7 @@ def test_a_bare_name_and_hash_speak_with_the_real_type_of_another_process(
 
 
 def test_a_made_type_is_asked_by_none_but_the_thread_that_creates_endpoints(
-    open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A Python callback on a thread of DDS's would fight it for the GIL."""
     asked_by = []
@@ -185,17 +186,12 @@ def test_a_made_type_is_asked_by_none_but_the_thread_that_creates_endpoints(
     assert set(asked_by) == {threading.get_ident()}
 
 
-def test_a_made_type_is_made_once() -> None:
+def test_a_made_type_is_made_once_and_renamed_for_the_next_once_nobody_uses_it() -> None:
     types = named_types.NamedTypes()
     first, second = (types.borrow("a_msgs/msg/B", MADE_UP_HASH) for _ in range(2))
     assert first.interface is second.interface
     assert hash_of(first.interface) == MADE_UP_HASH
     assert (types.used, types.made) == (1, 1)
-
-
-def test_a_type_that_nobody_uses_is_renamed_for_the_next() -> None:
-    types = named_types.NamedTypes()
-    first, second = (types.borrow("a_msgs/msg/B", MADE_UP_HASH) for _ in range(2))
     first.give_back()
     other = types.borrow("a_msgs/msg/C", MADE_UP_HASH)
     assert other.interface is not second.interface
@@ -208,7 +204,7 @@ def test_a_type_that_nobody_uses_is_renamed_for_the_next() -> None:
 
 
 def test_months_of_reconnects_with_other_types_make_none(
-    open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each connection brings types that were never seen before; all that they leave is used again, and works."""
     types = named_types.NamedTypes()

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support import replaced
+from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
 from rsb_bridge.model.qos import Qos
@@ -50,7 +51,7 @@ def test_everything_holds_here() -> None:
 
 @pytest.mark.parametrize("refusing", ["node", "subscription", "service", "publisher", "client"])
 def test_other_arguments_lead_to_the_public_classes(
-    refusing: str, monkeypatch: pytest.MonkeyPatch, open_node: Callable[..., RosNode], eventually: Callable[..., Any]
+    refusing: str, monkeypatch: pytest.MonkeyPatch, open_node: Callable[..., RosNode]
 ) -> None:
     if refusing == "node":
         replaced.EXTENSION_NODE.set(monkeypatch, _refuses)
@@ -127,9 +128,3 @@ def test_a_missing_function_is_named() -> None:
         function(1, 2)
     with pytest.raises(RosError, match=pattern(RosProblem.LACKS, name="rclpy's NoSuchClass")):
         rclpy_extension.named("NoSuchClass")(1)
-
-
-def test_the_environment_is_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    self_test.test()
-    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"

@@ -9,6 +9,7 @@ import pytest
 from nav_msgs.srv import GetPlan
 from rclpy.serialization import deserialize_message, serialize_message
 from std_srvs.srv import SetBool
+from tests.support.waiting import eventually
 
 from rsb_bridge.ros.ros_interface import RosError
 
@@ -41,15 +42,12 @@ class Requests(list[Any]):
 
 
 def plan(request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
-    """Return a stock server's answer."""
     response.plan.header.frame_id = request.start.header.frame_id + "!"
     response.plan.poses = [request.start, request.goal]
     return response
 
 
-def test_a_stock_node_answers_our_calls(
-    open_node: Callable[..., RosNode], stock: Node, eventually: Callable[..., Any]
-) -> None:
+def test_a_stock_node_answers_our_calls(open_node: Callable[..., RosNode], stock: Node) -> None:
     ours = open_node()
     stock.create_service(GetPlan, "/plan", plan)
     [server] = eventually(lambda: [each for each in ours.servers("/plan") if each.node])
@@ -68,10 +66,7 @@ def test_a_stock_node_answers_our_calls(
     assert {number: each.plan.header.frame_id for number, each in answers.items()} == numbers
 
 
-def test_we_answer_a_stock_nodes_calls(
-    open_node: Callable[..., RosNode], stock: Node, eventually: Callable[..., Any]
-) -> None:
-    """In any order."""
+def test_we_answer_a_stock_nodes_calls(open_node: Callable[..., RosNode], stock: Node) -> None:
     ours = open_node()
     requests = Requests()
     server = ours.serve("/set", SET, "", requests)
@@ -91,7 +86,7 @@ def test_we_answer_a_stock_nodes_calls(
 
 
 def test_what_a_peer_sends_that_is_no_message_is_refused_or_never_read(
-    open_node: Callable[..., RosNode], stock: Node, eventually: Callable[..., Any], way: str
+    open_node: Callable[..., RosNode], stock: Node, way: str
 ) -> None:
     """Nothing but this call comes to harm: those after it are answered."""
     ours = open_node()

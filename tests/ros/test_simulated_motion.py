@@ -15,14 +15,11 @@ RADIUS, MARGIN = 2.0, 0.35
 
 
 class Drive:
-    """A robot on a clock of its own."""
-
     def __init__(self) -> None:
         self.now = 100.0
         self.motion = Motion(lambda: self.now)
 
     def wait(self, seconds: float) -> tuple[float, float, float]:
-        """Let time pass. Return the pose."""
         for _ in range(round(seconds / STEP)):
             self.now += STEP
             x, y, _ = self.motion.pose()
@@ -35,7 +32,6 @@ class Drive:
         self.motion.command(twist)
 
     def drive(self, forward: float, turn: float, seconds: float) -> tuple[float, float, float]:
-        """Command a velocity at 10 Hz. Return the pose."""
         for _ in range(round(seconds * 10)):
             self.command(forward, turn)
             self.wait(0.1)

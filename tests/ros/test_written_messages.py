@@ -35,7 +35,6 @@ PARTS = [
 
 
 def made(type_name: str, text: str) -> Any:
-    """The message that is made of a text."""
     return deserialize_message(serialize(type_name, read_fields(text), NOW), installed_class(type_name))
 
 

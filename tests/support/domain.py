@@ -8,14 +8,13 @@ from weakref import WeakSet
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"  # read by each context that joins a domain
 
-from rclpy.context import Context
-from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import String
-from tests.support.participants import join
+from tests.support.spun import Joined
 
 if TYPE_CHECKING:
+    from rclpy.node import Node
     from rclpy.publisher import Publisher
 
 RELIABLE = QoSProfile(depth=5000)
@@ -23,7 +22,7 @@ BEST_EFFORT = QoSProfile(depth=5000, reliability=QoSReliabilityPolicy.BEST_EFFOR
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class Domain:
+class Domain(Joined):
     """One domain."""
 
     joined: ClassVar[WeakSet[Domain]] = WeakSet()
@@ -33,25 +32,8 @@ class Domain:
         self.joined.add(self)
         self.id = domain_id
         self.listeners: list[Listener] = []
-        join(domain_id, self._enter, self._leave)
+        super().__init__(domain_id, "stock", start_parameter_services=False)
         (self._describes_types,) = self.node.services
-
-    def _enter(self) -> Node:
-        self.context = Context()
-        self.context.init([], domain_id=self.id)
-        self.node = Node(
-            "stock",
-            context=self.context,
-            enable_rosout=False,
-            use_global_arguments=False,
-            start_parameter_services=False,
-        )
-        return self.node
-
-    def _leave(self) -> None:
-        self.node.destroy_node()
-        self.context.shutdown()
-        self.context.destroy()
 
     def publisher(self, topic: str, kind: Any = String, qos: QoSProfile = RELIABLE) -> Publisher:
         """A publisher; its `publish` takes messages and bytes."""
@@ -82,7 +64,7 @@ class Domain:
     def close(self) -> None:
         """Leave the domain."""
         self.clear()
-        self._leave()
+        super().close()
 
 
 class Listener:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import pytest
 from tests.support.forker import Forked
-from tests.support.participants import join
+from tests.support.spun import Spun
 from tests.support.waiting import eventually
 
 pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
@@ -24,10 +24,6 @@ pytest.importorskip("test_msgs", reason="no package with an action is installed 
 from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
 from test_msgs.action import Fibonacci
 
 if TYPE_CHECKING:
@@ -50,61 +46,7 @@ STATES = {
 }
 
 
-class _Spun:
-    """A node of its own in a domain, spun until it is closed.
-
-    Attributes:
-        node: for further endpoints on it.
-    """
-
-    def __init__(self, domain_id: int, name: str) -> None:
-        def enter() -> Node:
-            self._context = Context()
-            self._context.init([], domain_id=domain_id)
-            self.node = Node(
-                name,
-                context=self._context,
-                enable_rosout=False,
-                use_global_arguments=False,
-                start_parameter_services=False,
-            )
-            return self.node
-
-        join(domain_id, enter, self._leave)
-        self._executor = MultiThreadedExecutor(8, context=self._context)
-        self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._spin, name=f"{name}-spins")
-        self._thread.start()
-
-    def _spin(self) -> None:
-        try:
-            self._executor.spin()
-        except ExternalShutdownException:
-            pass
-        except (
-            rclpy_implementation.RCLError
-        ):  # rclpy makes a wait set without asking again whether the context is valid
-            if self._context.ok():
-                raise
-
-    def close(self) -> None:
-        """Leave the domain."""
-        self._context.shutdown()
-        self._thread.join()
-        self._executor.shutdown()
-        self._destroy()
-        self._leave()
-
-    def _leave(self) -> None:
-        self.node.destroy_node()
-        self._context.try_shutdown()
-        self._context.destroy()
-
-    def _destroy(self) -> None:
-        """Destroy the node's endpoints, its actions first: rclpy does not destroy these with the node."""
-
-
-class FibonacciServer(_Spun):
+class FibonacciServer(Spun):
     """Accepts goals, and does with them what the test says.
 
     Args:
@@ -120,10 +62,12 @@ class FibonacciServer(_Spun):
         hesitates: set while it answers to no goal.
     """
 
+    threads = 8
+
     def __init__(
         self, domain_id: int, *, result_timeout: float = 10.0, accepts: bool = True, hesitates: bool = False
     ) -> None:
-        super().__init__(domain_id, "fibonacci_server")
+        super().__init__(domain_id, "fibonacci_server", start_parameter_services=False)
         self.goals: list[ServerGoalHandle] = []
         self.orders: list[int] = []
         self.cancels: list[str] = []
@@ -252,11 +196,11 @@ class _Computing(FibonacciServer):
 
     def leave(self) -> None:
         """Leave the domain in any state."""
-        self._context.shutdown()
+        self.context.shutdown()
         self._thread.join()
         self._destroy()
         self.node.destroy_node()
-        self._context.destroy()
+        self.context.destroy()
         os._exit(0)
 
 
@@ -336,11 +280,13 @@ class _ActionClient(ActionClient):  # type: ignore[misc]  # rclpy has no types
         await super().execute(taken_data)
 
 
-class FibonacciClient(_Spun):
+class FibonacciClient(Spun):
     """Sends goals."""
 
+    threads = 8
+
     def __init__(self, domain_id: int) -> None:
-        super().__init__(domain_id, "fibonacci_client")
+        super().__init__(domain_id, "fibonacci_client", start_parameter_services=False)
         self.client = _ActionClient(self.node, Fibonacci, ACTION, callback_group=ReentrantCallbackGroup())
 
     def _destroy(self) -> None:

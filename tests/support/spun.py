@@ -15,27 +15,46 @@ from tests.support.waiting import eventually
 if TYPE_CHECKING:
     from rclpy.task import Future
 
-_THREADS = 4
 
-
-class Spun:
-    """The node, and what keeps it going until `close`.
+class Joined:
+    """The node, which nobody spins.
 
     Args:
         how: the class's further arguments.
     """
 
+    node: Any
+
     def __init__(self, domain_id: int, name: str, kind: Any = Node, **how: Any) -> None:
         how = {"enable_rosout": False, "use_global_arguments": False, **how}
 
         def enter() -> Node:
-            self._context = Context()
-            self._context.init([], domain_id=domain_id)
-            self.node = kind(name, context=self._context, **how)
+            self.context = Context()
+            self.context.init([], domain_id=domain_id)
+            self.node = kind(name, context=self.context, **how)
             return self.node
 
         join(domain_id, enter, self._leave)
-        self._executor = MultiThreadedExecutor(_THREADS, context=self._context)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._leave()
+
+    def _leave(self) -> None:
+        self.node.destroy_node()
+        self.context.try_shutdown()
+        self.context.destroy()
+
+
+class Spun(Joined):
+    """The node, and what keeps it going until `close`."""
+
+    threads = 4
+
+    def __init__(self, *arguments: Any, **how: Any) -> None:
+        super().__init__(*arguments, **how)
+        name = self.node.get_name()
+        self._executor = MultiThreadedExecutor(self.threads, context=self.context)
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, name=f"{name}-spins")
         self._thread.start()
@@ -48,7 +67,7 @@ class Spun:
         except (
             rclpy_implementation.RCLError
         ):  # rclpy makes a wait set without asking again whether the context is valid
-            if self._context.ok():
+            if self.context.ok():
                 raise
 
     def result(self, future: Future, within: float = 180.0) -> Any:
@@ -66,13 +85,11 @@ class Spun:
             self.node.destroy_client(client)
 
     def close(self) -> None:
-        """Leave the domain."""
-        self._context.shutdown()
+        self.context.shutdown()
         self._thread.join()
         self._executor.shutdown()
-        self._leave()
+        self._destroy()
+        super().close()
 
-    def _leave(self) -> None:
-        self.node.destroy_node()
-        self._context.try_shutdown()
-        self._context.destroy()
+    def _destroy(self) -> None:
+        """Destroy what rclpy does not destroy with its node: actions."""

@@ -39,7 +39,6 @@ def make_server(
 
 
 def the(kind: type[T], events: list[Event]) -> T:
-    """The one event that there is, and it is of that kind."""
     (event,) = events
     assert isinstance(event, kind)
     return event

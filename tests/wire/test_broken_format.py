@@ -54,7 +54,7 @@ def control(body: bytes) -> bytes:
         (control(b"\x01\x03\xe2\x80\xae" + bytes(8)), Broken.NAME_UNPRINTABLE, {"frame": "CONTROL"}),
         (control(b"\x07\x01a" + bytes(8)), Broken.UNKNOWN_SUITE, {}),
         (control(b"\x01\x06robot1" + fingerprint_of(KEY) + b"short"), Broken.HANDSHAKE_TOO_SHORT, {"length": 5}),
-        (pack_frame(preamble_frame(PreambleKind.DATA, bytes(11))), Broken.DATA_TOO_SHORT, {}),
+        *((pack_frame(preamble_frame(PreambleKind.DATA, bytes(n))), Broken.DATA_TOO_SHORT, {}) for n in (11, 14)),
     ],
 )
 def test_what_is_no_preamble_is_refused_in_words(stream: bytes, broken: Broken, parameters: dict[str, object]) -> None:
@@ -150,7 +150,6 @@ def test_an_empty_control_frame_later_is_no_message() -> None:
 
 @st.composite
 def any_end(draw: st.DrawFn) -> End:
-    """Either end of any stream, in any state it may be met in."""
     suite = draw(st.sampled_from(CipherSuite))
     client, server = ready_to_accept(suite)
     data = DataConnection(session_keys(suite, key_for(suite)), StreamName(1))

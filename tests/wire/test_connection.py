@@ -107,19 +107,24 @@ def refused(client: ClientConnection, server: ServerConnection) -> StreamRefused
     return ours
 
 
-@pytest.mark.parametrize("suite", [CipherSuite.AESGCM, CipherSuite.CHACHAPOLY])
-def test_another_key(suite: CipherSuite) -> None:
-    refusal = refused(make_client(suite), make_server(suite, keys=(OTHER_KEY,)))
+def test_another_key_or_a_key_on_one_side_only() -> None:
     ours, theirs = (format_fingerprint(fingerprint_of(key)) for key in (KEY, OTHER_KEY))
-    words = RefusalText.KEYS_DIFFER(name="robot1", theirs=ours, there="client", ours=theirs, here="server")
-    assert refusal == StreamRefused(RefusalCode.WRONG_KEY, words)
+    differ = RefusalText.KEYS_DIFFER(name="robot1", theirs=ours, there="client", ours=theirs, here="server")
+    for suite in (CipherSuite.AESGCM, CipherSuite.CHACHAPOLY):
+        refusal = refused(make_client(suite), make_server(suite, keys=(OTHER_KEY,)))
+        assert refusal == StreamRefused(RefusalCode.WRONG_KEY, differ)
+    required = RefusalText.ENCRYPTION_REQUIRED(name="robot1")
+    refusal = refused(make_client(CipherSuite.PLAIN), make_server())
+    assert refusal == StreamRefused(RefusalCode.ENCRYPTION_REQUIRED, required)
+    impossible = RefusalText.ENCRYPTION_NOT_POSSIBLE(name="robot1")
+    refusal = refused(make_client(), make_server(CipherSuite.PLAIN))
+    assert refusal == StreamRefused(RefusalCode.ENCRYPTION_NOT_POSSIBLE, impossible)
 
 
 @pytest.mark.parametrize("suite", [CipherSuite.AESGCM, CipherSuite.CHACHAPOLY])
 @pytest.mark.parametrize("aes", [True, False])
 @pytest.mark.parametrize("key", [KEY, OTHER_KEY])
 def test_a_client_may_have_either_of_two_keys(suite: CipherSuite, aes: bool, key: bytes) -> None:
-    """For example while its key is being replaced."""
     client, server = make_client(suite, key=key), make_server(suite, keys=(KEY, OTHER_KEY), aes=aes)
     assert server.fingerprint == b""
     client_events, server_events = shake_hands(client, server)
@@ -138,65 +143,36 @@ def test_a_key_that_is_neither_of_two() -> None:
     assert following in refusal.message
 
 
-def test_a_first_message_that_claims_the_other_valid_key_does_not_open() -> None:
-    """The server takes the key that the client claims to have; only the handshake proves it."""
+def test_a_first_message_does_not_open_by_the_key_that_it_claims() -> None:
+    """The server takes the key that the client claims to have; only the handshake proves it.
+
+    That the keys differ would be untrue where it was forged or damaged.
+    """
     frame = make_client().start()
-    ours, other = fingerprint_of(KEY), fingerprint_of(OTHER_KEY)
-    refusal = the(StreamRefused, make_server(keys=(KEY, OTHER_KEY)).receive_data(frame.replace(ours, other)))
-    assert refusal.code is RefusalCode.WRONG_KEY
-    assert refusal.message == RefusalText.FIRST_MESSAGE_FORGED(name="robot1")
-
-
-def test_a_client_that_names_no_key_though_it_encrypts() -> None:
-    frame = make_client().start().replace(fingerprint_of(KEY), bytes(8))
-    refusal = the(StreamRefused, make_server().receive_data(frame))
-    assert refusal.code is RefusalCode.WRONG_KEY
-    assert says(refusal.message, RefusalText.KEY_NOT_NAMED, name="robot1", there="client", here="server")
-
-
-def test_an_unencrypted_client_has_no_key_whatever_it_says() -> None:
+    for changed, words in (
+        (frame.replace(fingerprint_of(KEY), fingerprint_of(OTHER_KEY)), RefusalText.FIRST_MESSAGE_FORGED),
+        (frame[:-1] + bytes((frame[-1] ^ 1,)), RefusalText.FIRST_MESSAGE_FORGED),
+        (frame.replace(fingerprint_of(KEY), bytes(8)), RefusalText.KEY_NOT_NAMED),
+    ):
+        refusal = the(StreamRefused, make_server(keys=(KEY, OTHER_KEY)).receive_data(changed))
+        assert refusal.code is RefusalCode.WRONG_KEY
+        assert says(refusal.message, words, name="robot1")
     server = make_server(CipherSuite.PLAIN)
     assert server.receive_data(make_client(CipherSuite.PLAIN).start().replace(bytes(8), fingerprint_of(KEY))) == []
-    assert server.accepted
-    assert server.fingerprint == b""
+    assert (server.accepted, server.fingerprint) == (True, b"")
 
 
-def test_a_first_message_that_claims_the_right_key_and_does_not_open() -> None:
-    """A forged or damaged one: that the keys differ would be untrue."""
-    client, server = make_client(), make_server()
-    frame = bytearray(client.start())
-    frame[-1] ^= 1
-    refusal = the(StreamRefused, server.receive_data(bytes(frame)))
-    assert refusal.code is RefusalCode.WRONG_KEY
-    assert refusal.message == RefusalText.FIRST_MESSAGE_FORGED(name="robot1")
-
-
-def test_no_key_against_a_key() -> None:
-    refusal = refused(make_client(CipherSuite.PLAIN), make_server())
-    assert refusal.code is RefusalCode.ENCRYPTION_REQUIRED
-    assert refusal.message == RefusalText.ENCRYPTION_REQUIRED(name="robot1")
-
-
-def test_a_key_against_none() -> None:
-    refusal = refused(make_client(), make_server(CipherSuite.PLAIN))
-    assert refusal.code is RefusalCode.ENCRYPTION_NOT_POSSIBLE
-    assert refusal.message == RefusalText.ENCRYPTION_NOT_POSSIBLE(name="robot1")
-
-
-def test_an_unknown_name() -> None:
+def test_an_unknown_name_and_a_busy_server() -> None:
     def identity(name: str) -> Credential:
         raise Refusal(RefusalCode.UNKNOWN_NAME, f"no client {name} is known here")
 
-    refusal = refused(make_client(), ServerConnection(identity, lambda hello: WELCOME, aes=True))
-    assert (refusal.code, refusal.message) == (RefusalCode.UNKNOWN_NAME, "no client robot1 is known here")
-
-
-def test_a_busy_server() -> None:
     def make_welcome(hello: Hello) -> Welcome:
         raise Refusal(RefusalCode.BUSY, f"{hello.name} is linked already")
 
-    server = ServerConnection(lambda name: Credential((KEY,), ReplayCache()), make_welcome, aes=True)
-    assert refused(make_client(), server).code is RefusalCode.BUSY
+    refusal = refused(make_client(), ServerConnection(identity, lambda hello: WELCOME, aes=True))
+    assert (refusal.code, refusal.message) == (RefusalCode.UNKNOWN_NAME, "no client robot1 is known here")
+    busy = ServerConnection(lambda name: Credential((KEY,), ReplayCache()), make_welcome, aes=True)
+    assert refused(make_client(), busy).code is RefusalCode.BUSY
 
 
 def test_a_server_that_answers_with_another_key() -> None:
@@ -221,18 +197,10 @@ def other_version(frame: bytes, version: int = 9) -> bytes:
     return pack_frame(b"rsb" + bytes((version,)) + frame[4:])
 
 
-def test_an_older_client() -> None:
-    server = make_server()
-    (event,) = server.receive_data(other_version(preamble_frame(PreambleKind.CONTROL, b"whatever"), 1))
-    assert event == StreamRefused(RefusalCode.WRONG_VERSION, RefusalText.PEER_OLDER(ours=2, theirs=1))
-
-
-def test_a_client_of_another_version() -> None:
-    server = make_server()
-    words = RefusalText.THIS_SIDE_OLDER(ours=2, theirs=9)
-    (event,) = server.receive_data(
-        other_version(preamble_frame(PreambleKind.CONTROL, b"whatever that means in version 9"))
-    )
+@pytest.mark.parametrize(("version", "text"), [(1, RefusalText.PEER_OLDER), (9, RefusalText.THIS_SIDE_OLDER)])
+def test_a_client_of_another_version(version: int, text: RefusalText) -> None:
+    server, words = make_server(), text(ours=2, theirs=version)
+    (event,) = server.receive_data(other_version(preamble_frame(PreambleKind.CONTROL, b"whatever it means"), version))
     assert event == StreamRefused(RefusalCode.WRONG_VERSION, words)
     assert server.data_to_send() == pack_frame(refuse_frame(RefusalCode.WRONG_VERSION, words))
 
@@ -347,13 +315,6 @@ def test_a_client_whose_name_is_taken_is_refused_once_it_has_proved_its_key() ->
     assert server.receive_data(confirmation) == []
 
 
-def make_accepted() -> ServerConnection:
-    """A server that has accepted a client, and waits for its confirmation."""
-    server = make_server()
-    server.receive_data(make_client().start())
-    return server
-
-
 def test_a_first_frame_with_content_confirms_nothing() -> None:
     client, server = ready_to_accept(CipherSuite.PLAIN)
     client.receive_data(server.data_to_send())
@@ -371,12 +332,10 @@ def test_data_before_the_confirmation_have_no_place() -> None:
 
 def test_who_has_not_confirmed_gets_the_room_of_a_handshake() -> None:
     """A replayed first message does not make the server hold a control frame of 1 MiB."""
-    client, server = make_client(), make_server()
-    server.receive_data(client.start())
+    _, server = ready_to_accept()
     assert server.accepted
     assert server.receive_data(LENGTH.pack(4096) + bytes(4095)) == []
-    (event,) = make_accepted().receive_data(LENGTH.pack(4097))
-    assert isinstance(event, Failed)
+    event = the(Failed, ready_to_accept()[1].receive_data(LENGTH.pack(4097)))
     assert event.foreign is None  # its first message was an rsb-console's
 
 

@@ -47,11 +47,6 @@ def test_a_data_stream_is_attached(suite: CipherSuite) -> None:
     assert data.leftover() == b""
 
 
-def test_a_data_frame_that_ends_before_its_name_does() -> None:
-    event = the(Failed, make_server().receive_data(pack_frame(preamble_frame(PreambleKind.DATA, bytes(14)))))
-    assert event.reason == Broken.DATA_TOO_SHORT()
-
-
 @SUITES
 def test_a_route_moves_to_another_stream(suite: CipherSuite) -> None:
     """The frame that says so is sealed in order with the route's messages."""

@@ -42,8 +42,6 @@ def ends(
 
 
 class Peer:
-    """A peer that holds the key and says what it likes."""
-
     def __init__(self) -> None:
         self.sealer = Sealer(CipherSuite.AESGCM, KEY)
 
@@ -77,14 +75,7 @@ def test_a_datagram_is_as_the_document_says() -> None:
 @SUITES
 @given(
     data=st.data(),
-    sent=st.lists(
-        st.tuples(
-            st.binary(max_size=300),
-            st.integers(0, 2**64 - 1),
-            st.sampled_from(FLAGS),
-        ),
-        max_size=6,
-    ),
+    sent=st.lists(st.tuples(st.binary(max_size=300), st.integers(0, 2**64 - 1), st.sampled_from(FLAGS)), max_size=6),
     room=st.integers(2, 120),  # so that disorder stays within the replay window
 )
 def test_messages_come_whole_and_once_in_whatever_order(

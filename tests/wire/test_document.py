@@ -38,7 +38,6 @@ STRUCTS = {
 
 
 def _section(number: int) -> str:
-    """A section of the document, and nothing of the next one."""
     return DOCUMENT.split(f"\n## {number}. ")[1].split("\n## ")[0]
 
 

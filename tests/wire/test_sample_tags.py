@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from tests.wire.links import HELLO, KEY, WELCOME
+from tests.wire.links import HELLO, KEY, WELCOME, ready_to_accept
 
 from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 from rsb_bridge.wire.handshake import ReplayCache
@@ -50,9 +50,7 @@ def test_both_sides_of_a_link_have_one_secret() -> None:
 
 
 def test_a_fork_takes_an_answer_and_leaves_the_first_untouched() -> None:
-    client = ClientConnection(HELLO, KEY, CipherSuite.AESGCM)
-    server = ServerConnection(lambda _: Credential((KEY,), ReplayCache()), lambda _: WELCOME, aes=True)
-    server.receive_data(client.start())
+    client, server = ready_to_accept()
     answer = server.data_to_send()
     for forged in (b"forged", answer[:-1] + bytes([answer[-1] ^ 1]), b"\0\0\0\5rsb\2\7", b"", answer + b"\0\0\0\1?"):
         fork = client.fork()

@@ -154,10 +154,9 @@ def test_datagrams_open_across_an_epoch_in_any_order(suite: CipherSuite) -> None
 @SUITES
 def test_a_datagram_too_many_epochs_ahead_is_refused_unopened(suite: CipherSuite) -> None:
     opener = DatagramOpener(suite, key_for(suite))
-    with pytest.raises(SealError, match=pattern(InvalidSeal.EPOCH_TOO_FAR_AHEAD)):
-        opener.open((EPOCHS_AHEAD + 1) * EPOCH, b"", b"header")
-    with pytest.raises(SealError, match=pattern(InvalidSeal.EPOCH_TOO_FAR_AHEAD)):
-        opener.open(2**64 - 1, b"", b"header")
+    for sequence in ((EPOCHS_AHEAD + 1) * EPOCH, 2**64 - 1):
+        with pytest.raises(SealError, match=pattern(InvalidSeal.EPOCH_TOO_FAR_AHEAD)):
+            opener.open(sequence, b"", b"header")
     far = EPOCHS_AHEAD * EPOCH
     assert opener.open(far, sealed_at(suite, far), b"header") == b"content"
 
@@ -235,15 +234,6 @@ def test_attach_proof_is_that_of_the_document(suite: CipherSuite) -> None:
     assert proof == by_the_book(suite, key, 0, b"", b"header")
 
 
-@SUITES
-def test_both_sides_derive_the_same_for_streams_and_datagrams(suite: CipherSuite) -> None:
-    cases: tuple[tuple[int, Role], ...] = ((1, "client"), (1, "server"), (2, "client"))
-    for route, role in cases:
-        sealed = session_keys(suite).route_sealer(route, role).seal(b"content", b"header")
-        assert session_keys(suite).stream_opener(route, role).open(sealed, b"header") == b"content"
-        assert session_keys(suite).datagram_opener(route, role).open(0, sealed, b"header") == b"content"
-
-
 @given(st.permutations([1, 2, 3, 4, 5, 6]), st.sets(st.sampled_from([1, 2, 3, 4, 5, 6])))
 def test_both_sides_keep_in_step_whatever_crosses(taken: list[int], refused: set[int]) -> None:
     """Proposals of both sides cross on the way, routes are refused and removed, and others use their keys later."""
@@ -295,13 +285,6 @@ def test_who_takes_over_a_process_opens_nothing_earlier(suite: CipherSuite) -> N
         secrets = {expand(each, b"rsb next") for each in secrets}
 
 
-@SUITES
-def test_both_sides_of_one_link_derive_the_same_secret_of_sample_tags(suite: CipherSuite) -> None:
-    ours, theirs, other = session_keys(suite), session_keys(suite), session_keys(suite, bytes(32))
-    assert ours.sample_secret == theirs.sample_secret
-    assert ours.sample_secret is None or ours.sample_secret != other.sample_secret
-
-
 def test_each_key_is_handed_out_once() -> None:
     keys = session_keys()
     keys.route_sealer(1, "client")
@@ -320,10 +303,9 @@ def test_attach_proof_holds_for_its_header_and_route_only(suite: CipherSuite) ->
     keys = session_keys(suite)
     proof = keys.attach_proof(b"header of 5", 5)
     session_keys(suite).check_attach_proof(b"header of 5", 5, proof)
-    with pytest.raises(SealError):
-        keys.check_attach_proof(b"header of 7", 5, proof)
-    with pytest.raises(SealError):
-        keys.check_attach_proof(b"header of 5", 5, b"")
+    wrong = [(b"header of 7", 5, proof), (b"header of 5", 5, b"")]
     if suite is not CipherSuite.PLAIN:
+        wrong.append((b"header of 5", 3, proof))
+    for each in wrong:
         with pytest.raises(SealError):
-            keys.check_attach_proof(b"header of 5", 3, proof)
+            keys.check_attach_proof(*each)

@@ -1,0 +1,25 @@
+"""What the tests of commands share: the program's arguments in, its exit code and its output back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.commands import Ran
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.control import Machine
+
+
+@pytest.fixture
+def here(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have commands look for bridges in this test's folder of control sockets."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+
+
+@pytest.fixture
+def ran(here: None, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
+    """Run a command at the bridges of `machine`."""
+    return lambda *arguments: Ran(capsys, *arguments)

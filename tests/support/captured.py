@@ -1,0 +1,15 @@
+"""Other programs, run to their end."""
+
+from __future__ import annotations
+
+import subprocess
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def captured(*command: str | Path, check: bool = False, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run a program, and return its exit code and its output as text; `options` are those of `subprocess.run`."""
+    options = {"timeout": 120, **options}
+    return subprocess.run(command, check=check, capture_output=True, text=True, **options)
