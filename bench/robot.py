@@ -30,8 +30,9 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bench.bed import FAR, NEAR, ROOT
 from bench.robot_ends import GOAL, NODE, PARAMETERS, RESULT
@@ -51,6 +52,7 @@ _DRAINS = 5.0
 """s in which the last messages arrive after the robot has stopped."""
 _MATCHES_WITHIN = 30.0
 _NO_BRIDGE = ("bare", "dds")
+_TYPE = "std_msgs/msg/String"
 _LOST = re.compile("link with the server at .* lost: ")
 _BRIDGE = """
 import sys
@@ -66,6 +68,8 @@ class Spoken(NamedTuple):
 
     Attributes:
         transport: that it always uses, or an empty string for the column's.
+        robot: whose bridge sends it. All robots stand at one end of the link.
+        to_robot: whether the PC publishes it, for the robot.
     """
 
     name: str
@@ -74,6 +78,13 @@ class Spoken(NamedTuple):
     priority: str = "normal"
     reliability: str = "reliable"
     transport: str = ""
+    robot: str = "robot"
+    to_robot: bool = False
+
+    @property
+    def row(self) -> str:
+        """What is measured of it: topics that differ in their number only are one."""
+        return self.name.rstrip("0123456789")
 
     @property
     def is_large(self) -> bool:
@@ -131,9 +142,14 @@ class Link(NamedTuple):
     calls: tuple[Called, ...] = ()
 
     @property
+    def robots(self) -> Sequence[str]:
+        """Whose bridges it carries."""
+        return list(dict.fromkeys(each.robot for each in self.topics))
+
+    @property
     def rows(self) -> dict[str, str]:
         """What is measured, in words, by its name."""
-        topics = {each.name: f"{each.name} {each.rate:g} Hz × {each.size:,}" for each in self.topics}
+        topics = {each.row: f"{each.row} {each.rate:g} Hz × {each.size:,}" for each in self.topics}
         return topics | {row: f"{row} {each.rate:g} Hz × {each.size:,}" for each in self.calls for row in each.rows}
 
 
@@ -195,6 +211,33 @@ LINKS = {
             Spoken("/odom", 10, 100, transport="tcp"),
         ),
     ),
+    "alone": Link("20 0 2 20000000 400000 0 0", (Spoken("/joint_states", 100, 470),)),
+    "beside": Link(
+        "20 0 2 20000000 400000 0 0",
+        (Spoken("/joint_states", 100, 470), Spoken("/camera", 20, 60_000, reliability="best_effort")),
+    ),
+    "two-robots": Link(
+        "20 15 2 20000000 400000 0 0",
+        tuple(
+            Spoken(f"{name}{topic}", rate, size, priority, reliability, robot=robot)
+            for robot, name in (("robot", ""), ("second", "/second"))
+            for topic, rate, size, priority, reliability in (
+                ("/odom", 50, 730, "high", "reliable"),
+                ("/joint_states", 100, 470, "normal", "reliable"),
+                ("/camera", 30, 60_000, "low", "best_effort"),
+            )
+        ),
+    ),
+    "both-ways": Link(
+        "20 15 2 20000000 400000 0 0",
+        (
+            Spoken("/odom", 50, 730, "high"),
+            Spoken("/joint_states", 100, 470),
+            Spoken("/cmd_vel", 20, 60, "high", to_robot=True),
+            Spoken("/map", 40, 60_000, "low", "best_effort", to_robot=True),
+        ),
+    ),
+    "many": Link("20 0 0 20000000 400000 0 0", tuple(Spoken(f"/topic{number}", 1, 300) for number in range(500))),
 }
 
 
@@ -208,6 +251,7 @@ class Run:
         gaps: when (s) gaps began and ended.
         bytes: that crossed to the PC.
         cpu: s of both sides' processors.
+        descriptors: file descriptors of the side that had more.
         lost: how often the link was lost.
     """
 
@@ -216,7 +260,8 @@ class Run:
     gaps: list[tuple[float, float]]
     bytes: int
     cpu: float
-    lost: int
+    descriptors: int
+    lost: int = 0
 
     def cell(self, topic: str) -> tuple[float, float, float]:
         """Return p50 and p99 (ms) and the part that arrived."""
@@ -297,6 +342,9 @@ class _Child:
     def cpu(self) -> float:
         return time.clock_gettime((~self.process.pid << 3) | _CPUCLOCK_SCHED)
 
+    def descriptors(self) -> int:
+        return sum(1 for _ in Path(f"/proc/{self.process.pid}/fd").iterdir())
+
     def stop(self) -> None:
         self.process.send_signal(signal.SIGTERM)
         try:
@@ -316,7 +364,9 @@ def _run(folder: Path, program: Path, link: Link, column: Column, seconds: float
         wire = _joined(program, robot, pc, link.figures)
         stack.callback(wire.kill)
         bridged = column.transport != "dds"
-        (folder / "client.log").write_text("")
+        logs = [folder / f"{robot}.log" for robot in link.robots]
+        for log in logs:
+            log.write_text("")
         if column.transport in {"zenoh", "bare"}:  # which have sockets of their own
             for host in (robot, pc):
                 _set_congestion_control(host, column.congestion)
@@ -327,51 +377,79 @@ def _run(folder: Path, program: Path, link: Link, column: Column, seconds: float
             stack.callback(started.stop)
             return started
 
-        sizes = [part for large in (False, True) if (part := [each for each in link.topics if each.is_large == large])]
-        domain = FAR if bridged else NEAR
-        ears = [child(pc, "-m", "bench.robot_ends", "listen", str(domain), *map(str, part)) for part in sizes]
-        calls = [str(each) for each in link.calls if column.transport != "bare"]
-        servers = [child(robot, "-m", "bench.robot_ends", "serve", str(NEAR), *calls)] if calls else []
+        def node(host: Host, what: str, *about: object) -> _Child:
+            domain = FAR if host is pc and bridged else NEAR
+            return child(host, "-m", "bench.robot_ends", what, str(domain), *map(str, about))
+
+        topics = [each for each in link.topics if not (each.to_robot and column.transport == "bare")]
+        parts = [list(part) for _, part in groupby(sorted(topics, key=_process), key=_process)]
+        ears = [node(robot if part[0].to_robot else pc, "listen", *part) for part in parts]
+        calls = link.calls if column.transport != "bare" else ()
+        servers = [node(robot, "serve", *calls)] if calls else []
         for each in (*ears, *servers):
             each.answer()
         if column.transport == "bare":
-            sides = _start_bare(child, pc, robot, link.topics)
+            sides = _start_bare(child, pc, robot, topics)
         else:
             sides = _start_bridge(child, pc, robot, folder, link, column) if bridged else []
-        mouths = [child(robot, "-m", "bench.robot_ends", "talk", str(NEAR), *map(str, part)) for part in sizes]
+        mouths = [node(pc if part[0].to_robot else robot, "talk", *part) for part in parts]
         if calls:
-            caller = child(pc, "-m", "bench.robot_ends", "call", str(domain), *calls)
+            caller = node(pc, "call", *calls)
             mouths.append(caller)
             ears.append(caller)
-        _wait_until_matched(mouths, folder)
+        _wait_until_matched(mouths, [folder / "server.log", *logs])
         time.sleep(3)
-        wire.send_signal(signal.SIGUSR1)
-        cpu = sum(side.cpu() for side in sides)
-        for mouth in mouths:
-            mouth.tell(f"go {seconds}")
-        made = {topic: times for mouth in mouths for topic, times in mouth.answer().items()}
-        wire.send_signal(signal.SIGUSR1)
-        cpu = sum(side.cpu() for side in sides) - cpu
-        time.sleep(_DRAINS)
-        heard: dict[str, list[list[int]]] = {}
-        for ear in ears:
-            ear.tell("report")
-            heard |= ear.answer()  # type: ignore[arg-type]
-        wire.terminate()
-        assert wire.stdout is not None
-        said = [line.split() for line in wire.stdout.read().splitlines()]
-        crossed = [int(words[1]) for words in said if words[0] == "bytes"]
-        turns = [float(words[2]) for words in said if words[0] == "gap"]
-        gaps = list(zip(turns[::2], [*turns[1::2], float("inf")], strict=False))
-        lost = len(_LOST.findall((folder / "client.log").read_text()))
-        return Run(made, heard, gaps, crossed[1] - crossed[0], cpu, lost)
+        run = _measured(link, wire, mouths, ears, sides, seconds)
+        run.lost = sum(len(_LOST.findall(log.read_text())) for log in logs)
+        return run
+
+
+def _process(topic: Spoken) -> tuple[bool, bool]:
+    return topic.to_robot, topic.is_large
+
+
+def _measured(
+    link: Link,
+    wire: subprocess.Popen[str],
+    mouths: Sequence[_Child],
+    ears: Sequence[_Child],
+    sides: Sequence[_Child],
+    seconds: float,
+) -> Run:
+    wire.send_signal(signal.SIGUSR1)
+    cpu = sum(side.cpu() for side in sides)
+    for mouth in mouths:
+        mouth.tell(f"go {seconds}")
+    made = _by_row(link, mouths)
+    wire.send_signal(signal.SIGUSR1)
+    cpu = sum(side.cpu() for side in sides) - cpu
+    descriptors = max((side.descriptors() for side in sides), default=0)
+    time.sleep(_DRAINS)
+    for ear in ears:
+        ear.tell("report")
+    heard = _by_row(link, ears)
+    wire.terminate()
+    assert wire.stdout is not None
+    said = [line.split() for line in wire.stdout.read().splitlines()]
+    crossed = [int(words[1]) for words in said if words[0] == "bytes"]
+    turns = [float(words[2]) for words in said if words[0] == "gap"]
+    gaps = list(zip(turns[::2], [*turns[1::2], float("inf")], strict=False))
+    return Run(made, heard, gaps, crossed[1] - crossed[0], cpu, descriptors)
+
+
+def _by_row(link: Link, ends: Sequence[_Child]) -> dict[str, list[Any]]:
+    rows, found = {each.name: each.row for each in link.topics}, dict[str, list[Any]]()
+    for end in ends:
+        for name, times in end.answer().items():
+            found.setdefault(rows.get(name, name), []).extend(times)
+    return found
 
 
 def _start_bridge(child: _Start, pc: Host, robot: Host, folder: Path, link: Link, column: Column) -> Sequence[_Child]:
     _write_sessions(folder, link, column.transport, with_priorities=column.priorities == "with")
     run = ("-c", _BRIDGE, column.congestion, "run", "--no-ui", "--control")
     sides = []
-    for host, side in ((pc, "server"), (robot, "client")):
+    for host, side in ((pc, "server"), *((robot, name) for name in link.robots)):
         socket, session, log = (folder / f"{side}.{suffix}" for suffix in ("sock", "yaml", "log"))
         sides.append(child(host, *run, str(socket), str(session), log=log))
     return sides
@@ -402,7 +480,7 @@ def _set_congestion_control(host: Host, name: str) -> None:
         raise SystemExit(f"{error}; allow {name} by sysctl -w {allowed}=... on this machine") from None
 
 
-def _wait_until_matched(mouths: Sequence[_Child], folder: Path) -> None:
+def _wait_until_matched(mouths: Sequence[_Child], logs: Sequence[Path]) -> None:
     deadline = time.monotonic() + _MATCHES_WITHIN
     while True:
         for mouth in mouths:
@@ -410,36 +488,40 @@ def _wait_until_matched(mouths: Sequence[_Child], folder: Path) -> None:
         if min(mouth.answer()["matched"] for mouth in mouths):
             return
         if time.monotonic() > deadline:
-            logs = [folder / f"{side}.log" for side in ("server", "client")]
             raise SystemExit("\n".join(["nobody listens", *(log.read_text()[-2000:] for log in logs if log.exists())]))
         time.sleep(0.3)
 
 
 def _write_sessions(folder: Path, link: Link, transport: str, *, with_priorities: bool) -> None:
-    key = folder / "bench.key"
-    key.write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
-    key.chmod(0o600)
-    common = "name: robot\nkey_file: bench.key\n"
+    for robot in link.robots:
+        key = folder / f"{robot}.key"
+        key.write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
+        key.chmod(0o600)
     listens = connects = f"server_ip: {_PC}\nserver_port: {_PORT}\n"
     if transport == "zenoh":
         connects = f"server_ip: zenoh\nzenoh: {{connect: [tcp/{_PC}:{_PORT}]}}\n"
         listens = connects.replace("connect:", "listen:")
-    lists = {
-        "topics:": [
-            f"  - {{topic: {each.name}, direction: transmit"
-            f"{', protocol: udp' if (each.transport or transport) == 'udp' else ''}"
-            f"{f', priority: {each.priority}' if with_priorities else ''}}}"
-            for each in link.topics
-        ]
-    }
+    lists: dict[str, dict[str, list[str]]] = {robot: {} for robot in link.robots}
+    for topic in link.topics:
+        lists[topic.robot].setdefault("topics:", []).append(
+            f"  - {{topic: {topic.name}"
+            f", direction: {f'receive, type: {_TYPE}' if topic.to_robot else 'transmit'}"
+            f"{', protocol: udp' if (topic.transport or transport) == 'udp' else ''}"
+            f"{f', priority: {topic.priority}' if with_priorities else ''}}}"
+        )
     for each in link.calls:
         section = "parameters:" if each.kind == "parameters" else f"{each.kind}s:"
-        lists.setdefault(section, []).append(f"  - {{{each.entry}, provider: client}}")
-    (folder / "server.yaml").write_text(f"role: server\ndomain_id: {FAR}\n{common}{listens}")
-    (folder / "client.yaml").write_text(
-        f"role: client\ndomain_id: {NEAR}\n{common}{connects}"
-        + "".join(f"{line}\n" for section, entries in lists.items() for line in (section, *entries))
+        lists["robot"].setdefault(section, []).append(f"  - {{{each.entry}, provider: client}}")
+    clients = "".join(f"  - {{name: {robot}, key_file: {robot}.key}}\n" for robot in lists)
+    (folder / "server.yaml").write_text(
+        f"name: pc\nrole: server\ndomain_id: {FAR}\n{listens}clients:\n{clients}", encoding="utf-8"
     )
+    for robot, sections in lists.items():
+        (folder / f"{robot}.yaml").write_text(
+            f"name: {robot}\nrole: client\ndomain_id: {NEAR}\nkey_file: {robot}.key\n{connects}"
+            + "".join(f"{line}\n" for section, entries in sections.items() for line in (section, *entries)),
+            encoding="utf-8",
+        )
 
 
 def _print(link: str, runs: dict[Column, list[Run]], seconds: float) -> None:
@@ -456,6 +538,7 @@ def _print(link: str, runs: dict[Column, list[Run]], seconds: float) -> None:
         print(" | ".join([words, *cells]))
     print(" | ".join(["MB", *(f"{statistics.median(run.bytes for run in each) / 1e6:.1f}" for each in runs.values())]))
     print(" | ".join(["CPU, s", *(f"{statistics.median(run.cpu for run in each):.1f}" for each in runs.values())]))
+    print(" | ".join(["descriptors", *(str(max(run.descriptors for run in each)) for each in runs.values())]))
     print(" | ".join(["link lost", *(str(sum(run.lost for run in each)) for each in runs.values())]))
     sys.stdout.flush()
 
