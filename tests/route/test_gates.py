@@ -44,7 +44,6 @@ from rsb_bridge.route.gates import (
     hand_gates,
     incoming_gates,
     providing_gates,
-    sending_gates,
 )
 from rsb_bridge.route.history_depth import Sample
 from rsb_bridge.route.lease import LASTS, LeaseHalf
@@ -62,7 +61,7 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.route.gates import Gate, Gated, SendingGates
+    from rsb_bridge.route.gates import Gate, Gated
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.framing import Message
 
@@ -276,7 +275,7 @@ def test_what_was_kept_too_long_names_who_kept_it(
 
 
 def test_what_was_kept_is_asked_once_more_whether_it_would_loop(world: World) -> None:
-    sieve = KeptLoopSieve(world.path._loop_filter, world.ledger)
+    (sieve,) = world.path.gates.kept
     known, unknown = sample_of(1), sample_of(1, SECOND)
     assert sieve.passing([unknown, known]) == [known]
     assert world.ledger.dropped == {"would loop": 1}
@@ -284,7 +283,7 @@ def test_what_was_kept_is_asked_once_more_whether_it_would_loop(world: World) ->
 
 def test_the_loop_sieve_holds_what_is_not_known_yet(world: World) -> None:
     world.graph.nodes[SECOND] = ""
-    sieve = LoopSieve(world.path._loop_filter, world.route, world.ledger)
+    (sieve,) = world.path.gates.arriving
     known, unknown = RawMessage(b"known", 1, FIRST), RawMessage(b"unknown", 1, SECOND)
     assert sieve.passing([known]) == [known]
     assert sieve.passing([unknown, known]) == [known]
@@ -323,11 +322,6 @@ def order(gates: tuple[object, ...]) -> list[type[object]]:
     return [type(each) for each in gates]
 
 
-def sending(world: World) -> SendingGates:
-    path = world.path
-    return sending_gates(world.route, world.ledger, path._throttle, path._loop_filter, path._outbox)
-
-
 def everything_on(route: Route) -> None:
     route.arming.demand(required=True, deadman=0.0)
     route.age.settle((0.5,), armed=True)
@@ -336,17 +330,18 @@ def everything_on(route: Route) -> None:
 
 def test_nothing_old_and_nothing_unarmed_gets_to_the_channel(world: World) -> None:
     """Age is asked once more when the channel has room: a message may have waited in the queue."""
-    assert [order(each) for each in sending(world)] == [[], [LoopSieve], [], [KeptLoopSieve], [SizeSieve], []]
+    assert [order(each) for each in world.path.gates] == [[], [LoopSieve], [], [KeptLoopSieve], [SizeSieve], []]
     everything_on(world.route)
-    gates = sending(world)
+    gates = world.path.gates
     assert order(gates.batch) == [ArmedGate]
     assert order(gates.arriving) == [FreshSieve, LoopSieve]
     assert order(gates.sourced) == [ThrottleSieve]
     assert order(gates.kept) == [KeptAgeSieve, KeptLoopSieve]
     assert order(gates.packed) == [SizeSieve]
     assert order(gates.leaving) == [YoungSieve]
-    world.route.qos = Qos(durability="transient_local")  # its messages wait for their histories before they can be old
-    assert order(sending(world).arriving) == [LoopSieve]
+    world.route.qos = Qos(durability="transient_local")  # its messages wait in their histories, and are asked later
+    world.route.settle_age()
+    assert order(world.path.gates.arriving) == [LoopSieve]
 
 
 def test_nothing_old_and_nothing_unarmed_gets_to_ros(make_context: Callable[..., Context]) -> None:

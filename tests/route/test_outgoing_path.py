@@ -14,7 +14,7 @@ from rsb_bridge.route.lease import LeaseHalf
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 if TYPE_CHECKING:
-    from rsb_bridge.route.sending import Outbox, OutgoingPath
+    from rsb_bridge.route.sending import Outbox
 
 __all__ = ["world"]
 BEST_EFFORT = Qos(reliability="best_effort")
@@ -27,11 +27,6 @@ def publish(world: World, count: int, rate: int = 100, size: int = 100) -> int:
     for number in range(count):
         world.path.offer([RawMessage(bytes(size), now + number * SECOND // rate, FIRST)])
     return len(world.sent) - before
-
-
-def throttles(path: OutgoingPath) -> bool:
-    """Whether messages are asked for a rate limit."""
-    return path._sourced is not None
 
 
 def outbox(world: World) -> Outbox:
@@ -48,16 +43,16 @@ def unlimited(world: World) -> None:
 
 def test_a_rate_limit_is_on_the_path_while_it_is_on(world: World) -> None:
     path, ledger = world.path, world.ledger
-    assert not throttles(path)
+    assert not path.gates.sourced
     publish(world, 10)
     limited(world)
-    assert throttles(path)
+    assert len(path.gates.sourced) == 1
     sent = publish(world, 50)
     assert 0 < sent < 10
     assert ledger.throttled == 50 - sent
     assert world.route.traffic.offered == 10 + sent  # a topic asks the link for no more than its own limit
     unlimited(world)
-    assert not throttles(path)
+    assert not path.gates.sourced
     assert publish(world, 10) == 10
     assert ledger.offered == 70 == ledger.sent_now + ledger.throttled
 

@@ -316,6 +316,7 @@ class OutgoingPath:
 
     Attributes:
         histories: of a latched topic's publishers in the present opening, or None for a volatile topic.
+        gates: those that are on.
     """
 
     def __init__(
@@ -337,7 +338,7 @@ class OutgoingPath:
         if (rate := self._route.limit.rate) != self._max_rate:
             self._max_rate = rate
             self._throttle.limit(rate)
-        gates = sending_gates(self._route, self._ledger, self._throttle, self._loop_filter, self._outbox)
+        self.gates = gates = sending_gates(self._route, self._ledger, self._throttle, self._loop_filter, self._outbox)
         self._batch = chained(gates.batch)
         self._arriving, self._sourced = sifting(gates.arriving), sifting(gates.sourced)
         self._kept, self._packed = sifting(gates.kept), sifting(gates.packed)
