@@ -18,7 +18,7 @@ from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting, on_console
-from rsb_bridge.model.commands import ArmTopic, TakeArming
+from rsb_bridge.model.commands import ArmTopic, AskHolder, TakeArming
 from rsb_bridge.model.demands import DemandSource
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import ArmedName as ArmedEntry
@@ -144,7 +144,7 @@ def test_a_message_from_before_it_was_armed_is_not_published(at: int, pair: Pair
     assert gate.check(GatedMessage(0, lease.number), 0.0) is None
 
 
-def command(side: Side, loop: VirtualLoop, *, take: bool = False) -> asyncio.Task[None]:
+def command(side: Side, loop: VirtualLoop, *, take: bool = False, ask: bool = False) -> asyncio.Task[None]:
     """What `rsb-console arm` has the bridge do, for a console; the other side hears nothing of it yet."""
 
     async def no_motions(_: set[str]) -> None:
@@ -156,11 +156,14 @@ def command(side: Side, loop: VirtualLoop, *, take: bool = False) -> asyncio.Tas
     commands = ArmingCommands(lambda: cast("list[Link]", [side]), find, no_motions)
     key = route(side).key
 
-    async def ask() -> None:
+    async def give() -> None:
         with acting("anna"), on_console(CONSOLE):
-            await (commands.take(TakeArming(key)) if take else commands.arm(ArmTopic(key)))
+            if ask:
+                await commands.ask(AskHolder(key))
+            else:
+                await (commands.take(TakeArming(key)) if take else commands.arm(ArmTopic(key)))
 
-    task = loop.create_task(ask())
+    task = loop.create_task(give())
     turn(loop)
     return task
 
@@ -207,6 +210,45 @@ def test_a_console_that_is_gone_before_the_topic_opens_arms_nothing(pair: Pair, 
     let_time_pass(pair, loop, 1.0)
     assert ArmingProblem.CONSOLE_GONE(topic="/cmd_vel") in str(task.exception())
     assert stands(*pair) == [False, False]
+
+
+def test_a_console_that_is_gone_before_the_type_is_loaded_arms_nothing(
+    pair: Pair, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pc, loaded = pair[1], loop.create_future()
+    monkeypatch.setattr(type(pc.context), "load_type", lambda *_: loaded)
+    task = command(pc, loop)
+    pc.table.arming.gone(CONSOLE)
+    loaded.set_result(None)
+    let_time_pass(pair, loop, 1.0)
+    assert ArmingProblem.CONSOLE_GONE(topic="/cmd_vel") in str(task.exception())
+    assert stands(*pair) == [False, False]
+
+
+def test_a_console_that_is_gone_before_the_robot_stands_arms_nothing(pair: Pair, loop: VirtualLoop) -> None:
+    """What it takes over is disarmed all the same."""
+    pc = pair[1]
+    arm(pc, loop, console="ben's").result()
+    task = command(pc, loop, take=True)
+    assert not task.done()
+    pc.table.arming.gone(CONSOLE)
+    let_time_pass(pair, loop, 1.0)
+    assert ArmingProblem.CONSOLE_GONE(topic="/cmd_vel") in str(task.exception())
+    assert stands(*pair) == [False, False]
+
+
+def test_a_console_that_is_gone_before_the_holder_answers_leaves_it_to_the_holder(
+    pair: Pair, loop: VirtualLoop
+) -> None:
+    pc = pair[1]
+    arm(pc, loop, console="ben's").result()
+    task = command(pc, loop, ask=True)
+    assert not task.done()
+    pc.table.arming.gone(CONSOLE)
+    pc.table.questions.answer(route(pc), "ben's", gives=True)
+    let_time_pass(pair, loop, 1.0)
+    assert ArmingProblem.CONSOLE_GONE(topic="/cmd_vel") in str(task.exception())
+    assert (stands(*pair), route(pc).arming.console) == ([True, True], "ben's")
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])

@@ -9,6 +9,7 @@ import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tests.support import constants
 from tests.support.offline import FakePeer
 
 from rsb_bridge.config.rights import Rights
@@ -348,6 +349,24 @@ def test_a_limit_that_changed_while_apart_keeps_the_route(
     settle(pair, loop)
     assert next(iter(pair[1 - apart].routes.values())) is kept
     assert kept.spec.max_rate == kept.proposal.max_rate == 2.0
+
+
+def test_at_the_limit_of_topics_one_may_take_the_place_of_another(
+    make_pair: Callable[[], Pair], loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    constants.ROUTES_PROPOSED_BY_SERVER.set(monkeypatch, 1)
+    client, server = pair = make_pair()
+    server.add()
+    settle(pair, loop)
+    server.rename()
+    hear_all(pair)  # at once, and not when it is proposed again
+    (renamed,) = server.routes.values()
+    assert renamed.accepted
+    assert [route.spec.topic for route in client.routes.values()] == ["/talk"]
+    server.add()  # but no more than the limit
+    hear_all(pair)
+    assert [route.accepted for route in server.routes.values()] == [True, False]
+    assert [route.spec.topic for route in client.routes.values()] == ["/talk"]
 
 
 @pytest.mark.parametrize("purpose", [BENCH, VIEW], ids=["measures", "pictures"])

@@ -40,7 +40,7 @@ def test_old_messages_are_left_out_when_they_are_taken(make_context: Callable[..
     age, _ = age_of(context)
     wall = context.wall_ns()
     batch = [RawMessage(b"", wall, b"a", source=wall - round(old * S)) for old in (3.0, 0.6, 0.4, 0.0)]
-    young = age.stamped(batch)
+    young = age.fresh(age.stamped(batch))
     assert [each.stamp for each in young] == pytest.approx([wall - round(0.4 * S), wall], abs=10**6)
     assert age.total == 2
 

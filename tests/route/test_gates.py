@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import pytest
+from tests.route.test_loop_filter import FIRST, SECOND, World, world
 from tests.route.test_unpacking import OnePublisher, opened
 from tests.support.offline import FakePeer
 
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.calls import Refused
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.ros_interface import Request
+from rsb_bridge.ros.ros_interface import RawMessage, Request
 from rsb_bridge.ros.ros_thread import RosTurns
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import Arming, Disarmed
@@ -24,24 +26,34 @@ from rsb_bridge.route.gates import (
     ArmedGate,
     BudgetGate,
     CallRateGate,
+    FreshSieve,
     GatedMessage,
+    KeptAgeSieve,
+    KeptLoopSieve,
     LeaseGate,
+    LoopSieve,
     PauseGate,
     RateGate,
     SizeGate,
+    SizeSieve,
+    ThrottleSieve,
     YoungGate,
+    YoungSieve,
     calling_gates,
     chained,
     hand_gates,
     incoming_gates,
     providing_gates,
 )
+from rsb_bridge.route.history_depth import Sample
 from rsb_bridge.route.lease import LASTS, LeaseHalf
+from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.lifecycle import PauseState, Revisions
 from rsb_bridge.route.peer import CallBudget
 from rsb_bridge.route.rate_limit import AllowedRates
+from rsb_bridge.route.throttle import Throttle
 from rsb_bridge.wire.framing import LEASED
-from rsb_bridge.wire.headers import CallFrame, What, frame_size, with_number
+from rsb_bridge.wire.headers import CallFrame, HistoryHeader, What, frame_size, with_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -50,11 +62,11 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.route.gates import Gate, Gated
-    from rsb_bridge.route.incoming import IncomingRoute
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.framing import Message
 
-SECOND = 10**9
+__all__ = ["world"]
+A_SECOND = 10**9
 
 
 def leased(arming: Arming, context: Context) -> LeaseHalf:
@@ -110,7 +122,7 @@ def test_the_age_gate_counts_by_cause(make_context: Callable[..., Context]) -> N
     gate, now = AgeGate(age), context.stamps.now()
     assert gate.check(GatedMessage(now, 0), 0.0) is None
     assert age.total == 0
-    assert gate.check(GatedMessage(now - SECOND, 0), 0.0) is Refused.TOO_OLD
+    assert gate.check(GatedMessage(now - A_SECOND, 0), 0.0) is Refused.TOO_OLD
     age.tick(1, 1.0)
     age.tick(2, 2.0)
     assert age.total == 1
@@ -119,14 +131,14 @@ def test_the_age_gate_counts_by_cause(make_context: Callable[..., Context]) -> N
 def test_the_rate_gate_takes_no_more_than_this_side_allows() -> None:
     gate = RateGate(AllowedRates(), "/chat", 10.0)
     found = [gate.check(NO_SAMPLE, number / 1000) for number in range(10_000)]
-    assert set(found) == {None, Refused.CALLS_A_SECOND}
+    assert set(found) == {None, Refused.TOO_FAST}
     assert found.count(None) <= 10 + 1.01 * 10 * 10
 
 
 def test_the_gate_of_a_calls_rate_lets_a_second_of_them_come_at_once() -> None:
     gate = CallRateGate(10.0, 0.0)
-    assert [gate.check(NO_SAMPLE, 0.0) for _ in range(11)] == [None] * 10 + [Refused.CALLS_A_SECOND]
-    assert [gate.check(NO_SAMPLE, 0.1) for _ in range(2)] == [None, Refused.CALLS_A_SECOND]
+    assert [gate.check(NO_SAMPLE, 0.0) for _ in range(11)] == [None] * 10 + [Refused.TOO_FAST]
+    assert [gate.check(NO_SAMPLE, 0.1) for _ in range(2)] == [None, Refused.TOO_FAST]
 
 
 def test_the_young_gate_asks_the_clock_of_the_side_that_took_it(make_context: Callable[..., Context]) -> None:
@@ -134,8 +146,8 @@ def test_the_young_gate_asks_the_clock_of_the_side_that_took_it(make_context: Ca
     age = MessageAge(context, FakePeer())
     age.settle((0.5,), armed=False)
     gate, now = YoungGate(age), context.stamps.now()
-    assert gate.check(GatedMessage(now - SECOND // 4, 0), 0.0) is None
-    assert gate.check(GatedMessage(now - SECOND, 0), 0.0) is Refused.TOO_OLD
+    assert gate.check(GatedMessage(now - A_SECOND // 4, 0), 0.0) is None
+    assert gate.check(GatedMessage(now - A_SECOND, 0), 0.0) is Refused.TOO_OLD
 
 
 def test_the_pause_gate_asks_each_time() -> None:
@@ -153,7 +165,7 @@ def test_what_passes_the_budget_has_its_place_in_it() -> None:
     assert gate.check(CallFrame(What.CALL, 0, 1, 0, b"12345"), 0.0) is None
     assert budget.held == (2, 2 * frame_size(b"12345"))
     full = CallBudget(0.0, share=0.0)
-    assert BudgetGate(full).check(Request(b"", b"", 0), 0.0) is Refused.CALLS_A_SECOND
+    assert BudgetGate(full).check(Request(b"", b"", 0), 0.0) is Refused.TOO_FAST
 
 
 class _CarriesFive:
@@ -192,10 +204,121 @@ def test_without_gates_there_is_nothing_to_ask() -> None:
     assert chained(()) is None
 
 
+# --- each sieve alone
+
+
+def aged_half_a_second(context: Context) -> MessageAge:
+    age = MessageAge(context, FakePeer())
+    age.settle((0.5,), armed=False)
+    return age
+
+
+def cause_of(age: MessageAge) -> Cause | None:
+    """Return the cause for which an age limit has dropped most."""
+    for second in range(3):
+        age.tick(0, float(second))
+    late = age.late()
+    return None if late is None else late.cause
+
+
+def sample_of(stamp: int, gid: bytes = FIRST, *, replayed: bool = False) -> Sample:
+    return Sample(HistoryHeader(bytes(8), 1, 1), RawMessage(b"kept", stamp, gid), replayed)
+
+
+def test_the_fresh_sieve_asks_the_publishers_stamps(make_context: Callable[..., Context]) -> None:
+    context, ledger = make_context(), RouteLedger()
+    age, now = aged_half_a_second(context), context.stamps.now()
+    old, young = RawMessage(b"old", now - A_SECOND), RawMessage(b"young", now)
+    sieve = FreshSieve(age, ledger)
+    assert sieve.passing([old, young]) == [young]
+    assert (ledger.offered, ledger.expired, age.total) == (1, 1, 1)
+
+
+@pytest.mark.parametrize(("max_age", "passed"), [(0.5, 0), (None, 1)])
+def test_without_a_sure_clock_nothing_passes_that_has_to_be_young(
+    max_age: float | None, passed: int, make_context: Callable[..., Context], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A lifespan promises less, and drops what is surely older."""
+    context, ledger = make_context(), RouteLedger()
+    age = MessageAge(context, FakePeer())
+    age.settle((max_age,), armed=False, lifespan=0.5)
+    wall = context.clock.time_ns() + 100 * A_SECOND
+    monkeypatch.setattr(context.clock, "time_ns", lambda: wall)
+    for second in range(3):
+        age.tick(second, float(second))
+        stamped = age.stamped([RawMessage(b"young", wall)] * 10)
+        assert len(FreshSieve(age, ledger).passing(stamped)) == 10 * passed
+    assert (ledger.offered, ledger.expired) == (30 - 30 * passed, 30 - 30 * passed)
+    age.tick(3, 3.0)
+    late = age.late()
+    assert (None if late is None else late.cause) is (None if passed else Cause.CLOCK_UNKNOWN)
+
+
+def test_the_throttle_sieve_keeps_to_the_rate() -> None:
+    ledger, throttle = RouteLedger(), Throttle(10.0)
+    batch = [RawMessage(b"", number * A_SECOND // 100) for number in range(100)]
+    assert len(ThrottleSieve(throttle, ledger).passing(batch)) == 10
+    assert (ledger.offered, ledger.throttled) == (0, 90)  # they count as offered before
+
+
+@pytest.mark.parametrize(("replayed", "cause"), [(True, Cause.PUBLISHER_STAMPS_OLD), (False, Cause.LINK_SLOW)])
+def test_what_was_kept_too_long_names_who_kept_it(
+    replayed: bool, cause: Cause, make_context: Callable[..., Context]
+) -> None:
+    context, ledger = make_context(), RouteLedger()
+    age, now = aged_half_a_second(context), context.stamps.now()
+    old, young = sample_of(now - A_SECOND, replayed=replayed), sample_of(now, replayed=replayed)
+    age.tick(0, 0.0)
+    assert KeptAgeSieve(age, ledger).passing([old, young]) == [young]
+    assert ledger.expired == 1
+    assert cause_of(age) is cause
+
+
+def test_what_was_kept_is_asked_once_more_whether_it_would_loop(world: World) -> None:
+    (sieve,) = world.path.gates.kept
+    known, unknown = sample_of(1), sample_of(1, SECOND)
+    assert sieve.passing([unknown, known]) == [known]
+    assert world.ledger.dropped == {"would loop": 1}
+
+
+def test_the_loop_sieve_holds_what_is_not_known_yet(world: World) -> None:
+    world.graph.nodes[SECOND] = ""
+    (sieve,) = world.path.gates.arriving
+    known, unknown = RawMessage(b"known", 1, FIRST), RawMessage(b"unknown", 1, SECOND)
+    assert sieve.passing([known]) == [known]
+    assert sieve.passing([unknown, known]) == [known]
+    assert (world.held, world.ledger.offered) == (1, 0)
+
+
+class _CarriesFiveBytes(_CarriesFive):
+    def __init__(self) -> None:
+        self.left_out: list[int] = []
+
+    def too_large(self, size: int) -> None:
+        self.left_out.append(size)
+
+
+def test_the_size_sieve_passes_what_the_transport_carries() -> None:
+    outbox = _CarriesFiveBytes()
+    messages: list[Message] = [(bytes(size), 1, 0) for size in (4, 6, 5, 7)]
+    assert SizeSieve(outbox).passing(messages) == [messages[0], messages[2]]
+    assert outbox.left_out == [6, 7]
+
+
+def test_the_young_sieve_asks_the_clock_of_the_side_that_took_them(make_context: Callable[..., Context]) -> None:
+    context, ledger = make_context(), RouteLedger()
+    age, now = aged_half_a_second(context), context.stamps.now()
+    messages: list[Message] = [(b"old", now - A_SECOND, 0), (b"young", now, 0)]
+    age.tick(0, 0.0)
+    assert YoungSieve(age, ledger).passing(messages) == messages[1:]
+    assert (ledger.offered, ledger.expired) == (0, 1)
+    assert cause_of(age) is Cause.LINK_SLOW
+
+
 # --- the order of each way
 
 
-def order(gates: tuple[Gate[Any], ...]) -> list[type[object]]:
+def order(gates: tuple[object, ...]) -> list[type[object]]:
     return [type(each) for each in gates]
 
 
@@ -203,6 +326,22 @@ def everything_on(route: Route) -> None:
     route.arming.demand(required=True, deadman=0.0)
     route.age.settle((0.5,), armed=True)
     route.limit.allow_here(10.0)
+
+
+def test_nothing_old_and_nothing_unarmed_gets_to_the_channel(world: World) -> None:
+    """Age is asked once more when the channel has room: a message may have waited in the queue."""
+    assert [order(each) for each in world.path.gates] == [[], [LoopSieve], [], [KeptLoopSieve], [SizeSieve], []]
+    everything_on(world.route)
+    gates = world.path.gates
+    assert order(gates.batch) == [ArmedGate]
+    assert order(gates.arriving) == [FreshSieve, LoopSieve]
+    assert order(gates.sourced) == [ThrottleSieve]
+    assert order(gates.kept) == [KeptAgeSieve, KeptLoopSieve]
+    assert order(gates.packed) == [SizeSieve]
+    assert order(gates.leaving) == [YoungSieve]
+    world.route.qos = Qos(durability="transient_local")  # its messages wait in their histories, and are asked later
+    world.route.settle_age()
+    assert order(world.path.gates.arriving) == [LoopSieve]
 
 
 def test_nothing_old_and_nothing_unarmed_gets_to_ros(make_context: Callable[..., Context]) -> None:
@@ -256,19 +395,19 @@ def calls(context: Context, half: type[Calls]) -> Calls:
 # --- each one is on the way as long as it is on
 
 
-def disarmed(route: IncomingRoute) -> None:
+def disarmed(route: Route) -> None:
     route.arming.demand(required=True, deadman=0.0)
 
 
-def aged(route: IncomingRoute) -> None:
+def aged(route: Route) -> None:
     route.age.settle((0.5,), armed=False)
 
 
-def limited(route: IncomingRoute) -> None:
+def limited(route: Route) -> None:
     route.limit.allow_here(0.001)
 
 
-def off(route: IncomingRoute) -> None:
+def off(route: Route) -> None:
     route.arming.opened(required=False, deadman=0.0)
     route.age.settle((), armed=False)
     route.limit.allow_here(0.0)
@@ -278,12 +417,12 @@ def off(route: IncomingRoute) -> None:
     ("switch", "cause", "passed"), [(disarmed, "disarmed", 0), (aged, "expired", 0), (limited, "throttled", 2)]
 )
 def test_a_gate_is_asked_from_the_next_message_on_until_it_is_off(
-    switch: Callable[[IncomingRoute], None], cause: str, passed: int, make_context: Callable[..., Context]
+    switch: Callable[[Route], None], cause: str, passed: int, make_context: Callable[..., Context]
 ) -> None:
     ros = OnePublisher()
     context = make_context(ros=ros)
     route = opened(context, FakePeer(), "/cmd")
-    old: Message = (b"old", context.stamps.now() - SECOND, 0)
+    old: Message = (b"old", context.stamps.now() - A_SECOND, 0)
 
     def published() -> int:
         before = len(ros.published.sizes)
@@ -299,6 +438,29 @@ def test_a_gate_is_asked_from_the_next_message_on_until_it_is_off(
     assert report is not None
     assert (report.received, report.delivered) == (15, 10 + passed)
     assert report.dropped == {cause: 5 - passed}
+
+
+@pytest.mark.parametrize(
+    ("switch", "cause", "passed"), [(disarmed, "disarmed", 0), (aged, "expired", 0), (limited, "throttled", 1)]
+)
+def test_a_gate_on_the_way_out_is_asked_from_the_next_message_on_until_it_is_off(
+    switch: Callable[[Route], None], cause: str, passed: int, world: World
+) -> None:
+    old = RawMessage(b"old", world.context.stamps.now() - A_SECOND, FIRST)
+
+    def sent() -> int:
+        before = len(world.sent)
+        world.path.offer([old] * 5)
+        return len(world.sent) - before
+
+    assert sent() == 5
+    switch(world.route)
+    assert sent() == passed
+    off(world.route)
+    assert sent() == 5
+    ledger = world.route.ledger()
+    assert ledger.offered == 15
+    assert {"expired": ledger.expired, "throttled": ledger.throttled, **ledger.dropped}[cause] == 5 - passed
 
 
 def test_a_message_of_an_arming_that_this_side_does_not_know_is_not_published(
@@ -324,7 +486,7 @@ def test_the_cause_of_an_expired_message_is_that_of_its_age(make_context: Callab
     route = opened(context, FakePeer(), "/cmd")
     aged(route)
     for second in range(3):
-        route.deliver([(b"old", context.stamps.now() - SECOND, 0)] * 10)
+        route.deliver([(b"old", context.stamps.now() - A_SECOND, 0)] * 10)
         route.age.tick(10 * second + 10, float(second))
     late = route.age.late()
     assert late is not None

@@ -1,4 +1,4 @@
-"""The path of outgoing messages: its steps are on it while they are on, and the ledger counts every message."""
+"""The path of outgoing messages: its gates are on it while they are on, and the ledger counts every message."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rsb_bridge.route.lease import LeaseHalf
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 if TYPE_CHECKING:
-    from rsb_bridge.route.sending import Outbox, OutgoingPath
+    from rsb_bridge.route.sending import Outbox
 
 __all__ = ["world"]
 BEST_EFFORT = Qos(reliability="best_effort")
@@ -29,11 +29,6 @@ def publish(world: World, count: int, rate: int = 100, size: int = 100) -> int:
     return len(world.sent) - before
 
 
-def steps(path: OutgoingPath) -> tuple[object, ...]:
-    """Return what a message goes through for a feature that is switched on."""
-    return path._steps
-
-
 def outbox(world: World) -> Outbox:
     return world.path._outbox
 
@@ -46,18 +41,18 @@ def unlimited(world: World) -> None:
     world.route.limit.set_max_rate(0.0)
 
 
-def test_a_step_is_on_the_path_while_it_is_on(world: World) -> None:
+def test_a_rate_limit_is_on_the_path_while_it_is_on(world: World) -> None:
     path, ledger = world.path, world.ledger
-    assert not steps(path)
+    assert not path.gates.sourced
     publish(world, 10)
     limited(world)
-    assert len(steps(path)) == 1
+    assert len(path.gates.sourced) == 1
     sent = publish(world, 50)
     assert 0 < sent < 10
     assert ledger.throttled == 50 - sent
     assert world.route.traffic.offered == 10 + sent  # a topic asks the link for no more than its own limit
     unlimited(world)
-    assert not steps(path)
+    assert not path.gates.sourced
     assert publish(world, 10) == 10
     assert ledger.offered == 70 == ledger.sent_now + ledger.throttled
 
@@ -135,7 +130,8 @@ def test_a_message_is_not_too_large_for_the_receiver_alone(world: World) -> None
 @pytest.mark.parametrize(("largest", "remedy"), [(8 << 20, "use tcp"), (MESSAGE_LIMIT, "publish smaller ones")])
 def test_the_remedy_for_a_message_that_no_transport_carries(largest: int, remedy: str, world: World) -> None:
     outbox(world).largest = largest
-    assert not outbox(world).fitting([(bytes(MESSAGE_LIMIT + 1), 1, 0)])
+    world.path.offer([RawMessage(bytes(MESSAGE_LIMIT + 1), 1, FIRST)])
+    assert not world.sent
     (said,) = [each.text for each in world.context.events.after(0) if each.code == EventCode.ROUTE_TOO_LARGE]
     assert said.endswith(remedy)
 

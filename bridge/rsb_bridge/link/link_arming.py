@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from rsb_bridge.link.errors import LinkError
@@ -28,7 +29,7 @@ from rsb_bridge.wire import messages as wire
 from rsb_bridge.wire.messages import Arm, Armed, Disarm
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
+    from collections.abc import Callable, Hashable, Iterator
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.peer_operators import PeerOperators
@@ -54,6 +55,23 @@ class ArmingProblem(Wording):
         "and try again"
     )
     CONSOLE_GONE = "{topic} is not armed: the console that asked for it is gone"
+
+
+class WaitingCommand:
+    """A console's command that takes a while before it arms a route, and arms nothing once the console is gone.
+
+    Attributes:
+        withdrawn: whether the console is gone: nobody would hold the arming.
+    """
+
+    def __init__(self, console: Hashable) -> None:
+        self.console = console
+        self.withdrawn = False
+
+    def check(self, route: Route) -> None:
+        """Raise `LinkError` if it is withdrawn."""
+        if self.withdrawn:
+            raise LinkError(ArmingProblem.CONSOLE_GONE(topic=route.local_topic))
 
 
 class UrgentPeer(Peer, Protocol):
@@ -191,7 +209,7 @@ class LinkArming:
         self._routes = routes
         self._propose = propose
         self._budget = TokenBucket(_AT_ONCE, _A_SECOND, context.now())
-        self._waiting: list[Hashable] = []  # consoles that wait for a route to open, once for each route
+        self._waiting: list[WaitingCommand] = []
         self.lease = LinkLease(
             context,
             peer,
@@ -314,19 +332,21 @@ class LinkArming:
         if not (arming.armed and arming.console == console):
             raise LinkError(f"{topic} is not armed: {f'{arming.by} armed it' if arming.armed else arming.reason}")
 
-    async def until_open(self, route: Route, console: Hashable) -> None:
-        """Wait until a route is open that was disarmed, or is being set up, so that it can be armed; not for long.
+    @contextmanager
+    def waiting(self, console: Hashable) -> Iterator[WaitingCommand]:
+        """Have a console's command withdrawn if the console goes meanwhile."""
+        command = WaitingCommand(console)
+        self._waiting.append(command)
+        try:
+            yield command
+        finally:
+            self._waiting.remove(command)
 
-        Raises:
-            LinkError: the console is gone, and nobody would hold the arming.
-        """
+    async def until_open(self, route: Route, command: WaitingCommand) -> None:
+        """Wait until a route is open that was disarmed, or is being set up, so that it can be armed; not for long."""
         until = self._context.now() + ANSWERED_WITHIN
-        self._waiting.append(console)
-        while self._opens(route) and self._context.now() < until and console in self._waiting:  # noqa: ASYNC110 -- plain state, polled for a moment
+        while self._opens(route) and self._context.now() < until and not command.withdrawn:  # noqa: ASYNC110 -- plain state, polled for a moment
             await asyncio.sleep(_LOOK_EVERY)
-        if console not in self._waiting:
-            raise LinkError(ArmingProblem.CONSOLE_GONE(topic=route.local_topic))
-        self._waiting.remove(console)
 
     def _opens(self, route: Route) -> bool:
         """Whether a route cannot be armed now, but in a moment, if the other side answers."""
@@ -396,7 +416,8 @@ class LinkArming:
 
     def gone(self, console: Hashable) -> None:
         """Disarm the routes that a detached console has armed. `rsb-console arm` detaches if no key comes in time."""
-        self._waiting = [each for each in self._waiting if each != console]
+        for command in self._waiting:
+            command.withdrawn = command.withdrawn or command.console == console
         for route in self._routes():
             if route.arming.held and route.arming.console == console:
                 self.disarm(route, route.arming.overdue(self._context.now()) or Disarmed.CONSOLE_GONE)

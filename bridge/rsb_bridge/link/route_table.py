@@ -442,7 +442,7 @@ class RouteTable(Extension):
         self._link.derive_keys(proposal.route, proposed_here=False)
         replaced = self._link.ids.find(proposal.replaces)
         try:
-            route = self._take_up(proposal)
+            route = self._take_up(proposal, replaced)
         except LinkError as error:
             self._link.closed(proposal.route)
             self._refuse(proposal, "denied", str(error))
@@ -454,8 +454,11 @@ class RouteTable(Extension):
             self._link.spawn(self._accept(route, proposal))
             self._peer_operators.proposed(route, proposal)
 
-    def _take_up(self, proposal: Propose) -> Route:
+    def _take_up(self, proposal: Propose, replaced: Route | None) -> Route:
         """Return this side's half of a route that the peer proposes.
+
+        Args:
+            replaced: the route whose place it takes, or None.
 
         Raises:
             LinkError: the peer may not have it.
@@ -464,7 +467,8 @@ class RouteTable(Extension):
         ours = authorized(proposal, link, self._context.session)
         before = known = link.routes.get(route_key(link.name, ours))
         if known is None:
-            check_room(self._link.routes.values(), self._context.session)
+            # The one that it replaces goes as soon as it is there.
+            check_room([each for each in link.routes.values() if each is not replaced], self._context.session)
         elif known.proposed_here and link.is_client:
             raise LinkError(Denied.BRIDGED_ALREADY(topic=ours.topic))
         if known is not None and (known.proposed_here or not same_route(known.proposal, ours)):

@@ -156,31 +156,32 @@ class MessageAge:
 
     # --- the side that takes from ROS
 
-    def stamped(self, batch: Sequence[RawMessage], *, keep_old: bool = False) -> list[RawMessage]:
-        """Return messages from ROS, each with the time from which its age counts as its stamp.
-
-        Messages that are already too old are left out and counted, unless `keep_old`.
-        """
+    def stamped(self, batch: Sequence[RawMessage]) -> list[RawMessage]:
+        """Return messages from ROS, each with the time from which its age counts as its stamp, or 0 if none is sure."""
         clock = self._look()
         shift, born = clock.shift, self.publishers.born
         if not clock.is_sure:
             if not self.max_age:
                 return [each._replace(stamp=shifted(each.stamp, shift)) for each in batch]
-            if keep_old:
-                return [each._replace(stamp=0) for each in batch]
-            self.expired(Cause.CLOCK_UNKNOWN, len(batch))
-            return []
-        kept = [
+            return [each._replace(stamp=0) for each in batch]
+        return [
             RawMessage(payload, born(source and source + shift, stamp + shift, gid), gid, number, lease, source)
             for payload, stamp, gid, number, lease, source in batch
         ]
-        if keep_old:
-            return kept
+
+    def fresh(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        """Return the stamped messages that are young enough as they come from ROS, and count the others."""
+        clock = self._context.stamps
+        if not clock.is_sure:
+            if not self.max_age:
+                return batch
+            self.expired(Cause.CLOCK_UNKNOWN, len(batch))
+            return ()
         oldest = clock.now() - self._limit_ns
-        young = [each for each in kept if each.stamp >= oldest]
-        if len(young) < len(kept):
-            self.expired(Cause.PUBLISHER_STAMPS_OLD, len(kept) - len(young))
-        return young
+        fresh = [each for each in batch if each.stamp >= oldest]
+        if len(fresh) < len(batch):
+            self.expired(Cause.PUBLISHER_STAMPS_OLD, len(batch) - len(fresh))
+        return fresh
 
     def born(self, source: int, taken: int, caller: bytes) -> int | None:
         """Return the time from which a request's age counts, or None if the request is too old."""
@@ -188,9 +189,14 @@ class MessageAge:
         stamp = self.publishers.born(source and source + clock.shift, taken + clock.shift, caller)
         return stamp if clock.is_sure and self.is_young(stamp) else None
 
+    @property
+    def oldest(self) -> int:
+        """The stamp (ns) of the oldest message of this side that may be sent now, if ages are limited."""
+        return self._context.stamps.now() - self._limit_ns
+
     def is_young(self, stamp: int) -> bool:
         """Whether a message of this side with such a stamp may be sent now."""
-        return not self.is_on or stamp >= self._context.stamps.now() - self._limit_ns
+        return not self.is_on or stamp >= self.oldest
 
     def young(self, messages: Sequence[Message]) -> Sequence[Message]:
         """Return the messages of this side that may be sent now, and count the others."""

@@ -1,32 +1,47 @@
-"""The gates that samples pass on their way: nothing old and nothing unarmed gets through (`Gate`).
+"""The gates of messages and calls: nothing old and nothing unarmed gets through (`Gate`, `Sieve`).
 
-The functions at the end list the gates of each way in the order in which they are asked, without those that are off.
-What depends on a message's age or lease is asked twice: when a sample comes, before it costs anything, and right before
-it is handed on, because unpacking, checks and requests to DDS take long.
+Each direction has a function that lists its gates in the order in which they are asked, without those that are off:
+`sending_gates`, `incoming_gates`, `calling_gates`, `providing_gates`, `hand_gates`. They ask ages and leases twice:
+when a sample comes, before it costs anything, and right before it is handed on, because queues, unpacking, checks and
+requests to DDS take long.
+
+These are no gates:
+
+- the check of contents (`message_check`), which follows the first gates and precedes the last ones. It stops at the
+  wrong field, and operators read the field's name: so it raises an error with that text, as unpacking does.
+- `throttle.LatestLater`, the rate limit of a latched topic: it sends the newest message later instead of dropping it.
+- a full queue and a lost link: no rule keeps these messages back.
 """
 
 from __future__ import annotations
 
 from functools import reduce
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import msgspec
 
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.calls import Refused
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import LEASE_HEADER_LENGTH, CallFrame, frame_size, split_number
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
-    from rsb_bridge.ros.ros_interface import Request
+    from rsb_bridge.ros.ros_interface import RawMessage, Request
     from rsb_bridge.route.age import MessageAge
     from rsb_bridge.route.arming import Arming
+    from rsb_bridge.route.history_depth import Sample
+    from rsb_bridge.route.ledger import RouteLedger
     from rsb_bridge.route.lifecycle import PauseState
+    from rsb_bridge.route.loop_filter import LoopFilter
     from rsb_bridge.route.peer import CallBudget
     from rsb_bridge.route.rate_limit import AllowedRates
     from rsb_bridge.route.route import Route
+    from rsb_bridge.route.throttle import Throttle
+    from rsb_bridge.route.topic_route import TopicRoute
+    from rsb_bridge.wire.framing import Message
 
 
 S = TypeVar("S")
@@ -62,6 +77,8 @@ class Gate(Protocol[S_contra]):
 Gates: TypeAlias = "tuple[Gate[Gated], ...]"
 Check: TypeAlias = "Callable[[S, float], Refused | None]"
 """The `check` of a gate, or of several."""
+Sift: TypeAlias = "Callable[[Sequence[S]], Sequence[S]]"
+"""The `passing` of a sieve, or of several."""
 LastLook: TypeAlias = "Callable[[], Refused | None]"
 """Returns the reason why a message may not be handed on, right before it would be, or None."""
 
@@ -145,7 +162,7 @@ class RateGate:
         self._rate = rate
 
     def check(self, _: object, now: float) -> Refused | None:
-        return None if self._rates.admits(self._topic, self._rate, now) else Refused.CALLS_A_SECOND
+        return None if self._rates.admits(self._topic, self._rate, now) else Refused.TOO_FAST
 
 
 class CallRateGate:
@@ -160,7 +177,7 @@ class CallRateGate:
         self._bucket = TokenBucket(max(1.0, rate), rate, now)
 
     def check(self, _: object, now: float) -> Refused | None:
-        return None if self._bucket.take(1.0, now) else Refused.CALLS_A_SECOND
+        return None if self._bucket.take(1.0, now) else Refused.TOO_FAST
 
 
 class Carries(Protocol):
@@ -196,6 +213,195 @@ def compose_when_switched(route: Route, compose: Callable[[], None]) -> None:
     """Have a route's gates composed now, and again whenever one may have to be switched on or off."""
     route.arming.switched = route.age.switched = route.limit.switched = compose
     compose()
+
+
+# --- from ROS to the channel
+
+
+class Sieve(Protocol[S]):
+    """A gate for messages that come together. A call of `Gate.check` for each would take as long as sending them."""
+
+    def passing(self, batch: Sequence[S], /) -> Sequence[S]:
+        """Return the messages that pass, and count the others in the ledger."""
+        ...
+
+
+def sifting(sieves: tuple[Sieve[S], ...]) -> Sift[S] | None:
+    """Return one sieve's `passing` for all, one after the other, or None if no sieve is on."""
+    sifts: list[Sift[S]] = [sieve.passing for sieve in sieves]
+    return reduce(_then, sifts) if sifts else None
+
+
+def _then(first: Sift[S], second: Sift[S]) -> Sift[S]:
+    return lambda batch: second(first(batch))
+
+
+class FreshSieve:
+    """Passes what is young enough as it comes from ROS, by its publisher's stamps."""
+
+    def __init__(self, age: MessageAge, ledger: RouteLedger) -> None:
+        self._age = age
+        self._ledger = ledger
+
+    def passing(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        fresh = self._age.fresh(batch)
+        if expired := len(batch) - len(fresh):
+            self._ledger.offered += expired
+            self._ledger.expired += expired
+        return fresh
+
+
+class LoopSieve:
+    """Passes what does not go in a loop. The loop filter holds messages whose source is not known yet."""
+
+    def __init__(self, loops: LoopFilter, route: Route, ledger: RouteLedger) -> None:
+        self._loops = loops
+        self._route = route
+        self._ledger = ledger
+
+    def passing(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        sources = self._loops.table.flags
+        for message in batch:
+            if message.gid not in sources:
+                return self._admitted(batch)
+        return batch
+
+    def _admitted(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        admitted, unseen = self._loops.admit(batch)
+        if unseen:
+            self._route.advance()  # finds their publishers, and may change the sources of the others
+            sources = self._loops.table.flags
+            sent = [message for message in admitted if message.gid in sources]
+            self._ledger.lose("would loop" if self._route.id else "link lost", len(admitted) - len(sent))
+            admitted = sent
+        self._ledger.lose("queue full", self._loops.give_up())
+        return admitted
+
+
+class ThrottleSieve:
+    """Passes as many of a volatile topic's messages a second as both sides want."""
+
+    def __init__(self, throttle: Throttle, ledger: RouteLedger) -> None:
+        self._throttle = throttle
+        self._ledger = ledger
+
+    def passing(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        passed = [message for message in batch if self._throttle.passes(message.stamp)]
+        self._ledger.throttled += len(batch) - len(passed)
+        return passed
+
+
+class KeptAgeSieve:
+    """Passes a latched topic's messages that are still young enough. Some have waited, as in their history."""
+
+    def __init__(self, age: MessageAge, ledger: RouteLedger) -> None:
+        self._age = age
+        self._ledger = ledger
+
+    def passing(self, samples: Sequence[Sample]) -> Sequence[Sample]:
+        oldest = self._age.oldest
+        for _, message, _ in samples:
+            if message.stamp < oldest:
+                return self._young(samples, oldest)
+        return samples
+
+    def _young(self, samples: Sequence[Sample], oldest: int) -> Sequence[Sample]:
+        for each in samples:
+            if each.message.stamp < oldest:
+                self._age.expired(Cause.PUBLISHER_STAMPS_OLD if each.replayed else Cause.LINK_SLOW, 1)
+                self._ledger.expired += 1
+        return [each for each in samples if each.message.stamp >= oldest]
+
+
+class KeptLoopSieve:
+    """Passes a latched topic's messages of which it has not turned out, while they waited, that they would loop."""
+
+    def __init__(self, loops: LoopFilter, ledger: RouteLedger) -> None:
+        self._loops = loops
+        self._ledger = ledger
+
+    def passing(self, samples: Sequence[Sample]) -> Sequence[Sample]:
+        sources = self._loops.table.flags
+        for _, message, _ in samples:
+            if message.gid not in sources:
+                passed = [each for each in samples if each.message.gid in sources]
+                self._ledger.drop("would loop", len(samples) - len(passed))
+                return passed
+        return samples
+
+
+class CarriesMessages(Carries, Protocol):
+    """A sender of messages, as far as gates know it."""
+
+    def too_large(self, size: int, /) -> None:
+        """Count a message of so many bytes that does not pass."""
+        ...
+
+
+class SizeSieve:
+    """Passes what the transport carries."""
+
+    def __init__(self, outbox: CarriesMessages) -> None:
+        self._outbox = outbox
+
+    def passing(self, messages: Sequence[Message]) -> Sequence[Message]:
+        return [each for each in messages if self._fits(len(each[0]))]
+
+    def _fits(self, size: int) -> bool:
+        if size <= self._outbox.largest:
+            return True
+        self._outbox.too_large(size)
+        return False
+
+
+class YoungSieve:
+    """Passes what is still young enough when the channel has room for it."""
+
+    def __init__(self, age: MessageAge, ledger: RouteLedger) -> None:
+        self._age = age
+        self._ledger = ledger
+
+    def passing(self, messages: Sequence[Message]) -> Sequence[Message]:
+        young = self._age.young(messages)
+        if len(young) < len(messages):
+            self._ledger.expired += len(messages) - len(young)
+        return young
+
+
+class SendingGates(NamedTuple):
+    """The gates of a topic's sending half, in the order in which they are asked.
+
+    Attributes:
+        batch: asked once of messages that come together from ROS.
+        arriving: asked of these when they have the stamps for the other side.
+        sourced: asked of a volatile topic's messages when the loop filter has found their source.
+        kept: asked of a latched topic's messages when its histories release them.
+        packed: asked of the compressed messages if they are too long together.
+        leaving: asked right before the channel gets them, maybe after a wait in the queue.
+    """
+
+    batch: Gates
+    arriving: tuple[Sieve[RawMessage], ...]
+    sourced: tuple[Sieve[RawMessage], ...]
+    kept: tuple[Sieve[Sample], ...]
+    packed: tuple[Sieve[Message], ...]
+    leaving: tuple[Sieve[Message], ...]
+
+
+def sending_gates(
+    route: TopicRoute[Any], ledger: RouteLedger, throttle: Throttle, loops: LoopFilter, outbox: CarriesMessages
+) -> SendingGates:
+    """Return the gates of messages from ROS to the channel."""
+    age, ages = route.age, route.age.is_on
+    fresh = (FreshSieve(age, ledger),) if ages and not route.is_latched else ()
+    return SendingGates(
+        batch=hand_gates(route),
+        arriving=(*fresh, LoopSieve(loops, route, ledger)),
+        sourced=(ThrottleSieve(throttle, ledger),) if throttle.is_on else (),
+        kept=(*((KeptAgeSieve(age, ledger),) if ages else ()), KeptLoopSieve(loops, ledger)),
+        packed=(SizeSieve(outbox),),
+        leaving=(YoungSieve(age, ledger),) if ages else (),
+    )
 
 
 # --- from the channel to ROS

@@ -402,7 +402,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         """Count messages that arrived, and that a gate keeps back."""
         self._received += messages
         self._dropped[CAUSES[why]] += messages
-        if why is Refused.CALLS_A_SECOND:
+        if why is Refused.TOO_FAST:
             allowed = f"the {self.limit.here:g} Hz that this side allows"
             text = f"the other side sends more than {allowed}: the rest is left out"
             self.notices.message_error(EventCode.ROUTE_TOO_FAST, text)

@@ -29,7 +29,7 @@ CAUSES = {
     Refused.DISARMED: "disarmed",
     Refused.UNHEARD: "disarmed",
     Refused.TOO_OLD: EXPIRED,
-    Refused.CALLS_A_SECOND: THROTTLED,
+    Refused.TOO_FAST: THROTTLED,
 }
 """The causes under which messages count that a gate keeps back (`rsb_bridge.route.gates`)."""
 INCOMPLETE = "incomplete"
@@ -181,6 +181,11 @@ class RouteLedger:
         """Count messages dropped here."""
         if count:
             self.dropped[cause] += count
+
+    def lose(self, cause: str, count: int) -> None:
+        """Count messages dropped here before they were counted as offered."""
+        self.offered += count
+        self.drop(cause, count)
 
     def sent(self, count: int) -> None:
         """Count messages given to the channel."""

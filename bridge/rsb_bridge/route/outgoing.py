@@ -158,7 +158,6 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._described: Describe | None = None
         self._loop_filter = LoopFilter(context, self.ends, peer, self.advance)
         self._path = OutgoingPath(context, self, self._ledger, self._loop_filter)
-        self.limit.switched = lambda: self._path.limit(self.limit.rate)
         self._resolver = Resolver(context, proposal)
         self._health = Health()
         self._unreported = Unreported()
@@ -206,7 +205,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def _advance(self) -> None:
         if not self.accepted or self.paused:
             self._unsubscribe()
-            self._path.lose("paused", self._loop_filter.forget())  # nobody wants them when it is resumed
+            self._ledger.lose("paused", self._loop_filter.forget())  # nobody wants them when it is resumed
             return
         self._path.resume()
         self.endpoints = self._loop_filter.look(self.topic, self.remote_topic)
@@ -320,7 +319,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def disarm(self, why: Disarmed, reason: str = "") -> None:
         """Drop the waiting messages, here and at the peer."""
         self._unsubscribe()
-        self._path.lose("disarmed", self._loop_filter.forget())
+        self._ledger.lose("disarmed", self._loop_filter.forget())
         self._ledger.drop("disarmed", self._path.clear())
         self._ledger.disarmed()
         super().disarm(why, reason)
@@ -341,7 +340,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._end_subscription()
         self._described = None
         self._kept_there = ()
-        self._path.lose("link lost", self._loop_filter.forget())
+        self._ledger.lose("link lost", self._loop_filter.forget())
         self._ledger.drop("link lost", self._path.clear())
         self._loop_filter.clear()
         self._ledger.closed()

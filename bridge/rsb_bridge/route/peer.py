@@ -216,7 +216,7 @@ class CallBudget:
     def take(self, size: int, now: float) -> Refused | None:
         """Let a call of `size` bytes begin at `now` (s), or return the reason to refuse it."""
         if not self._rate.take(1.0, now):
-            return Refused.CALLS_A_SECOND
+            return Refused.TOO_FAST
         if self._calls.held >= self._calls.limit:
             return Refused.CALLS_UNDER_WAY
         lingering = self._lingers(now) if self._lingering else 0

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from itertools import groupby
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from operator import attrgetter
+from typing import TYPE_CHECKING, NamedTuple
 
 import zstandard
 
@@ -15,7 +16,8 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.on_end import NONE
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.qos import AUTO_SECONDS
-from rsb_bridge.model.verdict import Cause
+from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, sending_gates, sifting
+from rsb_bridge.route.ledger import CAUSES
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.throttle import LatestLater, Throttle
 from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD, Message
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import RawMessage
-    from rsb_bridge.route.age import MessageAge
+    from rsb_bridge.route.gates import Sift
     from rsb_bridge.route.history_depth import Histories, Sample
     from rsb_bridge.route.ledger import RouteLedger
     from rsb_bridge.route.loop_filter import LoopFilter
@@ -44,6 +46,7 @@ _QUEUE_BYTES = 32 * 1024 * 1024
 _SLOW_QUEUE_BYTES = 64 * 1024  # best effort on a slow transport: a second or two, later it would be stale
 _BATCH = 16
 _ZSTD_LEVEL = 3
+_PUBLISHER = attrgetter("header.publisher")
 
 
 class QueueLimits(NamedTuple):
@@ -197,10 +200,10 @@ class Outbox:
         transport: what carries the route.
         proposal: what the two sides have agreed on.
         failed: called for a message that the transport does not carry.
-        age: how old the messages may be when they are sent, or None for any age.
 
     Attributes:
         largest: bytes of the longest message that the transport carries.
+        leaving: asked of messages right before the channel gets them.
     """
 
     def __init__(
@@ -209,9 +212,8 @@ class Outbox:
         proposal: Propose,
         ledger: RouteLedger,
         failed: Callable[[EventCode, str], None],
-        age: MessageAge | None = None,
     ) -> None:
-        self._age = age
+        self.leaving: Sift[Message] | None = None
         self._transport = transport
         self._automatic = proposal.qos is None
         self._ledger = ledger
@@ -226,16 +228,12 @@ class Outbox:
             return False
         if size > self.largest or size > channel.batch_bytes:
             return False
-        if self._age is not None and self._age.is_on:
-            messages = self._young(messages, self._age)
+        if self.leaving is not None:
+            messages = self.leaving(messages)
         if messages:
             self._ledger.sent(len(messages))
             channel.send(messages)
         return True
-
-    def fitting(self, messages: Sequence[Message]) -> Sequence[Message]:
-        """Return the messages that the transport carries, and drop the others."""
-        return [message for message in messages if self._fits(len(message[0]))]
 
     def add(self, messages: Sequence[Message], now: float, publisher: bytes, limits: QueueLimits) -> None:
         """Have messages of one publisher wait, at `now` (s), within the limits."""
@@ -247,8 +245,8 @@ class Outbox:
         queue = self._queue
         while queue.waiting and not channel.congested:
             batch: Sequence[Message] = queue.take(_BATCH, channel.batch_bytes)
-            if self._age is not None and self._age.is_on:
-                batch = self._young(batch, self._age)
+            if self.leaving is not None:
+                batch = self.leaving(batch)
             if batch:
                 self._ledger.sent(len(batch))
                 channel.send(batch)
@@ -256,11 +254,6 @@ class Outbox:
             channel.ask()
         else:
             self._overload.over()
-
-    def _young(self, messages: Sequence[Message], age: MessageAge) -> Sequence[Message]:
-        young = age.young(messages)
-        self._ledger.expired += len(messages) - len(young)
-        return young
 
     def __len__(self) -> int:
         return len(self._queue)
@@ -303,28 +296,19 @@ class Outbox:
         kept_for = AUTO_SECONDS if profile.patience is None else profile.patience
         return QueueLimits(max(depth, most), kept_for if automatic else 0.0, size, oldest)
 
-    def _fits(self, size: int) -> bool:
-        """Whether the transport carries a message of so many bytes; one that it does not is dropped."""
-        if size <= self.largest:
-            return True
+    def too_large(self, size: int) -> None:
+        """Count a message of so many bytes, which the transport does not carry, and tell operators."""
         self._ledger.drop("too large", 1)
         name = self._transport.name
         remedy = "use tcp" if self.largest < MESSAGE_LIMIT else "publish smaller ones"
         text = f"a message of {size:,} bytes is more than {name} carries here ({self.largest:,}): {remedy}"
         self._failed(EventCode.ROUTE_TOO_LARGE, text)
-        return False
-
-
-Step: TypeAlias = "Callable[[Sequence[RawMessage]], Sequence[RawMessage]]"
-"""Returns the messages that go on, and counts the others in the ledger."""
 
 
 class OutgoingPath:
     """The path of one route's messages from ROS to its channel, in the order of its methods.
 
-    The rate limit is a step that is on the path only while it is on: see `compose`. Arming and age are checked for each
-    batch instead, so that no missed change can leave them out; age a second time right before the channel gets the
-    messages.
+    `rsb_bridge.route.gates.sending_gates` lists what may keep a message back, in the order in which it is asked here.
 
     Args:
         context: shared by all parts of the engine.
@@ -332,6 +316,7 @@ class OutgoingPath:
 
     Attributes:
         histories: of a latched topic's publishers in the present opening, or None for a volatile topic.
+        gates: those that are on.
     """
 
     def __init__(
@@ -342,68 +327,42 @@ class OutgoingPath:
         self._route = route
         self._ledger = ledger
         self._loop_filter = loop_filter
-        self._max_rate = route.proposal.max_rate
+        self._max_rate = route.limit.rate
         self._throttle = Throttle(self._max_rate)
         self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, lambda: route.paused)
-        self._outbox = Outbox(route.transport, route.proposal, ledger, route.notices.message_error, route.age)
+        self._outbox = Outbox(route.transport, route.proposal, ledger, route.notices.message_error)
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if route.proposal.compression == "zstd" else None
-        self._steps: tuple[Step, ...] = ()
-        self.compose()
+        compose_when_switched(route, self._compose)
 
-    def compose(self) -> None:
-        """Choose the steps that messages of a volatile topic need now. Called whenever one is switched on or off."""
-        steps: list[Step] = []
-        if self._throttle.is_on:
-            steps.append(self._limit)
-        self._steps = tuple(steps)
+    def _compose(self) -> None:
+        if (rate := self._route.limit.rate) != self._max_rate:
+            self._max_rate = rate
+            self._throttle.limit(rate)
+        self.gates = gates = sending_gates(self._route, self._ledger, self._throttle, self._loop_filter, self._outbox)
+        self._batch = chained(gates.batch)
+        self._arriving, self._sourced = sifting(gates.arriving), sifting(gates.sourced)
+        self._kept, self._packed = sifting(gates.kept), sifting(gates.packed)
+        self._outbox.leaving = sifting(gates.leaving)
+        self._stamped = self._route.age.stamped if self._route.age.is_on else None
 
     # --- from ROS
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
         """Take messages from ROS, oldest first."""
-        route, context = self._route, self._context
-        if route.arming.required and not route.arming.passes(context.now()):
-            self.lose("disarmed", len(batch))
+        if self._batch is not None and (why := self._batch(NO_SAMPLE, self._context.now())) is not None:
+            self._ledger.lose(CAUSES[why], len(batch))
             return
-        if route.age.is_on:
-            batch = self._young(batch)
-        elif shift := context.stamps.shift:
+        if self._stamped is not None:
+            batch = self._stamped(batch)
+        elif shift := self._context.stamps.shift:
             batch = [each._replace(stamp=shifted(each.stamp, shift)) for each in batch]
-        sources = self._loop_filter.table.flags
-        for message in batch:
-            if message.gid not in sources:
-                batch = self._without_loops(batch)
-                break
+        if self._arriving is not None:
+            batch = self._arriving(batch)
         self.take(batch)
-
-    def _young(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        """Return the messages that are young enough, with the stamps for the other side."""
-        young = self._route.age.stamped(batch, keep_old=self._route.is_latched)
-        expired = len(batch) - len(young)
-        self._ledger.offered += expired
-        self._ledger.expired += expired
-        return young
-
-    def _without_loops(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        """Return the messages that do not loop, and hold those whose source is not known yet."""
-        admitted, unseen = self._loop_filter.admit(batch)
-        if unseen:
-            self._route.advance()  # finds their publishers, and may change the sources of the others
-            sources = self._loop_filter.table.flags
-            sent = [message for message in admitted if message.gid in sources]
-            self.lose("would loop" if self._route.id else "link lost", len(admitted) - len(sent))
-            admitted = sent
-        self.lose("queue full", self._loop_filter.give_up())
-        return admitted
-
-    def lose(self, cause: str, messages: int) -> None:
-        """Count messages that are dropped before they are counted as offered."""
-        self._ledger.offered += messages
-        self._ledger.drop(cause, messages)
 
     def too_late(self, batch: Sequence[RawMessage]) -> None:
         """Drop messages that come after their opening."""
-        self.lose("link lost", len(batch))
+        self._ledger.lose("link lost", len(batch))
 
     # --- of a volatile topic
 
@@ -418,8 +377,8 @@ class OutgoingPath:
         if route.peek_slot.wanted:
             self._show(batch[-1])
         self._ledger.offered += len(batch)
-        for step in self._steps:
-            batch = step(batch)
+        if self._sourced is not None:
+            batch = self._sourced(batch)
         route.traffic.offered += len(batch)
         sources, arming = self._loop_filter.table.flags, route.arming
         plain = self._compressor is None and not arming.required
@@ -436,11 +395,6 @@ class OutgoingPath:
     def _show(self, message: RawMessage) -> None:
         time_ns = message.stamp - self._context.stamps.shift
         self._route.peek_slot.put(peeked(self._route, message.payload, time_ns), self._context.now())
-
-    def _limit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        passed = [message for message in batch if self._throttle.passes(message.stamp)]
-        self._ledger.throttled += len(batch) - len(passed)
-        return passed
 
     def _compressed(self, message: Message) -> Message:
         """Return a message as it is sent: compressed if both sides agreed on that and it gets smaller.
@@ -471,20 +425,15 @@ class OutgoingPath:
         self._send_latched(admitted)
 
     def _send_latched(self, samples: Sequence[Sample]) -> None:
-        for publisher, group in groupby(samples, key=lambda sample: sample.header.publisher):
+        if self._kept is not None:
+            samples = self._kept(samples)
+        sources = self._loop_filter.table.flags
+        for publisher, group in groupby(samples, _PUBLISHER):
             messages: list[Message] = []
             size = depth = 0
-            for header, (payload, stamp, gid, *_), replayed in group:
+            for header, (payload, stamp, gid, *_), _ in group:
                 depth = header.depth
-                if not self._route.age.is_young(stamp):
-                    self._route.age.expired(Cause.PUBLISHER_STAMPS_OLD if replayed else Cause.LINK_SLOW, 1)
-                    self._ledger.expired += 1
-                    continue
-                flags = self._loop_filter.table.flags.get(gid)
-                if flags is None:  # it has turned out, while the message waited, that it would go in a loop
-                    self._ledger.drop("would loop", 1)
-                    continue
-                content, _, flags = self._compressed((payload, stamp, flags))
+                content, _, flags = self._compressed((payload, stamp, sources[gid]))
                 messages.append((header.pack() + content, stamp, flags | HISTORY))
                 size += len(messages[-1][0])
             self._send(messages, size, publisher, depth)
@@ -509,10 +458,12 @@ class OutgoingPath:
             return
         now = self._context.now()
         route.count(len(messages), size, now)
-        if size > outbox.largest:
-            fitting = outbox.fitting(messages)
-            traffic.offered -= len(messages) - len(fitting)
-            messages, size = fitting, sum([len(message[0]) for message in fitting])
+        if size > outbox.largest:  # else each one fits
+            offered = len(messages)
+            if self._packed is not None:
+                messages = self._packed(messages)
+            traffic.offered -= offered - len(messages)
+            size = sum([len(message[0]) for message in messages])
             if not messages:
                 return
         traffic.packed(len(messages), size)
@@ -537,13 +488,6 @@ class OutgoingPath:
         self._route.traffic.busy(channel.congested or bool(self._outbox), self._context.now())
 
     # --- switches
-
-    def limit(self, max_rate: float) -> None:
-        """Let messages pass at this rate from now on, in Hz, or all for 0."""
-        if max_rate != self._max_rate:
-            self._max_rate = max_rate
-            self._throttle.limit(max_rate)
-            self.compose()
 
     def resume(self) -> None:
         """Send the latched messages that have become due while the route was paused."""

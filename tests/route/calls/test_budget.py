@@ -42,7 +42,7 @@ def test_calls_a_second(budget: CallBudget) -> None:
             taken += 1
             budget.give(1)
     assert taken == 10
-    assert budget.take(1, 0.05) is Refused.CALLS_A_SECOND
+    assert budget.take(1, 0.05) is Refused.TOO_FAST
     assert budget.take(1, 0.1) is None
 
 

@@ -101,7 +101,7 @@ def test_a_stage_follows_from_the_facts(changes: dict[str, Any], name: str, done
 
 
 def test_what_is_refused_most_is_named() -> None:
-    refused = {Refused.CALLS_A_SECOND: 1, Refused.CALLS_UNDER_WAY: 30}
+    refused = {Refused.TOO_FAST: 1, Refused.CALLS_UNDER_WAY: 30}
     text = judge_calls(FINE._replace(refused=refused, failing_since=0.0)).said(20.0)
     assert "31" in text
     assert REMEDIES[Refused.CALLS_UNDER_WAY] in text

@@ -65,7 +65,7 @@ def test_a_goal_that_is_only_asked_about_is_within_no_limit(
     route.limit.allow_here(1.0)
     provide(route, Provide(route=1, lanes=(LaneEntry("a/action/B_SendGoal", "h", 1),)))
     refusals = {refusal_of(route, CallFrame(what, SEND_GOAL, n, 0, goal_request(goal(n)))) for n in range(1, 50)}
-    assert refusals == ({None, Refused.CALLS_A_SECOND} if limited else {None})
+    assert refusals == ({None, Refused.TOO_FAST} if limited else {None})
 
 
 @pytest.mark.parametrize("paused", [False, True])
@@ -81,8 +81,8 @@ def test_nobody_sends_a_goal_by_hand_that_has_to_be_armed_be_it_paused_or_not(
 @pytest.mark.parametrize(
     ("why", "again", "rejected"),
     [
-        (Refused.CALLS_A_SECOND, False, True),
-        (Refused.CALLS_A_SECOND, True, False),
+        (Refused.TOO_FAST, False, True),
+        (Refused.TOO_FAST, True, False),
         (Refused.NOT_ARRIVED, True, True),
         (Refused.LOST, False, False),
         (Refused.LOST, True, False),

@@ -17,7 +17,7 @@ _TIMED = 512
 REMEDIES = {
     Refused.CALLS_UNDER_WAY: "too many calls wait for answers on this link: make fewer at once, or shorten the timeout",
     Refused.BYTES_UNDER_WAY: "the calls that wait for answers on this link hold too many bytes: make fewer at once",
-    Refused.CALLS_A_SECOND: "more calls a second are made than are allowed: call less often, or raise max_rate",
+    Refused.TOO_FAST: "more calls a second are made than are allowed: call less often, or raise max_rate",
     Refused.PAUSED: "it is paused: resume it",
     Refused.DISARMED: "it was not armed when the request was made: ask again once it is armed",
     Refused.UNHEARD: "it is armed, but the two sides do not hear each other: ask again, or check the link",
