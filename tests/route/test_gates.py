@@ -1,4 +1,4 @@
-"""The gates, each alone; the order of each way's; and that each one is there from the next message on."""
+"""The order of the gates of each way, and that each one is there from the next message on."""
 
 from __future__ import annotations
 
@@ -6,16 +6,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import pytest
 from tests.route.test_unpacking import OnePublisher, opened
-from tests.support.offline import FakePeer
+from tests.support.offline import FakePeer, half_of
 
-from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import Request
 from rsb_bridge.ros.ros_thread import RosTurns
 from rsb_bridge.route.age import MessageAge
-from rsb_bridge.route.arming import Arming, Disarmed
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.providing import ProvidingRoute
 from rsb_bridge.route.gates import (
@@ -36,19 +34,15 @@ from rsb_bridge.route.gates import (
     incoming_gates,
     providing_gates,
 )
-from rsb_bridge.route.lease import LASTS, LeaseHalf
-from rsb_bridge.route.lifecycle import PauseState, Revisions
-from rsb_bridge.route.peer import CallBudget
-from rsb_bridge.route.rate_limit import AllowedRates
+from rsb_bridge.route.lease import LeaseHalf
 from rsb_bridge.wire.framing import LEASED
-from rsb_bridge.wire.headers import CallFrame, What, frame_size, with_number
+from rsb_bridge.wire.headers import with_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from tests.support.virtual_time import VirtualLoop
-
     from rsb_bridge.context import Context
+    from rsb_bridge.route.arming import Arming
     from rsb_bridge.route.gates import Gate, Gated
     from rsb_bridge.route.incoming import IncomingRoute
     from rsb_bridge.route.route import Route
@@ -66,69 +60,6 @@ def leased(arming: Arming, context: Context) -> LeaseHalf:
     return lease
 
 
-def taken(number: int) -> GatedMessage:
-    """Return a message that was taken from ROS under a number of the lease."""
-    return GatedMessage(0, number)
-
-
-# --- each alone
-
-
-def test_the_armed_gate_asks_operators_and_then_the_link(make_context: Callable[..., Context]) -> None:
-    context, arming = make_context(), Arming(required=True)
-    gate = ArmedGate(arming)
-    assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
-    leased(arming, context)
-    assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
-    arming.take("anna", context.now())
-    assert gate.check(NO_SAMPLE, context.now()) is None
-    context.loop.jump(LASTS * 1.1)  # type: ignore[attr-defined]
-    assert gate.check(NO_SAMPLE, context.now()) is Refused.UNHEARD
-    arming.end(Disarmed.OPERATOR)
-    assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
-
-
-def test_the_lease_gate_passes_what_is_of_this_arming_and_young(
-    make_context: Callable[..., Context], loop: VirtualLoop
-) -> None:
-    context, arming = make_context(), Arming(required=True)
-    gate = LeaseGate(arming)
-    assert gate.check(taken(1), 0.0) is Refused.DISARMED
-    lease = leased(arming, context)
-    arming.take("anna", context.now())
-    number = lease.number
-    found = [gate.check(taken(each), 0.0) for each in (0, number - 1, number, number + 1)]
-    assert found == [Refused.DISARMED, Refused.DISARMED, None, Refused.DISARMED]
-    loop.jump(LASTS * 1.1)
-    assert gate.check(taken(number), 0.0) is Refused.DISARMED
-
-
-def test_the_age_gate_counts_by_cause(make_context: Callable[..., Context]) -> None:
-    context = make_context()
-    age = MessageAge(context, FakePeer())
-    age.settle((0.5,), armed=False)
-    gate, now = AgeGate(age), context.stamps.now()
-    assert gate.check(GatedMessage(now, 0), 0.0) is None
-    assert age.total == 0
-    assert gate.check(GatedMessage(now - SECOND, 0), 0.0) is Refused.TOO_OLD
-    age.tick(1, 1.0)
-    age.tick(2, 2.0)
-    assert age.total == 1
-
-
-def test_the_rate_gate_takes_no_more_than_this_side_allows() -> None:
-    gate = RateGate(AllowedRates(), "/chat", 10.0)
-    found = [gate.check(NO_SAMPLE, number / 1000) for number in range(10_000)]
-    assert set(found) == {None, Refused.CALLS_A_SECOND}
-    assert found.count(None) <= 10 + 1.01 * 10 * 10
-
-
-def test_the_gate_of_a_calls_rate_lets_a_second_of_them_come_at_once() -> None:
-    gate = CallRateGate(10.0, 0.0)
-    assert [gate.check(NO_SAMPLE, 0.0) for _ in range(11)] == [None] * 10 + [Refused.CALLS_A_SECOND]
-    assert [gate.check(NO_SAMPLE, 0.1) for _ in range(2)] == [None, Refused.CALLS_A_SECOND]
-
-
 def test_the_young_gate_asks_the_clock_of_the_side_that_took_it(make_context: Callable[..., Context]) -> None:
     context = make_context()
     age = MessageAge(context, FakePeer())
@@ -136,24 +67,6 @@ def test_the_young_gate_asks_the_clock_of_the_side_that_took_it(make_context: Ca
     gate, now = YoungGate(age), context.stamps.now()
     assert gate.check(GatedMessage(now - SECOND // 4, 0), 0.0) is None
     assert gate.check(GatedMessage(now - SECOND, 0), 0.0) is Refused.TOO_OLD
-
-
-def test_the_pause_gate_asks_each_time() -> None:
-    pausing = PauseState(Revisions(), paused=False, is_client=True)
-    gate = PauseGate(pausing)
-    assert gate.check(NO_SAMPLE, 0.0) is None
-    pausing.paused = True
-    assert gate.check(NO_SAMPLE, 0.0) is Refused.PAUSED
-
-
-def test_what_passes_the_budget_has_its_place_in_it() -> None:
-    budget = CallBudget(0.0)
-    gate = BudgetGate(budget)
-    assert gate.check(Request(b"12345", b"", 0), 0.0) is None
-    assert gate.check(CallFrame(What.CALL, 0, 1, 0, b"12345"), 0.0) is None
-    assert budget.held == (2, 2 * frame_size(b"12345"))
-    full = CallBudget(0.0, share=0.0)
-    assert BudgetGate(full).check(Request(b"", b"", 0), 0.0) is Refused.CALLS_A_SECOND
 
 
 class _CarriesFive:
@@ -247,10 +160,7 @@ Calls = TypeVar("Calls", CallingRoute, ProvidingRoute)
 
 
 def calls(context: Context, half: type[Calls]) -> Calls:
-    """Return a half of an action's route."""
-    spec = Topic("/dock", "transmit", kind="action")
-    proposal = proposal_of(spec, context.transports["tcp"], client_name="robot1", use_name=False)
-    return half(context, FakePeer(), spec, proposal, proposed_here=False)
+    return half_of(half, context, Topic("/dock", "transmit", kind="action"), here=False)
 
 
 # --- each one is on the way as long as it is on
