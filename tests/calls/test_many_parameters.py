@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
 
-NODES = 40
+NODES = 12
 WITHIN = 400.0
 
 

@@ -25,36 +25,24 @@ def says(engine: Engine, service: str) -> tuple[State, str]:
     return found.state, found.cause
 
 
-def test_a_node_that_has_not_started_is_no_fault_and_one_that_has_gone_is(
-    bridge: Bridge, near: CallNode, far: CallNode, service: str
+def test_a_node_that_has_not_started_is_no_fault_and_one_that_has_gone_is_until_a_new_link_knows_of_none_before_it(
+    bridge: Bridge, relay: Relay, near: CallNode, far: CallNode, service: str
 ) -> None:
     engines = bridge.both(called(service))
     for engine in engines:
         eventually(lambda engine=engine: says(engine, service) == (State.WAITING, Cause.NO_SERVER))
         assert wrong(now(engine)) == []
         assert len(waiting(now(engine))) == 1
-    for _ in range(2):
-        far.serve(service)
-        near.waits_for(service)
-        assert near.call(service).right
-        for engine in engines:
-            eventually(lambda engine=engine: says(engine, service) == (State.OK, Cause.NONE))
-            assert wrong(now(engine)) == waiting(now(engine)) == []
-        far.unserve(service)
-        for engine in engines:
-            eventually(lambda engine=engine: says(engine, service) == (State.DOWN, Cause.SERVER_GONE))
-            assert len(wrong(now(engine))) == 1
-        near.waits_for_none(service)
-
-
-def test_a_new_link_knows_of_no_server_before_it(
-    bridge: Bridge, relay: Relay, near: CallNode, far: CallNode, service: str
-) -> None:
-    server, client = bridge.both(called(service))
     far.serve(service)
     near.waits_for(service)
+    assert near.call(service).right
+    for engine in engines:
+        eventually(lambda engine=engine: says(engine, service) == (State.OK, Cause.NONE))
+        assert wrong(now(engine)) == waiting(now(engine)) == []
     far.unserve(service)
-    eventually(lambda: says(client, service) == (State.DOWN, Cause.SERVER_GONE))
+    for engine in engines:
+        eventually(lambda engine=engine: says(engine, service) == (State.DOWN, Cause.SERVER_GONE))
+        assert len(wrong(now(engine))) == 1
     relay.cut()
-    for engine in (server, client):
+    for engine in engines:
         eventually(lambda engine=engine: says(engine, service) == (State.WAITING, Cause.NO_SERVER))

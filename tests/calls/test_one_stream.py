@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from tests.support.calls import CallNode
 
 
-@pytest.mark.parametrize("own", [False, True])
-@pytest.mark.parametrize("who", [0, 1])
+@pytest.mark.parametrize(("who", "own"), [(0, False), (1, True)])
 def test_calls_on_a_shared_stream_that_were_paused_from_the_start_cross_when_they_are_resumed(
     who: int, own: bool, bridge: Bridge, near: CallNode, far: CallNode, service: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,7 +6,6 @@ import itertools
 from typing import TYPE_CHECKING, Any
 
 import pytest
-import yaml
 from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.msg import ParameterType as Type
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -44,7 +43,6 @@ VALUES = {
 
 @pytest.fixture
 def camera(start: Callable[..., Spun], robot: Domain) -> Spun:
-    """A node on the robot that has parameters."""
     spun = start(robot, "camera")
     for name, value in VALUES.items():
         spun.node.declare_parameter(name, value)
@@ -52,7 +50,6 @@ def camera(start: Callable[..., Spun], robot: Domain) -> Spun:
 
 
 def parameters(node: str, **changes: Any) -> Topic:
-    """The client's node's, for the server's side."""
     return Topic(node, "receive", kind="parameters", **changes)
 
 
@@ -64,7 +61,6 @@ def client_of(spun: Spun, node: str) -> AsyncParameterClient:
 
 
 def heard(listener: Listener) -> list[ParameterEvent]:
-    """Return the events that a listener to /parameter_events has heard."""
     return [deserialize_message(each, ParameterEvent) for each in listener.payloads]
 
 
@@ -80,17 +76,15 @@ def crosses(spun: Spun, listener: Listener, node: str) -> None:
 
 
 def events_of(domain: Domain) -> Listener:
-    """A listener to them."""
     return domain.listener("/parameter_events", ParameterEvent, qos_profile_parameter_events)
 
 
-@pytest.mark.parametrize(("use_name", "there"), [(True, "/robot1/camera"), (False, "/camera")])
 def test_a_client_of_parameters_does_all_that_it_does_beside_the_node(
-    bridge: Bridge, start: Callable[..., Spun], camera: Spun, pc: Domain, use_name: bool, there: str
+    bridge: Bridge, start: Callable[..., Spun], camera: Spun, pc: Domain
 ) -> None:
-    server, client = bridge.both(parameters("/camera"), use_name=use_name)
+    server, client = bridge.both(parameters("/camera"), use_name=True)
     program = start(pc, "program")
-    far = client_of(program, there)
+    far = client_of(program, "/robot1/camera")
 
     listed = program.result(far.list_parameters()).result.names
     assert set(VALUES) <= set(listed)
@@ -110,27 +104,11 @@ def test_a_client_of_parameters_does_all_that_it_does_beside_the_node(
     assert program.result(far.set_parameters_atomically(both)).result.successful
     assert [camera.node.get_parameter(name).value for name in ("rate", "gain", "frame")] == [7, 2.5, "map"]
 
-    for engine, name in ((server, there), (client, "/camera")):
+    for engine, name in ((server, "/robot1/camera"), (client, "/camera")):
         eventually(lambda engine=engine, name=name: route(engine, name).calls.in_flight == 0)  # type: ignore[union-attr]
         calls = route(engine, name).calls
         assert calls is not None
         assert calls.asked == calls.answered == 7
-
-
-def test_what_ros2_param_dump_and_load_do(bridge: Bridge, start: Callable[..., Spun], camera: Spun, pc: Domain) -> None:
-    """All names, all values, as a file; and a file's values, as parameters."""
-    bridge.both(parameters("/camera"))
-    program = start(pc, "program")
-    far = client_of(program, "/camera")
-    names = sorted(program.result(far.list_parameters()).result.names)
-    values = program.result(far.get_parameters(names)).values
-    dumped = dict(zip(names, map(parameter_value_to_python, values), strict=True))
-    assert dumped.items() >= {**VALUES, "use_sim_time": False}.items()
-    path = bridge.folder / "camera.yaml"
-    path.write_text(yaml.safe_dump({"/camera": {"ros__parameters": {"gain": 9.5, "names": ["x"]}}}))
-    assert all(each.successful for each in program.result(far.load_parameter_file(str(path))).results)
-    assert camera.node.get_parameter("gain").value == 9.5
-    assert camera.node.get_parameter("names").value == ["x"]
 
 
 def test_the_events_of_that_node_alone_come_under_its_name_there(

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 
 def reloaded(engine: Engine, path: Path, **changes: object) -> Reloaded:
-    """Change the session file of an engine that runs, and have it read again."""
     if path.exists():
         opened = load_file(path)
         save(msgspec.structs.replace(opened.session, **changes), path, opened)

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 
 def found(code: str, root: Path, environ: dict[str, str] | None = None) -> list[Finding]:
-    """The findings of one check."""
     environ = environ or {"XDG_STATE_HOME": str(root)}
     return list(examine(check for check in machine.checks(environ, root) if check.code == code))
 

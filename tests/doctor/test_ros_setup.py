@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 
 def found(code: str, environ: dict[str, str] | None = None, program: str | None = None) -> list[Finding]:
-    """The findings of one check."""
     checks = (
         ros_setup.checks(environ or {})
         if program is None
@@ -84,7 +83,6 @@ OURS = f"{sys.version_info.major}.{sys.version_info.minor}"
 
 
 def found_in(root: Path) -> Finding:
-    """The finding on ROS, with a root in place of ``/``."""
     checks = ros_setup.checks({}, (sys.executable, "-c", "raise SystemExit('not run')"), root=root)
     (finding,) = examine(check for check in checks if check.code == "ros")
     return finding

@@ -26,13 +26,11 @@ if TYPE_CHECKING:
 
 
 def session(**changes: Any) -> Session:
-    """A server's."""
     fields = {"name": "robot1", "role": "server", "server_ip": "127.0.0.1", "server_port": free_port()}
     return Session(**{**fields, "key_file": "robot1.key", **changes})
 
 
 def found(code: str, of: Session, folder: Path, environ: Mapping[str, str] | None = None) -> list[Finding]:
-    """The findings of one check."""
     checks = session_needs.checks(of, folder / "session.yaml", environ or {"RSB_CONSOLE_ISOLATED": "1"}, folder)
     return list(examine(check for check in checks if check.code == code))
 

@@ -27,6 +27,5 @@ class HandClock(Clock):
         return self.up
 
     def go(self, seconds: float) -> None:
-        """Let time pass."""
         self.wall += seconds
         self.up += seconds

@@ -46,7 +46,6 @@ def lived() -> World:
 
 
 def check(report: HistoryReport) -> None:
-    """Each has a line of its own."""
     (outage,) = report.outages
     assert (outage.topic, outage.kind, outage.seconds) == (NAME, "service", 60)
     tracks = {each.kind: each for each in report.tracks if each.topic}

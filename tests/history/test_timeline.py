@@ -41,15 +41,6 @@ def test_an_outage_has_a_beginning_a_length_and_a_cause() -> None:
     assert world.outages(200) == (), "it is longer ago"
 
 
-def test_one_that_goes_on_is_told_as_it_is() -> None:
-    world = World("/scan")
-    world.go(100)
-    world.put("/scan", State.DOWN, "no publisher")
-    world.go(50)
-    (outage,) = world.outages()
-    assert (outage.seconds, outage.ongoing) == (50, True)
-
-
 def test_the_worst_state_and_the_first_and_the_last_words_count() -> None:
     world = World("/scan")
     world.go(100)

@@ -41,12 +41,10 @@ class World:
 
     @property
     def timeline(self) -> Timeline:
-        """The recorder's time line."""
         return self.recorder._timeline
 
     @property
     def records(self) -> tuple[SavedTrack, ...]:
-        """The tracks that the time line keeps."""
         return self.recorder.save().subjects
 
     def _renew(self) -> None:
@@ -98,5 +96,4 @@ class World:
 
 
 def brief(outages: Sequence[Outage]) -> list[tuple[Any, ...]]:
-    """Return the topic, the whole seconds, state and cause of some outages."""
     return [(each.topic, round(each.seconds), each.state, each.cause) for each in outages]

@@ -10,11 +10,6 @@ from rsb_bridge.model.link_budget import TopicDemand, allot
 from rsb_bridge.model.session import weight_of
 
 
-def test_there_is_enough_for_all() -> None:
-    wishes = {"a": TopicDemand(1, 100.0), "b": TopicDemand(0, 200.0), "c": TopicDemand(-1, 300.0)}
-    assert allot(600.0, wishes) == {"a": 100.0, "b": 200.0, "c": 300.0}
-
-
 def test_those_that_want_more_share_by_weight() -> None:
     wishes = {
         "scan": TopicDemand(1, 100.0),

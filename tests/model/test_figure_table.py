@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from tests.console.scripted import CALLS, LINK, route
 
-from rsb_bridge.model.figure_table import FIGURES, Of, Unit, figures
+from rsb_bridge.model.figure_table import FIGURES, Of, Unit
 
 SCAN = route("/scan")
 SUBJECTS = {Of.LINK: LINK, Of.ROUTE: SCAN, Of.MESSAGES: SCAN, Of.CALLS: route("/dock", calls=CALLS)}
@@ -24,9 +22,3 @@ def test_figures_with_one_metric_have_different_labels_and_one_help() -> None:
         alike = [each for each in FIGURES if (each.of, each.metric) == metric]
         assert len({each.at for each in alike}) == len(alike)
         assert [bool(each.help) for each in alike] == [True] + [False] * (len(alike) - 1)
-
-
-def test_a_name_without_a_line_is_what_the_snapshot_has() -> None:
-    state, peer = figures(Of.LINK, "state", "peer")
-    assert (state.metric, peer.metric) == ("state", "")
-    assert peer.read(replace(LINK, peer="here")) == "here"

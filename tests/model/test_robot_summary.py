@@ -11,7 +11,6 @@ import pytest
 from tests.console.scripted import LINK, NOW, route
 from tests.support.wording import pattern, says
 
-from rsb_bridge.model import robot_summary
 from rsb_bridge.model.robot_summary import (
     LOSS_SPAN,
     SUMMARY_BYTES,
@@ -51,7 +50,6 @@ DOWN = replace(UP, state=State.DOWN, cause=LinkCause.LOST, reason="gone")
 
 
 def on_server(*routes: RouteSnapshot, link: LinkSnapshot = UP, running: bool = True) -> RobotSummary:
-    """Return the summary of robot1, as its server sees it."""
     links = (link, replace(UP, name="robot2"))
     now = Snapshot(NOW, "control", "server", "0.0.0.0", 1, running=running, links=links, routes=routes)
     first, second = of_clients(now, SERVER, {}, {})
@@ -129,7 +127,6 @@ def test_the_figures_are_those_of_the_console() -> None:
 
 
 def announced(*routes: RouteSnapshot, links: tuple[LinkSnapshot, ...]) -> RobotSummary:
-    """The server, as it announces itself in a fleet."""
     now = Snapshot(NOW, "control", "server", "0.0.0.0", 1, running=True, links=links, routes=routes)
     return of_engine(now, SERVER, host="pc", version="1", losses={}, battery=None)
 
@@ -259,13 +256,6 @@ def test_loss_of_a_topic_that_counts_anew_or_is_gone() -> None:
 # --- from elsewhere
 
 
-def test_there_and_back() -> None:
-    summary = msgspec.structs.replace(
-        on_server(a("/scan", State.SLOW, reason="größer")), loss=LostMessages(0.1, 30.0), battery=Battery(0.5, NOW)
-    )
-    assert decode(encode(summary)) == summary
-
-
 def test_what_another_says_is_bounded() -> None:
     made = RobotSummary(
         name="r\x1b[2J" + "x" * 300, group="\u202e", why="y" * 900, host="h\n", version="v" * 300, seen=math.nan,
@@ -299,12 +289,6 @@ def test_a_newer_version() -> None:
 def test_what_is_no_summary(data: bytes, problem: InvalidSummary) -> None:
     with pytest.raises(ValueError, match=pattern(problem)):
         decode(data)
-
-
-def test_states_are_ordered() -> None:
-    assert sorted(RobotState, key=lambda state: state.rank) == list(RobotState)
-    assert [state for state in RobotState if state.is_wrong] == [RobotState.MISSING, RobotState.FAULT, RobotState.WARN]
-    assert robot_summary.RobotState("ok") is RobotState.OK
 
 
 @pytest.mark.parametrize(

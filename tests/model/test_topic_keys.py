@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import get_args
 
 import msgspec
 import pytest
 
 from rsb_bridge.config.file_form import KEYS, LISTS
 from rsb_bridge.model.session import Kind, Topic
-from rsb_bridge.model.topic_keys import TOPIC_KEYS, TopicKey
+from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.wire.messages import Amend, Propose
 
 _FIELDS = {field.name: field for field in msgspec.structs.fields(Topic)}
@@ -18,19 +17,6 @@ _FIELDS = {field.name: field for field in msgspec.structs.fields(Topic)}
 
 def test_each_field_is_a_key() -> None:
     assert TOPIC_KEYS.keys() == _FIELDS.keys() - {"kind"}
-
-
-@pytest.mark.parametrize("key", TOPIC_KEYS.values(), ids=TOPIC_KEYS)
-def test_a_key_takes_the_values_of_its_field(key: TopicKey) -> None:
-    kind = _FIELDS[key.name].type
-    assert (key.value == "switch") == (kind is bool)
-    assert (key.value == "number") == (set(get_args(kind)) - {type(None)} in ({int}, {float}))
-
-
-@pytest.mark.parametrize("key", TOPIC_KEYS.values(), ids=TOPIC_KEYS)
-def test_a_range_has_a_text(key: TopicKey) -> None:
-    assert (key.limits is None) == (key.range_text is None)
-    assert key.limits is None or key.unit
 
 
 @pytest.mark.parametrize("kind", LISTS)

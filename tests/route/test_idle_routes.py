@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.offline import FakePeer
+from tests.support.offline import FakePeer, half_of
 
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.qos import Qos
@@ -15,7 +15,6 @@ from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.route.idling import IDLE_AFTER, LONGEST
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.wire.messages import Propose
 from rsb_bridge.wire.records import ReceivedReport, VerdictRecord
 
 if TYPE_CHECKING:
@@ -43,10 +42,8 @@ class World:
     """
 
     def __init__(self, loop: VirtualLoop, context: Context, **fields: Any) -> None:
-        proposal = Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True)
-        topic = Topic("/scan", "transmit", **fields)
         self.peer = FakePeer()
-        self.route = OutgoingRoute(context, self.peer, topic, proposal, proposed_here=True)
+        self.route = half_of(OutgoingRoute, context, Topic("/scan", "transmit", **fields), self.peer)
         self.ticks: list[float] = []
         self.loop = loop
         self.route.open(1)
@@ -81,45 +78,30 @@ def test_a_quiet_route_is_ticked_seldom_though_never_left_alone(
     assert max(after - before for before, after in pairs) <= LONGEST + 1
 
 
-def _message(world: World) -> None:
-    world.route.count(1, 100, world.route.context.now())
+DOWN = VerdictRecord("DOWN", Cause.NOT_PUBLISHED, "refused by the middleware")
+TALKER = Endpoint("/talker", "std_msgs/msg/String", "", Qos(), b"gid")
 
 
-def _endpoint(world: World) -> None:
-    world.route.endpoints = [Endpoint("/talker", "std_msgs/msg/String", "", Qos(), b"gid")]
-
-
-def _pause(world: World) -> None:
-    world.route.pause(paused=True)
-
-
-def _full(world: World) -> None:
-    world.peer.full_out = Fullness(5e3, 15e3)
-
-
-def _limit(world: World) -> None:
-    world.route.limit.set_max_rate(7.0)
-
-
-def _report(world: World) -> None:
-    verdict = VerdictRecord("DOWN", Cause.NOT_PUBLISHED, "refused by the middleware")
-    world.route.reported(ReceivedReport(route=1, verdict=verdict))
-
-
-class TestWhateverHappens:
-    """It is ticked again at once, and each second from then on."""
-
-    EVENTS: ClassVar = [_message, _endpoint, _pause, _full, _limit, _report]
-
-    @pytest.mark.parametrize("happens", EVENTS)
-    def test_wakes_it(
-        self, happens: Callable[[World], None], loop: VirtualLoop, make_context: Callable[..., Context]
-    ) -> None:
-        world = World(loop, make_context())
-        world.wait_until_idle()
-        happens(world)
-        world.wait(60)
-        assert len(world.ticks) == 60
+@pytest.mark.parametrize(
+    "happens",
+    [
+        lambda world: world.route.count(1, 100, world.route.context.now()),
+        lambda world: setattr(world.route, "endpoints", [TALKER]),
+        lambda world: world.route.pause(paused=True),
+        lambda world: setattr(world.peer, "full_out", Fullness(5e3, 15e3)),
+        lambda world: world.route.limit.set_max_rate(7.0),
+        lambda world: world.route.reported(ReceivedReport(route=1, verdict=DOWN)),
+    ],
+    ids=["message", "endpoint", "pause", "full", "limit", "report"],
+)
+def test_whatever_happens_has_it_ticked_each_second_again(
+    happens: Callable[[World], None], loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    world = World(loop, make_context())
+    world.wait_until_idle()
+    happens(world)
+    world.wait(60)
+    assert len(world.ticks) == 60
 
 
 def test_silence_that_becomes_too_long_is_noticed_in_time(

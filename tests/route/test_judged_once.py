@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from tests.support import replaced
-from tests.support.offline import FakePeer
+from tests.support.offline import FakePeer, half_of
 
 from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.session import Topic
@@ -15,7 +15,6 @@ from rsb_bridge.route.blocking_rules import ACCEPTED
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.topic_verdict import judge, waits_for
-from rsb_bridge.wire.messages import Propose
 from rsb_bridge.wire.records import SentReport
 
 if TYPE_CHECKING:
@@ -37,8 +36,7 @@ def test_snapshots_take_the_last_tick_s_verdict_until_somebody_changes_the_route
         return judge(facts)
 
     replaced.JUDGE.set(monkeypatch, counted)
-    proposal = Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True)
-    route = OutgoingRoute(make_context(), FakePeer(), Topic("/scan", "transmit"), proposal, proposed_here=True)
+    route = half_of(OutgoingRoute, make_context(), Topic("/scan", "transmit"))
     route.open(1)
     route.on_accepted()
     route.tick()
@@ -59,10 +57,13 @@ def test_snapshots_take_the_last_tick_s_verdict_until_somebody_changes_the_route
 def test_a_route_learns_nothing_while_its_link_is_full_or_it_is_in_trouble(
     make_context: Callable[..., Context],
 ) -> None:
-    proposal = Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True)
-    for half, topic in ((OutgoingRoute, Topic("/scan", "transmit")), (IncomingRoute, Topic("/scan", "receive"))):
+    halves: tuple[tuple[Callable[..., OutgoingRoute | IncomingRoute], Topic], ...] = (
+        (OutgoingRoute, Topic("/scan", "transmit")),
+        (IncomingRoute, Topic("/scan", "receive")),
+    )
+    for half, topic in halves:
         peer = FakePeer()
-        route = half(make_context(), peer, topic, proposal, proposed_here=True)
+        route = half_of(half, make_context(), topic, peer)
         assert route.learns
         peer.full_out = peer.full_in = Fullness(5e3, 15e3)
         assert not route.learns
@@ -76,9 +77,7 @@ def test_a_route_learns_nothing_while_its_link_is_full_or_it_is_in_trouble(
 
 def test_a_receiver_claims_to_wait_for_nothing_that_only_the_sender_knows(make_context: Callable[..., Context]) -> None:
     """Whenever a route was opened, its row said for seconds that no publisher was seen, or that it waits for one."""
-    context = make_context()
-    proposal = Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True)
-    receiver = IncomingRoute(context, FakePeer(), Topic("/scan", "receive"), proposal, proposed_here=True)
+    receiver = half_of(IncomingRoute, make_context(), Topic("/scan", "receive"))
     for number in (1, 3):
         receiver.close("reopened")
         receiver.open(number)
@@ -96,9 +95,8 @@ def test_a_receiver_claims_to_wait_for_nothing_that_only_the_sender_knows(make_c
 
 def test_the_sending_side_knows_of_messages_before_its_own_start(make_context: Callable[..., Context]) -> None:
     """A client that was killed begins with nothing; the server has had messages of the one before."""
-    proposal = Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True)
-    sender = OutgoingRoute(make_context(), FakePeer(), Topic("/scan", "transmit"), proposal, proposed_here=True)
-    receiver = IncomingRoute(make_context(), FakePeer(), Topic("/scan", "receive"), proposal, proposed_here=True)
+    sender = half_of(OutgoingRoute, make_context(), Topic("/scan", "transmit"))
+    receiver = half_of(IncomingRoute, make_context(), Topic("/scan", "receive"))
     for route in (sender, receiver):
         route.open(1)
         route.on_accepted()

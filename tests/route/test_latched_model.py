@@ -39,8 +39,6 @@ LATCHED = Qos(durability="transient_local", depth=0)
 
 @dataclass
 class Writer:
-    """A publisher on the sending side."""
-
     gid: bytes
     depth: int
     newest: int = 0
@@ -256,8 +254,6 @@ class Route:
 
 
 class World:
-    """Everything, and time."""
-
     def __init__(self, loop: VirtualLoop, seed: int, lifespan: float = 0.0) -> None:
         self.loop = loop
         self.random = Random(seed)
@@ -291,7 +287,7 @@ class World:
         )
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(16))
 def test_late_joiners_get_the_same_on_both_sides(seed: int) -> None:
     """For all depths and orders of events, at rest both sides keep the same, and nothing is heard twice."""
     with virtual_loop() as loop:
@@ -387,16 +383,17 @@ def test_a_history_that_is_overwritten_before_it_is_handed_over_is_not_taken_for
         world.wait(1)
         writer = world.near.new_writer(1000)
         world.near.overwrites = True
-        for _ in range(15_000):
+        for _ in range(7_000):
             world.near.publish(writer)
             world.wait(1 / 5000)
         world.wait(5)
         assert world.near_late_joiner() == world.far.late_joiner()
 
 
-@pytest.mark.parametrize("lifespan", [0.0, 10.0])
-@pytest.mark.parametrize("publishers", [1, 25])
-@pytest.mark.parametrize("rate", [0.1, 1, 10, 25, 50, 200, 5000])
+@pytest.mark.parametrize(
+    ("rate", "publishers", "lifespan"),
+    [(0.1, 1, 0.0), (1, 25, 10.0), (10, 1, 10.0), (25, 25, 0.0), (50, 1, 0.0), (200, 25, 10.0), (5000, 1, 0.0)],
+)
 def test_live_messages_cross_at_once_at_any_rate(rate: float, publishers: int, lifespan: float) -> None:
     """All arrive in order, none waits for its publisher to pause, and late joiners get all that is kept."""
     with virtual_loop() as loop:

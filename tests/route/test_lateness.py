@@ -7,13 +7,11 @@ from tests.route.test_topic_verdict import NOW, RECEIVER, SENDER, verdict_on
 
 from rsb_bridge.model.capacity import Fullness, rates_text
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.verdict import Cause, Verdict
-from rsb_bridge.route.combined_verdict import CombinedVerdict, record_of
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.lateness import QUEUE, WAY, Late, LateWatch, Unreported, delay_of_sender, seconds_text
 from rsb_bridge.route.notices import ChannelLosses
 from rsb_bridge.telemetry.meters import LatencyMeter
 from rsb_bridge.telemetry.watches import Loss
-from rsb_bridge.wire.records import VerdictRecord
 
 FULL = Fullness(25e3, 48e3, ("/camera",))
 LATE = Late(12.0, 0.003, WAY, None, NOW - 5)
@@ -106,11 +104,10 @@ def test_how_long_reports_take_is_not_held_against_messages() -> None:
     assert delay_of_sender(0.9, 0.0) == 0.0
 
 
-@pytest.mark.parametrize("facts", [SENDER, RECEIVER])
 @pytest.mark.parametrize(
     "late", [LATE, LATE._replace(where=QUEUE), LATE._replace(full=FULL), LATE._replace(usual=None)]
 )
-def test_a_late_topic_is_late_on_either_side(facts: object, late: Late) -> None:
+def test_a_late_topic_is_late_on_either_side(late: Late) -> None:
     for side in (SENDER, RECEIVER):
         verdict = verdict_on(side, late=late)
         assert (verdict.state, verdict.cause, verdict.since) == (State.LATE, Cause.LATE, NOW - 5)
@@ -147,15 +144,6 @@ def test_a_connection_over_which_messages_came_says_nothing_of_the_path() -> Non
     assert not losses.repeated
     losses.add("Connection timed out", Loop(), lambda: None, owing=True)  # type: ignore[arg-type]
     assert losses.repeated, "nothing has come over this one"
-
-
-def test_the_other_side_shows_it() -> None:
-    late = Verdict(State.LATE, Cause.LATE, "12 s late")
-    record = record_of(late)
-    assert record == VerdictRecord("late", "late", "12 s late")
-    here = CombinedVerdict(sends=False, peer_name="robot1")
-    here.take(record, NOW)
-    assert (here.peer.state, here.peer.cause) == (State.LATE, Cause.LATE)
 
 
 def test_the_recent_latency_is_of_the_last_second() -> None:

@@ -24,23 +24,6 @@ def in_phase(phase: RoutePhase) -> Lifecycle:
     return life
 
 
-def test_the_way_to_messages() -> None:
-    life = Lifecycle()
-    phases = [life.phase]
-    for event in THERE:
-        assert not life.ready
-        assert life.take(event)
-        phases.append(life.phase)
-    assert phases == [
-        RoutePhase.CLOSED,
-        RoutePhase.PROPOSED,
-        RoutePhase.ACCEPTED,
-        RoutePhase.DESCRIBED,
-        RoutePhase.READY,
-    ]
-    assert life.ready
-
-
 @pytest.mark.parametrize("phase", RoutePhase)
 def test_every_phase_can_be_reached_refused_and_closed(phase: RoutePhase) -> None:
     life = in_phase(phase)

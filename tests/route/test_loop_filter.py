@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 from tests.support.inside import ledger_of
-from tests.support.offline import FakePeer
+from tests.support.offline import FakePeer, half_of
 
 from rsb_bridge.channel.channel import Pace
-from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
@@ -121,7 +120,6 @@ class Peer(FakePeer):
         route.channel = self.channel
 
     def answer(self, route: OutgoingRoute) -> None:
-        """Answer the newest description."""
         described = [each for each in self.sent if isinstance(each, Describe)][-1]
         route.peer_ready(Ready(route=described.route, sources=len(described.sources)))
 
@@ -136,17 +134,14 @@ class World(NamedTuple):
     loop: VirtualLoop
 
     def comes(self, gid: bytes, *payloads: bytes) -> None:
-        """The subscription takes messages."""
         self.path.offer([RawMessage(each, 0, gid) for each in payloads])
 
     @property
     def path(self) -> OutgoingPath:
-        """The path of its messages."""
         return self.route._path
 
     @property
     def ledger(self) -> RouteLedger:
-        """Its counts, as they grow."""
         return ledger_of(self.route)
 
     @property
@@ -155,12 +150,10 @@ class World(NamedTuple):
         return self.route._loop_filter.holds
 
     def wait(self, seconds: float) -> None:
-        """Let time pass."""
         self.loop.run_until_complete(asyncio.sleep(seconds))
 
     @property
     def sent(self) -> list[bytes]:
-        """Return the messages that were sent."""
         return [payload for payload, _ in self.peer.channel.sent]
 
 
@@ -169,20 +162,11 @@ def world(loop: VirtualLoop, make_context: Callable[..., Context], request: pyte
     """The topic has other settings where a test gives the fixture some."""
     graph, peer, topic = Graph(), Peer(), Topic(SCAN, "transmit", **getattr(request, "param", {}))
     context = make_context(graph)
-    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
-    route = OutgoingRoute(context, peer, topic, proposal, proposed_here=True)
+    route = half_of(OutgoingRoute, context, topic, peer)
     route.open(1)
     route.on_accepted()
     peer.answer(route)
     return World(route, graph, peer, context, loop)
-
-
-def test_the_messages_of_a_known_publisher_pass_and_the_graph_is_not_asked(world: World) -> None:
-    asked = world.graph.asked
-    world.comes(FIRST, b"1", b"2")
-    world.comes(FIRST, b"3")
-    assert world.peer.channel.sent == [(b"1", 0), (b"2", 0), (b"3", 0)]
-    assert world.graph.asked == asked
 
 
 def test_a_publisher_that_is_new_is_looked_up_with_its_first_message(world: World) -> None:
@@ -231,25 +215,6 @@ def test_the_wait_for_a_publisher_is_over_at_the_moment_that_it_names(since: flo
     assert table.unexplained
     table.update([publication], "hop", frozenset(), frozenset(), table.explained_by)
     assert not table.unexplained
-
-
-def test_a_route_that_waits_for_a_publisher_does_not_poll(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
-    graph, peer, topic = Graph(), Peer(), Topic(SCAN, "transmit")
-    graph.nodes = {SECOND: ""}
-    context = make_context(graph)
-    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
-    route = OutgoingRoute(context, peer, topic, proposal, proposed_here=True)
-    route.open(1)
-    route.on_accepted()
-    assert "announce" in route.snapshot().reason
-    asked = graph.asked
-    loop.run_until_complete(asyncio.sleep(2.9))
-    assert graph.asked == asked
-    loop.run_until_complete(asyncio.sleep(600.0))
-    assert graph.asked == asked + 1
-    peer.answer(route)
 
 
 def test_messages_of_another_source_wait_until_the_peer_has_a_publisher_for_it(world: World) -> None:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.route.test_loop_filter import FIRST, SCAN, Graph, Peer, World
+from tests.support.offline import half_of
 
-from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.outgoing import OutgoingRoute
@@ -22,19 +22,15 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def world(loop: VirtualLoop, make_context: Callable[..., Context]) -> World:
-    """A route whose topic is expected at 20 Hz."""
     graph, peer, topic = Graph(), Peer(), Topic(SCAN, "transmit", expected_rate=20.0)
     context = make_context(graph)
-    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
-    route = OutgoingRoute(context, peer, topic, proposal, proposed_here=True)
-    made = World(route, graph, peer, context, loop)
+    made = World(half_of(OutgoingRoute, context, topic, peer), graph, peer, context, loop)
     reopen(made)
     passes(made, 2)
     return made
 
 
 def reopen(world: World) -> None:
-    """Open the route, as a link that is up does."""
     world.route.open(1)
     world.route.on_accepted()
     world.peer.answer(world.route)
@@ -48,7 +44,6 @@ def passes(world: World, seconds: int) -> None:
 
 
 def missed(world: World) -> int:
-    """The estimate."""
     return world.route.ledger().missed_while_down
 
 

@@ -42,11 +42,11 @@ def hear_all(*sides: Side) -> None:
             side.hear()
 
 
-def test_every_interleaving_of_two_presses_a_side_and_their_messages_ends_alike() -> None:
-    """All orders of four presses and four messages, with every choice of what is pressed."""
-    orders = sorted(set(itertools.permutations(("client", "client", "server", "server", "C", "C", "S", "S"))))
-    assert len(orders) == 2520
-    for order, presses in itertools.product(orders, itertools.product((False, True), repeat=4)):
+def test_every_interleaving_of_three_presses_and_their_messages_ends_alike() -> None:
+    """With every choice of what is pressed."""
+    orders = sorted(set(itertools.permutations(("client", "client", "server", "C", "C", "S"))))
+    assert len(orders) == 180
+    for order, presses in itertools.product(orders, itertools.product((False, True), repeat=3)):
         client, server = pair()
         chosen = iter(presses)
         for step in order:
@@ -85,7 +85,7 @@ steps = st.sampled_from(["client on", "client off", "server on", "server off", "
 
 
 @given(st.lists(steps, max_size=40))
-@settings(max_examples=settings().max_examples * 5, deadline=None)
+@settings(max_examples=settings().max_examples * 2, deadline=None)
 def test_a_cut_loses_messages_but_not_the_agreement(taken: list[str]) -> None:
     """After a cut the proposer tells its state, and the other side its own if that is later (PROTOCOL.md, 3)."""
     client, server = pair()

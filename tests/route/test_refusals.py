@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.offline import FakePeer
+from tests.support.offline import half_of
 
-from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
@@ -21,16 +20,16 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
 
+SCAN = Topic("/scan", "transmit")
+
 
 def test_a_route_is_asked_for_again_after_any_number_of_refusals(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     context = make_context()
-    topic = Topic("/scan", "transmit")
-    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
-    route = OutgoingRoute(context, FakePeer(), topic, proposal, proposed_here=True)
+    route = half_of(OutgoingRoute, context, SCAN)
     pauses = []
-    for number in range(20_000):
+    for number in range(3_000):
         route.open(2 * number + 1)
         route.refuse(EventCode.ROUTE_REFUSED, "denied")
         pauses.append(route.retry_at - context.now())
@@ -44,10 +43,7 @@ def test_a_route_is_asked_for_again_after_any_number_of_refusals(
 def test_where_nobody_looks_for_publishers_it_is_not_said_that_there_are_none(
     state: str, make_context: Callable[..., Context]
 ) -> None:
-    context = make_context()
-    topic = Topic("/scan", "transmit", paused=state == "paused")
-    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
-    route = OutgoingRoute(context, FakePeer(), topic, proposal, proposed_here=True)
+    route = half_of(OutgoingRoute, make_context(), Topic("/scan", "transmit", paused=state == "paused"))
     route.open(1)
     if state == "refused":
         route.refuse(EventCode.ROUTE_REFUSED, "denied")
@@ -60,10 +56,8 @@ def test_a_refusal_stands_while_the_route_is_tried_again(
     code: EventCode, loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     """Each try is refused a moment later; nothing of it is seen, on the screen or in the log."""
-    context, peer = make_context(), FakePeer()
-    topic = Topic("/scan", "transmit")
-    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
-    route = OutgoingRoute(context, peer, topic, proposal, proposed_here=True)
+    context = make_context()
+    route = half_of(OutgoingRoute, context, SCAN)
     route.open(1)
     route.refuse(code, "denied")
     events = len(context.events.after(0))
@@ -91,9 +85,7 @@ def test_a_refusal_is_over_once_a_later_opening_goes_on(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     context = make_context()
-    topic = Topic("/scan", "transmit")
-    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
-    route = OutgoingRoute(context, FakePeer(), topic, proposal, proposed_here=True)
+    route = half_of(OutgoingRoute, context, SCAN)
     route.open(1)
     route.refuse(EventCode.ROUTE_REFUSED, "denied")
     loop.jump(1.0)

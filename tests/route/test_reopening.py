@@ -22,7 +22,6 @@ WAITS, NO_PATH = (State.WAITING, Cause.AWAITS_LINK), (State.DOWN, Cause.NO_PATH)
 
 
 def shown(world: World) -> tuple[State, str]:
-    """The state and the cause."""
     verdict = world.route.verdict()
     return verdict.state, verdict.cause
 

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 
 class Place(NamedTuple):
-    """A topic in a domain."""
-
     domain: int
     topic: str
 
@@ -45,7 +43,6 @@ class Bridge:
     bridges: tuple[str, ...] = ()
 
     def publishers(self, topic: str) -> list[Endpoint]:
-        """Return the publishers, like `RosInterface`."""
         place = Place(self.domain, topic)
         found = [endpoint(gid, "stock") for gid in self.world.users.get(place, ())]
         for other in self.world.bridges:
@@ -54,12 +51,10 @@ class Bridge:
         return found
 
     def own_publishers(self, topic: str, besides: str) -> list[Endpoint]:
-        """Do the same as `Announcements`."""
         own = self.own.items()
         return [endpoint(gid, self.node_name) for gid, (where, link, _) in own if where == topic and link != besides]
 
     def origin_of(self, publisher: Endpoint) -> Origin | None:
-        """Do the same as `Announcements`."""
         if publisher.gid in self.own:
             return self.own[publisher.gid][2]
         node = publisher.node.lstrip("/")
@@ -67,7 +62,6 @@ class Bridge:
 
 
 def endpoint(gid: bytes, node: str) -> Endpoint:
-    """A publisher."""
     return Endpoint(f"/{node}", "", "", Qos(), gid)
 
 
@@ -107,12 +101,10 @@ class Route:
 
     @property
     def start(self) -> Place:
-        """Return the domain that it takes messages from."""
         return Place(self.link.near.domain, self.topic)
 
     @property
     def end(self) -> Place:
-        """Return the domain that it publishes in."""
         return Place(self.link.far.domain, self.remote_topic)
 
     @property
@@ -122,7 +114,6 @@ class Route:
 
     @property
     def table(self) -> SourceTable:
-        """Its decisions."""
         return self.loop_filter.table
 
     def advance(self) -> None:
@@ -150,7 +141,6 @@ class World:
         self.numbers = count()
 
     def bridge(self, domain: int, number: int) -> Bridge:
-        """The engine of that number in a domain."""
         name = f"rsb_{domain}_{number}"
         found = next((each for each in self.bridges if each.node_name == name), None)
         if found is None:
@@ -167,7 +157,6 @@ class World:
             self.routes.append(Route(link, topic, remote_topic))
 
     def remove(self, route: Route) -> None:
-        """End a route."""
         self.routes.remove(route)
         for gid in route.outputs:
             del route.link.far.own[gid]
@@ -205,7 +194,6 @@ class World:
             route.wire.append((origin, number | source << 40))
 
     def arrive(self, route: Route) -> None:
-        """The receiving half publishes a message."""
         origin, mixed = route.wire.popleft()
         gid = route.outputs[mixed >> 40]
         self.publish(route.end, gid, origin, self.trails[mixed & (1 << 40) - 1])
@@ -232,7 +220,6 @@ class World:
             yield lambda link=link: setattr(link, "bridges", link.far.bridges)
 
     def describe(self, route: Route) -> None:
-        """The receiving half hears what is sent."""
         far, sources = route.link.far, route.control.popleft()
         for number, source in enumerate(sources):
             if number == len(route.outputs):
@@ -281,7 +268,6 @@ class World:
                 self.say(self.random.choice(sorted(self.users)))
 
     def say(self, place: Place) -> bytes:
-        """A user publishes one message."""
         origin = b"message %d" % next(self.numbers)
         self.publish(place, self.users[place][0], origin, ())
         return origin
@@ -334,7 +320,6 @@ USERS = st.sets(st.builds(Place, st.integers(0, 3), st.sampled_from(["/a", "/b"]
 
 
 def make(routes: list[Any], users: set[Place], seed: int) -> World:
-    """A world."""
     world = World(Random(seed))
     for (near, near_number), (far, far_number), topic, remote_topic in routes:
         if (near, near_number) != (far, far_number):

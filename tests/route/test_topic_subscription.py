@@ -48,8 +48,6 @@ class FakeSubscription:
 
 
 class Path:
-    """The path that messages would take."""
-
     def offer(self, batch: object) -> None: ...
 
     def emit(self, samples: object) -> None: ...
@@ -76,7 +74,6 @@ class Owner:
 def make_subscription(
     context: Context, owner: Owner, qos: Qos, *, automatic: bool, expected_rate: float | None = None
 ) -> TopicSubscription:
-    """Return an active subscription."""
     subscription = TopicSubscription(
         context,
         context.ros,

@@ -29,7 +29,6 @@ from rsb_bridge.route.topic_verdict import (
     Facts,
     TopicProgress,
     judge,
-    named,
     topic_stages,
 )
 from rsb_bridge.telemetry.watches import Loss
@@ -150,13 +149,7 @@ def test_a_route_that_flows_is_fine() -> None:
             Cause.QOS_INCOMPATIBLE,
             ["/b and /talker", "volatile", "transient_local"],
         ),
-        (
-            SENDER,
-            {"left_out": f"{INT} of /b"},
-            State.UNHEARD,
-            Cause.TYPE_CONFLICT,
-            [f"{INT} of /b"],
-        ),
+        (SENDER, {"left_out": f"{INT} of /b"}, State.UNHEARD, Cause.TYPE_CONFLICT, [f"{INT} of /b"]),
         (
             SENDER,
             {"flowing": False, "came": False, "unresolved": Cause.TYPE_CONFLICT, "why_unresolved": "two types"},
@@ -200,13 +193,7 @@ def test_a_route_that_flows_is_fine() -> None:
             ["/map_server latches", "volatile", "qos: auto"],
         ),
         (RECEIVER, {"came": False}, State.WAITING, Cause.NO_MESSAGE, []),
-        (
-            SENDER,
-            {"came": False, "flowing": False, "accepted": None},
-            State.WAITING,
-            Cause.NO_MESSAGE,
-            [ACCEPTED],
-        ),
+        (SENDER, {"came": False, "flowing": False, "accepted": None}, State.WAITING, Cause.NO_MESSAGE, [ACCEPTED]),
         (
             SENDER,
             {"stopped_since": NOW - 3.0, "expected_rate": 10.0},
@@ -278,13 +265,7 @@ def test_a_route_that_flows_is_fine() -> None:
         (SENDER, {"loss": LOST, "full": FULL}, State.SLOW, Cause.LOSSY, [FULL.share]),
         (SENDER, {"loss": LOST, "loss_of_full_link": True}, State.SLOW, Cause.LOSSY, []),
         (SENDER, {"loss": LOST, "loss_unexplained": True}, State.SLOW, Cause.LOSSY, []),
-        (
-            SENDER,
-            {"loss": Loss(9, 10, "too large", 0.0)},
-            State.SLOW,
-            Cause.TOO_LARGE,
-            ["protocol: tcp"],
-        ),
+        (SENDER, {"loss": Loss(9, 10, "too large", 0.0)}, State.SLOW, Cause.TOO_LARGE, ["protocol: tcp"]),
         (SENDER, {"loss": Loss(9, 10, "queue full", 0.0)}, State.SLOW, Cause.QUEUE_FULL, ["max_rate", "compression"]),
         (SENDER, {"loss": Loss(9, 10, "of a newer peer", 0.0)}, State.SLOW, Cause.LOSSY, ["9", "10"]),
         (
@@ -295,20 +276,8 @@ def test_a_route_that_flows_is_fine() -> None:
             [],
         ),
         (SENDER, {"limit": 5.0}, State.OK, Cause.THROTTLED, ["5 Hz"]),
-        (
-            RECEIVER,
-            {"endpoints": []},
-            State.UNHEARD,
-            Cause.NO_SUBSCRIBER,
-            ["/robot1/chat", "domain 3"],
-        ),
-        (
-            RECEIVER,
-            {"qos": BEST_EFFORT},
-            State.UNHEARD,
-            Cause.QOS_INCOMPATIBLE,
-            ["/rviz ", "reliable", "best_effort"],
-        ),
+        (RECEIVER, {"endpoints": []}, State.UNHEARD, Cause.NO_SUBSCRIBER, ["/robot1/chat", "domain 3"]),
+        (RECEIVER, {"qos": BEST_EFFORT}, State.UNHEARD, Cause.QOS_INCOMPATIBLE, ["/rviz ", "reliable", "best_effort"]),
         (
             RECEIVER,
             {"endpoints": [endpoint("/ok"), endpoint("/late", LATCHED)]},
@@ -606,13 +575,6 @@ def test_what_a_newer_peer_says_is_shown_as_it_stands() -> None:
 )
 def test_durations_change_seldom(seconds: float, words: str) -> None:
     assert about(seconds) == words
-
-
-def test_nodes_in_a_sentence() -> None:
-    assert named(["/a"]) == "/a"
-    assert named(["/b", "/a", "/a"]) == "/a and /b"
-    assert named(["/a", "/b", "/c"]) == "/a, /b and /c"
-    assert named([f"/{n}" for n in range(9)]) == "/0, /1, /2 and 6 more"
 
 
 @pytest.mark.parametrize(

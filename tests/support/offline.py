@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from random import Random
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import pytest
 from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 
 from rsb_bridge.context import Context
+from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.session import Session
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
@@ -24,8 +25,11 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.path_fault import PathFault
+    from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
+
+Half = TypeVar("Half")
 
 
 @pytest.fixture
@@ -101,3 +105,16 @@ class FakePeer:
 
     def closed(self, route_id: int) -> None:
         pass
+
+
+def half_of(
+    kind: Callable[..., Half], context: Context, topic: Topic, peer: FakePeer | None = None, *, here: bool = True
+) -> Half:
+    """Make a half of a topic's route, which is not open yet.
+
+    Args:
+        kind: `OutgoingRoute` or another class of halves.
+        here: whether this side has proposed it.
+    """
+    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
+    return kind(context, peer or FakePeer(), topic, proposal, proposed_here=here)

@@ -21,8 +21,6 @@ NOW = 1_700_000_000.0
 
 
 class ManualClock(Clock):
-    """A clock that a test moves."""
-
     moved = 0.0
 
     def time_ns(self) -> int:

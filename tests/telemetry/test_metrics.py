@@ -107,12 +107,6 @@ def test_prometheus_s_own_linter_has_nothing_to_say(scraped: Scraped) -> None:
     assert (run.returncode, run.stdout + run.stderr) == (0, b"")
 
 
-def test_the_document_lists_every_family() -> None:
-    document = (_ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
-    listed = re.findall(r"`(rsb_\w+)`", document)
-    assert set(listed) == {family.name for family in FAMILIES}
-
-
 def test_the_document_says_their_labels() -> None:
     document = (_ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
     short = {"topic": ["link", "topic", "direction"], "route": ["link", "topic", "direction", "kind"]}
@@ -169,7 +163,8 @@ def test_a_peer_makes_up_no_labels(scraped: Scraped) -> None:
             offered=st.integers(0, 9),
             delivered=st.integers(0, 9),
             dropped=st.dictionaries(st.sampled_from(["queue full", "made up", "invented"]), st.integers(0, 9)),
-        )
+        ),
+        max_size=5,
     )
 )
 def test_a_counter_becomes_smaller_only_where_everything_begins_anew(ledgers: list[Ledger]) -> None:

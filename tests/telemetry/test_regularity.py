@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     Gaps = Callable[[Random], Iterator[float]]
 
-SEEDS = range(8)
+SEEDS = range(3)
 
 
 class Watched(NamedTuple):

@@ -11,7 +11,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.route.calls.call_servers import Provision, UnavailableError, others_called, provision, types_clash
+from rsb_bridge.route.calls.call_servers import Provision, UnavailableError, provision
 from rsb_bridge.wire.records import LaneEntry
 
 SET = "std_srvs/srv/SetBool"
@@ -63,14 +63,6 @@ def cause(provided: Provision) -> Cause | None:
     return provided.unavailable.cause if provided.unavailable else None
 
 
-def test_a_service(graph: Graph) -> None:
-    assert cause(found(graph)) is Cause.NO_SERVER
-    graph.serve_by("/go", "/teller")
-    provided = found(graph)
-    assert provided.entries == (LaneEntry(SET, ONE, 1),)
-    assert provided.warning is None
-
-
 def test_an_action_is_there_with_all_its_services_and_its_topics_may_follow(graph: Graph) -> None:
     for lane in LANES["action"][:3]:
         assert cause(found(graph, "action")) is Cause.NO_SERVER
@@ -88,26 +80,6 @@ def test_an_action_is_there_with_all_its_services_and_its_topics_may_follow(grap
     graph.serve_by("/go/_action/feedback", "/stranger", "std_msgs/msg/String", ONE)
     feedback = found(graph, "action").entries[3]
     assert (feedback.type_hash, feedback.providers) == (TWO, 1)
-
-
-def test_servers_that_disagree(graph: Graph) -> None:
-    graph.serve_by("/go", "/one")
-    graph.serve_by("/go", "/two", "std_srvs/srv/Trigger")
-    assert cause(found(graph)) is Cause.TYPE_CONFLICT
-    graph.at.clear()
-    graph.serve_by("/go", "/one")
-    graph.serve_by("/go", "/two", type_hash=TWO)
-    provided = found(graph)
-    assert cause(provided) is Cause.TYPE_CONFLICT
-    assert provided.unavailable is not None
-    assert "/one" in provided.unavailable.text
-    assert "/two" in provided.unavailable.text
-
-
-def test_the_type_that_the_session_names(graph: Graph) -> None:
-    graph.serve_by("/go", "/teller")
-    assert found(graph, wanted=SET).entries
-    assert cause(found(graph, wanted="std_srvs/srv/Trigger")) is Cause.TYPE_CONFLICT
 
 
 def test_a_middleware_that_tells_no_hashes(graph: Graph) -> None:
@@ -134,30 +106,3 @@ def test_why_none_may_be_called_is_said_by_whoever_knows(graph: Graph) -> None:
 
     provided = provision(graph, LANES["service"], "/go", "", 2, servers_of)
     assert cause(provided) is Cause.LOOP
-
-
-def clash(graph: Graph) -> str:
-    entries = (LaneEntry(SET, ONE, 1),)
-    trouble = types_clash(graph, LANES["service"], entries, ["/go"], graph.calls, lambda _, installed: installed)
-    assert trouble is None or trouble.cause is Cause.TYPE_CONFLICT
-    return trouble.text if trouble else ""
-
-
-def test_types_on_the_callers_side(graph: Graph) -> None:
-    assert not clash(graph)
-    graph.installed[SET] = ONE
-    graph.calls["/go"] = [Endpoint("/asker", SET, ONE, Qos()), Endpoint("/quiet", SET, "", Qos())]
-    assert not clash(graph)
-    graph.calls["/go"].append(Endpoint("/old", SET, TWO, Qos()))
-    assert "/old" in clash(graph)
-    graph.calls["/go"] = [Endpoint("/wrong", "std_srvs/srv/Trigger", ONE, Qos())]
-    assert "/wrong" in clash(graph)
-    graph.calls["/go"].append(Endpoint("/asker", SET, ONE, Qos()))
-    assert not clash(graph)
-    others = others_called(LANES["service"], (LaneEntry(SET, ONE, 1),), ["/go"], graph.calls)
-    assert others is not None
-    assert "/wrong" in others.text
-    assert "/asker" not in others.text
-    graph.calls.clear()
-    graph.installed[SET] = TWO
-    assert TWO in clash(graph)

@@ -79,15 +79,6 @@ def test_frames_leave_in_order_and_calls_that_are_over_do_not(outbox: CallsOutbo
     assert channel.frames() == [frames[0], frames[1], frames[3], frames[4]]
 
 
-def test_what_is_over_while_it_waits_is_not_sent(outbox: CallsOutbox, ended: set[int]) -> None:
-    outbox.put(call(1))
-    outbox.flush(FakeChannel(takes=0))  # type: ignore[arg-type]
-    ended.add(1)
-    channel = FakeChannel()
-    outbox.flush(channel)  # type: ignore[arg-type]
-    assert not channel.sent
-
-
 def test_nothing_waits_of_a_call_that_is_over(outbox: CallsOutbox) -> None:
     """A peer that reads nothing makes calls expire, which give back their places in the budget."""
     for number in range(1, 4):

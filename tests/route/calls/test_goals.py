@@ -77,15 +77,6 @@ def test_messages_that_overtake_each_other_lead_nowhere_back() -> None:
     assert states(goals) == {1: "canceling", 2: "succeeded"}
 
 
-def test_a_goal_that_was_rejected_is_over() -> None:
-    goals = Goals(Wall(), Wall())
-    goals.asked(goal(1))
-    goals.answered(goal(1), accepted=False)
-    assert states(goals) == {1: "rejected"}
-    assert goals.over_for(goal(1)) == 0
-    assert goals.running() == []
-
-
 def test_goals_of_other_callers_are_shown_while_they_run() -> None:
     goals = made((1, "executing"))
     listed(goals, (1, "executing"), (2, "executing"), (3, "succeeded"))
@@ -118,11 +109,6 @@ def test_a_goal_whose_call_was_given_up_is_unknown_until_its_server_lists_it() -
     assert states(goals) == {1: "unknown", 2: "executing"}
     listed(goals, (1, "executing"), (2, "executing"))
     assert states(goals) == {1: "executing", 2: "executing"}
-
-
-def test_those_that_are_not_over_come_first_and_the_newest_of_them() -> None:
-    goals = made((1, "succeeded"), (2, "executing"), (3, "aborted"), (4, "executing"))
-    assert list(states(goals)) == [4, 2, 3, 1]
 
 
 def test_those_that_are_over_are_forgotten_first() -> None:

@@ -6,9 +6,8 @@ import asyncio
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from tests.support.offline import FakePeer
+from tests.support.offline import half_of
 
-from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
@@ -44,10 +43,7 @@ class _Graph(NoRos):
 
 
 def _providing(ros: _Graph, make_context: Callable[..., Context]) -> ProvidingRoute:
-    context = make_context(ros)
-    spec = Topic("/set", "transmit", kind="service")
-    proposal = proposal_of(spec, context.transports["tcp"], client_name="robot1", use_name=False)
-    route = ProvidingRoute(context, FakePeer(), spec, proposal, proposed_here=False)
+    route = half_of(ProvidingRoute, make_context(ros), Topic("/set", "transmit", kind="service"), here=False)
     route.open(1)
     route.on_accepted()
     return route

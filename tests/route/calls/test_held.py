@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.support.goals import cancel_request, goal, goal_request
 from tests.support.inside import offers_of, provide, refusal_of
-from tests.support.offline import FakePeer
+from tests.support.offline import half_of
 
-from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.ros_thread import RosTurns
@@ -92,9 +91,7 @@ def test_a_goal_that_may_have_begun_is_not_said_to_be_rejected(
     why: Refused, again: bool, rejected: bool, make_context: Callable[..., Context]
 ) -> None:
     context = make_context()
-    spec = Topic("/dock", "receive", kind="action")
-    proposal = proposal_of(spec, context.transports["tcp"], client_name="robot1", use_name=False)
-    route, server = CallingRoute(context, FakePeer(), spec, proposal, proposed_here=False), Answers()
+    route, server = half_of(CallingRoute, context, Topic("/dock", "receive", kind="action"), here=False), Answers()
     offers_of(route).servers[SEND_GOAL] = server
     assert route.action is not None
     route.action.goals.asked(goal(1))
@@ -169,7 +166,6 @@ class Answers:
 def providing(context: Context, **fields: Any) -> ProvidingRoute:
     """An action's half where its server is, in an opening of its own."""
     spec = Topic("/dock", "transmit", kind="action", **fields)
-    proposal = proposal_of(spec, context.transports["tcp"], client_name="robot1", use_name=False)
-    route = ProvidingRoute(context, FakePeer(), spec, proposal, proposed_here=False)
+    route = half_of(ProvidingRoute, context, spec, here=False)
     route.arming.opened(required=spec.arm, deadman=0.0)
     return route

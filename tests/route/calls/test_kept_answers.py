@@ -5,8 +5,6 @@ from __future__ import annotations
 import pytest
 from tests.support import constants
 from tests.support.goals import cancel_request, cancel_response, goal, goal_request, goal_response, result_response
-from tests.support.held import held_by
-from tests.support.inside import numbers_of
 
 from rsb_bridge.model.calls import CANCEL_GOAL, FEEDBACK, GET_RESULT, SEND_GOAL
 from rsb_bridge.route.calls.kept_calls import (
@@ -68,15 +66,6 @@ def test_an_answer_that_came_while_the_link_was_down_is_there_when_it_is_asked_f
     assert not answers.under_way
 
 
-@pytest.mark.parametrize("lane", [SEND_GOAL, CANCEL_GOAL, GET_RESULT])
-def test_a_question_that_is_still_open_is_not_asked_twice(lane: int) -> None:
-    answers = interrupted_after_asking(asks(lane))
-    assert answers.take(asks(lane), 1, again=True) is AnswerAction.WAIT
-    assert answers.take(asks(lane), 2, again=True) is AnswerAction.WAIT
-    answers.expire(100.0 + 2 * INTERRUPTION)  # a goal may take days
-    assert answers.answered(lane, 7, RESULT, 120.0, linked=True) == (asks(lane), [1, 2])
-
-
 def test_an_answer_that_was_sent_is_kept_until_the_link_would_have_noticed_that_it_did_not_arrive() -> None:
     answers = KeptAnswers()
     answers.asked(asks(GET_RESULT), 7, SERVERS, 1)
@@ -102,13 +91,6 @@ def test_a_new_call_goes_to_the_server_whatever_it_answered_before(lane: int) ->
     answers = interrupted_after_asking(asks(lane))
     answers.answered(lane, 7, goal_response(False), 101.0, linked=False)
     assert answers.take(asks(lane), 1, again=False) is AnswerAction.ASK
-
-
-def test_a_goal_that_never_arrived_does_not_begin_late() -> None:
-    answers = KeptAnswers()
-    assert answers.take(asks(SEND_GOAL), 1, again=True) is AnswerAction.REFUSE
-    assert answers.take(asks(CANCEL_GOAL), 2, again=True) is AnswerAction.ASK
-    assert answers.take(asks(GET_RESULT), 3, again=True) is AnswerAction.ASK
 
 
 def test_the_second_goal_of_an_id_does_not_hide_what_became_of_the_first() -> None:
@@ -152,39 +134,6 @@ def test_a_client_that_was_closed_has_no_answers() -> None:
     assert answers.take(asks(SEND_GOAL), 1, again=True) is AnswerAction.ANSWER
     assert answers.take(asks(SEND_GOAL, 2), 1, again=True) is AnswerAction.LOSE, "it may have come to the server"
     assert asks(CANCEL_GOAL) not in answers
-
-
-def test_nothing_is_kept_of_calls_that_are_over() -> None:
-    """One that waited, and one that asked: no answer comes to it in time."""
-    answers = interrupted_after_asking(asks(SEND_GOAL))
-    assert answers.take(asks(SEND_GOAL), 2, again=True) is AnswerAction.WAIT
-    answers.is_over(2, 105.0)
-    assert answers.answered(SEND_GOAL, 7, goal_response(True), 110.0, linked=True) == (asks(SEND_GOAL), [])
-    answers = KeptAnswers()
-    for lane in (SEND_GOAL, CANCEL_GOAL, GET_RESULT):
-        answers.asked(asks(lane), 7, SERVERS)
-        answers.gave_up(lane, 7, 100.0)
-    answers.expire(100.0 + SENT_KEPT)
-    assert [asks(lane) in answers for lane in (SEND_GOAL, CANCEL_GOAL, GET_RESULT)] == [False, False, True]
-    assert not numbers_of(answers).keys() - {(GET_RESULT, 7)}
-
-
-@pytest.mark.parametrize("lane", [SEND_GOAL, CANCEL_GOAL])
-def test_a_question_that_calls_asked_about_again_in_vain_is_forgotten(lane: int) -> None:
-    """The server that was asked may be gone, and another one in its place: its answer never comes."""
-    answers = interrupted_after_asking(asks(lane))
-    assert answers.take(asks(lane), 2, again=True) is AnswerAction.WAIT
-    assert answers.take(asks(lane), 3, again=True) is AnswerAction.WAIT
-    answers.is_over(2, 130.0)
-    answers.expire(130.0 + SENT_KEPT)
-    assert asks(lane) in answers, "a call waits for it"
-    answers.is_over(3, 200.0)
-    answers.expire(200.0 + SENT_KEPT - 1)
-    assert asks(lane) in answers
-    answers.expire(200.0 + SENT_KEPT)
-    assert asks(lane) not in answers
-    assert not answers.under_way
-    assert not held_by(answers)
 
 
 def test_those_with_answers_are_forgotten_first(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,17 +21,6 @@ def result_of(number: int) -> KeptCall:
     return call(GET_RESULT, goal_request(goal(number)))
 
 
-def test_cancels_are_asked_first_and_results_last() -> None:
-    kept = KeptCalls(TIMEOUT)
-    result, cancel = result_of(1), call(CANCEL_GOAL, cancel_request(goal(1)), again=False)
-    sent, later = call(SEND_GOAL, goal_request(goal(2))), call(CANCEL_GOAL, cancel_request(goal(3)))
-    for each in (result, cancel, sent, later):
-        assert kept.keep(each, 0.0)
-    assert len(kept) == 4
-    assert kept.release() == [cancel, later, sent, result]
-    assert len(kept) == 0
-
-
 def test_a_goal_that_was_not_under_way_does_not_begin_late() -> None:
     assert not KeptCalls(TIMEOUT).keep(call(SEND_GOAL, goal_request(goal(1)), again=False), 0.0)
 

@@ -77,15 +77,6 @@ def test_no_timer_is_left_once_all_are_given_up(held: Held) -> None:
     assert not held_by(held.calls)
 
 
-def test_no_timer_is_left_after_the_time_of_the_last_call(held: Held) -> None:
-    held.begin(1, 1000.0)
-    held.calls.end(1)
-    held.pass_time(1001.0)
-    assert not held.expired
-    assert not timer_of(held.calls)
-    assert not held_by(held.calls)
-
-
 def test_calls_one_after_another_set_one_timer(held: Held) -> None:
     """To set a timer wakes the I/O loop, and to cancel it costs as much as to send the call."""
     set_ = Mock(wraps=held.loop.call_at)
@@ -130,7 +121,7 @@ def test_what_is_kept_of_ended_calls_does_not_grow(held: Held) -> None:
     """However long the timeout is, and however many calls are over before it."""
     random = Random(1)
     waiting: list[int] = []
-    for number in range(1, 20_001):
+    for number in range(1, 3_001):
         held.begin(number, 3600.0)
         waiting.append(number)
         if len(waiting) > 100:

@@ -1,4 +1,4 @@
-"""Count calls that their callers get no answer to: ``python -m tests.calls.answered --bridge tcp --calls 10000``.
+"""Count calls that their callers get no answer to: ``python -m bench.answered --bridge tcp --calls 10000``.
 
 Stock rclpy nodes call one stock server, each in a process of its own, directly (``--bridge none``) or through a bridge
 whose sides are processes too. Callers are replaced by new ones after some calls, as a call that follows on its caller's
@@ -11,6 +11,7 @@ import argparse
 import contextlib
 import json
 import os
+import select
 import subprocess
 import sys
 import tempfile
@@ -18,12 +19,23 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile
+from std_srvs.srv import Trigger
+from tests.support.locks import two_domains
+from tests.support.ports import free_port
 from tests.support.waiting import eventually
+
+from rsb_bridge.config.keys import write_key
+from rsb_bridge.config.session_file import load, save
+from rsb_bridge.engine import Engine
+from rsb_bridge.model.session import Session, Topic, ZenohSettings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 SERVICE = "/answered"
 WAITS_FOR_SERVER = 60.0
 """s until a caller gives up."""
@@ -36,9 +48,6 @@ DEFAULT_DEPTH = 10
 
 def serve(domain_id: int, depth: int) -> None:
     """Answer all calls."""
-    from rclpy.qos import QoSProfile
-    from std_srvs.srv import Trigger
-
     taken = 0
 
     def answer(_request: Any, response: Any) -> Any:
@@ -56,9 +65,6 @@ def serve(domain_id: int, depth: int) -> None:
 
 def call(domain_id: int, depth: int, calls: int, rate: float, burst: int, quiet: float) -> None:
     """Make calls at a rate, some at once, and wait until all are answered or none has been for a while."""
-    from rclpy.qos import QoSProfile
-    from std_srvs.srv import Trigger
-
     with _node(domain_id, "caller") as (node, spin):
         client = node.create_client(Trigger, SERVICE, qos_profile=QoSProfile(depth=depth))
         assert client.wait_for_service(WAITS_FOR_SERVER), "no server"
@@ -88,9 +94,6 @@ def call(domain_id: int, depth: int, calls: int, rate: float, burst: int, quiet:
 
 def bridge_half(folder: Path, role: str) -> None:
     """Run one side of the bridge, and count its calls in the end."""
-    from rsb_bridge.config.session_file import load
-    from rsb_bridge.engine import Engine
-
     engine = Engine(load(folder / f"{role}.yaml"), base=folder)
     engine.start()
     try:
@@ -109,9 +112,6 @@ def bridge_half(folder: Path, role: str) -> None:
 @contextlib.contextmanager
 def _node(domain_id: int, name: str) -> Iterator[tuple[Any, Any]]:
     """Join a domain with a stock node; gives it, and what spins it until a condition holds."""
-    import rclpy
-    from rclpy.executors import SingleThreadedExecutor
-
     rclpy.init(domain_id=domain_id)
     node = rclpy.create_node(f"{name}_{os.getpid()}")
     executor = SingleThreadedExecutor()
@@ -130,13 +130,11 @@ def _node(domain_id: int, name: str) -> Iterator[tuple[Any, Any]]:
 
 
 def _input_ended() -> bool:
-    import select
-
     return bool(select.select([sys.stdin], [], [], 0)[0])
 
 
 def _say(what: object) -> None:
-    print(json.dumps(what), flush=True)  # noqa: T201
+    print(json.dumps(what), flush=True)
 
 
 # --- the run
@@ -147,7 +145,7 @@ class Child:
 
     def __init__(self, what: str, **arguments: object) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.calls.answered", "--child", what, json.dumps(arguments)],
+            [sys.executable, "-m", "bench.answered", "--child", what, json.dumps(arguments)],
             cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
 
@@ -173,8 +171,6 @@ class Child:
 
 def run(how: argparse.Namespace) -> None:
     """Make the calls, and print the counts."""
-    from tests.support.locks import two_domains
-
     domain_id = two_domains()
     there = domain_id if how.bridge == "none" else domain_id + 1
     with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as resources:
@@ -198,30 +194,24 @@ def run(how: argparse.Namespace) -> None:
             for outcome in [caller.result(end=False) for caller in callers]:
                 asked, answered = asked + outcome["asked"], answered + outcome["answered"]
                 if how.verbose and outcome["missing"]:
-                    print(f"  round {rounds}: without an answer (number, s): {outcome['missing']}", flush=True)  # noqa: T201
+                    print(f"  round {rounds}: without an answer (number, s): {outcome['missing']}", flush=True)
         took = time.monotonic() - began
         counts = {half: child.result(end=True) for half, child in halves}
         taken = server.result(end=True)["taken"]
-    print(  # noqa: T201
+    print(
         f"{how.bridge}: {asked} calls by {rounds} × {how.callers} callers in {took:.0f} s, depth {how.depth}, "
         f"{how.burst} at once: {answered} answered at the callers, {asked - answered} not; the server took {taken}"
     )
     for half, count in counts.items():
-        print(f"  {half}: {count}")  # noqa: T201
+        print(f"  {half}: {count}")
 
 
 def _halves(folder: Path, kind: str, domain_id: int, resources: contextlib.ExitStack) -> list[tuple[str, Child]]:
     """Start both sides of a bridge: callers are in the client's domain."""
-    from tests.support.ports import free_port
-
-    from rsb_bridge.config.keys import write_key
-    from rsb_bridge.config.session_file import save
-    from rsb_bridge.model.session import Session, Topic, ZenohSettings
-
     write_key(folder / "robot1.key")
     common: dict[str, Any] = {"name": "robot1", "key_file": "robot1.key"}
     if kind == "zenoh":
-        from tests.support.zenoh_router import Router
+        from tests.support.zenoh_router import Router  # noqa: PLC0415 — the package is optional
 
         router = Router()
         resources.callback(router.close)
@@ -252,7 +242,7 @@ def main() -> None:
     if sys.argv[1:2] == ["--child"]:
         _child(sys.argv[2], json.loads(sys.argv[3]))
         return
-    parser = argparse.ArgumentParser(prog="python -m tests.calls.answered")
+    parser = argparse.ArgumentParser(prog="python -m bench.answered")
     parser.add_argument("--bridge", choices=("none", "tcp", "zenoh"), default="tcp", help="what is between them")
     parser.add_argument("--calls", type=int, default=10_000, help="in all")
     parser.add_argument("--callers", type=int, default=3, help="at a time")
