@@ -53,8 +53,7 @@ def shown(remote: RemoteEngine, topic: str) -> RouteSnapshot | None:
 
 def test_it_is_seen_and_changed_from_elsewhere(bridge: Bridge, machine: Machine) -> None:
     _, client = bridge.both(Topic("/tcp", "transmit", type="std_msgs/msg/String"))
-    machine.serve(client)
-    remote = machine.attach()
+    remote = machine.attach_to(client)
     eventually(lambda: remote.snapshot().links[0].state is State.OK)
     assert [route.topic for route in remote.snapshot().routes] == ["/tcp"]
     eventually(lambda: any(event.code == EventCode.LINK_UP for event in remote.events()))

@@ -42,8 +42,7 @@ class _Engine(ScriptedEngine):
 
 def test_an_attached_console_says_what_is_an_undo(machine: Machine) -> None:
     engine = _Engine()
-    machine.serve(engine)
-    remote = machine.attach()
+    remote = machine.attach_to(engine)
     remote.pause("/scan", True).result(60)
     with undoing():
         remote.pause("/scan", False).result(60)

@@ -15,18 +15,16 @@ from tests.support.bridge import happened, link, linked, now
 from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
 
-from rsb_bridge.config.keys import fingerprint, read_key
+from rsb_bridge.config.keys import read_key
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import REMEDY, SameName
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.events import StreamRefused
 from rsb_bridge.wire.messages import Hello
-from rsb_bridge.wire.preamble import RefusalText
 from rsb_bridge.wire.sealing import CipherSuite
 from rsb_console.command.formatting import json_status
 
@@ -46,33 +44,6 @@ def as_json(engine: Engine, name: str = "robot1") -> tuple[str, str, str]:
     """A link's state, cause and reason as headless says them."""
     shown = json.loads(json_status(now(engine)))["status"]["links"][name]
     return shown["state"], shown["cause"], shown["reason"]
-
-
-def test_a_wrong_key_is_a_fault_of_the_link_on_both_sides(bridge: Bridge) -> None:
-    theirs = bridge.make_key("other")
-    server = bridge.server(name="pc", clients=(Client("robot1"), Client("robot2")), shared_keys=True)
-    client = bridge.client(key_file=theirs)
-    eventually(lambda: link(client).cause == link(server).cause == LinkCause.WRONG_KEY)
-    marks = [fingerprint(read_key(bridge.folder / name)) for name in (theirs, bridge.key_file)]
-    words = RefusalText.KEYS_DIFFER(name="robot1", theirs=marks[0], there="client", ours=marks[1], here="server")
-    for engine in (client, server):
-        assert link(engine).state is State.DOWN
-        assert words in link(engine).reason
-        assert as_json(engine) == ("down", "wrong_key", link(engine).reason)
-    assert "127.0.0.1" in link(server).reason
-    event = happened(server, EventCode.LINK_WRONG_KEY)
-    assert event is not None
-    assert (event.link, event.level) == ("robot1", Level.WARNING)
-    assert link(server, "robot2").cause == LinkCause.NOT_YET
-
-
-def test_a_robot_that_is_missing_was_last_seen_somewhere(bridge: Bridge) -> None:
-    server, client = bridge.both()
-    address = link(server).peer
-    assert address
-    client.stop()
-    eventually(lambda: link(server).state is State.DOWN)
-    assert (link(server).peer, link(server).cause) == (address, LinkCause.CLOSED)
 
 
 @pytest.mark.usefixtures("heard_of")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 from tests.link.test_arming import CONSOLE, arm, let_time_pass, propose, route
-from tests.link.test_route_table import Pair, Side, hear_all
+from tests.link.test_route_table import hear_all, pair_of
 
 from rsb_bridge.cdr.resting import resting, stamped
 from rsb_bridge.cdr.velocity import velocity_of
@@ -139,10 +139,7 @@ class Driven:
         """
         self.robot, self._loop = Robot(loop), loop
         armed = () if there is None else (ArmedName("/cmd_vel", on_end=there),)
-        here = Side(make_context(ros=self.robot), is_client=True)
-        pc = Side(make_context(role="server", armed=armed), is_client=False)
-        here.other, pc.other = pc, here
-        self.pair: Pair = (here, pc)
+        self.pair = here, pc = pair_of(make_context(ros=self.robot), make_context(role="server", armed=armed))
         propose(here, Topic("/cmd_vel", "receive", arm=True, deadman=DEADMAN, type=kind, on_end=on_end))
         hear_all(self.pair)
         self.kind = kind

@@ -8,7 +8,7 @@ from unittest.mock import patch
 
 import pytest
 from tests.link.test_arming import COMMANDS, CONSOLE, arm, events, let_time_pass, propose, route, turn
-from tests.link.test_route_table import Pair, Side, hear_all
+from tests.link.test_route_table import Pair, Side, hear_all, pair_of
 from tests.support.wording import says
 
 from rsb_bridge.link.errors import LinkError
@@ -33,8 +33,7 @@ OTHER = "bert's"
 @pytest.fixture
 def pair(loop: VirtualLoop, make_context: Callable[..., Context]) -> Pair:
     """A robot, which is the client, and a control PC, whose operator anna has armed the topic."""
-    robot, pc = Side(make_context(), is_client=True), Side(make_context(role="server"), is_client=False)
-    robot.other, pc.other = pc, robot
+    robot, pc = pair_of(make_context(), make_context(role="server"))
     propose(robot, COMMANDS)
     hear_all((robot, pc))
     arm(pc, loop).result()
@@ -79,8 +78,6 @@ def test_the_holder_sees_who_asks_and_how_long_it_takes(at: int, pair: Pair, loo
     assert shown(pair[1]).goes_in == pytest.approx(ASKED_FOR - 2.5, abs=0.3)
     assert all(shown(side).armed for side in pair)
     assert not task.done()
-    task.cancel()
-    turn(loop)
 
 
 @both
@@ -188,8 +185,6 @@ def test_an_answer_is_no_answer_to_another_question(pair: Pair, loop: VirtualLoo
     pair[0].table.handle(AskEnded(route(pair[0]).id, "given", own=True))
     turn(loop)
     assert not task.done()
-    task.cancel()
-    turn(loop)
 
 
 def test_only_the_holders_side_answers(pair: Pair, loop: VirtualLoop) -> None:
@@ -199,8 +194,6 @@ def test_only_the_holders_side_answers(pair: Pair, loop: VirtualLoop) -> None:
         pair[1].table.handle(AskEnded(route(pair[1]).id, "given", own=own))
         turn(loop)
     assert not task.done()
-    task.cancel()
-    turn(loop)
 
 
 @both
@@ -230,8 +223,6 @@ def test_only_the_holders_console_answers(pair: Pair, loop: VirtualLoop) -> None
             side.table.questions.answer(route(side), console, gives=True)
         assert says(str(error.value), TakeOverText.NOT_YOURS)
     assert not task.done()
-    task.cancel()
-    turn(loop)
 
 
 def test_what_nobody_holds_needs_no_question(pair: Pair, loop: VirtualLoop) -> None:
@@ -242,11 +233,9 @@ def test_what_nobody_holds_needs_no_question(pair: Pair, loop: VirtualLoop) -> N
 
 def test_one_asks_at_a_time_and_nobody_oneself(pair: Pair, loop: VirtualLoop) -> None:
     assert says(problem(ask(pair[1], loop, CONSOLE)), TakeOverText.HELD_HERE)
-    first = ask(pair[1], loop)
+    ask(pair[1], loop)
     assert says(problem(ask(pair[1], loop, "third")), TakeOverText.ASKED_ALREADY)
     assert says(problem(ask(pair[0], loop)), TakeOverText.ASKED_ALREADY)
-    first.cancel()
-    turn(loop)
 
 
 def test_of_two_questions_from_both_sides_the_holders_side_has_the_first(pair: Pair, loop: VirtualLoop) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support import replaced
+from tests.support.coroutines import until
 from tests.support.held import held_by
 
 from rsb_bridge.transport import udp_segments
@@ -27,12 +28,6 @@ HOSTS = pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
 def has_segments() -> bool:
     with socket.socket(type=socket.SOCK_DGRAM) as probe:
         return udp_segments.can_segment(probe) and udp_segments.coalesce(probe)
-
-
-async def until(condition: Callable[[], object]) -> None:
-    async with asyncio.timeout(60):
-        while not condition():  # noqa: ASYNC110 — plain state, looked at for a moment
-            await asyncio.sleep(0.005)
 
 
 def address_of(host: str, port: int) -> Any:
@@ -138,49 +133,41 @@ class Skipping(asyncio.SelectorEventLoop):
             self.readers.append(callback)
 
 
-def test_a_peer_that_roams_does_not_make_the_table_of_sizes_grow() -> None:
-    async def main() -> None:
-        async with server_on("127.0.0.1") as (sock, _):
-            for number in range(1000):
-                assert sock.datagram_size((f"127.0.{number // 250}.{number % 250 + 1}", 1000)) > 1000
-            assert held_by(sock) <= 256
-
-    asyncio.run(main())
+async def test_a_peer_that_roams_does_not_make_the_table_of_sizes_grow() -> None:
+    async with server_on("127.0.0.1") as (sock, _):
+        for number in range(1000):
+            assert sock.datagram_size((f"127.0.{number // 250}.{number % 250 + 1}", 1000)) > 1000
+        assert held_by(sock) <= 256
 
 
 @HOSTS
 @pytest.mark.parametrize("with_segments", [True, False])
-def test_datagrams_arrive_as_they_were_sent(host: str, with_segments: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_datagrams_arrive_as_they_were_sent(
+    host: str, with_segments: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Datagrams of one size and of several, both ways, with the kernel's help and without."""
     if not with_segments:
         replaced.CAN_SEGMENT.set(monkeypatch, lambda _: False)
         replaced.COALESCE.set(monkeypatch, lambda _: False)
     sizes = [1200] * 150 + [700] + [1200] * 3 + [1, 2, 0, 5] + [60_000, 60_000, 9000]
     datagrams = [bytes([index % 251]) * size for index, size in enumerate(sizes)]
-
-    async def main() -> None:
-        async with pair(host) as (server, client, came, back):
-            client.send(datagrams, None)
-            await until(lambda: len(came) >= len(datagrams))
-            assert came == datagrams
-            server.send(datagrams, server.path(host, address_of(host, client.port)))
-            await until(lambda: len(back) >= len(datagrams))
-            assert back == datagrams
-
-    asyncio.run(main())
+    async with pair(host) as (server, client, came, back):
+        client.send(datagrams, None)
+        await until(lambda: len(came) >= len(datagrams))
+        assert came == datagrams
+        server.send(datagrams, server.path(host, address_of(host, client.port)))
+        await until(lambda: len(back) >= len(datagrams))
+        assert back == datagrams
 
 
 @pytest.mark.skipif(not has_segments(), reason="the kernel has no UDP segmentation")
 @HOSTS
-def test_datagrams_of_one_size_go_in_one_call(host: str) -> None:
-    async def main() -> None:
-        async with watched(host) as (calls, client, came):
-            client.send([bytes(1000)] * 64 + [bytes(400), bytes(1000)], None)
-            await until(lambda: len(came) == 66)
-            assert calls.sent == [64, 1, 1]
-            assert client.receive_buffer > 0
-
-    asyncio.run(main())
+async def test_datagrams_of_one_size_go_in_one_call(host: str) -> None:
+    async with watched(host) as (calls, client, came):
+        client.send([bytes(1000)] * 64 + [bytes(400), bytes(1000)], None)
+        await until(lambda: len(came) == 66)
+        assert calls.sent == [64, 1, 1]
+        assert client.receive_buffer > 0
 
 
 @pytest.mark.parametrize(("pause", "reads"), [(1.0, [1, 2, 3]), (0.00005, [1, 5])])
@@ -210,30 +197,24 @@ def test_a_wake_up_reads_once_unless_they_follow_one_another(pause: float, reads
         runner.run(main())
 
 
-def test_what_was_not_read_at_once_comes_next() -> None:
-    async def main() -> None:
-        async with pair("127.0.0.1") as (_, client, came, _):
-            client.send([b"a"], None)
-            client.send([b"bc"], None)
-            await until(lambda: len(came) == 2)
-            assert came == [b"a", b"bc"]
-
-    asyncio.run(main())
+async def test_what_was_not_read_at_once_comes_next() -> None:
+    async with pair("127.0.0.1") as (_, client, came, _):
+        client.send([b"a"], None)
+        client.send([b"bc"], None)
+        await until(lambda: len(came) == 2)
+        assert came == [b"a", b"bc"]
 
 
-def test_nothing_waits_in_a_socket_that_is_closed() -> None:
-    async def main() -> None:
-        async with watched() as (calls, client, _):
-            calls.refuses = True
-            client.send([b"waits"], None)
-            assert client.congested
-            client.close()
-            calls.refuses = False
-            client.send([b"late"], None)
-            assert not client.congested
-            assert client.waiting_bytes == 0
-
-    asyncio.run(main())
+async def test_nothing_waits_in_a_socket_that_is_closed() -> None:
+    async with watched() as (calls, client, _):
+        calls.refuses = True
+        client.send([b"waits"], None)
+        assert client.congested
+        client.close()
+        calls.refuses = False
+        client.send([b"late"], None)
+        assert not client.congested
+        assert client.waiting_bytes == 0
 
 
 @pytest.mark.skipif(not has_segments(), reason="the kernel has no UDP segmentation")
@@ -260,37 +241,30 @@ def test_what_the_kernel_does_not_cut_goes_one_by_one_for_a_while(number: int) -
         runner.run(main())
 
 
-def test_a_datagram_that_fails_alone_is_lost_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_datagram_that_fails_alone_is_lost_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     replaced.CAN_SEGMENT.set(monkeypatch, lambda _: False)
-
-    async def main() -> None:
-        async with watched() as (calls, client, came):
-            calls.failures = [None, OSError(errno.EMSGSIZE, "")]
-            client.send([b"a", b"b", b"c"], None)
-            await until(lambda: len(came) == 2)
-            assert came == [b"a", b"c"]
-
-    asyncio.run(main())
+    async with watched() as (calls, client, came):
+        calls.failures = [None, OSError(errno.EMSGSIZE, "")]
+        client.send([b"a", b"b", b"c"], None)
+        await until(lambda: len(came) == 2)
+        assert came == [b"a", b"c"]
 
 
-def test_what_the_kernel_refuses_waits_in_order_and_is_bounded() -> None:
-    async def main() -> None:
-        async with watched() as (calls, client, came):
-            written = asyncio.Event()
-            client.when_writable.add(written.set)
-            calls.refuses = True
-            for number in range(40):
-                client.send([bytes([number]) * 1000] * 1000, None)
-            assert client.congested
-            assert 16 << 20 <= client.waiting_bytes <= (16 << 20) + 1_000_000
-            calls.refuses = False
-            await written.wait()
-            assert not client.congested
-            assert client.waiting_bytes == 0
-            await until(lambda: came)
-            assert came == sorted(came)
-
-    asyncio.run(main())
+async def test_what_the_kernel_refuses_waits_in_order_and_is_bounded() -> None:
+    async with watched() as (calls, client, came):
+        written = asyncio.Event()
+        client.when_writable.add(written.set)
+        calls.refuses = True
+        for number in range(40):
+            client.send([bytes([number]) * 1000] * 1000, None)
+        assert client.congested
+        assert 16 << 20 <= client.waiting_bytes <= (16 << 20) + 1_000_000
+        calls.refuses = False
+        await written.wait()
+        assert not client.congested
+        assert client.waiting_bytes == 0
+        await until(lambda: came)
+        assert came == sorted(came)
 
 
 class _Counted(bytes):
@@ -303,31 +277,24 @@ class _Counted(bytes):
         return super().__len__()
 
 
-def test_what_waits_is_not_counted_anew_for_each_message() -> None:
+async def test_what_waits_is_not_counted_anew_for_each_message() -> None:
     """One link's datagrams wait for the kernel, and all links send on the same socket meanwhile."""
-
-    async def main() -> None:
-        async with watched() as (calls, client, _):
-            calls.refuses = True
-            client.send([_Counted(1400) for _ in range(5000)], None)
-            _Counted.asked = 0
-            for _ in range(1000):
-                client.send([_Counted(1400)], None)
-            assert _Counted.asked <= 10 * 1000
-
-    asyncio.run(main())
+    async with watched() as (calls, client, _):
+        calls.refuses = True
+        client.send([_Counted(1400) for _ in range(5000)], None)
+        _Counted.asked = 0
+        for _ in range(1000):
+            client.send([_Counted(1400)], None)
+        assert _Counted.asked <= 10 * 1000
 
 
-def test_a_limit_that_was_raised_is_used_without_a_restart() -> None:
-    async def main() -> None:
-        async with watched() as (calls, client, _):
-            calls.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 50_000)
-            with socket.socket(type=socket.SOCK_DGRAM) as other:
-                other.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-                allowed = other.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
-            assert allowed <= client.receive_buffer <= RECEIVE_BUFFER
-
-    asyncio.run(main())
+async def test_a_limit_that_was_raised_is_used_without_a_restart() -> None:
+    async with watched() as (calls, client, _):
+        calls.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 50_000)
+        with socket.socket(type=socket.SOCK_DGRAM) as other:
+            other.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+            allowed = other.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
+        assert allowed <= client.receive_buffer <= RECEIVE_BUFFER
 
 
 @pytest.mark.parametrize(
