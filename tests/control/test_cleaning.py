@@ -136,17 +136,17 @@ def test_too_much_is_refused() -> None:
 
 
 def test_routes_that_are_never_listed_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.CLEANED_ITEMS.set(monkeypatch, 3000)
+    constants.CLEANED_ITEMS.set(monkeypatch, 300)
     receiver = StateReceiver(BRIDGE, trusted=False)
-    for first in range(0, 3000, 1000):
+    for first in range(0, 300, 100):
         assert not receiver.take(some_routes(first))
     with pytest.raises(ControlProtocolError):
-        receiver.take(some_routes(3000))
+        receiver.take(some_routes(300))
 
 
 def some_routes(first: int) -> protocol.StateChange:
-    """A thousand routes, of a state that goes on."""
-    routes = (replace(ROUTES[0], key=str(first + number)) for number in range(1000))
+    """A hundred routes, of a state that goes on."""
+    routes = (replace(ROUTES[0], key=str(first + number)) for number in range(100))
     return protocol.StateChange(routes=tuple(map(protocol.encode_route, routes)), more=True)
 
 

@@ -103,7 +103,7 @@ def fed(data: bytes, cuts: list[int], *, to_bridge: bool) -> list[Any]:
 
 
 @pytest.mark.parametrize("name", MESSAGES)
-@settings(max_examples=settings().max_examples * 3 // 5, deadline=None)
+@settings(max_examples=settings().max_examples // 3, deadline=None)
 @given(data=st.data(), cuts=st.lists(st.integers(0, 10_000), max_size=5))
 def test_every_message_comes_through_whole(name: str, data: st.DataObject, cuts: list[int]) -> None:
     messages = data.draw(st.lists(MESSAGES[name], min_size=1, max_size=3))
@@ -141,7 +141,7 @@ def test_text_that_is_not_utf_8_is_refused(to_bridge: bool) -> None:
         fed(len(body).to_bytes(4, "big") + body, [], to_bridge=to_bridge)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=settings().max_examples // 2, deadline=None)
 @given(data=st.data())
 def test_a_console_has_the_routes_that_the_engine_has(data: st.DataObject) -> None:
     """After routes are added, changed, removed and moved between two polls."""

@@ -86,7 +86,7 @@ async def test_an_earlier_asker_s_timeout_harms_no_later_one(loop: VirtualLoop, 
     assert not side.questions.awaited(3)
 
 
-async def test_an_asker_who_leaves_harms_no_other(loop: VirtualLoop, side: Side) -> None:
+async def test_an_asker_who_leaves_harms_no_other(side: Side) -> None:
     first, second = asyncio.ensure_future(side.ask()), asyncio.ensure_future(side.ask())
     await asyncio.sleep(1.0)
     first.cancel()
@@ -100,7 +100,7 @@ async def test_an_asker_who_leaves_harms_no_other(loop: VirtualLoop, side: Side)
     assert not side.questions.awaited(3), "nobody waits"
 
 
-async def test_questions_are_answered_one_after_the_other(loop: VirtualLoop, side: Side) -> None:
+async def test_questions_are_answered_one_after_the_other(side: Side) -> None:
     for number in (1, 2, 3, 2):
         side.asked(number)
     await asyncio.sleep(1.5)
@@ -113,7 +113,7 @@ async def test_questions_are_answered_one_after_the_other(loop: VirtualLoop, sid
     assert side.found == [1, 2, 3, 2], "it is answered again once it was answered"
 
 
-async def test_a_peer_cannot_make_the_questions_many(loop: VirtualLoop, side: Side) -> None:
+async def test_a_peer_cannot_make_the_questions_many(side: Side) -> None:
     for number in range(1000):
         side.asked(number)
     await asyncio.sleep(2000.0)
@@ -123,7 +123,7 @@ async def test_a_peer_cannot_make_the_questions_many(loop: VirtualLoop, side: Si
     assert side.sent[-1] == TypeText(route=1000)
 
 
-async def test_the_next_connection_gets_no_answers_of_the_last(loop: VirtualLoop, side: Side) -> None:
+async def test_the_next_connection_gets_no_answers_of_the_last(side: Side) -> None:
     side.asked(1)
     side.asked(2)
     asking = asyncio.ensure_future(side.ask())
@@ -137,7 +137,7 @@ async def test_the_next_connection_gets_no_answers_of_the_last(loop: VirtualLoop
     assert side.sent == [AskType(route=3), TypeText(route=1)]
 
 
-async def test_a_failure_ends_what_waits(loop: VirtualLoop, side: Side) -> None:
+async def test_a_failure_ends_what_waits(side: Side) -> None:
     async def fails() -> ControlMessage:
         raise ValueError("broken")
 

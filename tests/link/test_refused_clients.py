@@ -20,7 +20,7 @@ def at(host: str) -> Any:
     return SimpleNamespace(host=host, peer=f"{host}:4242")
 
 
-def test_a_flood_of_names(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+def test_a_flood_of_names(make_context: Callable[..., Context]) -> None:
     refused = RefusedClients(make_context())
     refused.record_attempt(at("10.0.0.9"), "robot9", LinkCause.UNKNOWN_NAME, "")
     for number in range(1000):

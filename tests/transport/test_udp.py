@@ -7,7 +7,7 @@ import contextlib
 import errno
 import socket
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 from tests.support import replaced
@@ -20,7 +20,7 @@ from rsb_bridge.transport.transport import RECEIVE_BUFFER, Acceptor
 from rsb_bridge.transport.udp import Udp, UdpSocket
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable
+    from collections.abc import AsyncIterator, Callable, Iterator
 
 HOSTS = pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
 
@@ -133,6 +133,12 @@ class Skipping(asyncio.SelectorEventLoop):
             self.readers.append(callback)
 
 
+@pytest.fixture
+def loop() -> Iterator[Skipping]:
+    with asyncio.Runner(loop_factory=Skipping) as runner:
+        yield cast("Skipping", runner.get_loop())
+
+
 async def test_a_peer_that_roams_does_not_make_the_table_of_sizes_grow() -> None:
     async with server_on("127.0.0.1") as (sock, _):
         for number in range(1000):
@@ -171,30 +177,25 @@ async def test_datagrams_of_one_size_go_in_one_call(host: str) -> None:
 
 
 @pytest.mark.parametrize(("pause", "reads"), [(1.0, [1, 2, 3]), (0.00005, [1, 5])])
-def test_a_wake_up_reads_once_unless_they_follow_one_another(pause: float, reads: list[int]) -> None:
+async def test_a_wake_up_reads_once_unless_they_follow_one_another(
+    pause: float, reads: list[int], loop: Skipping
+) -> None:
     """A read that finds nothing costs as much as half a message; in a flood, one of many."""
-
-    async def main() -> None:
-        loop = asyncio.get_running_loop()
-        assert isinstance(loop, Skipping)
-        sock: Any = Watched(socket.socket(type=socket.SOCK_DGRAM))
-        sock.bind(("127.0.0.1", 0))
-        loop.held_at = 1000.0
-        came: list[bytes] = []
-        server = UdpSocket(sock, lambda _, datagrams: came.extend(bytes(each) for each, _ in datagrams))
-        with contextlib.closing(server), socket.socket(type=socket.SOCK_DGRAM) as client:
-            for number in range(4):
-                client.sendto(bytes([number]), ("127.0.0.1", server.port))
-            done = []
-            for _ in reads:
-                loop.readers[0]()
-                done.append(sock.reads)
-                loop.held_at += pause
-            assert done == reads
-            assert len(came) == min(4, reads[-1])
-
-    with asyncio.Runner(loop_factory=Skipping) as runner:
-        runner.run(main())
+    sock: Any = Watched(socket.socket(type=socket.SOCK_DGRAM))
+    sock.bind(("127.0.0.1", 0))
+    loop.held_at = 1000.0
+    came: list[bytes] = []
+    server = UdpSocket(sock, lambda _, datagrams: came.extend(bytes(each) for each, _ in datagrams))
+    with contextlib.closing(server), socket.socket(type=socket.SOCK_DGRAM) as client:
+        for number in range(4):
+            client.sendto(bytes([number]), ("127.0.0.1", server.port))
+        done = []
+        for _ in reads:
+            loop.readers[0]()
+            done.append(sock.reads)
+            loop.held_at += pause
+        assert done == reads
+        assert len(came) == min(4, reads[-1])
 
 
 async def test_what_was_not_read_at_once_comes_next() -> None:
@@ -219,26 +220,19 @@ async def test_nothing_waits_in_a_socket_that_is_closed() -> None:
 
 @pytest.mark.skipif(not has_segments(), reason="the kernel has no UDP segmentation")
 @pytest.mark.parametrize("number", [errno.EIO, errno.EINVAL, errno.EMSGSIZE])
-def test_what_the_kernel_does_not_cut_goes_one_by_one_for_a_while(number: int) -> None:
+async def test_what_the_kernel_does_not_cut_goes_one_by_one_for_a_while(number: int, loop: Skipping) -> None:
     """An interface may not be able to, or the path has just become narrower; nothing is lost by it."""
-
-    async def main() -> None:
-        async with watched() as (calls, client, came):
-            calls.failures = [OSError(number, "")]
-            client.send([bytes(1000)] * 10, None)
-            await until(lambda: len(came) == 10)
-            client.send([bytes(1000)] * 10, None)
-            await until(lambda: len(came) == 20)
-            assert calls.sent == [1] * 20
-            loop = asyncio.get_running_loop()
-            assert isinstance(loop, Skipping)
-            loop.skipped += 1.0
-            client.send([bytes(1000)] * 10, None)
-            await until(lambda: len(came) == 30)
-            assert calls.sent[20:] == [10]
-
-    with asyncio.Runner(loop_factory=Skipping) as runner:
-        runner.run(main())
+    async with watched() as (calls, client, came):
+        calls.failures = [OSError(number, "")]
+        client.send([bytes(1000)] * 10, None)
+        await until(lambda: len(came) == 10)
+        client.send([bytes(1000)] * 10, None)
+        await until(lambda: len(came) == 20)
+        assert calls.sent == [1] * 20
+        loop.skipped += 1.0
+        client.send([bytes(1000)] * 10, None)
+        await until(lambda: len(came) == 30)
+        assert calls.sent[20:] == [10]
 
 
 async def test_a_datagram_that_fails_alone_is_lost_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:

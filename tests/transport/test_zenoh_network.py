@@ -263,25 +263,28 @@ class _Waiting(asyncio.SelectorEventLoop):
         return True
 
 
-def test_only_samples_of_routes_are_taken_on_zenohs_thread(router: Router) -> None:
-    async def test() -> None:
-        async with with_stranger(router) as (server, other, _):
-            of_route, of_link, unproven = End(), End(of_link=True), End(trusted=False)
-            ends = {"1" * 16: of_route, "2" * 16: of_link, "3" * 16: unproven}
-            for stream, end in ends.items():
-                server.add(NOBODY, stream, end)
-
-            def comes() -> bool:
-                for stream in ends:
-                    other.put(stream=stream)
-                return all(end.came for end in ends.values()) and bool(of_route.threads - here)
-
-            here = {threading.get_ident()}
-            await until(comes)  # on the loop's thread, if the loop is busy when a sample comes
-            assert of_link.threads == unproven.threads == here
-
+@pytest.fixture
+def loop() -> Iterator[asyncio.AbstractEventLoop]:
     with asyncio.Runner(loop_factory=_Waiting) as runner:
-        runner.run(test())
+        yield runner.get_loop()
+
+
+@pytest.mark.usefixtures("loop")
+async def test_only_samples_of_routes_are_taken_on_zenohs_thread(router: Router) -> None:
+    async with with_stranger(router) as (server, other, _):
+        of_route, of_link, unproven = End(), End(of_link=True), End(trusted=False)
+        ends = {"1" * 16: of_route, "2" * 16: of_link, "3" * 16: unproven}
+        for stream, end in ends.items():
+            server.add(NOBODY, stream, end)
+
+        def comes() -> bool:
+            for stream in ends:
+                other.put(stream=stream)
+            return all(end.came for end in ends.values()) and bool(of_route.threads - here)
+
+        here = {threading.get_ident()}
+        await until(comes)  # on the loop's thread, if the loop is busy when a sample comes
+        assert of_link.threads == unproven.threads == here
 
 
 async def test_what_strangers_send_takes_no_room_from_peers(router: Router) -> None:
