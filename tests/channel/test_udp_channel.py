@@ -149,12 +149,13 @@ def _newest_is(server: Server, link_id: bytes) -> bool:
     return server.ready[-1:] == [link_id]
 
 
-async def settled(server: Server, client: ClientUdpChannel) -> ServerUdpChannel:
-    """The server's end, once it has the client's address."""
+async def met(server: Server) -> tuple[ClientUdpChannel, ServerUdpChannel]:
+    """A client's end, and the server's, which has the client's address."""
+    client, _ = server.connect(b"link one")
     await ready(client)
     there = server.channels[b"link one"]
-    await until(lambda: there.ready)
-    return there
+    await ready(there)
+    return client, there
 
 
 async def one_way(server: Server) -> tuple[ClientUdpChannel, Route, DatagramSender]:
@@ -303,8 +304,7 @@ async def test_a_command_is_not_sent_again_after_a_later_message(monkeypatch: py
 async def test_an_urgent_message_is_sent_twice_and_taken_once(lost: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whichever of the two is lost."""
     async with serving() as server:
-        client, _ = server.connect(b"link one")
-        channel = await settled(server, client)
+        client, channel = await met(server)
         taken: list[bytes] = []
         channel.on_urgent = taken.append
         send = client.send
@@ -391,8 +391,7 @@ async def test_a_route_that_sends_takes_no_datagrams() -> None:
 
 async def test_silence_is_named_with_its_port() -> None:
     async with serving() as server:
-        client, _ = server.connect(b"link one")
-        there = await settled(server, client)
+        client, there = await met(server)
         for end in (client, there):
             server.time += 6.0
             end.tick()
@@ -412,12 +411,8 @@ async def test_silence_is_named_with_its_port() -> None:
 async def test_a_full_link_that_loses_probes_is_not_silent() -> None:
     """Messages arrive, and receipts for them come back: no firewall is in the way, and both sides go on sending."""
     async with serving() as server:
-        client, keys = server.connect(b"link one")
-        there = await settled(server, client)
-        up = Route(1, outgoing=False)
-        datagram_channel(there, up, server.keys[b"link one"], lone_scheduler())
-        sender = datagram_channel(client, Route(1, outgoing=True), keys, lone_scheduler())
-        assert isinstance(sender, DatagramSender)
+        client, up, sender = await one_way(server)
+        there = server.channels[b"link one"]
         for number in range(1, 4):
             server.time += 5.0
             heard = client.received_bytes
@@ -435,8 +430,7 @@ async def test_a_full_link_that_loses_probes_is_not_silent() -> None:
 async def test_an_address_is_used_only_once_it_has_answered() -> None:
     """Somebody captures a probe and delivers it first, from elsewhere: the stream goes on to the client."""
     async with serving() as server:
-        client, _ = server.connect(b"link one")
-        there = await settled(server, client)
+        client, there = await met(server)
         (probe,) = server.probes[0].write(Probe(pong=False, opaque=0), 1000)
         with elsewhere() as thief:
             thief.sendto(probe, (_HOST, server.port))
@@ -451,8 +445,7 @@ async def test_an_address_is_used_only_once_it_has_answered() -> None:
 async def test_an_answer_that_takes_long_is_an_answer() -> None:
     """Over a satellite the client has probed again twice before its first answer arrives."""
     async with serving() as server:
-        client, _ = server.connect(b"link one")
-        there = await settled(server, client)
+        _client, there = await met(server)
         probes = server.probes[0]
 
         def probe(port: int, *, pong: bool = False, opaque: int = 0) -> None:
@@ -474,8 +467,7 @@ async def test_an_answer_that_takes_long_is_an_answer() -> None:
 async def test_a_probe_that_another_one_has_overtaken_counts() -> None:
     """The probes of all sockets have one sequence, and the way to one port may be slower than that to another."""
     async with serving() as server:
-        client, _ = server.connect(b"link one")
-        there = await settled(server, client)
+        client, there = await met(server)
         first, second = (server.probes[0].write(Probe(pong=False, opaque=0), 1000) for _ in range(2))
         for (datagram,) in (second, first):
             server.time += 3.0
@@ -486,8 +478,7 @@ async def test_a_probe_that_another_one_has_overtaken_counts() -> None:
 async def test_a_client_that_moves_is_followed() -> None:
     """Its address changes on the way (NAT): the server goes on to the new one as soon as that has answered."""
     async with serving() as server:
-        client, _ = server.connect(b"link one")
-        there = await settled(server, client)
+        client, there = await met(server)
         client.close()
         moved = server.probe_with(server.probes[0])
         await until(lambda: server.sends_to(there, moved.socket.port))
@@ -497,8 +488,7 @@ async def test_a_client_that_moves_is_followed() -> None:
 async def test_nothing_is_sent_to_an_address_that_has_fallen_silent() -> None:
     """The next owner of that address gets nothing; a probe from there opens it again."""
     async with serving() as server:
-        client, _ = server.connect(b"link one")
-        there = await settled(server, client)
+        client, there = await met(server)
         server.time += 6.1
         before = there.sent_bytes
         there.send([b"late"])

@@ -230,6 +230,23 @@ def test_it_says_that_the_bridge_has_ended_and_attaches_to_the_next(machine: Mac
     assert numbers == list(range(1, len(EVENTS) * 2 + 3)), "its own count goes on with any server"
 
 
+def test_whoever_hears_of_the_loss_sees_it(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    server = machine.serve()
+    remote = machine.attach()
+    seen: list[tuple[str, bool]] = []
+    log = remote._log
+    add = log.add
+
+    def look_and_add(level: Any, code: EventCode, text: str) -> None:
+        seen.append((remote.unreachable, remote.snapshot().running))
+        add(level, code, text)
+
+    monkeypatch.setattr(log, "add", look_and_add)
+    server.close("the bridge was stopped")
+    eventually(lambda: any(event.code == EventCode.ATTACH_LOST for event in remote.events()))
+    assert seen == [("the bridge was stopped", False)]
+
+
 class Hanging(ScriptedEngine):
     """Does nothing any more while `goes_on` is not set."""
 

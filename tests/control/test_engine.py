@@ -147,18 +147,9 @@ def test_twenty_consoles_and_one_that_reads_nothing_cost_no_message(traffic: Tra
             eventually(lambda r=remote: delivered(r) == traffic.delivered)
 
 
-def test_a_console_that_is_killed_costs_no_message(traffic: Traffic, machine: Machine) -> None:
-    remote = machine.attach()
-    with Watching(machine, 0) as watching:
-        assert consoles(machine) == 2
-        traffic.flow(50, looking=[remote])
-        watching.process.kill()
-        traffic.flow(50, looking=[remote])
-        eventually(lambda: consoles(machine) == 1, what="the killed one is gone")
-        eventually(lambda: delivered(remote) == traffic.delivered)
-
-
-def test_a_console_that_is_stopped_for_30_s_costs_no_message_and_goes_on(traffic: Traffic, machine: Machine) -> None:
+def test_a_console_that_is_stopped_for_30_s_goes_on_and_is_killed_costs_no_message(
+    traffic: Traffic, machine: Machine
+) -> None:
     """The 30 s pass on the clock of the bridge's control thread."""
     remote = machine.attach()
     with Watching(machine, 500) as watching:
@@ -172,6 +163,10 @@ def test_a_console_that_is_stopped_for_30_s_costs_no_message_and_goes_on(traffic
         watching.process.send_signal(signal.SIGCONT)
         watching.says("delivered")
         eventually(lambda: delivered(remote) == traffic.delivered == 500)
+        watching.process.kill()
+        traffic.flow(50, looking=[remote])
+        eventually(lambda: consoles(machine) == 1, what="the killed one is gone")
+        eventually(lambda: delivered(remote) == traffic.delivered)
 
 
 def pass_a_second(machine: Machine) -> None:

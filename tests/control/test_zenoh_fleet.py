@@ -121,19 +121,13 @@ def test_a_wrong_key_is_said_on_the_robots_line(fleet: Fleet) -> None:
     assert found.seen is None
 
 
-def test_two_engines_of_a_name_are_two_lines(fleet: Fleet) -> None:
-    seen = seen_with(fleet, "robot1")
-    fleet.add("robot1", host="another")
-    eventually(lambda: is_in(seen, "robot1 (2)", RobotState.WARN))
-    with pytest.raises(UnclearError):
-        fleet.attach("robot1")
-
-
-def test_of_two_engines_of_a_name_the_one_that_stays_has_the_line(fleet: Fleet) -> None:
+def test_two_engines_of_a_name_are_two_lines_until_one_goes(fleet: Fleet) -> None:
     seen = seen_with(fleet, "robot1")
     first = fleet.servers["robot1"]
     fleet.add("robot1", host="another")
     eventually(lambda: is_in(seen, "robot1 (2)", RobotState.WARN))
+    with pytest.raises(UnclearError):
+        fleet.attach("robot1")
     first.close()
     eventually(lambda: has_spoken(seen, "robot1") and robot(seen, "robot1 (2)") is None)
     eventually(lambda: not is_in(seen, "robot1", RobotState.MISSING))

@@ -120,10 +120,8 @@ def test_nothing_runs_on_after_a_client_was_stopped(
     assert loop.errors == []
 
 
-def test_a_task_of_a_link_that_fails_ends_the_connection(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
-    role = ClientRole(make_context(), {"robot1": ()})
+def test_a_task_of_a_link_that_fails_ends_the_connection(loop: VirtualLoop, context: Context) -> None:
+    role = ClientRole(context, {"robot1": ()})
     link: Link = role.links()[0]
     aborted: list[str] = []
 

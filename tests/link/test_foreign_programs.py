@@ -106,14 +106,6 @@ def test_a_web_server_that_waits_for_the_end_of_a_line(bridge: Bridge) -> None:
             thread.join()
 
 
-def test_a_program_that_says_nothing(bridge: Bridge) -> None:
-    with socket.create_server(("127.0.0.1", bridge.port)):
-        client = bridge.client()
-        eventually(lambda: link(client).attempts)
-        assert link(client).cause == LinkCause.NO_ANSWER
-        assert caused(client, LinkCause.NO_ANSWER)
-
-
 def test_a_network_that_swallows_packets(bridge: Bridge) -> None:
     """A full backlog drops SYN packets as a firewall does."""
     with contextlib.ExitStack() as sockets:
@@ -127,12 +119,6 @@ def test_a_network_that_swallows_packets(bridge: Bridge) -> None:
         client = bridge.client()
         eventually(lambda: link(client).attempts)
         assert link(client).cause == LinkCause.TIMED_OUT
-
-
-def test_nobody_listens(bridge: Bridge) -> None:
-    client = bridge.client()
-    eventually(lambda: link(client).attempts)
-    assert link(client).cause == LinkCause.UNREACHABLE
 
 
 def test_packets_that_vanish_while_linked(bridge: Bridge, relay: Relay) -> None:

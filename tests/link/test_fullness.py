@@ -15,8 +15,6 @@ from rsb_bridge.wire.messages import Duplicate
 from rsb_bridge.wire.records import FullRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
@@ -119,8 +117,8 @@ def test_a_link_that_carries_what_is_asked_is_not_full(asked: float) -> None:
     assert seen[11] is None, "four ticks after it has room"
 
 
-def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
-    link = ClientRole(make_context(), {"robot1": ()}).links()[0]
+def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, context: Context) -> None:
+    link = ClientRole(context, {"robot1": ()}).links()[0]
     link.control = SimpleNamespace()  # type: ignore[assignment]
     link.status.up(link.context.wall())
     up = link.context.wall()
@@ -139,8 +137,8 @@ def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, make_con
 
 
 @pytest.mark.parametrize(("seconds", "words"), [(30, "30 s ahead of"), (-7200, "2 h behind"), (2, "")])
-def test_clocks_that_differ_are_a_warning(seconds: int, words: str, make_context: Callable[..., Context]) -> None:
-    link = ClientRole(make_context(), {"robot1": ()}).links()[0]
+def test_clocks_that_differ_are_a_warning(seconds: int, words: str, context: Context) -> None:
+    link = ClientRole(context, {"robot1": ()}).links()[0]
     link.control = SimpleNamespace()  # type: ignore[assignment]
     link.status.up(link.context.wall())
     there = seconds * 10**9

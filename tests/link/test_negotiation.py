@@ -417,23 +417,6 @@ def test_a_key_in_the_home_folder(bridge: Bridge, tmp_path: Path, monkeypatch: p
         bridge.client(key_file="~/lost.key")
 
 
-def test_a_type_that_changes(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """The robot's program is replaced by one that publishes another type: the topic is opened again with that."""
-    words, out = pc.listener("/state"), robot.publisher("/state")
-    server, client = bridge.both(Topic("/state", "transmit"))
-    carries([out], server, ["/state"])
-    out.publish(text("on"))
-    heard(words, 1)
-    pc.clear()
-    robot.node.destroy_publisher(out)
-    numbers, out = pc.listener("/state", Int32), robot.publisher("/state", Int32)
-    eventually(lambda: happened(client, EventCode.ROUTE_TYPE_CHANGED, INT32))
-    carries([out], server, ["/state"])
-    out.publish(Int32(data=7))
-    assert heard(numbers, 1) == [serialize_message(Int32(data=7))]
-    assert route(server, "/state").type_name == INT32
-
-
 def test_a_type_that_is_replaced_while_the_old_publisher_still_shows(
     other: KnownNode, bridge: Bridge, robot: Domain, pc: Domain
 ) -> None:

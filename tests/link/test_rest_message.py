@@ -22,8 +22,8 @@ from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, Disarmed
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lease import LASTS
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.rest_message import EVERY, HOLDS, TIMES, RestMessage
-from rsb_bridge.route.source_publishers import PublicationSpec, SourcePublishers
+from rsb_bridge.route.rest_message import EVERY, HOLDS, TIMES
+from rsb_bridge.route.source_publishers import PublicationSpec
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import with_number
 from rsb_bridge.wire.messages import Describe
@@ -248,24 +248,6 @@ def test_the_robot_rests_at_once_however_it_is_disarmed(
     assert len(rests) == TIMES
     assert rests[-1].at - began == pytest.approx(EVERY * (TIMES - 1), abs=0.01)
     assert not loop.errors
-
-
-@pytest.mark.parametrize(
-    ("owner", "rule"),
-    [(IncomingRoute, "lapsed"), (RestMessage, "begin"), (RestMessage, "moved"), (SourcePublishers, "close")],
-)
-def test_each_rule_is_needed(owner: type, rule: str, driven: Driven, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without it, the robot moves on, or a publisher is left open that may still deliver what moves."""
-    by_an_operator(driven, 1)
-    hear_all(driven.pair)
-    driven.describe()
-    arm(driven.pair[1]).result()
-    let_time_pass(driven.pair, 0.5)
-    monkeypatch.setattr(owner, rule, lambda *_: None)
-    driven.drive()
-    by_an_operator(driven, 1)
-    hear_all(driven.pair)
-    assert driven.payloads[-1] == MOVES or driven.robot.open_at_rest
 
 
 def test_the_robot_rests_once_the_sides_no_longer_hear_each_other(driven: Driven, loop: VirtualLoop) -> None:
