@@ -245,6 +245,14 @@ def programs(bridge: Bridge) -> Iterator[Programs]:
 
 
 @pytest.fixture
+def no_collector() -> Iterator[None]:
+    """Let references alone free what is freed."""
+    gc.disable()
+    yield
+    gc.enable()
+
+
+@pytest.fixture
 def machine(tmp_path: Path) -> Iterator[Machine]:
     """Serves engines on control sockets of the test's own, and attaches to them."""
     from tests.support.control import Machine

@@ -7,10 +7,8 @@ import socket
 from collections import deque
 from contextlib import asynccontextmanager
 from functools import partial
-from random import Random
 from typing import TYPE_CHECKING, Any
 
-from tests.simulation.loop import SimulatedLoop
 from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_keys import DataKeys
@@ -280,23 +278,6 @@ class _RadioTransport(asyncio.Transport):
     def arrive(self, data: bytes) -> None:
         if not self._closing:
             self._peer.data_received(data)
-
-
-def play(scene: Callable[[], Coroutine[None, None, None]]) -> None:
-    """Run a scene on the real loop."""
-    asyncio.run(scene())
-
-
-def simulate(scene: Callable[[], Coroutine[None, None, None]]) -> None:
-    """Run a scene in simulated time."""
-    loop = SimulatedLoop(Random(0))  # type: ignore[abstract]  # what is not simulated raises
-    loop.run_until_complete(scene())
-
-
-async def until(condition: Callable[[], object]) -> None:
-    async with asyncio.timeout(60):
-        while not condition():  # noqa: ASYNC110 — plain state, looked at for a moment
-            await asyncio.sleep(0.005)
 
 
 async def pass_seconds(seconds: int, *sides: Side) -> None:

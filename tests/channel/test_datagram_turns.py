@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING
 
 import pytest
 from tests.channel.datagram_radio import RadioChannel, datagrams_between, pass_time
-from tests.channel.sides import Radio, Route, Side, connected, simulate
+from tests.channel.sides import Radio, Route, Side, connected
 
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+
+pytestmark = pytest.mark.usefixtures("loop")
 _TUNNEL = 5_000
 """Bytes/s."""
 _QUEUE = 10_000
@@ -44,27 +50,8 @@ class Scene:
         channel: the sending end of the datagrams.
     """
 
-    channel: RadioChannel
-
-    def __init__(self, radio: Radio, queue: int, datagrams: tuple[Live, ...], streams: tuple[Live, ...] = ()) -> None:
-        self._radio, self._queue = radio, queue
-        self._datagrams = {route.id for route in datagrams}
-        self._routes = (*datagrams, *streams)
-        self.near: Side
-        self.far: Side
-
-    async def __call__(self) -> None:
-        async with connected(*self._routes, open_streams=self._radio.open, elsewhere=self._datagrams) as (near, far):
-            self.near, self.far = near, far
-            self.channel = datagrams_between(near, far, self._radio, *self._datagrams, queue=self._queue)
-            publishing = [asyncio.ensure_future(route.publish()) for route in self._routes]
-            await self.watched()
-            for each in publishing:
-                each.cancel()
-
-    async def watched(self) -> None:
-        """Pass time, and check."""
-        raise NotImplementedError
+    def __init__(self, near: Side, far: Side, channel: RadioChannel) -> None:
+        self.near, self.far, self.channel = near, far, channel
 
     async def passes(self, seconds: float) -> None:
         await pass_time(seconds, self.near, self.far, self.channel)
@@ -82,105 +69,102 @@ class Scene:
         return len(self.far.routes[route.id].arrived) / route.sent
 
 
+@asynccontextmanager
+async def publishing(
+    radio: Radio, queue: int, datagrams: tuple[Live, ...], streams: tuple[Live, ...] = ()
+) -> AsyncIterator[Scene]:
+    numbers = {route.id for route in datagrams}
+    routes = (*datagrams, *streams)
+    async with connected(*routes, open_streams=radio.open, elsewhere=numbers) as (near, far):
+        tasks = [asyncio.ensure_future(route.publish()) for route in routes]
+        yield Scene(near, far, datagrams_between(near, far, radio, *numbers, queue=queue))
+        for each in tasks:
+            each.cancel()
+
+
+def tunnel() -> Radio:
+    return Radio(_TUNNEL, tunnel=_QUEUE, delay=0.005)
+
+
+def radio() -> Radio:
+    return Radio(_BROAD, tunnel=400_000, delay=0.02)
+
+
 @pytest.mark.parametrize(("rank", "least", "most"), [(0, 0.8, 1.25), (1, 3.0, 5.0), (-1, 0.2, 0.34)])
-def test_datagrams_share_a_thin_link_by_priority(rank: int, least: float, most: float) -> None:
+async def test_datagrams_share_a_thin_link_by_priority(rank: int, least: float, most: float) -> None:
     """They do not fill the tunnel's queue, so nothing is old or lost, and a joystick goes before both."""
     scan, odom, joystick = Live(1, 1_000, 15, rank), Live(2, 700, 20), Live(3, 50, 5, 1)
-
-    class Thin(Scene):
-        async def watched(self) -> None:
-            await self.passes(60)
-            by_scan, by_odom, _ = self.shares(60)
-            assert least < by_scan / by_odom < most
-            assert by_scan + by_odom > 0.8 * _TUNNEL
-            assert self.part(joystick) > 0.9
-            for route in (scan, odom):
-                assert self.ages(route)[-1] < 4.0
-            assert self.ages(joystick)[-1] < 2.0
-            assert not self.channel.air.dropped
-
-    simulate(Thin(Radio(_TUNNEL, tunnel=_QUEUE, delay=0.005), _QUEUE, (scan,), (odom, joystick)))
+    async with publishing(tunnel(), _QUEUE, (scan,), (odom, joystick)) as scene:
+        await scene.passes(60)
+        by_scan, by_odom, _ = scene.shares(60)
+        assert least < by_scan / by_odom < most
+        assert by_scan + by_odom > 0.8 * _TUNNEL
+        assert scene.part(joystick) > 0.9
+        for route in (scan, odom):
+            assert scene.ages(route)[-1] < 4.0
+        assert scene.ages(joystick)[-1] < 2.0
+        assert not scene.channel.air.dropped
 
 
-def test_large_messages_arrive_whole_or_are_not_begun() -> None:
+async def test_large_messages_arrive_whole_or_are_not_begun() -> None:
     """20 kB a second into a quarter of it."""
     cloud = Live(1, 20_000, 1)
-
-    class Thin(Scene):
-        async def watched(self) -> None:
-            await self.passes(80)
-            assert self.part(cloud) > 0.22
-            assert self.ages(cloud)[-1] < 2.0 + 2 * cloud.size / _TUNNEL
-            assert not self.channel.air.dropped
-
-    simulate(Thin(Radio(_TUNNEL, tunnel=_QUEUE, delay=0.005), _QUEUE, (cloud,)))
+    async with publishing(tunnel(), _QUEUE, (cloud,)) as scene:
+        await scene.passes(80)
+        assert scene.part(cloud) > 0.22
+        assert scene.ages(cloud)[-1] < 2.0 + 2 * cloud.size / _TUNNEL
+        assert not scene.channel.air.dropped
 
 
-def test_loss_by_chance_slows_nothing_down() -> None:
+async def test_loss_by_chance_slows_nothing_down() -> None:
     scan, rare, odom = Live(1, 1_000, 50), Live(2, 200, 2), Live(3, 100, 10)
-
-    class Poor(Scene):
-        async def watched(self) -> None:
-            for air in (self.channel.air, self.channel.air.far.air):
-                air.loss = 0.3
-            await self.passes(60)
-            assert 0.65 < self.part(scan) < 0.75
-            assert 0.5 < self.part(rare) < 0.9
-            assert self.part(odom) > 0.95
-            assert self.ages(scan)[-1] < 0.5
-
-    simulate(Poor(Radio(_BROAD, tunnel=400_000, delay=0.02), 400_000, (scan, rare), (odom,)))
+    async with publishing(radio(), 400_000, (scan, rare), (odom,)) as scene:
+        for air in (scene.channel.air, scene.channel.air.far.air):
+            air.loss = 0.3
+        await scene.passes(60)
+        assert 0.65 < scene.part(scan) < 0.75
+        assert 0.5 < scene.part(rare) < 0.9
+        assert scene.part(odom) > 0.95
+        assert scene.ages(scan)[-1] < 0.5
 
 
-def test_a_camera_fills_no_queue_of_a_radio() -> None:
+async def test_a_camera_fills_no_queue_of_a_radio() -> None:
     """20 Mbit/s with a queue of 0.16 s, asked for twice what it carries: small messages are young, and whole."""
     joints, scan, camera = Live(1, 470, 100), Live(2, 4_000, 10), Live(3, 60_000, 70, -1)
-
-    class Asked(Scene):
-        async def watched(self) -> None:
-            await self.passes(5)
-            for route in (joints, scan):
-                ages = self.ages(route, since=2.0)
-                assert ages[len(ages) // 2] < 0.08
-                assert self.part(route) > 0.9  # until the rate is found, the queue fills once
-            assert sum(self.shares(5)) > 0.75 * _BROAD
-            assert self.channel.air.dropped < 0.03 * self.channel.air.sent
-
-    simulate(Asked(Radio(_BROAD, tunnel=400_000, delay=0.02), 400_000, (joints, scan, camera)))
+    async with publishing(radio(), 400_000, (joints, scan, camera)) as scene:
+        await scene.passes(5)
+        for route in (joints, scan):
+            ages = scene.ages(route, since=2.0)
+            assert ages[len(ages) // 2] < 0.08
+            assert scene.part(route) > 0.9  # until the rate is found, the queue fills once
+        assert sum(scene.shares(5)) > 0.75 * _BROAD
+        assert scene.channel.air.dropped < 0.03 * scene.channel.air.sent
 
 
-def test_a_path_on_which_no_datagram_arrives_holds_up_no_stream() -> None:
+async def test_a_path_on_which_no_datagram_arrives_holds_up_no_stream() -> None:
     """Only what was in transit does, until it is written off; once datagrams arrive again, they go on within 1 s."""
     scan, odom = Live(1, 1_000, 50), Live(2, 100, 10)
-
-    class Cut(Scene):
-        async def watched(self) -> None:
-            loop = asyncio.get_running_loop()
-            await self.passes(5)
-            self.channel.air.blocked = True
-            await self.passes(4)
-            sent, cut_at = self.channel.air.sent, loop.time()
-            await self.passes(6)
-            assert self.channel.air.sent - sent < 6 * 2_048
-            assert len(self.ages(odom, since=cut_at)) >= 59
-            assert self.ages(odom, since=cut_at)[-1] < 0.2
-            self.channel.air.blocked = False
-            before = len(self.far.routes[1].arrived)
-            await self.passes(3)
-            assert len(self.far.routes[1].arrived) - before > 2 * scan.rate
-
-    simulate(Cut(Radio(_BROAD, tunnel=400_000, delay=0.02), 400_000, (scan,), (odom,)))
+    async with publishing(radio(), 400_000, (scan,), (odom,)) as scene:
+        air, loop = scene.channel.air, asyncio.get_running_loop()
+        await scene.passes(5)
+        air.blocked = True
+        await scene.passes(4)
+        sent, cut_at = air.sent, loop.time()
+        await scene.passes(6)
+        assert air.sent - sent < 6 * 2_048
+        assert len(scene.ages(odom, since=cut_at)) >= 59
+        assert scene.ages(odom, since=cut_at)[-1] < 0.2
+        air.blocked = False
+        before = len(scene.far.routes[1].arrived)
+        await scene.passes(3)
+        assert len(scene.far.routes[1].arrived) - before > 2 * scan.rate
 
 
-def test_a_link_with_room_delays_no_datagram() -> None:
+async def test_a_link_with_room_delays_no_datagram() -> None:
     small, large = Live(1, 2_500, 1_000), Live(2, 1_000_000, 20)
-
-    class Fast(Scene):
-        async def watched(self) -> None:
-            await self.passes(10)
-            assert self.part(small) > 0.999
-            assert self.part(large) > 0.98
-            half = self.ages(small, since=1.0)
-            assert half[len(half) // 2] < 0.001
-
-    simulate(Fast(Radio(1e9, tunnel=8_000_000, delay=0.0002), 8_000_000, (small, large)))
+    async with publishing(Radio(1e9, tunnel=8_000_000, delay=0.0002), 8_000_000, (small, large)) as scene:
+        await scene.passes(3)
+        assert scene.part(small) > 0.999
+        assert scene.part(large) > 0.96
+        half = scene.ages(small, since=1.0)
+        assert half[len(half) // 2] < 0.001

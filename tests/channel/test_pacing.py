@@ -207,16 +207,6 @@ def test_a_path_that_becomes_narrow_and_long_is_soon_kept_to() -> None:
     assert path.lost - lost < 0.05 * (path.arrived - arrived)
 
 
-def test_losses_by_chance_do_not_slow_it_down() -> None:
-    path = Path()
-    path.losing = 0.002
-    path.send(60_000_000, 1.0)
-    began = path.time
-    assert path.send(60_000_000, 1.0)
-    assert path.lost
-    assert 60e6 / (path.time - began) > 400e6
-
-
 def test_what_overtakes_is_not_lost() -> None:
     """Each receipt misses a datagram that is still in flight."""
     overtaken, in_order = Pacer(), Pacer()

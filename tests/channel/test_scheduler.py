@@ -6,7 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.channel.sides import Radio, Route, connected, pass_seconds, simulate
+from tests.channel.sides import Radio, Route, connected, pass_seconds
 
 from rsb_bridge.transport.streams import StreamHandler
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.data_stream import DataStream
 
+pytestmark = pytest.mark.usefixtures("loop")
 _PACE = 50_000
 """Bytes/s of the radio."""
 
@@ -25,67 +26,55 @@ def now() -> float:
 
 @pytest.mark.parametrize("two", [False, True])
 @pytest.mark.parametrize(("pace", "within"), [(_PACE, 0.3), (14 * _PACE, 0.05)])
-def test_a_joystick_goes_before_maps(pace: int, within: float, two: bool) -> None:
+async def test_a_joystick_goes_before_maps(pace: int, within: float, two: bool) -> None:
     """However fast the radio is: a map takes 2 and 0.14 s."""
     joystick, maps = Route(1, outgoing=True), [Route(each, always=100_000, outgoing=True) for each in (2, 3)]
-
-    async def scene() -> None:
-        async with connected(joystick, *maps, two=two, open_streams=Radio(pace).open) as (near, far):
-            for each in maps:
-                each.flush()
-            await pass_seconds(10, near, far)
-            late: list[float] = []
-            for _ in range(50):
-                sent = now()
-                joystick.send(bytes(80))
-                await asyncio.sleep(0.3)
-                late += [when - sent for _, when in far.routes[1].arrived]
-                far.routes[1].arrived.clear()
-            assert len(late) == 50
-            assert max(late) < within, max(late)
-
-    simulate(scene)
+    async with connected(joystick, *maps, two=two, open_streams=Radio(pace).open) as (near, far):
+        for each in maps:
+            each.flush()
+        await pass_seconds(10, near, far)
+        late: list[float] = []
+        for _ in range(50):
+            sent = now()
+            joystick.send(bytes(80))
+            await asyncio.sleep(0.3)
+            late += [when - sent for _, when in far.routes[1].arrived]
+            far.routes[1].arrived.clear()
+        assert len(late) == 50
+        assert max(late) < within, max(late)
 
 
 @pytest.mark.parametrize(("two", "tunnel"), [(False, 0), (True, 200_000)])
-def test_routes_that_want_more_than_their_share_get_equal_ones(two: bool, tunnel: int) -> None:
+async def test_routes_that_want_more_than_their_share_get_equal_ones(two: bool, tunnel: int) -> None:
     """With two streams on a path that takes more than it carries; elsewhere the kernel shares between them."""
     routes = [
         Route(1, always=100_000, outgoing=True),
         Route(2, always=5_000, outgoing=True),
         Route(3, always=1_000, outgoing=True),
     ]
-
-    async def scene() -> None:
-        async with connected(*routes, two=two, open_streams=Radio(_PACE, tunnel=tunnel).open) as (near, far):
-            for each in routes:
-                each.flush()
-            await pass_seconds(60, near, far)
-            shares = [each.bytes_since(0) for each in far.routes.values()]
-            assert min(shares) > 0.85 * max(shares), shares
-            assert sum(shares) > 0.9 * 60 * _PACE
-
-    simulate(scene)
+    async with connected(*routes, two=two, open_streams=Radio(_PACE, tunnel=tunnel).open) as (near, far):
+        for each in routes:
+            each.flush()
+        await pass_seconds(60, near, far)
+        shares = [each.bytes_since(0) for each in far.routes.values()]
+        assert min(shares) > 0.85 * max(shares), shares
+        assert sum(shares) > 0.9 * 60 * _PACE
 
 
-def test_a_late_comer_does_not_make_up_for_its_silence() -> None:
+async def test_a_late_comer_does_not_make_up_for_its_silence() -> None:
     early, late = Route(1, always=5_000, outgoing=True), Route(2, outgoing=True)
-
-    async def scene() -> None:
-        async with connected(early, late, open_streams=Radio(_PACE).open) as (near, far):
-            early.flush()
-            await pass_seconds(60, near, far)
-            joined = now()
-            late.always = 5_000
-            late.flush()
-            await pass_seconds(10, near, far)
-            assert far.routes[1].bytes_since(joined) > 0.8 * far.routes[2].bytes_since(joined) > 0
-
-    simulate(scene)
+    async with connected(early, late, open_streams=Radio(_PACE).open) as (near, far):
+        early.flush()
+        await pass_seconds(60, near, far)
+        joined = now()
+        late.always = 5_000
+        late.flush()
+        await pass_seconds(10, near, far)
+        assert far.routes[1].bytes_since(joined) > 0.8 * far.routes[2].bytes_since(joined) > 0
 
 
 @pytest.mark.parametrize("two", [False, True])
-def test_what_was_sent_while_nothing_waited_is_not_paid_for_later(two: bool) -> None:
+async def test_what_was_sent_while_nothing_waited_is_not_paid_for_later(two: bool) -> None:
     """A topic that has flowed for minutes goes on beside a new one that floods the link."""
     early, late = Route(1, outgoing=True), Route(2, outgoing=True)
 
@@ -97,59 +86,48 @@ def test_what_was_sent_while_nothing_waited_is_not_paid_for_later(two: bool) -> 
                 near.tick()
                 far.tick()
 
-    async def scene() -> None:
-        async with connected(early, late, two=two, open_streams=Radio(_PACE).open) as (near, far):
-            await talk(near, far, 120)
-            late.always = 5_000
-            late.flush()
-            before = len(far.routes[1].arrived)
-            await talk(near, far, 10)
-            assert len(far.routes[1].arrived) - before > 180
-
-    simulate(scene)
+    async with connected(early, late, two=two, open_streams=Radio(_PACE).open) as (near, far):
+        await talk(near, far, 120)
+        late.always = 5_000
+        late.flush()
+        before = len(far.routes[1].arrived)
+        await talk(near, far, 10)
+        assert len(far.routes[1].arrived) - before > 180
 
 
 @pytest.mark.parametrize("tunnel", [0, 200_000])
-def test_shares_follow_priorities_and_nobody_starves(tunnel: int) -> None:
+async def test_shares_follow_priorities_and_nobody_starves(tunnel: int) -> None:
     """Through a tunnel, too, that takes more than it carries."""
     routes = [Route(1, 1, 5_000, outgoing=True), Route(2, 0, 5_000, outgoing=True), Route(3, -1, 5_000, outgoing=True)]
-
-    async def scene() -> None:
-        async with connected(*routes, open_streams=Radio(_PACE, tunnel=tunnel).open) as (near, far):
-            for each in routes:
-                each.flush()
-            await pass_seconds(120, near, far)
-            high, normal, low = (each.bytes_since(30) for each in far.routes.values())
-            assert 3.0 < high / normal < 5.0
-            assert 3.0 < normal / low < 5.0
-
-    simulate(scene)
+    async with connected(*routes, open_streams=Radio(_PACE, tunnel=tunnel).open) as (near, far):
+        for each in routes:
+            each.flush()
+        await pass_seconds(120, near, far)
+        high, normal, low = (each.bytes_since(30) for each in far.routes.values())
+        assert 3.0 < high / normal < 5.0
+        assert 3.0 < normal / low < 5.0
 
 
 @pytest.mark.parametrize("rate", [5_000, 50_000, 2_500_000])
-def test_what_fits_is_fresh_beside_what_does_not(rate: int) -> None:
+async def test_what_fits_is_fresh_beside_what_does_not(rate: int) -> None:
     """Through a tunnel that holds bytes for many seconds, with images that would take several times the link."""
     small, images = Route(1, outgoing=True), Route(2, always=40_000, outgoing=True)
-
-    async def scene() -> None:
-        radio = Radio(rate, tunnel=4_000_000, delay=0.02)
-        async with connected(small, images, open_streams=radio.open) as (near, far):
-            images.flush()
-            await pass_seconds(20, near, far)
-            sent: list[float] = []
-            for step in range(300):
-                sent.append(now())
-                small.send(bytes(100))
-                await asyncio.sleep(0.1)
-                if step % 10 == 9:
-                    near.tick()
-                    far.tick()
-            await pass_seconds(2, near, far)
-            late = sorted(when - at for (_, when), at in zip(far.routes[1].arrived, sent, strict=True))
-            assert late[len(late) // 2] < 1.0  # half of the window times of 0.2 to 0.8 s, and one chunk
-            assert late[-1] < 2.0
-
-    simulate(scene)
+    radio = Radio(rate, tunnel=4_000_000, delay=0.02)
+    async with connected(small, images, open_streams=radio.open) as (near, far):
+        images.flush()
+        await pass_seconds(15, near, far)
+        sent: list[float] = []
+        for step in range(100):
+            sent.append(now())
+            small.send(bytes(100))
+            await asyncio.sleep(0.1)
+            if step % 10 == 9:
+                near.tick()
+                far.tick()
+        await pass_seconds(2, near, far)
+        late = sorted(when - at for (_, when), at in zip(far.routes[1].arrived, sent, strict=True))
+        assert late[len(late) // 2] < 1.0  # half of the window times of 0.2 to 0.8 s, and one chunk
+        assert late[-1] < 2.0
 
 
 class Holding(StreamHandler):
@@ -169,7 +147,7 @@ class Holding(StreamHandler):
             self._stream.received(each)
 
 
-def test_a_stream_on_which_nothing_gets_through_does_not_hold_the_other_one() -> None:
+async def test_a_stream_on_which_nothing_gets_through_does_not_hold_the_other_one() -> None:
     """It fills the window of both. It takes nothing more meanwhile, and no byte is counted twice once it goes on."""
     small, images = Route(1, outgoing=True), Route(2, always=40_000, outgoing=True)
 
@@ -187,57 +165,46 @@ def test_a_stream_on_which_nothing_gets_through_does_not_hold_the_other_one() ->
         came = far.routes[1].arrived[before:]
         return sorted(when - at for (_, when), at in zip(came, sent, strict=True))
 
-    async def scene() -> None:
-        async with connected(small, images, open_streams=Radio(_PACE).open) as (near, far):
-            images.flush()
-            await pass_seconds(20, near, far)
-            near_large, far_large = near.pair.large, far.pair.large
-            assert near_large is not None
-            assert far_large is not None
-            holding = Holding(far_large)
-            await pass_seconds(5, near, far)
-            stuck = near_large.sent
-            late = await talk(near, far)
-            assert late[-1] < 1.5  # the first ones wait for the next look, once a second
-            assert late[85] < 0.1
-            assert (near_large.sent, near_large.in_transit) == (stuck, 0)
-            holding.release()
-            came = len(far.routes[2].arrived)
-            await pass_seconds(10, near, far)
-            assert len(far.routes[2].arrived) > came + 5
-            images.always = 0
-            await pass_seconds(10, near, far)
-            assert near.in_transit() == near_large.in_transit == 0
-            assert near_large.acknowledged == near_large.sent
-
-    simulate(scene)
+    async with connected(small, images, open_streams=Radio(_PACE).open) as (near, far):
+        images.flush()
+        await pass_seconds(20, near, far)
+        near_large, far_large = near.pair.large, far.pair.large
+        assert near_large is not None
+        assert far_large is not None
+        holding = Holding(far_large)
+        await pass_seconds(5, near, far)
+        stuck = near_large.sent
+        late = await talk(near, far)
+        assert late[-1] < 1.5  # the first ones wait for the next look, once a second
+        assert late[85] < 0.1
+        assert (near_large.sent, near_large.in_transit) == (stuck, 0)
+        holding.release()
+        came = len(far.routes[2].arrived)
+        await pass_seconds(10, near, far)
+        assert len(far.routes[2].arrived) > came + 5
+        images.always = 0
+        await pass_seconds(10, near, far)
+        assert near.in_transit() == near_large.in_transit == 0
+        assert near_large.acknowledged == near_large.sent
 
 
-def test_without_receipts_little_is_in_transit() -> None:
+async def test_without_receipts_little_is_in_transit() -> None:
     route = Route(1, always=1_000, outgoing=True)
-
-    async def scene() -> None:
-        async with connected(route, open_streams=Radio(1e6).open) as (near, far):
-            near.deaf = True
-            route.flush()
-            await pass_seconds(10, near, far)
-            assert 0 < near.in_transit() <= 8 * 1024
-            assert near.scheduler.busy(now()) > 5.0
-            assert not near.scheduler.moves
-
-    simulate(scene)
+    async with connected(route, open_streams=Radio(1e6).open) as (near, far):
+        near.deaf = True
+        route.flush()
+        await pass_seconds(10, near, far)
+        assert 0 < near.in_transit() <= 8 * 1024
+        assert near.scheduler.busy(now()) > 5.0
+        assert not near.scheduler.moves
 
 
-def test_a_link_with_room_is_never_busy() -> None:
+async def test_a_link_with_room_is_never_busy() -> None:
     route = Route(1, outgoing=True)
-
-    async def scene() -> None:
-        async with connected(route, open_streams=Radio(1e6).open) as (near, far):
-            for _ in range(100):
-                route.send(bytes(1_000))
-                await asyncio.sleep(0.01)
-                assert near.scheduler.busy(now()) < 0.05
-            await pass_seconds(2, near, far)
-            assert near.in_transit() == 0
-
-    simulate(scene)
+    async with connected(route, open_streams=Radio(1e6).open) as (near, far):
+        for _ in range(100):
+            route.send(bytes(1_000))
+            await asyncio.sleep(0.01)
+            assert near.scheduler.busy(now()) < 0.05
+        await pass_seconds(2, near, far)
+        assert near.in_transit() == 0

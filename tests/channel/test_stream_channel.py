@@ -6,7 +6,8 @@ import asyncio
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.channel.sides import Route, connected, play, until
+from tests.channel.sides import Route, connected
+from tests.support.coroutines import until
 from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.stream_channel import LARGE
@@ -29,108 +30,86 @@ def _writer(role: Role, route: int = 1) -> DataWriter:
 
 
 @STREAMS
-def test_both_sides_send_at_once_and_in_order(two: bool) -> None:
+async def test_both_sides_send_at_once_and_in_order(two: bool) -> None:
     """More than the streams take, and with the move to the stream of large messages in the middle."""
     sizes = (0, 1, 2048, LARGE - 1, 80, LARGE, 5 << 20, 80, 3 << 20, 17)
     payloads = [bytes([number]) * size for number, size in enumerate(sizes)]
     routes = [Route(number, outgoing=True, duplex=True) for number in (1, 3)]
-
-    async def scene() -> None:
-        async with connected(*routes, two=two) as sides:
-            for side in sides:
-                for route in side.routes.values():
-                    route.send(*payloads)
-            everything = [route for side in sides for route in side.routes.values()]
-            await until(lambda: all(len(route.arrived) == len(payloads) for route in everything))
-            for route in everything:
-                assert route.payloads == payloads
-                assert not route.lost
-            for side in sides:
-                assert side.keys.budget.held == 0
-                side.tick()
-            await until(lambda: all(side.in_transit() == 0 for side in sides))
-            assert all(len(side.receipts) < 400 for side in sides)
-
-    play(scene)
+    async with connected(*routes, two=two) as sides:
+        for side in sides:
+            for route in side.routes.values():
+                route.send(*payloads)
+        everything = [route for side in sides for route in side.routes.values()]
+        await until(lambda: all(len(route.arrived) == len(payloads) for route in everything))
+        for route in everything:
+            assert route.payloads == payloads
+            assert not route.lost
+        for side in sides:
+            assert side.keys.budget.held == 0
+            side.tick()
+        await until(lambda: all(side.in_transit() == 0 for side in sides))
+        assert all(len(side.receipts) < 400 for side in sides)
 
 
-def test_a_message_asked_for_goes_ahead_of_a_large_one() -> None:
-    async def scene() -> None:
-        large, small = Route(1, outgoing=True, duplex=True), Route(2, outgoing=True, duplex=True)
-        async with connected(large, small) as sides:
-            for side in sides:
-                side.routes[1].send(bytes(8 << 20))
-                side.routes[2].send(b"asked")
-            await until(lambda: all(side.routes[2].arrived for side in sides))
-            assert not any(side.routes[1].arrived for side in sides)
-            await until(lambda: all(side.routes[1].arrived for side in sides))
-
-    play(scene)
+async def test_a_message_asked_for_goes_ahead_of_a_large_one() -> None:
+    large, small = Route(1, outgoing=True, duplex=True), Route(2, outgoing=True, duplex=True)
+    async with connected(large, small) as sides:
+        for side in sides:
+            side.routes[1].send(bytes(8 << 20))
+            side.routes[2].send(b"asked")
+        await until(lambda: all(side.routes[2].arrived for side in sides))
+        assert not any(side.routes[1].arrived for side in sides)
+        await until(lambda: all(side.routes[1].arrived for side in sides))
 
 
-def test_a_route_that_asks_and_gives_nothing_gets_no_turns_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_route_that_asks_and_gives_nothing_gets_no_turns_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
     idle, other = Route(1, outgoing=True), Route(2, outgoing=True)
     monkeypatch.setattr(idle, "flush", lambda: idle.channel.ask())  # noqa: PLW0108 -- it has no channel yet
-
-    async def scene() -> None:
-        async with connected(idle, other) as (near, far):
-            idle.channel.ask()
-            other.send(b"after")
-            await until(lambda: far.routes[2].arrived)
-            assert near.scheduler.busy(asyncio.get_running_loop().time()) == 0.0
-
-    play(scene)
+    async with connected(idle, other) as (near, far):
+        idle.channel.ask()
+        other.send(b"after")
+        await until(lambda: far.routes[2].arrived)
+        assert near.scheduler.busy(asyncio.get_running_loop().time()) == 0.0
 
 
 @STREAMS
-def test_a_closed_end_sends_no_more_of_what_waits(two: bool) -> None:
+async def test_a_closed_end_sends_no_more_of_what_waits(two: bool) -> None:
     route, other = Route(1, outgoing=True), Route(2, outgoing=True)
-
-    async def scene() -> None:
-        async with connected(route, other, two=two) as (near, far):
-            route.send(bytes(8 << 20))
-            route.channel.close("removed")
-            del far.routes[1]
-            far.closed.add(1)
-            other.send(b"after")
-            await until(lambda: far.routes[2].arrived)
-            assert near.scheduler.busy(asyncio.get_running_loop().time()) == 0.0
-
-    play(scene)
+    async with connected(route, other, two=two) as (near, far):
+        route.send(bytes(8 << 20))
+        route.channel.close("removed")
+        del far.routes[1]
+        far.closed.add(1)
+        other.send(b"after")
+        await until(lambda: far.routes[2].arrived)
+        assert near.scheduler.busy(asyncio.get_running_loop().time()) == 0.0
 
 
-def test_incomplete_messages_count_until_the_channel_closes() -> None:
-    async def scene() -> None:
-        async with connected(Route(1, outgoing=True), two=False) as (near, far):
-            writer, piece = _writer("client"), bytearray(4096)
-            used, at = writer.write_piece(memoryview(bytes(5000)), 0, 0, 0, 1000, piece)
-            assert 0 < at < 5000
-            near.pair.streams()[0].stream.write(bytes(piece[:used]))
-            await until(lambda: far.keys.budget.held)
-            far.routes[1].channel.close("removed")
-            assert far.keys.budget.held == 0
-
-    play(scene)
+async def test_incomplete_messages_count_until_the_channel_closes() -> None:
+    async with connected(Route(1, outgoing=True), two=False) as (near, far):
+        writer, piece = _writer("client"), bytearray(4096)
+        used, at = writer.write_piece(memoryview(bytes(5000)), 0, 0, 0, 1000, piece)
+        assert 0 < at < 5000
+        near.pair.streams()[0].stream.write(bytes(piece[:used]))
+        await until(lambda: far.keys.budget.held)
+        far.routes[1].channel.close("removed")
+        assert far.keys.budget.held == 0
 
 
 @pytest.mark.parametrize("sealed_by", ["server", "nobody"])
-def test_a_broken_frame_ends_the_streams_with_all_routes(sealed_by: str) -> None:
+async def test_a_broken_frame_ends_the_streams_with_all_routes(sealed_by: str) -> None:
     """A frame that the receiver could have sealed itself is no better: each direction has its own key."""
     frame = _writer("server" if sealed_by == "server" else "client").write(b"hello", 0)
     if sealed_by == "nobody":
         frame = frame[:-1] + bytes([frame[-1] ^ 1])
-
-    async def scene() -> None:
-        async with connected(Route(1, outgoing=True, duplex=True), Route(2, outgoing=True)) as sides:
-            near, far = sides
-            near.pair.streams()[0].stream.write(frame)
-            await until(lambda: all(route.lost for side in sides for route in side.routes.values()))
-            assert near.pair.over
-            assert far.pair.over
-            assert not far.routes[1].arrived
-            assert [side.in_transit() for side in sides] == [0, 0]
-
-    play(scene)
+    async with connected(Route(1, outgoing=True, duplex=True), Route(2, outgoing=True)) as sides:
+        near, far = sides
+        near.pair.streams()[0].stream.write(frame)
+        await until(lambda: all(route.lost for side in sides for route in side.routes.values()))
+        assert near.pair.over
+        assert far.pair.over
+        assert not far.routes[1].arrived
+        assert [side.in_transit() for side in sides] == [0, 0]
 
 
 @pytest.mark.parametrize(
@@ -144,118 +123,98 @@ def test_a_broken_frame_ends_the_streams_with_all_routes(sealed_by: str) -> None
     ],
     ids=["against the route", "unknown route", "unknown kind", "moved unknown", "too short"],
 )
-def test_a_peer_that_breaks_the_format_loses_the_streams(frame: bytes) -> None:
-    async def scene() -> None:
-        async with connected(Route(1, outgoing=True)) as (near, far):
-            far.pair.streams()[0].stream.write(frame)
-            await until(lambda: near.routes[1].lost)
-
-    play(scene)
+async def test_a_peer_that_breaks_the_format_loses_the_streams(frame: bytes) -> None:
+    async with connected(Route(1, outgoing=True)) as (near, far):
+        far.pair.streams()[0].stream.write(frame)
+        await until(lambda: near.routes[1].lost)
 
 
 @pytest.mark.parametrize("large", [False, True])
-def test_a_route_moves_only_once_and_only_from_the_small_stream(large: bool) -> None:
-    async def scene() -> None:
-        async with connected(Route(1, outgoing=True)) as (near, far):
-            small, big = near.pair.streams()
-            writer = _writer("client")
-            small.stream.write(writer.write_moved())
-            if large:
-                big.stream.write(writer.write_moved())
-            else:
-                small.stream.write(writer.write_moved() + writer.write(b"late", 0))
-                big.stream.write(_writer("client").write(b"x", 0))  # sealed as the first frame, which it is not
-            await until(lambda: far.routes[1].lost)
-
-    play(scene)
+async def test_a_route_moves_only_once_and_only_from_the_small_stream(large: bool) -> None:
+    async with connected(Route(1, outgoing=True)) as (near, far):
+        small, big = near.pair.streams()
+        writer = _writer("client")
+        small.stream.write(writer.write_moved())
+        if large:
+            big.stream.write(writer.write_moved())
+        else:
+            small.stream.write(writer.write_moved() + writer.write(b"late", 0))
+            big.stream.write(_writer("client").write(b"x", 0))  # sealed as the first frame, which it is not
+        await until(lambda: far.routes[1].lost)
 
 
-def test_frames_wait_for_their_route_and_for_the_move() -> None:
+async def test_frames_wait_for_their_route_and_for_the_move() -> None:
     """The control message that opens a channel comes by another stream, and so do frames before a move."""
     route, other = Route(1, outgoing=True), Route(2, outgoing=True)
-
-    async def scene() -> None:
-        async with connected(route, other) as (near, far):
-            far.routes[5] = Route(5, outgoing=False)
-            near.routes[5] = Route(5, outgoing=True)
-            near.carry(5)
-            near.routes[5].send(b"early")
-            other.send(b"behind")
-            await far.acknowledges_all()
-            assert not far.routes[2].arrived
-            far.carry(5)
-            await until(lambda: far.routes[2].arrived)
-            assert far.routes[5].payloads == [b"early"]
-            writer = _writer("client", 1)
-            first, moved, second = writer.write(b"1", 0), writer.write_moved(), writer.write(b"2", 0)
-            small, big = near.pair.streams()
-            big.stream.write(second)
-            await asyncio.sleep(0.02)
-            assert not far.routes[1].arrived
-            small.stream.write(first + moved)
-            await until(lambda: len(far.routes[1].arrived) == 2)
-            assert far.routes[1].payloads == [b"1", b"2"]
-
-    play(scene)
+    async with connected(route, other) as (near, far):
+        far.routes[5] = Route(5, outgoing=False)
+        near.routes[5] = Route(5, outgoing=True)
+        near.carry(5)
+        near.routes[5].send(b"early")
+        other.send(b"behind")
+        await far.acknowledges_all()
+        assert not far.routes[2].arrived
+        far.carry(5)
+        await until(lambda: far.routes[2].arrived)
+        assert far.routes[5].payloads == [b"early"]
+        writer = _writer("client", 1)
+        first, moved, second = writer.write(b"1", 0), writer.write_moved(), writer.write(b"2", 0)
+        small, big = near.pair.streams()
+        big.stream.write(second)
+        await asyncio.sleep(0.02)
+        assert not far.routes[1].arrived
+        small.stream.write(first + moved)
+        await until(lambda: len(far.routes[1].arrived) == 2)
+        assert far.routes[1].payloads == [b"1", b"2"]
 
 
-def test_a_move_waits_for_its_route() -> None:
+async def test_a_move_waits_for_its_route() -> None:
     """Nothing else comes first if the first message is a large one."""
     route = Route(1, outgoing=True)
+    async with connected(route) as (near, far):
+        near.routes[5], far.routes[5] = Route(5, outgoing=True), Route(5, outgoing=False)
+        near.carry(5)
+        near.routes[5].send(bytes(LARGE))
+        small, _ = near.pair.streams()
 
-    async def scene() -> None:
-        async with connected(route) as (near, far):
-            near.routes[5], far.routes[5] = Route(5, outgoing=True), Route(5, outgoing=False)
-            near.carry(5)
-            near.routes[5].send(bytes(LARGE))
-            small, _ = near.pair.streams()
-
-            def has_come() -> bool:
-                far.tick()
-                return far.pair.over or small.acknowledged == small.sent > 0
-
-            await until(has_come)
-            assert not far.pair.over
-            far.carry(5)
-            await until(lambda: far.routes[5].payloads == [bytes(LARGE)])
-
-    play(scene)
-
-
-def test_held_frames_of_a_route_that_closes_hold_up_nobody() -> None:
-    async def scene() -> None:
-        async with connected(Route(2, outgoing=True)) as (near, far):
-            far.routes[5] = Route(5, outgoing=False)
-            near.routes[5] = Route(5, outgoing=True)
-            near.carry(5)
-            near.routes[5].send(b"early")
-            near.routes[2].send(b"behind")
-            await far.acknowledges_all()
-            del far.routes[5]
-            far.closed.add(5)
+        def has_come() -> bool:
             far.tick()
-            await until(lambda: far.routes[2].arrived)
+            return far.pair.over or small.acknowledged == small.sent > 0
 
-    play(scene)
+        await until(has_come)
+        assert not far.pair.over
+        far.carry(5)
+        await until(lambda: far.routes[5].payloads == [bytes(LARGE)])
 
 
-def test_a_route_that_ends_while_it_takes_messages_is_left_alone() -> None:
-    async def scene() -> None:
-        async with connected(Route(1, outgoing=True)) as (near, far):
-            route = far.routes[1]
+async def test_held_frames_of_a_route_that_closes_hold_up_nobody() -> None:
+    async with connected(Route(2, outgoing=True)) as (near, far):
+        far.routes[5] = Route(5, outgoing=False)
+        near.routes[5] = Route(5, outgoing=True)
+        near.carry(5)
+        near.routes[5].send(b"early")
+        near.routes[2].send(b"behind")
+        await far.acknowledges_all()
+        del far.routes[5]
+        far.closed.add(5)
+        far.tick()
+        await until(lambda: far.routes[2].arrived)
 
-            def deliver(messages: Iterable[Message]) -> None:
-                route.channel.close("a message broke the format")
-                del far.routes[1]
-                far.closed.add(1)
-                route.arrived += [(payload, 0.0) for payload, _, _ in messages]
 
-            route.deliver = deliver  # type: ignore[method-assign]
-            near.routes[1].send(bytes(2_000))
-            await until(lambda: route.arrived)
-            near.routes[1].send(bytes(2_000))
-            await far.acknowledges_all()
-            assert len(route.arrived) == 1
-            assert not near.routes[1].lost
+async def test_a_route_that_ends_while_it_takes_messages_is_left_alone() -> None:
+    async with connected(Route(1, outgoing=True)) as (near, far):
+        route = far.routes[1]
 
-    play(scene)
+        def deliver(messages: Iterable[Message]) -> None:
+            route.channel.close("a message broke the format")
+            del far.routes[1]
+            far.closed.add(1)
+            route.arrived += [(payload, 0.0) for payload, _, _ in messages]
+
+        route.deliver = deliver  # type: ignore[method-assign]
+        near.routes[1].send(bytes(2_000))
+        await until(lambda: route.arrived)
+        near.routes[1].send(bytes(2_000))
+        await far.acknowledges_all()
+        assert len(route.arrived) == 1
+        assert not near.routes[1].lost

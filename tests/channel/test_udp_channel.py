@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.coroutines import until
 from tests.support.held import held_by
 from tests.support.schedulers import lone_scheduler
 from tests.support.session_keys import session_keys
@@ -139,12 +140,6 @@ async def serving() -> AsyncIterator[Server]:
             client.close()
 
 
-async def until(condition: Callable[[], object]) -> None:
-    async with asyncio.timeout(60):
-        while not condition():  # noqa: ASYNC110 — plain state, looked at for a moment
-            await asyncio.sleep(0.005)
-
-
 async def ready(channel: ClientUdpChannel | ServerUdpChannel) -> None:
     await until(lambda: channel.ready)
 
@@ -154,12 +149,13 @@ def _newest_is(server: Server, link_id: bytes) -> bool:
     return server.ready[-1:] == [link_id]
 
 
-async def settled(server: Server, client: ClientUdpChannel) -> ServerUdpChannel:
-    """The server's end, once it has the client's address."""
+async def met(server: Server) -> tuple[ClientUdpChannel, ServerUdpChannel]:
+    """A client's end, and the server's, which has the client's address."""
+    client, _ = server.connect(b"link one")
     await ready(client)
     there = server.channels[b"link one"]
-    await until(lambda: there.ready)
-    return there
+    await ready(there)
+    return client, there
 
 
 async def one_way(server: Server) -> tuple[ClientUdpChannel, Route, DatagramSender]:
@@ -197,383 +193,307 @@ async def received_by(thief: socket.socket) -> bytes:
         return await asyncio.get_running_loop().sock_recv(thief, 4096)
 
 
-def test_each_end_says_once_that_it_is_ready() -> None:
-    async def main() -> None:
-        async with serving() as server:
-            said: list[bool] = []
-            client, _ = server.connect(b"link one", lambda: said.append(client.ready))
-            await until(lambda: client.ready)
-            for _ in range(3):
-                client.tick()
-            await until(lambda: client.received_bytes >= 4 * 60)
-            assert said == [True]
-            assert server.ready == [b"link one"]
-
-    asyncio.run(main())
+async def test_each_end_says_once_that_it_is_ready() -> None:
+    async with serving() as server:
+        said: list[bool] = []
+        client, _ = server.connect(b"link one", lambda: said.append(client.ready))
+        await until(lambda: client.ready)
+        for _ in range(3):
+            client.tick()
+        await until(lambda: client.received_bytes >= 4 * 60)
+        assert said == [True]
+        assert server.ready == [b"link one"]
 
 
-def test_datagrams_go_to_the_routes_of_the_connection_that_they_name() -> None:
+async def test_datagrams_go_to_the_routes_of_the_connection_that_they_name() -> None:
     """Two connections on one socket, a route each way on both, with the same route ids."""
-
-    async def main() -> None:
-        async with serving() as server:
-            arrived: dict[bytes, tuple[Route, Route]] = {}
-            for link_id in (b"link one", b"link two"):
-                client, keys = server.connect(link_id)
-                await ready(client)
-                up, down = Route(1, outgoing=False), Route(2, outgoing=False)
-                arrived[link_id] = (up, down)
-                there = server.channels[link_id]
-                await ready(there)
-                datagram_channel(there, up, server.keys[link_id], lone_scheduler())
-                datagram_channel(client, down, keys, lone_scheduler())
-                for channel, number, codec in ((client, 1, keys), (there, 2, server.keys[link_id])):
-                    sender = datagram_channel(channel, Route(number, outgoing=True), codec, lone_scheduler())
-                    assert isinstance(sender, DatagramSender)
-                    sender.send([(link_id * (10 * number), 0, 0), (b"x" * 100_000, 0, 0)])
-            await until(lambda: all(len(route.arrived) == 2 for pair in arrived.values() for route in pair))
-            for link_id, (up, down) in arrived.items():
-                assert sorted(up.arrived, key=len) == [link_id * 10, b"x" * 100_000]
-                assert sorted(down.arrived, key=len) == [link_id * 20, b"x" * 100_000]
-            assert server.made == 2
-
-    asyncio.run(main())
+    async with serving() as server:
+        arrived: dict[bytes, tuple[Route, Route]] = {}
+        for link_id in (b"link one", b"link two"):
+            client, keys = server.connect(link_id)
+            await ready(client)
+            up, down = Route(1, outgoing=False), Route(2, outgoing=False)
+            arrived[link_id] = (up, down)
+            there = server.channels[link_id]
+            await ready(there)
+            datagram_channel(there, up, server.keys[link_id], lone_scheduler())
+            datagram_channel(client, down, keys, lone_scheduler())
+            for channel, number, codec in ((client, 1, keys), (there, 2, server.keys[link_id])):
+                sender = datagram_channel(channel, Route(number, outgoing=True), codec, lone_scheduler())
+                assert isinstance(sender, DatagramSender)
+                sender.send([(link_id * (10 * number), 0, 0), (b"x" * 100_000, 0, 0)])
+        await until(lambda: all(len(route.arrived) == 2 for pair in arrived.values() for route in pair))
+        for link_id, (up, down) in arrived.items():
+            assert sorted(up.arrived, key=len) == [link_id * 10, b"x" * 100_000]
+            assert sorted(down.arrived, key=len) == [link_id * 20, b"x" * 100_000]
+        assert server.made == 2
 
 
 @pytest.mark.parametrize("lost", [0, 1], ids=["the first is lost", "the second is lost"])
-def test_a_command_of_an_armed_topic_is_sent_twice_and_taken_once(lost: int, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_command_of_an_armed_topic_is_sent_twice_and_taken_once(
+    lost: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Other messages are sent once, and so is one that takes several datagrams."""
+    async with serving() as server:
+        client, route, sender = await one_way(server)
+        sent: list[Sequence[bytes]] = []
+        send = client.send
 
-    async def main() -> None:
-        async with serving() as server:
-            client, route, sender = await one_way(server)
-            sent: list[Sequence[bytes]] = []
-            send = client.send
+        def lossy(datagrams: Sequence[bytes]) -> None:
+            sent.append(datagrams)
+            is_twice = len(datagrams) == 2 and len(set(datagrams)) == 1
+            send([each for number, each in enumerate(datagrams) if not is_twice or number != lost])
 
-            def lossy(datagrams: Sequence[bytes]) -> None:
-                sent.append(datagrams)
-                is_twice = len(datagrams) == 2 and len(set(datagrams)) == 1
-                send([each for number, each in enumerate(datagrams) if not is_twice or number != lost])
-
-            monkeypatch.setattr(client, "send", lossy)
-            command, long, other = b"go", b"x" * 100_000, b"words"
-            sender.send([(command, 0, LEASED)])
-            sender.send([(other, 0, 0)])
-            await until(lambda: len(route.arrived) == 2)
-            sender.send([(long, 0, LEASED)])
-            await until(lambda: len(route.arrived) == 3)
-            assert route.arrived == [command, other, long]
-            assert [len(each) for each in sent[:2]] == [2, 1]
-            assert len(set(sent[0])) == 1
-            assert len({each for part in sent[2:] for each in part}) == sum(map(len, sent[2:]))
-            monkeypatch.undo()
-            sender.send([(command, 0, LEASED)])
-            sender.send([(other, 0, 0)])
-            await until(lambda: other in route.arrived[3:])
-            assert route.arrived[3:] == [command, other]
-
-    asyncio.run(main())
+        monkeypatch.setattr(client, "send", lossy)
+        command, long, other = b"go", b"x" * 100_000, b"words"
+        sender.send([(command, 0, LEASED)])
+        sender.send([(other, 0, 0)])
+        await until(lambda: len(route.arrived) == 2)
+        sender.send([(long, 0, LEASED)])
+        await until(lambda: len(route.arrived) == 3)
+        assert route.arrived == [command, other, long]
+        assert [len(each) for each in sent[:2]] == [2, 1]
+        assert len(set(sent[0])) == 1
+        assert len({each for part in sent[2:] for each in part}) == sum(map(len, sent[2:]))
+        monkeypatch.undo()
+        sender.send([(command, 0, LEASED)])
+        sender.send([(other, 0, 0)])
+        await until(lambda: other in route.arrived[3:])
+        assert route.arrived[3:] == [command, other]
 
 
-def test_the_last_command_is_sent_again_and_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_last_command_is_sent_again_and_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """It may be the one that stops a robot, and no further one would make up for its loss."""
+    async with serving() as server:
+        client, route, sender = await one_way(server)
+        sent: list[bytes] = []
+        send = client.send
 
-    async def main() -> None:
-        async with serving() as server:
-            client, route, sender = await one_way(server)
-            sent: list[bytes] = []
-            send = client.send
+        def lossy(datagrams: Sequence[bytes]) -> None:
+            sent.extend(datagrams)
+            if len(sent) > 4:  # the first two commands, each sent twice
+                send(datagrams)
 
-            def lossy(datagrams: Sequence[bytes]) -> None:
-                sent.extend(datagrams)
-                if len(sent) > 4:  # the first two commands, each sent twice
-                    send(datagrams)
-
-            monkeypatch.setattr(client, "send", lossy)
-            sender.send([(b"go", 0, LEASED)])
-            sender.send([(b"stop", 0, LEASED)])
-            await until(lambda: route.arrived)
-            await until(lambda: len(sent) == 4 + 5)
-            await asyncio.sleep(0.3)
-            assert len(sent) == 4 + 5
-            assert route.arrived == [b"stop"]
-            sender.close("over")
-
-    asyncio.run(main())
+        monkeypatch.setattr(client, "send", lossy)
+        sender.send([(b"go", 0, LEASED)])
+        sender.send([(b"stop", 0, LEASED)])
+        await until(lambda: route.arrived)
+        await until(lambda: len(sent) == 4 + 5)
+        await asyncio.sleep(0.3)
+        assert len(sent) == 4 + 5
+        assert route.arrived == [b"stop"]
+        sender.close("over")
 
 
-def test_a_command_is_not_sent_again_after_a_later_message(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_command_is_not_sent_again_after_a_later_message(monkeypatch: pytest.MonkeyPatch) -> None:
     """Even after one of several datagrams, which is sent once; the robot would take the earlier one for the newest."""
-
-    async def main() -> None:
-        async with serving() as server:
-            client, route, sender = await one_way(server)
-            send = client.send
-            monkeypatch.setattr(client, "send", lambda _: None)
-            sender.send([(b"go", 0, LEASED)])
-            monkeypatch.setattr(client, "send", send)
-            long = b"x" * 100_000
-            sender.send([(long, 0, LEASED)])
-            await until(lambda: route.arrived)
-            await asyncio.sleep(0.25)  # two times a repetition
-            assert route.arrived == [long]
-
-    asyncio.run(main())
+    async with serving() as server:
+        client, route, sender = await one_way(server)
+        send = client.send
+        monkeypatch.setattr(client, "send", lambda _: None)
+        sender.send([(b"go", 0, LEASED)])
+        monkeypatch.setattr(client, "send", send)
+        long = b"x" * 100_000
+        sender.send([(long, 0, LEASED)])
+        await until(lambda: route.arrived)
+        await asyncio.sleep(0.25)  # two times a repetition
+        assert route.arrived == [long]
 
 
 @pytest.mark.parametrize("lost", [0, 1])
-def test_an_urgent_message_is_sent_twice_and_taken_once(lost: int, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_urgent_message_is_sent_twice_and_taken_once(lost: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whichever of the two is lost."""
-
-    async def main() -> None:
-        async with serving() as server:
-            client, _ = server.connect(b"link one")
-            channel = await settled(server, client)
-            taken: list[bytes] = []
-            channel.on_urgent = taken.append
-            send = client.send
-            client.send_urgent(b"both come")
-            monkeypatch.setattr(client, "send", lambda datagrams: send([datagrams[1 - lost]]))
-            client.send_urgent(b"one is lost")
-            monkeypatch.undo()
-            client.send_urgent(b"the last")
-            await until(lambda: taken[-1:] == [b"the last"])
-            assert taken == [b"both come", b"one is lost", b"the last"]
-
-    asyncio.run(main())
+    async with serving() as server:
+        client, channel = await met(server)
+        taken: list[bytes] = []
+        channel.on_urgent = taken.append
+        send = client.send
+        client.send_urgent(b"both come")
+        monkeypatch.setattr(client, "send", lambda datagrams: send([datagrams[1 - lost]]))
+        client.send_urgent(b"one is lost")
+        monkeypatch.undo()
+        client.send_urgent(b"the last")
+        await until(lambda: taken[-1:] == [b"the last"])
+        assert taken == [b"both come", b"one is lost", b"the last"]
 
 
-def test_a_connection_that_is_over_is_forgotten() -> None:
+async def test_a_connection_that_is_over_is_forgotten() -> None:
     """A client that reconnects for months leaves nothing in the server's table, and strangers leave nothing at all."""
-
-    async def main() -> None:
-        async with serving() as server:
-            for number in range(20):
-                link_id = number.to_bytes(8, "big")
-                client, _ = server.connect(link_id)
-                await ready(client)
-                await until(partial(_newest_is, server, link_id))
-                client.close()
-                server.channels[link_id].close()
-            stranger = _keys(b"stranger", "client")
-            server.call(stranger)
-            known, _ = server.connect(b"link one")
-            await until(lambda: known.ready)
-            assert held_by(server.demultiplexer) < 10
-
-    asyncio.run(main())
-
-
-def test_only_what_is_authentic_is_a_sign_of_life() -> None:
-    async def main() -> None:
-        async with serving() as server:
-            client, _ = server.connect(b"link one")
+    async with serving() as server:
+        for number in range(20):
+            link_id = number.to_bytes(8, "big")
+            client, _ = server.connect(link_id)
             await ready(client)
-            channel = server.channels[b"link one"]
-            heard, server.time = channel.received_at, server.time + 60.0
-            channel.received(PROBE_ROUTE, [bytes(60)], (_HOST, 1))
-            channel.received(1, [bytes(60)], (_HOST, 1))
-            assert channel.received_at == heard
-            client.tick()
-            await until(lambda: channel.received_at == server.time)
-
-    asyncio.run(main())
-
-
-def test_closing_an_old_channel_twice_does_not_take_the_new_one_away() -> None:
-    async def main() -> None:
-        async with serving() as server:
-            client, _ = server.connect(b"link one")
-            await until(lambda: client.ready)
-            old = server.channels[b"link one"]
-            old.close()
-            client.tick()
-            await until(lambda: server.made == 2)
-            old.close()
-            before = server.channels[b"link one"].received_bytes
-            client.tick()
-            await until(lambda: server.channels[b"link one"].received_bytes > before)
-            assert server.made == 2
-
-    asyncio.run(main())
-
-
-def test_the_last_route_closes_it() -> None:
-    async def main() -> None:
-        async with serving() as server:
-            client, keys = server.connect(b"link one")
-            routes = [
-                datagram_channel(client, Route(number, outgoing=number == 1), keys, lone_scheduler())
-                for number in (1, 2)
-            ]
-            routes[0].close("removed")
-            assert not client.over
-            routes[1].close("removed")
-            assert client.over
-            assert not client.socket.when_writable
-
-    asyncio.run(main())
-
-
-def test_a_route_that_sends_takes_no_datagrams() -> None:
-    async def main() -> None:
-        async with serving() as server:
-            client, keys = server.connect(b"link one")
-            await until(lambda: client.ready)
-            there = server.channels[b"link one"]
-            outgoing = Route(1, outgoing=True)
-            datagram_channel(there, outgoing, server.keys[b"link one"], lone_scheduler())
-            client.send(DatagramWriter(keys.keys.route_sealer(1, "client"), b"link one", 1).write(b"hello", 0, 0, 1000))
-            before = there.received_bytes
-            client.tick()
-            await until(lambda: there.received_bytes > before)
-            assert not outgoing.arrived
-
-    asyncio.run(main())
-
-
-def test_silence_is_named_with_its_port() -> None:
-    async def main() -> None:
-        async with serving() as server:
-            client, _ = server.connect(b"link one")
-            there = await settled(server, client)
-            for end in (client, there):
-                server.time += 6.0
-                end.tick()
-                assert not end.trouble
-                server.time += 0.1
-                end.tick()
-                server.time -= 6.1
-            assert client.trouble == Silence.NO_ANSWER(port=server.port, host=_HOST)
-            assert there.trouble == Silence.NOTHING_MORE(port=client.socket.port, host=_HOST)
-            heard = client.received_bytes
-            client.tick()
-            await until(lambda: client.received_bytes > heard)
-            client.tick()
-            assert not client.trouble
-
-    asyncio.run(main())
-
-
-def test_a_full_link_that_loses_probes_is_not_silent() -> None:
-    """Messages arrive, and receipts for them come back: no firewall is in the way, and both sides go on sending."""
-
-    async def main() -> None:
-        async with serving() as server:
-            client, keys = server.connect(b"link one")
-            there = await settled(server, client)
-            up = Route(1, outgoing=False)
-            datagram_channel(there, up, server.keys[b"link one"], lone_scheduler())
-            sender = datagram_channel(client, Route(1, outgoing=True), keys, lone_scheduler())
-            assert isinstance(sender, DatagramSender)
-            for number in range(1, 4):
-                server.time += 5.0
-                heard = client.received_bytes
-                sender.send([(b"x" * 20_000, 0, 0)] * 200)
-                await until(partial(_has, up, 200 * number))
-                await until(partial(_heard_more, client, heard))
-                for end in (client, there):
-                    UdpChannel.tick(end)  # a client's own would probe
-                    assert not end.trouble
-            before = there.sent_bytes
-            there.send([b"on"])
-            assert there.sent_bytes > before
-
-    asyncio.run(main())
-
-
-def test_an_address_is_used_only_once_it_has_answered() -> None:
-    """Somebody captures a probe and delivers it first, from elsewhere: the stream goes on to the client."""
-
-    async def main() -> None:
-        async with serving() as server:
-            client, _ = server.connect(b"link one")
-            there = await settled(server, client)
-            (probe,) = server.probes[0].write(Probe(pong=False, opaque=0), 1000)
-            with elsewhere() as thief:
-                thief.sendto(probe, (_HOST, server.port))
-                answer = await received_by(thief)
-                assert len(answer) <= len(probe)
-                there.send([b"to the client"])
-                with pytest.raises(BlockingIOError):
-                    thief.recv(4096)
-                assert server.sends_to(there, client.socket.port)
-
-    asyncio.run(main())
-
-
-def test_an_answer_that_takes_long_is_an_answer() -> None:
-    """Over a satellite the client has probed again twice before its first answer arrives."""
-
-    async def main() -> None:
-        async with serving() as server:
-            client, _ = server.connect(b"link one")
-            there = await settled(server, client)
-            probes = server.probes[0]
-
-            def probe(port: int, *, pong: bool = False, opaque: int = 0) -> None:
-                there.received(PROBE_ROUTE, probes.write(Probe(pong, opaque), 1000), (_HOST, port))
-
-            with elsewhere() as moved:
-                port = moved.getsockname()[1]
-                for _ in range(3):
-                    probe(port)
-                asked = probes.read(await received_by(moved), server.time)
-                assert isinstance(asked, Probe)
-                for number in range(3):  # somebody delivers probes from elsewhere meanwhile
-                    probe(10 + number)
-                assert not server.sends_to(there, port)
-                probe(port, pong=True, opaque=asked.opaque)
-                assert server.sends_to(there, port)
-
-    asyncio.run(main())
-
-
-def test_a_probe_that_another_one_has_overtaken_counts() -> None:
-    """The probes of all sockets have one sequence, and the way to one port may be slower than that to another."""
-
-    async def main() -> None:
-        async with serving() as server:
-            client, _ = server.connect(b"link one")
-            there = await settled(server, client)
-            first, second = (server.probes[0].write(Probe(pong=False, opaque=0), 1000) for _ in range(2))
-            for (datagram,) in (second, first):
-                server.time += 3.0
-                there.received(PROBE_ROUTE, [datagram], (_HOST, client.socket.port))
-                assert there.received_at == server.time
-
-    asyncio.run(main())
-
-
-def test_a_client_that_moves_is_followed() -> None:
-    """Its address changes on the way (NAT): the server goes on to the new one as soon as that has answered."""
-
-    async def main() -> None:
-        async with serving() as server:
-            client, _ = server.connect(b"link one")
-            there = await settled(server, client)
+            await until(partial(_newest_is, server, link_id))
             client.close()
-            moved = server.probe_with(server.probes[0])
-            await until(lambda: server.sends_to(there, moved.socket.port))
-            assert server.made == 1
+            server.channels[link_id].close()
+        stranger = _keys(b"stranger", "client")
+        server.call(stranger)
+        known, _ = server.connect(b"link one")
+        await until(lambda: known.ready)
+        assert held_by(server.demultiplexer) < 10
 
-    asyncio.run(main())
+
+async def test_only_what_is_authentic_is_a_sign_of_life() -> None:
+    async with serving() as server:
+        client, _ = server.connect(b"link one")
+        await ready(client)
+        channel = server.channels[b"link one"]
+        heard, server.time = channel.received_at, server.time + 60.0
+        channel.received(PROBE_ROUTE, [bytes(60)], (_HOST, 1))
+        channel.received(1, [bytes(60)], (_HOST, 1))
+        assert channel.received_at == heard
+        client.tick()
+        await until(lambda: channel.received_at == server.time)
 
 
-def test_nothing_is_sent_to_an_address_that_has_fallen_silent() -> None:
+async def test_closing_an_old_channel_twice_does_not_take_the_new_one_away() -> None:
+    async with serving() as server:
+        client, _ = server.connect(b"link one")
+        await until(lambda: client.ready)
+        old = server.channels[b"link one"]
+        old.close()
+        client.tick()
+        await until(lambda: server.made == 2)
+        old.close()
+        before = server.channels[b"link one"].received_bytes
+        client.tick()
+        await until(lambda: server.channels[b"link one"].received_bytes > before)
+        assert server.made == 2
+
+
+async def test_the_last_route_closes_it() -> None:
+    async with serving() as server:
+        client, keys = server.connect(b"link one")
+        routes = [
+            datagram_channel(client, Route(number, outgoing=number == 1), keys, lone_scheduler()) for number in (1, 2)
+        ]
+        routes[0].close("removed")
+        assert not client.over
+        routes[1].close("removed")
+        assert client.over
+        assert not client.socket.when_writable
+
+
+async def test_a_route_that_sends_takes_no_datagrams() -> None:
+    async with serving() as server:
+        client, keys = server.connect(b"link one")
+        await until(lambda: client.ready)
+        there = server.channels[b"link one"]
+        outgoing = Route(1, outgoing=True)
+        datagram_channel(there, outgoing, server.keys[b"link one"], lone_scheduler())
+        client.send(DatagramWriter(keys.keys.route_sealer(1, "client"), b"link one", 1).write(b"hello", 0, 0, 1000))
+        before = there.received_bytes
+        client.tick()
+        await until(lambda: there.received_bytes > before)
+        assert not outgoing.arrived
+
+
+async def test_silence_is_named_with_its_port() -> None:
+    async with serving() as server:
+        client, there = await met(server)
+        for end in (client, there):
+            server.time += 6.0
+            end.tick()
+            assert not end.trouble
+            server.time += 0.1
+            end.tick()
+            server.time -= 6.1
+        assert client.trouble == Silence.NO_ANSWER(port=server.port, host=_HOST)
+        assert there.trouble == Silence.NOTHING_MORE(port=client.socket.port, host=_HOST)
+        heard = client.received_bytes
+        client.tick()
+        await until(lambda: client.received_bytes > heard)
+        client.tick()
+        assert not client.trouble
+
+
+async def test_a_full_link_that_loses_probes_is_not_silent() -> None:
+    """Messages arrive, and receipts for them come back: no firewall is in the way, and both sides go on sending."""
+    async with serving() as server:
+        client, up, sender = await one_way(server)
+        there = server.channels[b"link one"]
+        for number in range(1, 4):
+            server.time += 5.0
+            heard = client.received_bytes
+            sender.send([(b"x" * 20_000, 0, 0)] * 200)
+            await until(partial(_has, up, 200 * number))
+            await until(partial(_heard_more, client, heard))
+            for end in (client, there):
+                UdpChannel.tick(end)  # a client's own would probe
+                assert not end.trouble
+        before = there.sent_bytes
+        there.send([b"on"])
+        assert there.sent_bytes > before
+
+
+async def test_an_address_is_used_only_once_it_has_answered() -> None:
+    """Somebody captures a probe and delivers it first, from elsewhere: the stream goes on to the client."""
+    async with serving() as server:
+        client, there = await met(server)
+        (probe,) = server.probes[0].write(Probe(pong=False, opaque=0), 1000)
+        with elsewhere() as thief:
+            thief.sendto(probe, (_HOST, server.port))
+            answer = await received_by(thief)
+            assert len(answer) <= len(probe)
+            there.send([b"to the client"])
+            with pytest.raises(BlockingIOError):
+                thief.recv(4096)
+            assert server.sends_to(there, client.socket.port)
+
+
+async def test_an_answer_that_takes_long_is_an_answer() -> None:
+    """Over a satellite the client has probed again twice before its first answer arrives."""
+    async with serving() as server:
+        _client, there = await met(server)
+        probes = server.probes[0]
+
+        def probe(port: int, *, pong: bool = False, opaque: int = 0) -> None:
+            there.received(PROBE_ROUTE, probes.write(Probe(pong, opaque), 1000), (_HOST, port))
+
+        with elsewhere() as moved:
+            port = moved.getsockname()[1]
+            for _ in range(3):
+                probe(port)
+            asked = probes.read(await received_by(moved), server.time)
+            assert isinstance(asked, Probe)
+            for number in range(3):  # somebody delivers probes from elsewhere meanwhile
+                probe(10 + number)
+            assert not server.sends_to(there, port)
+            probe(port, pong=True, opaque=asked.opaque)
+            assert server.sends_to(there, port)
+
+
+async def test_a_probe_that_another_one_has_overtaken_counts() -> None:
+    """The probes of all sockets have one sequence, and the way to one port may be slower than that to another."""
+    async with serving() as server:
+        client, there = await met(server)
+        first, second = (server.probes[0].write(Probe(pong=False, opaque=0), 1000) for _ in range(2))
+        for (datagram,) in (second, first):
+            server.time += 3.0
+            there.received(PROBE_ROUTE, [datagram], (_HOST, client.socket.port))
+            assert there.received_at == server.time
+
+
+async def test_a_client_that_moves_is_followed() -> None:
+    """Its address changes on the way (NAT): the server goes on to the new one as soon as that has answered."""
+    async with serving() as server:
+        client, there = await met(server)
+        client.close()
+        moved = server.probe_with(server.probes[0])
+        await until(lambda: server.sends_to(there, moved.socket.port))
+        assert server.made == 1
+
+
+async def test_nothing_is_sent_to_an_address_that_has_fallen_silent() -> None:
     """The next owner of that address gets nothing; a probe from there opens it again."""
-
-    async def main() -> None:
-        async with serving() as server:
-            client, _ = server.connect(b"link one")
-            there = await settled(server, client)
-            server.time += 6.1
-            before = there.sent_bytes
-            there.send([b"late"])
-            assert there.sent_bytes == before
-            client.tick()
-            await until(lambda: there.received_at == server.time)
-            there.send([b"again"])
-            assert there.sent_bytes > before
-
-    asyncio.run(main())
+    async with serving() as server:
+        client, there = await met(server)
+        server.time += 6.1
+        before = there.sent_bytes
+        there.send([b"late"])
+        assert there.sent_bytes == before
+        client.tick()
+        await until(lambda: there.received_at == server.time)
+        there.send([b"again"])
+        assert there.sent_bytes > before

@@ -118,8 +118,8 @@ def test_tunnel_of_5_kb_a_second_is_kept_short_and_full(rate: float, size: int, 
 
 
 @pytest.mark.parametrize("ages", AGES)
-@pytest.mark.parametrize("delay", [0.0005, 0.05, 0.3])
-@pytest.mark.parametrize(("rate", "size"), [(10, 100_000), (1000, 1000), (10, 1000)])
+@pytest.mark.parametrize("delay", [0.0005, 0.3])
+@pytest.mark.parametrize(("rate", "size"), [(10, 100_000), (1000, 1000)])
 def test_fast_path_is_not_throttled(delay: float, rate: float, size: int, ages: Ages) -> None:
     path = Path(100e6, delay, ages)
     path.run(6.0, rate, size)  # eight round trips of 0.6 s; TCP itself begins with three times as much
@@ -278,9 +278,9 @@ def test_lies_change_nothing_for_the_worse() -> None:
 
 def test_nothing_grows_without_end() -> None:
     window = Window(0)
-    for number in range(100_000):
+    for number in range(5_000):
         window.wrote(number * 1000, number * 0.1)
     assert held_by(window) <= 1024 + 1
-    for number in range(100_000):
+    for number in range(5_000):
         window.acknowledge(number * 1000, 10**9, 1e4 + number * 1e-4)
     assert held_by(window) <= 64 + 1

@@ -36,12 +36,13 @@ if TYPE_CHECKING:
 
 def test_it_sees_what_the_engine_sees(machine: Machine) -> None:
     engine = ScriptedEngine()
-    machine.serve(engine)
-    remote = machine.attach()
+    remote = machine.attach_to(engine)
     assert remote.session == engine.session
     assert replace(remote.snapshot(), last_event=0) == replace(engine.now, last_event=0)
     eventually(lambda: len(remote.events()) == len(EVENTS))
     assert remote.events() == list(EVENTS)
+    engine.happened.append(replace(EVENTS[-1], number=len(EVENTS) + 1, who="anna", old="5 Hz", new="paused"))
+    eventually(lambda: remote.events() == engine.happened)
     engine.now = replace(engine.now, routes=(route("/new"), *engine.now.routes[3:]))
     eventually(lambda: remote.snapshot().routes == engine.now.routes)
     engine.session = msgspec.structs.replace(engine.session, topics=(Topic("/new", "receive"),))
@@ -49,18 +50,9 @@ def test_it_sees_what_the_engine_sees(machine: Machine) -> None:
     eventually(lambda: (remote.snapshot(), remote.session == engine.session)[1])
 
 
-def test_events_say_who_did_what(machine: Machine) -> None:
-    engine = ScriptedEngine()
-    did = Event(1, 1.5, Level.INFO, "route.paused", "paused", "robot1", "/scan", who="anna", old="5 Hz", new="paused")
-    engine.happened = [did]
-    machine.serve(engine)
-    assert eventually(machine.attach().events) == [did]
-
-
 def test_events_are_followed(machine: Machine) -> None:
     engine = ScriptedEngine()
-    machine.serve(engine)
-    remote = machine.attach()
+    remote = machine.attach_to(engine)
     eventually(remote.events)
     for number in range(5, 2000):
         engine.happened.append(Event(number, 0.0, Level.INFO, EventCode.LINK_UP, f"event {number}"))
@@ -72,8 +64,7 @@ def test_events_are_followed(machine: Machine) -> None:
 
 def test_commands_go_to_the_engine_and_their_results_come_back(machine: Machine) -> None:
     engine = ScriptedEngine()
-    machine.serve(engine)
-    remote = machine.attach()
+    remote = machine.attach_to(engine)
     topic = Topic("/scan", "transmit", qos={"depth": 3}, max_rate=2.5)
     assert remote.add_topic(topic, "robot1").result(60) == "/scan"
     assert remote.edit_topic("k", topic).result(60) == "k"
@@ -121,8 +112,7 @@ def test_a_refusal_comes_back_in_words(machine: Machine) -> None:
 
 
 def test_a_command_that_is_no_unicode_is_refused_and_the_next_one_is_not(machine: Machine) -> None:
-    machine.serve(ScriptedEngine())
-    remote = machine.attach()
+    remote = machine.attach_to(ScriptedEngine())
     with pytest.raises(InvalidRequestError, match=pattern(protocol.RequestProblem.NOT_UNICODE)):
         remote.publish("/text", "data: \udcff").result(30)
     remote.retry().result(30)
@@ -130,23 +120,8 @@ def test_a_command_that_is_no_unicode_is_refused_and_the_next_one_is_not(machine
 
 def test_read_only_is_enforced_by_the_bridge(machine: Machine) -> None:
     engine = ScriptedEngine()
-    machine.serve(engine)
-    remote = machine.attach(read_only=True)
-    topic = Topic("/scan", "transmit")
-    changes: list[Future[Any]] = [
-        remote.add_topic(topic),
-        remote.edit_topic("k", topic),
-        remote.remove_topic("k"),
-        remote.pause("k", True),
-        remote.add_client(Client("robot2")),
-        remote.change_client(Client("robot2")),
-        remote.remove_client("robot2"),
-        remote.retry(),
-        remote.shut_down(),
-        remote.restart(),
-        remote.stop_bridge(),
-    ]
-    for change in changes:
+    remote = machine.attach_to(engine, read_only=True)
+    for change in (remote.add_topic(Topic("/scan", "transmit")), remote.retry(), remote.stop_bridge()):
         with pytest.raises(EngineError, match="read-only"):
             change.result(60)
     assert remote.topics().result(60)
@@ -188,8 +163,7 @@ class Slow(ScriptedEngine):
 
 def test_requests_that_wait_are_limited(machine: Machine) -> None:
     engine = Slow()
-    machine.serve(engine)
-    remote = machine.attach()
+    remote = machine.attach_to(engine)
     requests = [remote.retry() for _ in range(protocol.REQUESTS_WAITING + 1)]
     with pytest.raises(EngineError, match=pattern(RequestRefused.TOO_MANY_WAITING)):
         requests[-1].result(60)
@@ -202,8 +176,7 @@ def test_requests_that_wait_are_limited(machine: Machine) -> None:
 
 def test_the_engine_finishes_what_a_console_that_has_gone_began(machine: Machine) -> None:
     engine = Slow()
-    machine.serve(engine)
-    remote = machine.attach()
+    remote = machine.attach_to(engine)
     request = remote.retry()
     eventually(lambda: engine.waiting)
     remote.stop()
@@ -217,15 +190,14 @@ def test_a_command_that_fails_once_its_console_has_gone_is_no_internal_error(
     machine: Machine, caplog: pytest.LogCaptureFixture
 ) -> None:
     engine = Slow()
-    machine.serve(engine)
-    remote = machine.attach()
+    remote = machine.attach_to(engine)
     remote.retry()
     eventually(lambda: engine.waiting)
     remote.stop()
     eventually(lambda: consoles(machine) == 0)
     engine.waiting.pop().set_exception(EngineError("it fails"))
     machine.served[-1].close()
-    gc.collect()
+    gc.collect(1)
     assert "never retrieved" not in caplog.text
 
 
@@ -258,6 +230,23 @@ def test_it_says_that_the_bridge_has_ended_and_attaches_to_the_next(machine: Mac
     assert numbers == list(range(1, len(EVENTS) * 2 + 3)), "its own count goes on with any server"
 
 
+def test_whoever_hears_of_the_loss_sees_it(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    server = machine.serve()
+    remote = machine.attach()
+    seen: list[tuple[str, bool]] = []
+    log = remote._log
+    add = log.add
+
+    def look_and_add(level: Any, code: EventCode, text: str) -> None:
+        seen.append((remote.unreachable, remote.snapshot().running))
+        add(level, code, text)
+
+    monkeypatch.setattr(log, "add", look_and_add)
+    server.close("the bridge was stopped")
+    eventually(lambda: any(event.code == EventCode.ATTACH_LOST for event in remote.events()))
+    assert seen == [("the bridge was stopped", False)]
+
+
 class Hanging(ScriptedEngine):
     """Does nothing any more while `goes_on` is not set."""
 
@@ -274,8 +263,7 @@ class Hanging(ScriptedEngine):
 
 def test_a_bridge_that_hangs_is_not_called_ok(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = Hanging()
-    machine.serve(engine)
-    remote = machine.attach()
+    remote = machine.attach_to(engine)
     constants.ANSWERS_WITHIN.set(monkeypatch, 0.5)
     engine.goes_on.clear()
     eventually(lambda: not remote.snapshot().running)
@@ -300,7 +288,7 @@ def test_many_attach_and_one_too_many_is_told_so(machine: Machine) -> None:
     machine.attach()
 
 
-def test_another_version_is_told_who_is_older(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_version_is_told_who_is_older(machine: Machine) -> None:
     machine.serve()
     sent = protocol.ConsoleHello(protocol.VERSION + 1, "9.0.0")
     with control_sockets.connect(machine.folder / "robot1.sock", 60.0) as connection:
@@ -401,7 +389,7 @@ def test_a_connection_that_comes_while_the_server_closes_is_closed(machine: Mach
         served = machine.serve()
         control_sockets.connect(machine.folder / "robot1.sock", 5.0).close()
         served.close()
-    gc.collect()
+    gc.collect(1)
 
 
 def test_a_bridge_that_is_not_there_is_said_in_words(machine: Machine) -> None:
@@ -423,7 +411,7 @@ def test_an_attachment_that_is_cancelled_leaves_no_socket_open(machine: Machine)
 
     for turns in range(12):
         asyncio.run(cancel_early(turns))
-    gc.collect()
+    gc.collect(1)
 
 
 def test_a_bridge_that_accepts_nobody_does_not_answer(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import msgspec
 import pytest
@@ -22,9 +22,6 @@ from rsb_bridge.control.states import StateReceiver
 from rsb_bridge.model.snapshot import Event, Level, RouteSnapshot
 from rsb_bridge.model.text import is_clean
 from rsb_bridge.telemetry.event_log import KEPT
-
-if TYPE_CHECKING:
-    from tests.support.control import Machine
 
 ESCAPES = "\x1b]0;owned\x07\x1b[2J\u202egpj\x9b1m\r\u2066\u200b[red]"
 BRIDGE = BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "i", "0.1")
@@ -139,17 +136,17 @@ def test_too_much_is_refused() -> None:
 
 
 def test_routes_that_are_never_listed_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.CLEANED_ITEMS.set(monkeypatch, 3000)
+    constants.CLEANED_ITEMS.set(monkeypatch, 300)
     receiver = StateReceiver(BRIDGE, trusted=False)
-    for first in range(0, 3000, 1000):
+    for first in range(0, 300, 100):
         assert not receiver.take(some_routes(first))
     with pytest.raises(ControlProtocolError):
-        receiver.take(some_routes(3000))
+        receiver.take(some_routes(300))
 
 
 def some_routes(first: int) -> protocol.StateChange:
-    """A thousand routes, of a state that goes on."""
-    routes = (replace(ROUTES[0], key=str(first + number)) for number in range(1000))
+    """A hundred routes, of a state that goes on."""
+    routes = (replace(ROUTES[0], key=str(first + number)) for number in range(100))
     return protocol.StateChange(routes=tuple(map(protocol.encode_route, routes)), more=True)
 
 
@@ -161,18 +158,17 @@ def test_a_route_twice_is_refused() -> None:
         StateReceiver(BRIDGE, trusted=False).take(state)
 
 
-def test_a_robot_that_was_taken_over_does_nothing_to_an_attached_console(machine: Machine) -> None:
-    robot = Reachable(machine)
-    robot.engine.now = replace(
-        robot.engine.now,
+def test_a_robot_that_was_taken_over_does_nothing_to_an_attached_console(reachable: Reachable) -> None:
+    reachable.engine.now = replace(
+        reachable.engine.now,
         address=ESCAPES,
         time=math.inf,
         links=(replace(LINK, reason=ESCAPES, peer=ESCAPES, rtt=math.nan, attempts=-(10**9)),),
         routes=(replace(ROUTES[0], reason=ESCAPES, rate=math.inf, since=1e300, history=(-5,) * 120),),
     )
-    robot.engine.happened = [Event(1, math.nan, Level.INFO, ESCAPES, ESCAPES, who=ESCAPES)]
-    robot.engine.described = f"a:\n {ESCAPES}"
-    remote = robot.attach()
+    reachable.engine.happened = [Event(1, math.nan, Level.INFO, ESCAPES, ESCAPES, who=ESCAPES)]
+    reachable.engine.described = f"a:\n {ESCAPES}"
+    remote = reachable.attach()
     eventually(remote.events)
     for each in (remote.snapshot(), remote.session, remote.bridge, remote.topics().result(60)):
         assert each == clean(each)
@@ -184,18 +180,16 @@ def test_a_robot_that_was_taken_over_does_nothing_to_an_attached_console(machine
     assert is_clean(description.replace("\n", ""))
 
 
-def test_an_answer_of_another_kind_is_no_answer(machine: Machine) -> None:
-    robot = Reachable(machine)
-    robot.engine.described = REMEMBERED  # what only a rogue sends
-    remote = robot.attach()
+def test_an_answer_of_another_kind_is_no_answer(reachable: Reachable) -> None:
+    reachable.engine.described = REMEMBERED  # what only a rogue sends
+    remote = reachable.attach()
     with pytest.raises(EngineError):
         remote.describe("/robot1/scan").result(60)
     remote.retry().result(60)
 
 
-def test_a_rogue_operator_asks_for_what_never_was_and_looks_all_the_time(machine: Machine) -> None:
-    robot = Reachable(machine)
-    with Stranger(robot.port, "bob", BOB) as rogue:
+def test_a_rogue_operator_asks_for_what_never_was_and_looks_all_the_time(reachable: Reachable) -> None:
+    with Stranger(reachable.port, "bob", BOB) as rogue:
         rogue.attach()
         for _ in range(1000):
             rogue.say(protocol.PollState())
@@ -205,4 +199,4 @@ def test_a_rogue_operator_asks_for_what_never_was_and_looks_all_the_time(machine
         while not any(isinstance(message, protocol.Events) for message in heard):
             heard.append(rogue.answer())
         assert sum(isinstance(message, protocol.StateChange) for message in heard) <= 2, "the state has not changed"
-    assert [route.key for route in robot.attach().snapshot().routes] == [route.key for route in ROUTES]
+    assert [route.key for route in reachable.attach().snapshot().routes] == [route.key for route in ROUTES]

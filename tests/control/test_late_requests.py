@@ -66,8 +66,7 @@ def test_an_old_ticket_costs_a_round_trip_and_the_command_is_done_once(
     machine: Machine, monkeypatch: pytest.MonkeyPatch, command: Command[Any], age: float
 ) -> None:
     engine = ScriptedEngine()
-    machine.serve(engine)
-    remote = machine.attach()
+    remote = machine.attach_to(engine)
     slow_line(remote, monkeypatch, age)
     remote.do(command)
     eventually(lambda: engine.commands)
@@ -78,8 +77,7 @@ def test_an_old_ticket_costs_a_round_trip_and_the_command_is_done_once(
 @pytest.mark.parametrize("command", MOVING, ids=lambda each: type(each).__name__)
 def test_a_command_that_was_given_long_ago_is_not_sent(machine: Machine, command: Command[Any]) -> None:
     engine = ScriptedEngine()
-    machine.serve(engine)
-    remote = machine.attach()
+    remote = machine.attach_to(engine)
     remote.given_at = Clock.steady() - OLD_AFTER - 0.1
     with pytest.raises(EngineError, match=pattern(RequestProblem.TOO_LATE)):
         remote.do(command).result(60)
@@ -93,8 +91,7 @@ def test_a_refused_command_is_repeated_only_while_it_may_be_wanted(
 ) -> None:
     """The console, or its way to the bridge, stands still between the command and its refusal."""
     engine = ScriptedEngine()
-    machine.serve(engine)
-    remote = machine.attach()
+    remote = machine.attach_to(engine)
     eventually(lambda: remote._ticket)
     stood = (TICKET_LIFE if rest else OLD_AFTER) + 0.1
     now = [Clock.steady()]

@@ -75,19 +75,14 @@ class Between:
 
 
 @pytest.fixture
-def robot(machine: Machine) -> Reachable:
-    return Reachable(machine)
-
-
-@pytest.fixture
-def between(robot: Reachable, machine: Machine) -> Between:
-    made = Between(robot)
+def between(reachable: Reachable, machine: Machine) -> Between:
+    made = Between(reachable)
     machine.in_the_end(made.cut)
     return made
 
 
-def test_who_forwards_sees_no_word_of_it(robot: Reachable, between: Between) -> None:
-    remote = robot.attach(port=between.port)
+def test_who_forwards_sees_no_word_of_it(reachable: Reachable, between: Between) -> None:
+    remote = reachable.attach(port=between.port)
     (route, *_) = remote.snapshot().routes
     assert len(between.seen) > 1000
     assert b"anna" in between.seen, "who attaches is in the clear"
@@ -95,8 +90,8 @@ def test_who_forwards_sees_no_word_of_it(robot: Reachable, between: Between) -> 
         assert word not in between.seen
 
 
-def test_what_is_changed_is_noticed_and_the_console_attaches_again(robot: Reachable, between: Between) -> None:
-    remote = robot.attach(port=between.port)
+def test_what_is_changed_is_noticed_and_the_console_attaches_again(reachable: Reachable, between: Between) -> None:
+    remote = reachable.attach(port=between.port)
     between.change = lambda data: data[:-1] + bytes((data[-1] ^ 1,))
     eventually(lambda: remote.snapshot() and [each for each in remote.events() if each.code == EventCode.ATTACH_LOST])
     between.change = bytes
@@ -104,19 +99,19 @@ def test_what_is_changed_is_noticed_and_the_console_attaches_again(robot: Reacha
     eventually(lambda: not remote.unreachable)
 
 
-def test_who_forwards_to_another_engine_is_found_out(robot: Reachable, between: Between) -> None:
+def test_who_forwards_to_another_engine_is_found_out(reachable: Reachable, between: Between) -> None:
     """Both engines have the same operator with the same key."""
     with pytest.raises(EngineError, match="robot2"):
-        robot.attach(engine="robot2", port=between.port)
-    assert robot.events(EventCode.ATTACH_UNKNOWN_NAME)
-    assert robot.server.attached() == 0
+        reachable.attach(engine="robot2", port=between.port)
+    assert reachable.events(EventCode.ATTACH_UNKNOWN_NAME)
+    assert reachable.server.attached() == 0
 
 
-def test_a_connection_that_is_cut_is_said_on_both_sides(robot: Reachable, between: Between) -> None:
-    remote = robot.attach(port=between.port)
+def test_a_connection_that_is_cut_is_said_on_both_sides(reachable: Reachable, between: Between) -> None:
+    remote = reachable.attach(port=between.port)
     between.cut()
     eventually(lambda: remote.unreachable)
-    eventually(lambda: robot.events(EventCode.ATTACH_OPERATOR_LEFT))
+    eventually(lambda: reachable.events(EventCode.ATTACH_OPERATOR_LEFT))
 
 
 def test_what_ends_a_connection_before_the_answer_is_said() -> None:

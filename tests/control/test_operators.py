@@ -25,21 +25,21 @@ if TYPE_CHECKING:
     from rsb_bridge.config.keys import Key
 
 
-def test_an_operator_attaches_and_changes(machine: Machine) -> None:
-    robot = Reachable(machine)
-    remote = robot.attach()
+def test_an_operator_attaches_and_changes(reachable: Reachable) -> None:
+    remote = reachable.attach()
     assert not remote.read_only
-    assert [each.topic for each in remote.snapshot().routes] == [each.topic for each in robot.engine.snapshot().routes]
+    assert [each.topic for each in remote.snapshot().routes] == [
+        each.topic for each in reachable.engine.snapshot().routes
+    ]
     remote.retry().result(60)
-    (came,) = robot.events(EventCode.ATTACH_OPERATOR)
+    (came,) = reachable.events(EventCode.ATTACH_OPERATOR)
     assert came.who.startswith("anna (operator key)")
     remote.stop()
-    eventually(lambda: robot.events(EventCode.ATTACH_OPERATOR_LEFT))
+    eventually(lambda: reachable.events(EventCode.ATTACH_OPERATOR_LEFT))
 
 
-def test_who_may_look_changes_nothing(machine: Machine) -> None:
-    robot = Reachable(machine)
-    remote = robot.attach("bob", BOB)
+def test_who_may_look_changes_nothing(reachable: Reachable, machine: Machine) -> None:
+    remote = reachable.attach("bob", BOB)
     assert remote.read_only
     with pytest.raises(EngineError, match=pattern(RequestRefused.READ_ONLY)):
         remote.retry().result(60)
@@ -48,23 +48,22 @@ def test_who_may_look_changes_nothing(machine: Machine) -> None:
     assert machine.stopped == 0
 
 
-def test_only_who_may_take_takes_an_arming_without_asking(machine: Machine) -> None:
+def test_only_who_may_take_takes_an_arming_without_asking(reachable: Reachable) -> None:
     """Others ask its holder."""
-    robot = Reachable(machine)
-    anna = robot.attach()
+    anna = reachable.attach()
     anna.ask_holder("/cmd_vel").result(60)
     assert not anna.may_take
     with pytest.raises(EngineError, match=pattern(RequestRefused.ASKS_FIRST)):
         anna.take_arming("/cmd_vel").result(60)
     with pytest.raises(EngineError, match=pattern(RequestRefused.READ_ONLY)):
-        robot.attach("bob", BOB).take_arming("/cmd_vel").result(60)
-    robot.access.grant(granted("anna", ANNA, "take"))
+        reachable.attach("bob", BOB).take_arming("/cmd_vel").result(60)
+    reachable.access.grant(granted("anna", ANNA, "take"))
     anna.stop()
-    anna = robot.attach()
+    anna = reachable.attach()
     assert not anna.read_only
     assert anna.may_take
     anna.take_arming("/cmd_vel").result(60)
-    given = [command for command in robot.engine.commands if command != ("release",)]
+    given = [command for command in reachable.engine.commands if command != ("release",)]
     assert given == [("ask_holder", "/cmd_vel"), ("take_arming", "/cmd_vel")]
 
 
@@ -77,21 +76,19 @@ def test_only_who_may_take_takes_an_arming_without_asking(machine: Machine) -> N
     ],
 )
 def test_who_may_not_is_told_so_on_both_sides(
-    machine: Machine, name: str, key: Key, engine: str, code: EventCode
+    reachable: Reachable, name: str, key: Key, engine: str, code: EventCode
 ) -> None:
-    robot = Reachable(machine)
     with pytest.raises(EngineError) as refused:
-        robot.attach(name, key, engine=engine)
-    (event,) = robot.events(code)
+        reachable.attach(name, key, engine=engine)
+    (event,) = reachable.events(code)
     assert repr(name if engine == "robot1" else engine) in str(refused.value)
     assert repr(name if engine == "robot1" else engine) in event.text
-    assert robot.server.attached() == 0
+    assert reachable.server.attached() == 0
 
 
-def test_an_operator_who_is_removed_is_detached_at_once(machine: Machine) -> None:
-    robot = Reachable(machine)
-    anna, bob = robot.attach(), robot.attach("bob", BOB)
-    robot.access.grant(granted("bob", BOB, "look"))
+def test_an_operator_who_is_removed_is_detached_at_once(reachable: Reachable) -> None:
+    anna, bob = reachable.attach(), reachable.attach("bob", BOB)
+    reachable.access.grant(granted("bob", BOB, "look"))
     eventually(
         lambda: any(
             says(anna.unreachable, why, name="anna") for why in (OperatorRefused.REMOVED, OperatorRefused.UNKNOWN)

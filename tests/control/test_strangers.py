@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import gc
 import socket
 import threading
 import weakref
@@ -70,48 +69,47 @@ CHANGES: tuple[AnyCommand, ...] = (
 
 
 @pytest.mark.parametrize("read_only", [True, False])
-def test_who_may_look_is_refused_every_change_whatever_their_console_says(machine: Machine, read_only: bool) -> None:
+def test_who_may_look_is_refused_every_change_whatever_their_console_says(
+    reachable: Reachable, machine: Machine, read_only: bool
+) -> None:
     assert {type(each) for each in CHANGES} == {
         each for each in get_args(AnyCommand) if each.right in (Right.CHANGE, Right.TAKE)
     }
-    robot = Reachable(machine)
-    with Stranger(robot.port, "bob", BOB) as bob:
+    with Stranger(reachable.port, "bob", BOB) as bob:
         bob.attach(read_only=read_only)
         for number, command in enumerate((*CHANGES, commands.Bench(BenchmarkStep()))):
             bob.say(CommandRequest(number, command))
             answer = bob.answer()
             assert isinstance(answer, CommandFailed)
             assert answer.id == number
-    assert robot.engine.commands == []
+    assert reachable.engine.commands == []
     assert machine.stopped == 0
 
 
-def test_a_thousand_attempts_leave_a_short_log_and_keep_nobody_out(machine: Machine) -> None:
-    robot = Reachable(machine)
-    remote = robot.attach()
+def test_a_thousand_attempts_leave_a_short_log_and_keep_nobody_out(reachable: Reachable) -> None:
+    remote = reachable.attach()
     for number in range(1000):
-        with Stranger(robot.port, f"guess{number}", Key(number.to_bytes(32, "big"))) as stranger:
+        with Stranger(reachable.port, f"guess{number}", Key(number.to_bytes(32, "big"))) as stranger:
             stranger.send(stranger.console.start())
     refused = (EventCode.ATTACH_UNKNOWN_NAME, EventCode.ATTACH_WRONG_KEY, EventCode.ATTACH_REJECTED)
-    eventually(lambda: robot.events(*refused))
-    robot.attach("bob", BOB)
-    assert len(robot.events(*refused)) <= 10
+    eventually(lambda: reachable.events(*refused))
+    reachable.attach("bob", BOB)
+    assert len(reachable.events(*refused)) <= 10
     assert not remote.unreachable
     remote.retry().result(60)
 
 
-def test_many_failures_are_answered_late(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = Reachable(machine)
+def test_many_failures_are_answered_late(reachable: Reachable, monkeypatch: pytest.MonkeyPatch) -> None:
     delays: list[float] = []
-    real = robot.acceptor.pending.refusals.delay
+    real = reachable.acceptor.pending.refusals.delay
 
     def delay(host: str) -> float:
         delays.append(real(host))
         return delays[-1]
 
-    monkeypatch.setattr(robot.acceptor.pending.refusals, "delay", delay)
+    monkeypatch.setattr(reachable.acceptor.pending.refusals, "delay", delay)
     for _ in range(6):
-        with Stranger(robot.port, key=BOB) as stranger:
+        with Stranger(reachable.port, key=BOB) as stranger:
             stranger.send(stranger.console.start())
             (refused,) = stranger.hear()
             assert isinstance(refused, events.StreamRefused)
@@ -136,74 +134,69 @@ def test_who_has_no_confirmation_is_closed_in_time(machine: Machine, monkeypatch
     assert robot.events(EventCode.ATTACH_OPERATOR) == []
 
 
-def test_many_who_say_nothing_keep_nobody_out(machine: Machine) -> None:
-    robot = Reachable(machine)
+def test_many_who_say_nothing_keep_nobody_out(reachable: Reachable) -> None:
     with contextlib.ExitStack() as silent:
-        first = silent.enter_context(Stranger(robot.port))
+        first = silent.enter_context(Stranger(reachable.port))
         for _ in range(constants.CONSOLE_LIMITS.value.total):
-            silent.enter_context(Stranger(robot.port))
+            silent.enter_context(Stranger(reachable.port))
         assert first.is_closed()
-        robot.attach()
+        reachable.attach()
 
 
-def test_a_first_message_that_was_recorded_is_refused(machine: Machine) -> None:
-    robot = Reachable(machine)
-    with Stranger(robot.port) as anna:
+def test_a_first_message_that_was_recorded_is_refused(reachable: Reachable) -> None:
+    with Stranger(reachable.port) as anna:
         first = anna.console.start()
         anna.send(first)
         assert anna.hear() == [events.Admitted()]
-        with Stranger(robot.port) as replaying:
+        with Stranger(reachable.port) as replaying:
             replaying.send(first)
             assert replaying.is_closed()
-    (refused,) = robot.events(EventCode.ATTACH_REJECTED)
+    (refused,) = reachable.events(EventCode.ATTACH_REJECTED)
     assert "anna" in refused.text
 
 
-def test_a_link_s_key_and_first_message_are_of_no_use(machine: Machine) -> None:
-    robot = Reachable(machine)
-    with Stranger(robot.port) as link:
+def test_a_link_s_key_and_first_message_are_of_no_use(reachable: Reachable) -> None:
+    with Stranger(reachable.port) as link:
         link.send(make_client(key=ANNA.secret).start())
         assert link.is_closed()
-    assert robot.events(EventCode.ATTACH_REJECTED)
-    assert robot.server.attached() == 0
+    assert reachable.events(EventCode.ATTACH_REJECTED)
+    assert reachable.server.attached() == 0
 
 
 @pytest.mark.parametrize("damage", [lambda record: record[:-1] + bytes(1), lambda record: record + record])
-def test_what_was_changed_on_the_way_ends_the_connection(machine: Machine, damage: Callable[[bytes], bytes]) -> None:
-    robot = Reachable(machine)
-    with Stranger(robot.port) as anna:
+def test_what_was_changed_on_the_way_ends_the_connection(
+    reachable: Reachable, damage: Callable[[bytes], bytes]
+) -> None:
+    with Stranger(reachable.port) as anna:
         anna.attach()
         record = anna.console.send(b"\0\0\0\1")
         anna.send(damage(record))
         assert anna.is_closed()
-    eventually(lambda: robot.server.attached() == 0)
-    assert robot.events(EventCode.ATTACH_REJECTED)
+    eventually(lambda: reachable.server.attached() == 0)
+    assert reachable.events(EventCode.ATTACH_REJECTED)
 
 
-def test_an_operator_who_does_not_speak_the_protocol_is_closed(machine: Machine) -> None:
-    robot = Reachable(machine)
-    with Stranger(robot.port) as anna:
+def test_an_operator_who_does_not_speak_the_protocol_is_closed(reachable: Reachable) -> None:
+    with Stranger(reachable.port) as anna:
         anna.attach()
         anna.send(anna.console.send(b"\xff\xff\xff\xff"))
         assert anna.is_closed()
-    eventually(lambda: robot.server.attached() == 0)
+    eventually(lambda: reachable.server.attached() == 0)
 
 
-def test_who_hears_only_is_closed(machine: Machine) -> None:
-    robot = Reachable(machine)
-    with Stranger(robot.port) as anna:
+def test_who_hears_only_is_closed(reachable: Reachable) -> None:
+    with Stranger(reachable.port) as anna:
         anna.attach()
         anna.socket.shutdown(socket.SHUT_WR)
         assert anna.is_closed()
-    eventually(lambda: robot.events(EventCode.ATTACH_OPERATOR_LEFT))
+    eventually(lambda: reachable.events(EventCode.ATTACH_OPERATOR_LEFT))
 
 
-def test_operators_leave_places_to_this_machine_s_consoles(machine: Machine) -> None:
-    robot = Reachable(machine)
+def test_operators_leave_places_to_this_machine_s_consoles(reachable: Reachable, machine: Machine) -> None:
     with contextlib.ExitStack() as attached:
         for _ in range(constants.OPERATORS_PLACES.value):
-            attached.enter_context(Stranger(robot.port)).attach()
-        one_more = attached.enter_context(Stranger(robot.port))
+            attached.enter_context(Stranger(reachable.port)).attach()
+        one_more = attached.enter_context(Stranger(reachable.port))
         one_more.send(one_more.console.start())
         assert one_more.hear() == [events.Admitted()]
         one_more.say(ConsoleHello(1, "0.1.0"))
@@ -212,19 +205,20 @@ def test_operators_leave_places_to_this_machine_s_consoles(machine: Machine) -> 
             machine.attach()
 
 
-def test_first_messages_that_are_played_again_leave_room_for_others(machine: Machine) -> None:
+def test_first_messages_that_are_played_again_leave_room_for_others(reachable: Reachable) -> None:
     """A restarted engine has forgotten the recorded ones, and accepts each once."""
-    robot = Reachable(machine)
     with contextlib.ExitStack() as played:
-        first = played.enter_context(Stranger(robot.port))
+        first = played.enter_context(Stranger(reachable.port))
         first.send(first.console.start())
-        eventually(lambda: [each for each in robot.acceptor.pending.present if each.stage is ConnectionStage.ACCEPTED])
+        eventually(
+            lambda: [each for each in reachable.acceptor.pending.present if each.stage is ConnectionStage.ACCEPTED]
+        )
         for _ in range(constants.CONSOLE_LIMITS.value.accepted):
-            one = played.enter_context(Stranger(robot.port))
+            one = played.enter_context(Stranger(reachable.port))
             one.send(one.console.start())
         assert first.is_closed()
-        assert len(robot.acceptor.pending.present) <= constants.CONSOLE_LIMITS.value.accepted
-        robot.attach("bob", BOB)
+        assert len(reachable.acceptor.pending.present) <= constants.CONSOLE_LIMITS.value.accepted
+        reachable.attach("bob", BOB)
 
 
 class Stalled:
@@ -293,26 +287,25 @@ def test_a_refusal_that_nobody_takes_is_given_up(machine: Machine, monkeypatch: 
     [granted("anna", BOB), granted("anna", ANNA, "look"), {}],
     ids=["another key", "other rights", "removed"],
 )
-def test_a_reload_detaches_whom_it_is_about(machine: Machine, now: dict[str, Granted]) -> None:
-    robot = Reachable(machine)
-    with Stranger(robot.port) as anna, Stranger(robot.port) as halfway:
+def test_a_reload_detaches_whom_it_is_about(reachable: Reachable, now: dict[str, Granted]) -> None:
+    with Stranger(reachable.port) as anna, Stranger(reachable.port) as halfway:
         anna.attach()
         halfway.send(halfway.console.start())
         halfway.console.receive_data(halfway.socket.recv(4096))
-        robot.access.grant(now)
+        reachable.access.grant(now)
         assert anna.is_closed()
         assert halfway.is_closed(), "what it proves counts no more"
-    eventually(lambda: robot.server.attached() == 0)
+    eventually(lambda: reachable.server.attached() == 0)
 
 
-def test_who_comes_when_the_bridge_has_ended_is_closed(machine: Machine) -> None:
-    robot = Reachable(machine)
-    remote = robot.attach()
-    robot.close()
-    robot.server.close("the bridge was stopped")
+def test_who_comes_when_the_bridge_has_ended_is_closed(reachable: Reachable) -> None:
+    remote = reachable.attach()
+    reachable.close()
+    reachable.server.close("the bridge was stopped")
     eventually(lambda: remote.unreachable == "the bridge was stopped")
 
 
+@pytest.mark.usefixtures("no_collector")
 def test_a_refused_console_is_freed_at_once_and_counts_no_more(
     machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -326,36 +319,29 @@ def test_a_refused_console_is_freed_at_once_and_counts_no_more(
     robot = Reachable(machine)
     unknown = OperatorConsole("nobody", ANNA.secret, "robot1", version=1).start()
     said = (b"GET / HTTP/1.1\r\n\r\n", unknown, bytes(100_000), b"")
-    gc.collect()
-    gc.disable()
-    try:
-        for each in said:
-            with Stranger(robot.port) as stranger:
-                stranger.socket.sendall(each)
-                with contextlib.suppress(OSError):  # it may be closed already
-                    stranger.socket.shutdown(socket.SHUT_WR)
-                assert stranger.is_closed()
-        eventually(lambda: len(made) == 2 * len(said) and not any(each() for each in made), what="freed")
-    finally:
-        gc.enable()
+    for each in said:
+        with Stranger(robot.port) as stranger:
+            stranger.socket.sendall(each)
+            with contextlib.suppress(OSError):  # it may be closed already
+                stranger.socket.shutdown(socket.SHUT_WR)
+            assert stranger.is_closed()
+    eventually(lambda: len(made) == 2 * len(said) and not any(each() for each in made), what="freed")
     assert robot.access.strangers.used == 0
 
 
-def test_an_attached_operator_is_no_stranger(machine: Machine) -> None:
-    robot = Reachable(machine)
-    with Stranger(robot.port) as anna, Stranger(robot.port) as silent:
+def test_an_attached_operator_is_no_stranger(reachable: Reachable) -> None:
+    with Stranger(reachable.port) as anna, Stranger(reachable.port) as silent:
         anna.attach()
-        eventually(lambda: robot.access.strangers.used == CONNECTION)
+        eventually(lambda: reachable.access.strangers.used == CONNECTION)
         del silent
 
 
-def test_a_spent_budget_of_strangers_keeps_no_operator_out(machine: Machine) -> None:
-    robot = Reachable(machine)
-    robot.acceptor.pending.strangers = Strangers(3 * CONNECTION)
+def test_a_spent_budget_of_strangers_keeps_no_operator_out(reachable: Reachable) -> None:
+    reachable.acceptor.pending.strangers = Strangers(3 * CONNECTION)
     with contextlib.ExitStack() as silent:
-        first = silent.enter_context(Stranger(robot.port))
+        first = silent.enter_context(Stranger(reachable.port))
         for _ in range(5):
-            silent.enter_context(Stranger(robot.port))
+            silent.enter_context(Stranger(reachable.port))
         assert first.is_closed()
-        robot.attach()
-    assert robot.acceptor.pending.strangers.turned_away >= 3
+        reachable.attach()
+    assert reachable.acceptor.pending.strangers.turned_away >= 3

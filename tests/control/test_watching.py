@@ -120,22 +120,20 @@ def test_a_bridge_that_makes_no_figures_does_not_answer(machine: Machine, monkey
 
 
 @pytest.mark.parametrize("content", [bytes(SUMMARY_BYTES + 1), bytes(protocol.TO_WATCHER_LIMIT)])
-def test_figures_that_are_too_long_are_refused(machine: Machine, content: bytes) -> None:
-    robot = Reachable(machine)
-    robot.server.summarize = lambda: content
+def test_figures_that_are_too_long_are_refused(reachable: Reachable, content: bytes) -> None:
+    reachable.server.summarize = lambda: content
     with pytest.raises(ControlError):
-        seen(robot.way(), 1)
+        seen(reachable.way(), 1)
 
 
-def test_why_it_ends_is_said(machine: Machine) -> None:
-    robot = Reachable(machine)
-    robot.server.summarize = lambda: b"figures"
+def test_why_it_ends_is_said(reachable: Reachable) -> None:
+    reachable.server.summarize = lambda: b"figures"
 
     async def see() -> None:
-        async for _ in watch(robot.way()):
-            robot.access.grant({})
+        async for _ in watch(reachable.way()):
+            reachable.access.grant({})
 
     with pytest.raises(ControlError, match=pattern(OperatorRefused.REMOVED, name="anna")):
         asyncio.run(see())
     with pytest.raises(ControlError, match="anna"):
-        seen(robot.way(), 1)
+        seen(reachable.way(), 1)

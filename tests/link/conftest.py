@@ -1,5 +1,6 @@
-"""Fixtures of tests on virtual time."""
+"""Fixtures of tests on virtual time, and tests that are coroutines."""
 
-from tests.support.offline import loop, make_context
+from tests.support.coroutines import pytest_pyfunc_call
+from tests.support.offline import context, loop, make_context
 
-__all__ = ["loop", "make_context"]
+__all__ = ["context", "loop", "make_context", "pytest_pyfunc_call"]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import pytest
-from tests.link.test_route_table import Pair, Side, hear_all
+from tests.link.test_route_table import Pair, Side, hear_all, pair_of
 from tests.route.test_unpacking import OnePublisher
 
 from rsb_bridge.engine.topic_commands import ArmingCommands
@@ -50,15 +50,14 @@ CONSOLE = "anna's"
 
 
 @pytest.fixture
-def make_armable(loop: VirtualLoop, make_context: Callable[..., Context]) -> Callable[..., Pair]:
+def make_armable(make_context: Callable[..., Context]) -> Callable[..., Pair]:
     """Makes a robot, which is the client, and a control PC, with the topic between them."""
 
     def make(topic: Topic = COMMANDS) -> Pair:
-        robot, pc = Side(make_context(), is_client=True), Side(make_context(role="server"), is_client=False)
-        robot.other, pc.other = pc, robot
+        pair = robot, _ = pair_of(make_context(), make_context(role="server"))
         propose(robot, topic)
-        hear_all((robot, pc))
-        return robot, pc
+        hear_all(pair)
+        return pair
 
     return make
 
@@ -73,12 +72,13 @@ def propose(side: Side, topic: Topic) -> None:
     side.table.add(topic, proposal, proposed_here=True)
 
 
-def let_time_pass(pair: Pair, loop: VirtualLoop, seconds: float) -> None:
+def let_time_pass(pair: Pair, seconds: float) -> None:
     """Let the lease's numbers go to and fro, and then the tables tick."""
     hear_all(pair)
+    loop = pair[0].context.loop
     until = loop.time() + seconds
     while loop.time() < until:
-        loop.run_until_complete(asyncio.sleep(min(0.125, until - loop.time())))
+        sleep(pair[0], min(0.125, until - loop.time()))
         hear_all(pair)
     for side in pair:
         side.table.tick()
@@ -97,25 +97,26 @@ def stands(*sides: Side) -> list[bool]:
     return [route(side).arming.stands(side.context.now()) for side in sides]
 
 
-def arm(side: Side, loop: VirtualLoop, *, console: str = CONSOLE, answered: bool = True) -> asyncio.Task[None]:
+def arm(side: Side, *, console: str = CONSOLE, answered: bool = True) -> asyncio.Task[None]:
     async def ask() -> None:
         with acting("anna"):
             await side.table.arming.arm(route(side), console)
 
-    task = loop.create_task(ask())
-    turn(loop)
+    task = side.context.loop.create_task(ask())
+    turn(side)
     if answered:
         hear_all((side, side.other))
-        turn(loop)
+        turn(side)
     return task
 
 
-def turn(loop: VirtualLoop) -> None:
-    async def nothing() -> None:
-        for _ in range(3):
-            await asyncio.sleep(0)
+def turn(side: Side) -> None:
+    for _ in range(3):
+        sleep(side, 0.0)
 
-    loop.run_until_complete(nothing())
+
+def sleep(side: Side, seconds: float) -> None:
+    side.context.loop.run_until_complete(asyncio.sleep(seconds))
 
 
 def events(side: Side, *codes: EventCode) -> list[Event]:
@@ -127,9 +128,9 @@ def why(side: Side) -> str:
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
-def test_a_message_from_before_it_was_armed_is_not_published(at: int, pair: Pair, loop: VirtualLoop) -> None:
+def test_a_message_from_before_it_was_armed_is_not_published(at: int, pair: Pair) -> None:
     """The lease goes on from one arming to the next, and a number of the first may still be young."""
-    arm(pair[at], loop).result()
+    arm(pair[at]).result()
     receiving = pair[0]
     lease = route(receiving).arming.lease
     assert lease is not None
@@ -138,13 +139,13 @@ def test_a_message_from_before_it_was_armed_is_not_published(at: int, pair: Pair
     assert gate.check(GatedMessage(0, before), 0.0) is None
     pair[at].table.arming.disarm(route(pair[at]), Disarmed.OPERATOR)
     hear_all(pair)
-    arm(pair[at], loop).result()
+    arm(pair[at]).result()
     assert lease.passes(before)
     assert gate.check(GatedMessage(0, before), 0.0) is Refused.DISARMED
     assert gate.check(GatedMessage(0, lease.number), 0.0) is None
 
 
-def command(side: Side, loop: VirtualLoop, *, take: bool = False, ask: bool = False) -> asyncio.Task[None]:
+def command(side: Side, *, take: bool = False, ask: bool = False) -> asyncio.Task[None]:
     """What `rsb-console arm` has the bridge do, for a console; the other side hears nothing of it yet."""
 
     async def no_motions(_: set[str]) -> None:
@@ -163,51 +164,45 @@ def command(side: Side, loop: VirtualLoop, *, take: bool = False, ask: bool = Fa
             else:
                 await (commands.take(TakeArming(key)) if take else commands.arm(ArmTopic(key)))
 
-    task = loop.create_task(give())
-    turn(loop)
+    task = side.context.loop.create_task(give())
+    turn(side)
     return task
-
-
-def sleep(loop: VirtualLoop, seconds: float) -> None:
-    loop.run_until_complete(asyncio.sleep(seconds))
 
 
 @pytest.mark.parametrize("take", [False, True], ids=["arm", "take"])
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
-def test_a_topic_that_was_just_disarmed_is_armed_once_the_link_moves_again(
-    at: int, take: bool, pair: Pair, loop: VirtualLoop
-) -> None:
+def test_a_topic_that_was_just_disarmed_is_armed_once_the_link_moves_again(at: int, take: bool, pair: Pair) -> None:
     """What is said about its new opening stands in the link for a while."""
     side = pair[at]
-    arm(side, loop).result()
+    arm(side).result()
     side.table.arming.disarm(route(side), Disarmed.OPERATOR)
-    task = command(side, loop, take=take)
-    sleep(loop, 0.8 * ANSWERED_WITHIN)
+    task = command(side, take=take)
+    sleep(pair[0], 0.8 * ANSWERED_WITHIN)
     assert not task.done()
-    let_time_pass(pair, loop, 1.0)
+    let_time_pass(pair, 1.0)
     task.result()
     assert stands(*pair) == [True, True]
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
-def test_a_topic_that_does_not_open_again_is_not_waited_for_forever(at: int, pair: Pair, loop: VirtualLoop) -> None:
+def test_a_topic_that_does_not_open_again_is_not_waited_for_forever(at: int, pair: Pair) -> None:
     side = pair[at]
-    arm(side, loop).result()
+    arm(side).result()
     side.table.arming.disarm(route(side), Disarmed.OPERATOR)
-    task = command(side, loop)
-    sleep(loop, 1.1 * ANSWERED_WITHIN)
+    task = command(side)
+    sleep(pair[0], 1.1 * ANSWERED_WITHIN)
     assert ArmingProblem.NOT_OPEN() in str(task.exception())
-    let_time_pass(pair, loop, 1.0)
+    let_time_pass(pair, 1.0)
     assert stands(*pair) == [False, False]
 
 
-def test_a_console_that_is_gone_before_the_topic_opens_arms_nothing(pair: Pair, loop: VirtualLoop) -> None:
+def test_a_console_that_is_gone_before_the_topic_opens_arms_nothing(pair: Pair) -> None:
     pc = pair[1]
-    arm(pc, loop).result()
+    arm(pc).result()
     pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
-    task = command(pc, loop)
+    task = command(pc)
     pc.table.arming.gone(CONSOLE)
-    let_time_pass(pair, loop, 1.0)
+    let_time_pass(pair, 1.0)
     assert ArmingProblem.CONSOLE_GONE(topic="/cmd_vel") in str(task.exception())
     assert stands(*pair) == [False, False]
 
@@ -217,36 +212,34 @@ def test_a_console_that_is_gone_before_the_type_is_loaded_arms_nothing(
 ) -> None:
     pc, loaded = pair[1], loop.create_future()
     monkeypatch.setattr(type(pc.context), "load_type", lambda *_: loaded)
-    task = command(pc, loop)
+    task = command(pc)
     pc.table.arming.gone(CONSOLE)
     loaded.set_result(None)
-    let_time_pass(pair, loop, 1.0)
+    let_time_pass(pair, 1.0)
     assert ArmingProblem.CONSOLE_GONE(topic="/cmd_vel") in str(task.exception())
     assert stands(*pair) == [False, False]
 
 
-def test_a_console_that_is_gone_before_the_robot_stands_arms_nothing(pair: Pair, loop: VirtualLoop) -> None:
+def test_a_console_that_is_gone_before_the_robot_stands_arms_nothing(pair: Pair) -> None:
     """What it takes over is disarmed all the same."""
     pc = pair[1]
-    arm(pc, loop, console="ben's").result()
-    task = command(pc, loop, take=True)
+    arm(pc, console="ben's").result()
+    task = command(pc, take=True)
     assert not task.done()
     pc.table.arming.gone(CONSOLE)
-    let_time_pass(pair, loop, 1.0)
+    let_time_pass(pair, 1.0)
     assert ArmingProblem.CONSOLE_GONE(topic="/cmd_vel") in str(task.exception())
     assert stands(*pair) == [False, False]
 
 
-def test_a_console_that_is_gone_before_the_holder_answers_leaves_it_to_the_holder(
-    pair: Pair, loop: VirtualLoop
-) -> None:
+def test_a_console_that_is_gone_before_the_holder_answers_leaves_it_to_the_holder(pair: Pair) -> None:
     pc = pair[1]
-    arm(pc, loop, console="ben's").result()
-    task = command(pc, loop, ask=True)
+    arm(pc, console="ben's").result()
+    task = command(pc, ask=True)
     assert not task.done()
     pc.table.arming.gone(CONSOLE)
     pc.table.questions.answer(route(pc), "ben's", gives=True)
-    let_time_pass(pair, loop, 1.0)
+    let_time_pass(pair, 1.0)
     assert ArmingProblem.CONSOLE_GONE(topic="/cmd_vel") in str(task.exception())
     assert (stands(*pair), route(pc).arming.console) == ([True, True], "ben's")
 
@@ -254,7 +247,7 @@ def test_a_console_that_is_gone_before_the_holder_answers_leaves_it_to_the_holde
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
 def test_an_operator_of_either_side_arms_both(at: int, pair: Pair, loop: VirtualLoop) -> None:
     assert passes(*pair) == [False, False]
-    arm(pair[at], loop).result()
+    arm(pair[at]).result()
     assert passes(*pair) == [True, True]
     here, there = (route(side).arming.snapshot(loop.time()) for side in (pair[at], pair[1 - at]))
     assert here is not None
@@ -266,9 +259,9 @@ def test_an_operator_of_either_side_arms_both(at: int, pair: Pair, loop: Virtual
         assert (event.who.endswith("anna"), event.topic, event.new) == (True, "/cmd_vel", "armed")
 
 
-def test_nothing_passes_before_both_sides_agree(pair: Pair, loop: VirtualLoop) -> None:
+def test_nothing_passes_before_both_sides_agree(pair: Pair) -> None:
     robot, pc = pair
-    task = arm(pc, loop, answered=False)
+    task = arm(pc, answered=False)
     assert stands(robot, pc) == [False, False]
     robot.hear()
     robot.hear()
@@ -278,18 +271,18 @@ def test_nothing_passes_before_both_sides_agree(pair: Pair, loop: VirtualLoop) -
     assert passes(robot, pc) == [False, False]
     assert route(robot).verdict().state is State.DISARMED
     hear_all(pair)
-    turn(loop)
+    turn(pair[0])
     assert task.done()
     assert passes(robot, pc) == [True, True]
 
 
-def test_a_side_that_does_not_answer_leaves_it_disarmed(pair: Pair, loop: VirtualLoop) -> None:
+def test_a_side_that_does_not_answer_leaves_it_disarmed(pair: Pair) -> None:
     robot, pc = pair
-    task = arm(pc, loop, answered=False)
+    task = arm(pc, answered=False)
     robot.inbox.clear()
     for _ in range(6):
-        let_time_pass(pair, loop, 1.0)
-    turn(loop)
+        let_time_pass(pair, 1.0)
+    turn(pair[0])
     assert isinstance(task.exception(), LinkError)
     assert passes(*pair) == [False, False]
     assert why(pc) == Disarmed.NO_ANSWER
@@ -298,28 +291,28 @@ def test_a_side_that_does_not_answer_leaves_it_disarmed(pair: Pair, loop: Virtua
 @pytest.mark.parametrize("at", [0, 1], ids=["armed on the robot", "armed on the control PC"])
 def test_it_disarms_when_no_key_is_pressed_in_time(at: int, pair: Pair, loop: VirtualLoop) -> None:
     side, other = pair[at], pair[1 - at]
-    arm(side, loop).result()
+    arm(side).result()
     for _ in range(int(DEADMAN) - 1):
         side.table.arming.seen(CONSOLE, pressed=False)
-        let_time_pass(pair, loop, 1.0)
+        let_time_pass(pair, 1.0)
     assert passes(*pair) == [True, True]
     loop.jump(1.0)
     assert passes(side) == [False]  # not a moment later, tick or not
     assert route(side).snapshot().cause == (Cause.DISARMING if route(side).outgoing else Cause.DISARMED)
     assert route(side).snapshot().reason.startswith(DISARM_TEXT[Disarmed.DEADMAN])
-    let_time_pass(pair, loop, 0.0)
+    let_time_pass(pair, 0.0)
     hear_all(pair)
     assert passes(*pair) == [False, False]
     assert why(side) == why(other) == Disarmed.DEADMAN
 
 
-def test_a_key_begins_the_time_anew_on_both_sides(pair: Pair, loop: VirtualLoop) -> None:
+def test_a_key_begins_the_time_anew_on_both_sides(pair: Pair) -> None:
     robot, pc = pair
-    arm(pc, loop).result()
+    arm(pc).result()
     for second in range(200):
         pc.table.arming.seen(CONSOLE, pressed=second % 20 == 19)
         pc.table.arming.seen("another console", pressed=True)
-        let_time_pass(pair, loop, 1.0)
+        let_time_pass(pair, 1.0)
     hear_all(pair)
     assert passes(*pair) == [True, True]
     assert len(events(robot, EventCode.OPERATOR_ARMED)) == 1
@@ -327,21 +320,19 @@ def test_a_key_begins_the_time_anew_on_both_sides(pair: Pair, loop: VirtualLoop)
 
 def test_the_other_side_disarms_by_its_own_clock_where_keys_are_no_longer_told(pair: Pair, loop: VirtualLoop) -> None:
     robot, pc = pair
-    arm(pc, loop).result()
+    arm(pc).result()
     loop.jump(DEADMAN + PEER_GRACE)
     assert passes(robot) == [False]
     robot.table.tick()
     assert why(robot) == Disarmed.DEADMAN
 
 
-def test_without_a_deadman_only_the_console_has_to_be_there(
-    make_armable: Callable[..., Pair], loop: VirtualLoop
-) -> None:
+def test_without_a_deadman_only_the_console_has_to_be_there(make_armable: Callable[..., Pair]) -> None:
     pair = robot, pc = make_armable(Topic("/cmd_vel", "receive", arm=True, deadman=0.0))
-    arm(pc, loop).result()
+    arm(pc).result()
     for _ in range(100):
         pc.table.arming.seen(CONSOLE, pressed=False)
-        let_time_pass(pair, loop, 3.0)
+        let_time_pass(pair, 3.0)
     assert passes(*pair) == [True, True]
     pc.table.arming.gone("another console")
     assert passes(*pair) == [True, True]
@@ -351,12 +342,12 @@ def test_without_a_deadman_only_the_console_has_to_be_there(
     assert why(robot) == Disarmed.CONSOLE_GONE
 
 
-def test_a_console_that_gives_no_sign_of_life_is_gone(pair: Pair, loop: VirtualLoop) -> None:
+def test_a_console_that_gives_no_sign_of_life_is_gone(pair: Pair) -> None:
     robot, pc = pair
-    arm(robot, loop).result()
-    let_time_pass(pair, loop, CONSOLE_SILENT_AFTER)
+    arm(robot).result()
+    let_time_pass(pair, CONSOLE_SILENT_AFTER)
     assert passes(*pair) == [True, True]
-    let_time_pass(pair, loop, 1.0)
+    let_time_pass(pair, 1.0)
     hear_all(pair)
     assert passes(*pair) == [False, False]
     assert why(robot) == why(pc) == Disarmed.CONSOLE_GONE
@@ -364,35 +355,35 @@ def test_a_console_that_gives_no_sign_of_life_is_gone(pair: Pair, loop: VirtualL
 
 def test_a_console_that_goes_because_its_time_is_over_leaves_that_as_the_cause(pair: Pair, loop: VirtualLoop) -> None:
     _, pc = pair
-    arm(pc, loop).result()
+    arm(pc).result()
     loop.jump(DEADMAN)
     pc.table.arming.gone(CONSOLE)
     hear_all(pair)
     assert [why(side) for side in pair] == [Disarmed.DEADMAN, Disarmed.DEADMAN]
 
 
-def test_a_lost_link_disarms_both_sides_and_a_new_one_is_disarmed(pair: Pair, loop: VirtualLoop) -> None:
+def test_a_lost_link_disarms_both_sides_and_a_new_one_is_disarmed(pair: Pair) -> None:
     robot, pc = pair
-    arm(pc, loop).result()
+    arm(pc).result()
     for side in pair:
         side.linked = False
         side.inbox.clear()
         side.table.disconnected()
     assert passes(*pair) == [False, False]
-    loop.run_until_complete(asyncio.sleep(LASTS))
+    sleep(pair[0], LASTS)
     assert why(robot) == why(pc) == Disarmed.LINK_LOST
     for side in pair:
         side.linked = True
         side.table.connected()
     hear_all(pair)
     assert passes(*pair) == [False, False]
-    arm(pc, loop).result()
+    arm(pc).result()
     assert passes(*pair) == [True, True]
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["the robot", "the control PC"])
 def test_an_operator_of_either_side_disarms_what_the_other_armed(at: int, pair: Pair, loop: VirtualLoop) -> None:
-    arm(pair[1 - at], loop).result()
+    arm(pair[1 - at]).result()
     side = pair[at]
     before = route(side).id
     with acting("bob"):
@@ -403,17 +394,19 @@ def test_an_operator_of_either_side_disarms_what_the_other_armed(at: int, pair: 
     for each in pair:
         (event,) = events(each, EventCode.OPERATOR_DISARMED)
         assert (event.who.endswith("bob"), event.from_peer) == (True, each is not side)
+        snapshot = route(each).arming.snapshot(loop.time())
+        assert snapshot is not None
+        assert (snapshot.armed, snapshot.why) == (False, Disarmed.OPERATOR)
+        assert "bob" in snapshot.reason
         assert route(each).id not in (0, before), "opened again: messages in flight belong to another route id"
-    arm(side, loop).result()
+    arm(side).result()
     assert passes(*pair) == [True, True]
 
 
-def test_the_data_connection_of_a_disarmed_opening_may_end_before_the_next_one_is_proposed(
-    pair: Pair, loop: VirtualLoop
-) -> None:
+def test_the_data_connection_of_a_disarmed_opening_may_end_before_the_next_one_is_proposed(pair: Pair) -> None:
     robot, pc = pair
     for _ in range(3):
-        arm(robot, loop).result()
+        arm(robot).result()
         with acting("anna"):
             robot.table.arming.disarm(route(robot), Disarmed.OPERATOR)
         pc.table.handle(pc.inbox.popleft())
@@ -423,10 +416,10 @@ def test_the_data_connection_of_a_disarmed_opening_may_end_before_the_next_one_i
     assert not route(pc).losses.repeated
 
 
-def test_an_opening_is_armed_once_whatever_the_peer_says(pair: Pair, loop: VirtualLoop) -> None:
+def test_an_opening_is_armed_once_whatever_the_peer_says(pair: Pair) -> None:
     """The control PC's own bridge is made to lie: it never opens the route again, and arms it at once."""
     robot, pc = pair
-    arm(pc, loop).result()
+    arm(pc).result()
     opening = route(robot).id
     with acting("bob"):
         robot.table.arming.disarm(route(robot), Disarmed.OPERATOR)
@@ -458,43 +451,30 @@ def test_a_side_marks_its_own_topic_whatever_the_peer_proposes(pair: Pair) -> No
     assert {each.arming.deadman for each in robot.routes.values()} == {DEADMAN}
 
 
-def test_the_shorter_deadman_of_both_sides_counts(make_armable: Callable[..., Pair], loop: VirtualLoop) -> None:
+def test_the_shorter_deadman_of_both_sides_counts(make_armable: Callable[..., Pair]) -> None:
     robot, pc = make_armable(Topic("/other", "receive"))
     propose(pc, Topic("/cmd_vel", "receive", arm=True, deadman=20.0))
     propose(robot, Topic("/cmd_vel", "receive", arm=True, deadman=0.0))
     for _ in range(3):
-        let_time_pass((robot, pc), loop, 1.0)
+        let_time_pass((robot, pc), 1.0)
     commands = [each for side in (robot, pc) for each in side.routes.values() if "cmd" in each.key]
     assert [(each.arming.required, each.arming.deadman) for each in commands] == [(True, 20.0)] * 2
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_of_two_operators_at_once_the_client_s_arms(first: int, pair: Pair, loop: VirtualLoop) -> None:
+def test_of_two_operators_at_once_the_client_s_arms(first: int, pair: Pair) -> None:
     robot, pc = pair
-    tasks = [arm(pair[at], loop, console=f"console {at}", answered=False) for at in (first, 1 - first)]
+    tasks = [arm(pair[at], console=f"console {at}", answered=False) for at in (first, 1 - first)]
     hear_all(pair)
-    turn(loop)
+    turn(pair[0])
     assert passes(*pair) == [True, True]
     assert (route(robot).arming.console, route(pc).arming.console) == ("console 0", None)
     assert [task.exception() is None for task in tasks] == [first == 0, first == 1]
 
 
-def test_pausing_disarms(pair: Pair, loop: VirtualLoop) -> None:
+def test_who_pauses_an_armed_topic_is_told_that_it_disarms_until_nothing_is_published_any_more(pair: Pair) -> None:
     _, pc = pair
-    arm(pc, loop).result()
-    pc.table.pause(route(pc), paused=True)
-    hear_all(pair)
-    pc.table.pause(route(pc), paused=False)
-    hear_all(pair)
-    assert passes(*pair) == [False, False]
-    assert why(pc) == Disarmed.PAUSED
-
-
-def test_who_pauses_an_armed_topic_is_told_that_it_disarms_until_nothing_is_published_any_more(
-    pair: Pair, loop: VirtualLoop
-) -> None:
-    _, pc = pair
-    arm(pc, loop).result()
+    arm(pc).result()
     pc.table.pause(route(pc), paused=True)
     assert route(pc).verdict().state is State.DISARMING
     hear_all(pair)
@@ -502,9 +482,9 @@ def test_who_pauses_an_armed_topic_is_told_that_it_disarms_until_nothing_is_publ
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
-def test_who_pauses_an_armed_topic_is_named_on_both_sides(at: int, pair: Pair, loop: VirtualLoop) -> None:
+def test_who_pauses_an_armed_topic_is_named_on_both_sides(at: int, pair: Pair) -> None:
     here, there = pair[at], pair[1 - at]
-    arm(there, loop).result()
+    arm(there).result()
     with acting("berta"):
         here.table.pause(route(here), paused=True)
     hear_all(pair)
@@ -515,11 +495,14 @@ def test_who_pauses_an_armed_topic_is_named_on_both_sides(at: int, pair: Pair, l
         assert why(side) == Disarmed.PAUSED
     (event,) = events(there, EventCode.OPERATOR_PAUSED)
     assert event.who.endswith("says: berta")
+    here.table.pause(route(here), paused=False)
+    hear_all(pair)
+    assert passes(*pair) == [False, False]
 
 
-def test_a_peer_that_pauses_and_resumes_without_disarming_has_disarmed(pair: Pair, loop: VirtualLoop) -> None:
+def test_a_peer_that_pauses_and_resumes_without_disarming_has_disarmed(pair: Pair) -> None:
     robot, pc = pair
-    arm(pc, loop).result()
+    arm(pc).result()
     opening = route(robot).id
     for paused in (True, False):
         robot.table.handle(Pause(opening, paused=paused, revision=1000 + (not paused)))
@@ -528,7 +511,7 @@ def test_a_peer_that_pauses_and_resumes_without_disarming_has_disarmed(pair: Pai
 
 
 def test_a_side_that_marks_a_topic_late_is_heeded_where_the_peer_has_taken_it_over(
-    make_armable: Callable[..., Pair], loop: VirtualLoop
+    make_armable: Callable[..., Pair],
 ) -> None:
     """The control PC removes the robot's topic and proposes it itself; then the robot's session file gets the mark."""
     robot, pc = pair = make_armable(Topic("/cmd_vel", "receive"))
@@ -541,26 +524,26 @@ def test_a_side_that_marks_a_topic_late_is_heeded_where_the_peer_has_taken_it_ov
         propose(robot, COMMANDS)
     assert not route(robot).accepted, "closed at once, and opened again with the mark"
     for _ in range(20):
-        let_time_pass(pair, loop, 1.0)
+        let_time_pass(pair, 1.0)
     assert route(pc).accepted
     assert passes(*pair) == [False, False]
-    arm(robot, loop).result()
+    arm(robot).result()
     assert passes(*pair) == [True, True]
 
 
-def test_a_peer_that_arms_more_often_than_people_do_is_refused(pair: Pair, loop: VirtualLoop) -> None:
+def test_a_peer_that_arms_more_often_than_people_do_is_refused(pair: Pair) -> None:
     robot, pc = pair
     outcomes: list[Any] = []
     for _ in range(40):
-        outcomes.append(arm(pc, loop).exception())
+        outcomes.append(arm(pc).exception())
         with acting("a script"):
             pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
         hear_all(pair)
     assert [error is None for error in outcomes] == [True] * 20 + [False] * 20
     assert len(events(robot, EventCode.OPERATOR_ARMED)) == 20
     for _ in range(30):
-        let_time_pass(pair, loop, 1.0)
-    arm(pc, loop).result()
+        let_time_pass(pair, 1.0)
+    arm(pc).result()
 
 
 @pytest.mark.parametrize(
@@ -573,19 +556,17 @@ def test_a_peer_that_arms_more_often_than_people_do_is_refused(pair: Pair, loop:
     ],
     ids=["need not be", "paused", "armed already", "link down"],
 )
-def test_what_cannot_be_armed_says_why(
-    topic: Topic, prepare: str | None, make_armable: Callable[..., Pair], loop: VirtualLoop
-) -> None:
+def test_what_cannot_be_armed_says_why(topic: Topic, prepare: str | None, make_armable: Callable[..., Pair]) -> None:
     pair = robot, pc = make_armable(topic)
     if prepare == "paused":
         pc.table.pause(route(pc), paused=True)
         hear_all(pair)
     elif prepare == "armed":
-        arm(robot, loop).result()
+        arm(robot).result()
     elif prepare == "down":
         pc.linked = False
     with pytest.raises(LinkError, match="cannot be armed"):
-        arm(pc, loop, console="another").result()
+        arm(pc, console="another").result()
 
 
 def test_the_budget_of_armings_bounds_the_events_of_attempts(pair: Pair) -> None:
@@ -596,19 +577,6 @@ def test_the_budget_of_armings_bounds_the_events_of_attempts(pair: Pair) -> None
     found = [each.cause for each in events(robot, EventCode.ROUTE_DISARMED)]
     assert set(found) == {Disarmed.PAUSED}
     assert 1 < len(found) < 30
-
-
-@pytest.mark.parametrize("by", [0, 1], ids=["the robot's", "the control PC's"])
-def test_both_sides_know_which_operator_disarmed_it(by: int, pair: Pair, loop: VirtualLoop) -> None:
-    arm(pair[0], loop).result()
-    with acting("berta"):
-        pair[by].table.arming.disarm(route(pair[by]), Disarmed.OPERATOR)
-    hear_all(pair)
-    for side in pair:
-        snapshot = route(side).arming.snapshot(loop.time())
-        assert snapshot is not None
-        assert (snapshot.armed, snapshot.why) == (False, Disarmed.OPERATOR)
-        assert "berta" in snapshot.reason
 
 
 def test_what_cannot_be_armed_says_so_before_anybody_tries(pair: Pair) -> None:
@@ -623,15 +591,15 @@ def test_what_cannot_be_armed_says_so_before_anybody_tries(pair: Pair) -> None:
     assert (verdict.state, verdict.cause, verdict.text) == (State.DISARMED, Cause.DISARMED, status.disarmed)
 
 
-def test_a_link_whose_round_trip_is_too_long_cannot_be_armed(pair: Pair, loop: VirtualLoop) -> None:
+def test_a_link_whose_round_trip_is_too_long_cannot_be_armed(pair: Pair) -> None:
     robot, pc = pair
-    task = arm(pc, loop, answered=False)
+    task = arm(pc, answered=False)
     for side in (robot, pc):
-        loop.run_until_complete(asyncio.sleep(SLOW / 2 + 0.01))
+        sleep(pair[0], SLOW / 2 + 0.01)
         while side.inbox:
             side.hear()
     hear_all(pair)
-    turn(loop)
+    turn(pair[0])
     assert DISARM_TEXT[Disarmed.LINK_SLOW] in str(task.exception())
     assert why(pc) == why(robot) == Disarmed.LINK_SLOW
     assert stands(*pair) == [False, False]
@@ -640,34 +608,32 @@ def test_a_link_whose_round_trip_is_too_long_cannot_be_armed(pair: Pair, loop: V
 @pytest.mark.parametrize("at", [0, 1], ids=["the robot", "the control PC"])
 def test_a_side_that_stood_still_disarms_although_answers_come_first(at: int, pair: Pair, loop: VirtualLoop) -> None:
     robot, pc = pair
-    arm(pc, loop).result()
-    let_time_pass(pair, loop, 2.0)
+    arm(pc).result()
+    let_time_pass(pair, 2.0)
     loop.jump(LASTS + 0.1)  # neither timers nor messages
     pair[at].table.handle(Lease(number=1000, echo=pair[at].table.arming.lease.state.number))
     assert passes(pair[at]) == [False]
-    turn(loop)
+    turn(pair[0])
     hear_all(pair)
-    turn(loop)
+    turn(pair[0])
     assert stands(*pair) == [False, False]
-    loop.run_until_complete(asyncio.sleep(LASTS))
+    sleep(pair[0], LASTS)
     assert why(robot) == why(pc) == Disarmed.LEASE
 
 
-def test_the_lease_costs_nothing_while_nothing_is_armed(pair: Pair, loop: VirtualLoop) -> None:
+def test_the_lease_costs_nothing_while_nothing_is_armed(pair: Pair) -> None:
     _, pc = pair
-    arm(pc, loop).result()
+    arm(pc).result()
     pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
-    let_time_pass(pair, loop, 1.0)
+    let_time_pass(pair, 1.0)
     numbers = [side.table.arming.lease.state.number for side in pair]
-    let_time_pass(pair, loop, 10.0)
+    let_time_pass(pair, 10.0)
     assert [side.table.arming.lease.state.number for side in pair] == numbers
 
 
-def test_the_sending_side_shows_that_it_is_disarmed_once_the_other_one_has_answered(
-    pair: Pair, loop: VirtualLoop
-) -> None:
+def test_the_sending_side_shows_that_it_is_disarmed_once_the_other_one_has_answered(pair: Pair) -> None:
     _, pc = pair
-    arm(pc, loop).result()
+    arm(pc).result()
     with acting("anna"):
         pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
     assert (route(pc).settling.under_way, stands(pc)) == (True, [False])
@@ -677,30 +643,28 @@ def test_the_sending_side_shows_that_it_is_disarmed_once_the_other_one_has_answe
     assert [event.who for event in events(pc, EventCode.OPERATOR_DISARMED)] == ["anna"]
 
 
-def test_the_sending_side_shows_that_it_is_disarmed_within_a_second_without_an_answer(
-    pair: Pair, loop: VirtualLoop
-) -> None:
+def test_the_sending_side_shows_that_it_is_disarmed_within_a_second_without_an_answer(pair: Pair) -> None:
     _, pc = pair
-    arm(pc, loop).result()
+    arm(pc).result()
     pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
-    loop.run_until_complete(asyncio.sleep(LASTS - 0.01))
+    sleep(pair[0], LASTS - 0.01)
     assert route(pc).settling.under_way
-    loop.run_until_complete(asyncio.sleep(0.02))
+    sleep(pair[0], 0.02)
     assert not route(pc).settling.under_way
 
 
-def test_the_receiving_side_is_disarmed_at_once(pair: Pair, loop: VirtualLoop) -> None:
+def test_the_receiving_side_is_disarmed_at_once(pair: Pair) -> None:
     robot, pc = pair
-    arm(pc, loop).result()
+    arm(pc).result()
     robot.table.arming.disarm(route(robot), Disarmed.OPERATOR)
     assert not route(robot).settling.under_way
     assert events(robot, EventCode.OPERATOR_DISARMED)
 
 
-def test_the_answer_to_a_dropped_demand_is_none_to_a_disarm(pair: Pair, loop: VirtualLoop) -> None:
+def test_the_answer_to_a_dropped_demand_is_none_to_a_disarm(pair: Pair) -> None:
     """The peer has not heard of the disarm yet, and goes on publishing earlier messages."""
     robot, pc = pair
-    arm(pc, loop).result()
+    arm(pc).result()
     pc.table.arming.demand_dropped(DemandSource(("", "/cmd_vel"), "/cmd_vel", DEADMAN))
     pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
     robot.hear()
@@ -712,9 +676,7 @@ def test_the_answer_to_a_dropped_demand_is_none_to_a_disarm(pair: Pair, loop: Vi
     assert not route(pc).settling.under_way
 
 
-def test_a_max_age_that_the_other_side_edits_holds_on_both(
-    make_armable: Callable[..., Pair], loop: VirtualLoop
-) -> None:
+def test_a_max_age_that_the_other_side_edits_holds_on_both(make_armable: Callable[..., Pair]) -> None:
     pair = robot, pc = make_armable(Topic("/cmd_vel", "receive", max_age=0.5))
     robot.context.demands.apply()
     for seconds in (0.2, 2.0, 0.3):
@@ -723,7 +685,7 @@ def test_a_max_age_that_the_other_side_edits_holds_on_both(
         pc.table.amend(route(pc), topic, proposal)
         hear_all(pair)
         assert [route(side).age.max_age for side in pair] == [seconds, seconds]
-        turn(loop)
+        turn(pair[0])
         hear_all(pair)
         assert [route(side).age.max_age for side in pair] == [seconds, seconds]
 
@@ -740,11 +702,11 @@ def test_an_edit_of_another_limit_there_leaves_the_entry_without_a_max_age(make_
 
 
 def test_a_peer_that_proposes_and_removes_has_no_demands_counted_again(
-    pair: Pair, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Counting takes a server of many clients much longer than a peer takes to cause it."""
     robot, _ = pair
-    turn(loop)
+    turn(pair[0])
     counted: list[Side] = []
 
     def count(side: Side) -> tuple[DemandSource, ...]:
@@ -758,18 +720,15 @@ def test_a_peer_that_proposes_and_removes_has_no_demands_counted_again(
         hear_all(pair)
         robot.table.remove(next(each for each in robot.routes.values() if each.spec.topic == "/chat"), "removed")
         hear_all(pair)
-        turn(loop)
+        turn(pair[0])
     assert set(counted) == {robot}
 
 
 @pytest.mark.parametrize("sent", ["geometry_msgs/msg/Twist", "std_msgs/msg/String"])
-def test_what_is_sent_has_the_type_by_which_demands_were_found(
-    sent: str, make_context: Callable[..., Context], loop: VirtualLoop
-) -> None:
+def test_what_is_sent_has_the_type_by_which_demands_were_found(sent: str, make_context: Callable[..., Context]) -> None:
     """The robot demands that commands are armed, and the control PC claims to send texts."""
-    robot = Side(make_context(ros=OnePublisher(), armed=(ArmedEntry("/cmd*", type="Twist"),)), is_client=True)
-    pc = Side(make_context(role="server"), is_client=False)
-    robot.other, pc.other = pc, robot
+    armed = (ArmedEntry("/cmd*", type="Twist"),)
+    robot, pc = pair_of(make_context(ros=OnePublisher(), armed=armed), make_context(role="server"))
     propose(pc, Topic("/cmd_vel", "receive", type="String"))
     robot.hear()
     half = route(robot)
@@ -781,12 +740,10 @@ def test_what_is_sent_has_the_type_by_which_demands_were_found(
 
 @pytest.mark.parametrize("provided", ["std_srvs/srv/SetBool", "std_srvs/srv/Trigger"])
 def test_what_is_provided_has_the_type_by_which_demands_were_found(
-    provided: str, make_context: Callable[..., Context], loop: VirtualLoop
+    provided: str, make_context: Callable[..., Context]
 ) -> None:
     demand = ArmedEntry("/set*", kind="service", type="std_srvs/srv/SetBool")
-    robot = Side(make_context(armed=(demand,)), is_client=True)
-    pc = Side(make_context(role="server"), is_client=False)
-    robot.other, pc.other = pc, robot
+    robot, pc = pair_of(make_context(armed=(demand,)), make_context(role="server"))
     propose(pc, Topic("/set_light", "transmit", kind="service", type="std_srvs/srv/Trigger"))
     robot.hear()
     half = route(robot)

@@ -66,28 +66,6 @@ def test_a_client_sees_what_the_server_s_nodes_provide(
     assert (arm.type_name, arm.publishers, arm.subscriptions) == ("", 1, 0)
 
 
-def test_an_action_is_one_entry(bridge: Bridge, pc: Domain) -> None:
-    action = pytest.importorskip("test_msgs.action", reason="ros-jazzy-test-msgs is not installed")
-    from rclpy.action import ActionClient, ActionServer
-
-    served = ActionServer(pc.node, action.Fibonacci, "/fibonacci", lambda _: None)
-    wanting = ActionClient(pc.node, action.Fibonacci, "/fibonacci")
-    _, client = bridge.both()
-    key = ("action", "/fibonacci")
-    there = eventually(
-        lambda: (
-            found
-            if key in (found := entries(client, "robot1")) and found[key].publishers and found[key].subscriptions
-            else None
-        )
-    )
-    assert there[key].type_name == "test_msgs/action/Fibonacci"
-    assert (there[key].publishers, there[key].subscriptions) == (1, 1)
-    assert [each for each in there if "/_action/" in each[1]] == []
-    wanting.destroy()
-    served.destroy()
-
-
 def test_each_side_shows_what_the_other_one_may_do_something_with(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """A server lets a client do all that it does not deny; a client lets its server do what it allows or lists."""
     for name in ("/reset", "/secret"):

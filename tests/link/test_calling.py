@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
     from rsb_bridge.transport.streams import Stream
 
-HALF_A_DAY = 12 * 3600.0
-AWAY = 3 * 3600.0
+AN_HOUR = 3600.0
+AWAY = 1200.0
 
 
 class NoServer(Tcp):
@@ -60,7 +60,7 @@ async def run_for(role: ClientRole, seconds: float) -> None:
     await role.stop()
 
 
-def test_a_client_calls_on_while_its_server_is_away_for_hours(
+def test_a_client_calls_on_while_its_server_is_away(
     loop: VirtualLoop, make_context: Callable[..., Context], calls: NoServer
 ) -> None:
     loop.run_until_complete(run_for(client(make_context, calls), AWAY))
@@ -120,10 +120,8 @@ def test_nothing_runs_on_after_a_client_was_stopped(
     assert loop.errors == []
 
 
-def test_a_task_of_a_link_that_fails_ends_the_connection(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
-    role = ClientRole(make_context(), {"robot1": ()})
+def test_a_task_of_a_link_that_fails_ends_the_connection(loop: VirtualLoop, context: Context) -> None:
+    role = ClientRole(context, {"robot1": ()})
     link: Link = role.links()[0]
     aborted: list[str] = []
 
@@ -230,7 +228,7 @@ def test_a_server_cannot_keep_a_client_away_for_years(
     """For all its reasons to end a link, also if it reports that an operator has shut the link down."""
     network = SaysGoodbye(loop, retry_after)
     network.role = ClientRole(make_context(transports=Transports(network)), {"robot1": ()})
-    lasting = min(HALF_A_DAY, 1000 * latest)
+    lasting = min(AN_HOUR, 1000 * latest)
     loop.run_until_complete(run_for(network.role, lasting))
     gaps = [later - earlier for earlier, later in zip(network.times, network.times[1:], strict=False)]
     assert len(gaps) >= lasting / latest - 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import msgspec
 import pytest
@@ -17,7 +17,6 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.link.control_channel import BYTES, ENTRIES, ControlChannel, in_slices
-from rsb_bridge.link.route_reports import RouteReports
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.model.qos import Qos
@@ -41,8 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from tests.support.bridge import Bridge
-
-    from rsb_bridge.link.base_link import BaseLink
+    from tests.support.virtual_time import VirtualLoop
 
 DROPPED = {f"cause_{number:04}": number for number in range(32)}
 
@@ -158,30 +156,59 @@ def test_messages_that_are_long_or_make_many_publishers_take_a_turn_each() -> No
     assert peer.most <= 2 * 18
 
 
+def receives(messages: list[Any], handle: Callable[[Any], Any]) -> tuple[ControlChannel, Any]:
+    """A control connection on which these messages come with any bytes, and its stream."""
+    stream: Any = Stream()
+    connection: Any = SimpleNamespace(receive_data=lambda _: [MessageReceived(each) for each in messages])
+    return ControlChannel(stream, connection, Handlers(handle), lambda *_: None), stream
+
+
+async def flood(channel: ControlChannel, size: int, every: float, seconds: float) -> int:
+    """Send bytes as fast as they are read; how often."""
+    loop = asyncio.get_running_loop()
+    count, until = 0, loop.time() + seconds
+    while loop.time() < until:
+        if not channel.stream.paused:  # type: ignore[attr-defined]
+            channel.received(bytes(size))
+            count += 1
+        await asyncio.sleep(every)
+    return count
+
+
 @pytest.mark.parametrize("entries", [500, 63])
-def test_entries_come_no_faster_than_a_thousand_routes_report(loop: Any, entries: int) -> None:
+async def test_entries_come_no_faster_than_a_thousand_routes_report(loop: VirtualLoop, entries: int) -> None:
     done: list[object] = []
     report = Report(sent=(SentReport(route=1),) * entries, received=())
-
-    async def main() -> tuple[int, int]:
-        stream: Any = Stream()
-        connection: Any = SimpleNamespace(receive_data=lambda _: [MessageReceived(report)])
-        handlers = Handlers(lambda each: entries_of(each, done.append))
-        channel = ControlChannel(stream, connection, handlers, lambda *_: None)
-        counts = []
-        for _ in range(2):
-            until = loop.time() + 10.0
-            while loop.time() < until:
-                if not stream.paused:
-                    channel.received(bytes(9 * entries))
-                await asyncio.sleep(0.002 if entries < ENTRIES else 0.01)
-            counts.append(len(done))
-        return counts[0], counts[1] - counts[0]
-
-    first, then = loop.run_until_complete(main())
+    channel, _ = receives([report], lambda each: entries_of(each, done.append))
+    every = 0.002 if entries < ENTRIES else 0.01
     burst, rate = constants.CONTROL_ENTRIES.value, constants.CONTROL_ENTRIES_A_SECOND.value
-    assert first <= burst + 10 * rate + 3 * ENTRIES
-    assert then <= 10 * rate + 3 * ENTRIES
+    for room in (burst, 0):
+        done.clear()
+        await flood(channel, 9 * entries, every, 10.0)
+        assert len(done) <= room + 10 * rate + 3 * ENTRIES
+
+
+async def test_long_messages_are_taken_in_slowly(loop: VirtualLoop) -> None:
+    """To read 1 MB of a control message takes as long as to read a thousand short ones, which are limited in number."""
+    handled: list[object] = []
+    channel, _ = receives([Ping(1, 0)], handled.append)
+    first, then = [await flood(channel, 1 << 18, 0.01, 60) for _ in range(2)]
+    assert first <= (60 + 8) * 4
+    assert (60 - 2) * 4 <= then <= (60 + 2) * 4
+    assert len(handled) == first + then
+
+
+async def test_a_peer_whose_messages_wait_here_is_not_silent(loop: VirtualLoop) -> None:
+    """More of them came at once than are handled in the time after which a silent peer is given up."""
+    handled: list[object] = []
+    channel, stream = receives([Ping(1, 0)] * 8000, handled.append)
+    channel.received(b"all of them")
+    while len(handled) < 8000:
+        assert stream.paused
+        loop.jump(0.1)
+        channel._go_on()
+        assert stream.received_at == loop.time()
+    assert not stream.paused
 
 
 @pytest.mark.parametrize("entries", [1, 100, ROUTES_PER_LINK])
@@ -257,17 +284,3 @@ def test_the_longest_frames_need_no_long_turn() -> None:
     parts = decode_in_parts(data)
     assert isinstance(parts, TopicListParts)
     assert len(parts.topics) == many
-
-
-def test_a_report_finds_routes_by_their_ids() -> None:
-    asked: list[int] = []
-
-    def open_route(number: int) -> None:
-        asked.append(number)
-
-    reports = RouteReports(cast("BaseLink", SimpleNamespace(ids=SimpleNamespace(open_route=open_route))))
-    work: Any = reports.messages[Report](Report(sent=(SentReport(route=7),), received=(ReceivedReport(route=8),)))
-    with pytest.raises(StopIteration) as end:
-        next(work)
-    assert end.value.value == 2
-    assert asked == [7, 8]

@@ -13,8 +13,6 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.wire.messages import Duplicate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
@@ -52,8 +50,7 @@ def test_the_one_that_came_last_is_named_and_the_others_are_counted() -> None:
     assert clients.text(9.0) == ""
 
 
-def test_the_linked_client_says_little_of_many(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
-    context = make_context()
+def test_the_linked_client_says_little_of_many(loop: VirtualLoop, context: Context) -> None:
     link = ClientRole(context, {"robot1": ()}).links()[0]
     link.control = SimpleNamespace()  # type: ignore[assignment]
 

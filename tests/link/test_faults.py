@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import socket
 import threading
-from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 from unittest.mock import MagicMock
 
@@ -14,19 +13,17 @@ from tests.support import constants
 from tests.support.bridge import happened, link, linked, now
 from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
+from tests.support.wording import says
 
-from rsb_bridge.config.keys import fingerprint, read_key
+from rsb_bridge.config.keys import read_key
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.refused_clients import REMEDY, SameName
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.streams import CLOSED_BY_PEER
 from rsb_bridge.wire.connection import ClientConnection
-from rsb_bridge.wire.events import StreamRefused
 from rsb_bridge.wire.messages import Hello
-from rsb_bridge.wire.preamble import RefusalText
 from rsb_bridge.wire.sealing import CipherSuite
 from rsb_console.command.formatting import json_status
 
@@ -48,33 +45,6 @@ def as_json(engine: Engine, name: str = "robot1") -> tuple[str, str, str]:
     return shown["state"], shown["cause"], shown["reason"]
 
 
-def test_a_wrong_key_is_a_fault_of_the_link_on_both_sides(bridge: Bridge) -> None:
-    theirs = bridge.make_key("other")
-    server = bridge.server(name="pc", clients=(Client("robot1"), Client("robot2")), shared_keys=True)
-    client = bridge.client(key_file=theirs)
-    eventually(lambda: link(client).cause == link(server).cause == LinkCause.WRONG_KEY)
-    marks = [fingerprint(read_key(bridge.folder / name)) for name in (theirs, bridge.key_file)]
-    words = RefusalText.KEYS_DIFFER(name="robot1", theirs=marks[0], there="client", ours=marks[1], here="server")
-    for engine in (client, server):
-        assert link(engine).state is State.DOWN
-        assert words in link(engine).reason
-        assert as_json(engine) == ("down", "wrong_key", link(engine).reason)
-    assert "127.0.0.1" in link(server).reason
-    event = happened(server, EventCode.LINK_WRONG_KEY)
-    assert event is not None
-    assert (event.link, event.level) == ("robot1", Level.WARNING)
-    assert link(server, "robot2").cause == LinkCause.NOT_YET
-
-
-def test_a_robot_that_is_missing_was_last_seen_somewhere(bridge: Bridge) -> None:
-    server, client = bridge.both()
-    address = link(server).peer
-    assert address
-    client.stop()
-    eventually(lambda: link(server).state is State.DOWN)
-    assert (link(server).peer, link(server).cause) == (address, LinkCause.CLOSED)
-
-
 @pytest.mark.usefixtures("heard_of")
 def test_of_two_clients_of_one_name_the_first_keeps_the_link(bridge: Bridge) -> None:
     """Here both run on one machine, as with a second terminal; it is the same with two machines."""
@@ -82,22 +52,13 @@ def test_of_two_clients_of_one_name_the_first_keeps_the_link(bridge: Bridge) -> 
     up_since = link(server).since
     second = bridge.client()
     eventually(lambda: link(second).cause == LinkCause.NAME_TAKEN)
-    host = socket.gethostname()
     assert link(second).state is State.DOWN
-    since = datetime.fromtimestamp(up_since, UTC)
-    taken = SameName.TAKEN(name="robot1", since=since, address=f"{link(server).peer} (host {host})")
-    assert f"{taken}: {REMEDY}" in link(second).reason
-    assert as_json(second) == ("down", "name_taken", link(second).reason)
+    assert says(link(second).reason, SameName.TAKEN, name="robot1")
+    assert REMEDY in link(second).reason
     for engine in (server, first):
         # Each on its own: where the second client is late with its next attempt, the warning ends for a moment.
-        words = SameName.SECOND(address=f"127.0.0.1 (host {host})", name="robot1")
-        eventually(lambda engine=engine, words=words: words in link(engine).warning)
-        eventually(lambda engine=engine: link(engine).cause == LinkCause.NAME_TAKEN)
+        eventually(lambda engine=engine: says(link(engine).warning, SameName.SECOND, name="robot1"))
         eventually(lambda engine=engine: as_json(engine)[:2] == ("ok", "name_taken"))
-        eventually(lambda engine=engine, words=words: words in as_json(engine)[2])
-        event = happened(engine, EventCode.LINK_NAME_TAKEN)
-        assert event is not None
-        assert (event.link, event.level) == ("robot1", Level.WARNING)
     second.retry().result(60)
     holds(lambda: linked(first) and linked(server) and not linked(second), 2.0)
     assert link(server).since == up_since
@@ -120,35 +81,6 @@ def test_the_warning_of_a_second_client_ends_soon_after_it(bridge: Bridge) -> No
         eventually(lambda engine=engine: happened(engine, EventCode.LINK_NAME_FREE))
         ends = [event for event in engine.events() if event.code == EventCode.LINK_NAME_FREE]
         assert [(event.link, event.level) for event in ends] == [("robot1", Level.INFO)]
-
-
-def try_as(bridge: Bridge, host: str) -> None:
-    """A client with the name and the key calls, and is refused."""
-    hello = Hello("0.1.0", "robot1", "feedbeef", 0, host=host)
-    client = ClientConnection(hello, read_key(bridge.folder / bridge.key_file).secret, CipherSuite.CHACHAPOLY)
-    with socket.create_connection(("127.0.0.1", bridge.port), 10.0) as stream:
-        stream.sendall(client.start())
-        (refused,) = client.receive_data(stream.recv(1 << 16))
-        assert isinstance(refused, StreamRefused)
-        stream.sendall(client.data_to_send())
-        assert not stream.recv(1 << 16), "the server has read the confirmation, and closes"
-
-
-@pytest.mark.usefixtures("heard_of")
-def test_several_second_clients_are_one_warning(bridge: Bridge) -> None:
-    """Robots that were copied from one image."""
-    server, first = bridge.both()
-    try_as(bridge, "spare1")
-    eventually(lambda: "(host spare1)" in link(first).warning)
-    for host in ("spare2", "spare3", "spare1"):
-        try_as(bridge, host)
-    # The newest one is named, not the one that tried last. They count for a few seconds after an attempt.
-    words = SameName.SEVERAL(address="127.0.0.1 (host spare3)", others="2 others", name="robot1")
-    for engine in (server, first):
-        warning = eventually(lambda engine=engine: found if words in (found := link(engine).warning) else "")
-        assert warning.endswith(f": {SameName.REMEDY_FOR_SEVERAL()}")
-    (event,) = [event for event in first.events() if event.code == EventCode.LINK_NAME_TAKEN]
-    assert SameName.SECOND(address="127.0.0.1 (host spare1)", name="robot1") in event.text
 
 
 @pytest.mark.usefixtures("heard_of")

@@ -78,15 +78,12 @@ def test_first_bytes(data: bytes, protocol: str) -> None:
     assert recognise(data) == protocol
 
 
-@pytest.mark.parametrize(
-    "answer", [b"HTTP/1.1 400 Bad Request\r\n\r\n", b"SSH-2.0-x\r\n", b"\x15\x03\x03\x00\x02\x02\x46"]
-)
-def test_another_program_at_the_servers_port(answer: bytes, bridge: Bridge) -> None:
-    with answering(bridge.port, answer):
+def test_another_program_at_the_servers_port(bridge: Bridge) -> None:
+    with answering(bridge.port, b"SSH-2.0-x\r\n"):
         client = bridge.client()
         eventually(lambda: link(client).cause == LinkCause.NOT_A_BRIDGE)
         assert caused(client, LinkCause.NOT_A_BRIDGE)
-        assert recognise(answer) in link(client).reason
+        assert "SSH" in link(client).reason
         (event,) = [each for each in client.events() if each.cause == LinkCause.NOT_A_BRIDGE][:1]
         assert event.text.count(f":{bridge.port}") == 1, "the address is there once"
     server = bridge.server()
@@ -109,14 +106,6 @@ def test_a_web_server_that_waits_for_the_end_of_a_line(bridge: Bridge) -> None:
             thread.join()
 
 
-def test_a_program_that_says_nothing(bridge: Bridge) -> None:
-    with socket.create_server(("127.0.0.1", bridge.port)):
-        client = bridge.client()
-        eventually(lambda: link(client).attempts)
-        assert link(client).cause == LinkCause.NO_ANSWER
-        assert caused(client, LinkCause.NO_ANSWER)
-
-
 def test_a_network_that_swallows_packets(bridge: Bridge) -> None:
     """A full backlog drops SYN packets as a firewall does."""
     with contextlib.ExitStack() as sockets:
@@ -130,12 +119,6 @@ def test_a_network_that_swallows_packets(bridge: Bridge) -> None:
         client = bridge.client()
         eventually(lambda: link(client).attempts)
         assert link(client).cause == LinkCause.TIMED_OUT
-
-
-def test_nobody_listens(bridge: Bridge) -> None:
-    client = bridge.client()
-    eventually(lambda: link(client).attempts)
-    assert link(client).cause == LinkCause.UNREACHABLE
 
 
 def test_packets_that_vanish_while_linked(bridge: Bridge, relay: Relay) -> None:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from rsb_bridge.link.contention import Asked, LinkFullness
+from rsb_bridge.link.contention import Asked, Contention, LinkFullness
 from rsb_bridge.link.roles import ClientRole
-from rsb_bridge.model.capacity import rates_text
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.wire.messages import Duplicate
 from rsb_bridge.wire.records import FullRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
@@ -94,6 +91,16 @@ def test_what_the_peer_says_is_brought_within_sense() -> None:
     assert bed.fullness.warning("robot1") == ""
 
 
+def test_the_time_without_a_link_does_not_count() -> None:
+    clock: Any = SimpleNamespace(now=lambda: 1000.0, wall=lambda: 1000.0)
+    contention = Contention(clock, list, list, LinkFullness(lambda *_: None))
+    for second in range(4):
+        contention.sending.look(1e5, second, second, full=True)
+    contention.disconnected()
+    contention.sending.look(1e5, 1000.0, 1000.0, full=True)
+    assert contention.sending.look(1e5, 1001.0, 1001.0, full=True) == pytest.approx(1e5)
+
+
 @pytest.mark.parametrize("asked", [15e3, 10.4e3, 1e3, 950.0, 1.04e6])
 def test_a_link_that_carries_what_is_asked_is_not_full(asked: float) -> None:
     fullness = LinkFullness(lambda level, code, text: None)
@@ -110,15 +117,8 @@ def test_a_link_that_carries_what_is_asked_is_not_full(asked: float) -> None:
     assert seen[11] is None, "four ticks after it has room"
 
 
-def test_a_smaller_figure_has_a_smaller_text() -> None:
-    assert [rates_text(14.9e3, 15e3), rates_text(15e3, 15e3)] == ["14 of 15 kB/s", "15 of 15 kB/s"]
-    assert rates_text(25e3, 48e3) == "25 of 48 kB/s"
-    assert rates_text(30e3, 68e6) == "0.03 of 68 MB/s"
-    assert rates_text(0.0, 68e6) == "0 of 68 MB/s"
-
-
-def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
-    link = ClientRole(make_context(), {"robot1": ()}).links()[0]
+def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, context: Context) -> None:
+    link = ClientRole(context, {"robot1": ()}).links()[0]
     link.control = SimpleNamespace()  # type: ignore[assignment]
     link.status.up(link.context.wall())
     up = link.context.wall()
@@ -137,8 +137,8 @@ def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, make_con
 
 
 @pytest.mark.parametrize(("seconds", "words"), [(30, "30 s ahead of"), (-7200, "2 h behind"), (2, "")])
-def test_clocks_that_differ_are_a_warning(seconds: int, words: str, make_context: Callable[..., Context]) -> None:
-    link = ClientRole(make_context(), {"robot1": ()}).links()[0]
+def test_clocks_that_differ_are_a_warning(seconds: int, words: str, context: Context) -> None:
+    link = ClientRole(context, {"robot1": ()}).links()[0]
     link.control = SimpleNamespace()  # type: ignore[assignment]
     link.status.up(link.context.wall())
     there = seconds * 10**9

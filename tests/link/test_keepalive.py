@@ -34,11 +34,9 @@ def wait(loop: VirtualLoop, seconds: float) -> None:
     loop.run_until_complete(asyncio.sleep(seconds))
 
 
-def test_a_peer_is_given_up_five_seconds_after_its_last_byte(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_a_peer_is_given_up_five_seconds_after_its_last_byte(loop: VirtualLoop, context: Context) -> None:
     carriers, silent = [Carrier(loop), Carrier(loop)], []
-    keepalive = Keepalive(make_context(), lambda: carriers)
+    keepalive = Keepalive(context, lambda: carriers)
     keepalive.watch(lambda: silent.append(loop.time()))
     for _ in range(1000):
         wait(loop, 0.9)
@@ -61,9 +59,9 @@ def test_a_peer_is_given_up_with_any_rounding_of_the_clock(
         assert len(silent) == 1
 
 
-def test_a_link_that_has_ended_is_not_watched(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+def test_a_link_that_has_ended_is_not_watched(loop: VirtualLoop, context: Context) -> None:
     silent: list[float] = []
-    keepalive = Keepalive(make_context(), list)
+    keepalive = Keepalive(context, list)
     keepalive.watch(lambda: silent.append(loop.time()))
     wait(loop, 3.0)
     keepalive.stop()
@@ -72,11 +70,9 @@ def test_a_link_that_has_ended_is_not_watched(loop: VirtualLoop, make_context: C
 
 
 @pytest.mark.parametrize("late", [0.0, 0.25, 2.4])
-def test_a_tick_that_comes_late_makes_no_rate_high(
-    late: float, loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
+def test_a_tick_that_comes_late_makes_no_rate_high(late: float, loop: VirtualLoop, context: Context) -> None:
     carrier = Carrier(loop)
-    keepalive = Keepalive(make_context(), lambda: [carrier])
+    keepalive = Keepalive(context, lambda: [carrier])
     for _ in range(20):
         wait(loop, 1.0 + late)
         carrier.receive(round(1000 * (1.0 + late)))
@@ -86,18 +82,18 @@ def test_a_tick_that_comes_late_makes_no_rate_high(
     assert keepalive.tx_rate == pytest.approx(500, rel=0.01)
 
 
-def test_a_profile_s_patience(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+def test_a_profile_s_patience(loop: VirtualLoop, context: Context) -> None:
     silent: list[float] = []
-    keepalive = Keepalive(make_context(), list, patience=15.0)
+    keepalive = Keepalive(context, list, patience=15.0)
     began = loop.time()
     keepalive.watch(lambda: silent.append(loop.time()))
     wait(loop, 60.0)
     assert silent == [pytest.approx(began + 15.0)]
 
 
-def test_how_long_a_ping_takes(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+def test_how_long_a_ping_takes(loop: VirtualLoop, context: Context) -> None:
     """The last answer's time, or how long the oldest ping has waited for one."""
-    keepalive = Keepalive(make_context(), list)
+    keepalive = Keepalive(context, list)
     assert keepalive.round_trip is None
     ping = keepalive.tick()
     wait(loop, 0.3)

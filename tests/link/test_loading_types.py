@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 from tests.link.test_arming import propose, route
-from tests.link.test_route_table import Side, hear_all
+from tests.link.test_route_table import hear_all, pair_of
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.engine.publishing import Publishing
@@ -68,8 +68,7 @@ def ros(loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch) -> Loads:
 
 
 def test_before_a_topic_is_armed(loop: VirtualLoop, ros: Loads, make_context: Callable[..., Context]) -> None:
-    robot, pc = Side(make_context(), is_client=True), Side(make_context(ros=ros, role="server"), is_client=False)
-    robot.other, pc.other = pc, robot
+    robot, pc = pair_of(make_context(), make_context(ros=ros, role="server"))
     propose(robot, Topic("/cmd_vel", "receive", arm=True, type="Twist"))
     hear_all((robot, pc))
     assert (TWIST, False) in ros.loaded, "when the route opens, as the other side may arm it"

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import pytest
 from rclpy.action import ActionServer
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import LaserScan
-from std_msgs.msg import Int32, String
+from std_msgs.msg import Int32
 from std_srvs.srv import SetBool
 from tests.support.bridge import carries, find, happened, heard, link, now, route, says, stage
 from tests.support.domain import BEST_EFFORT, LATCHED, text
@@ -40,10 +40,6 @@ from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.native.typesupport import hash_of
-from rsb_bridge.route.calls.providing import ProvidingRoute
-from rsb_bridge.route.route import Route
-from rsb_bridge.route.type_versions import TypeClash
 from rsb_bridge.transport.listening import ListenProblem
 from rsb_bridge.transport.streams import StreamProblem
 
@@ -87,18 +83,13 @@ def other(bridge: Bridge, robot: Domain) -> Iterator[KnownNode]:
     node.stop()
 
 
-def test_types_that_do_not_agree(other: KnownNode, bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    robot.publisher("/mixed", String)
+def test_types_that_do_not_agree(bridge: Bridge, robot: Domain) -> None:
     robot.publisher("/wrong", Int32)
-    other.advertise("/mixed", INT32, "", Qos(), "other")
-    pc.listener("/mixed", String)
     _, client = bridge.both(
-        Topic("/mixed", "transmit"),
         Topic("/wrong", "transmit", type="String"),
         Topic("/silent", "transmit"),
         Topic("/unknown", "transmit", type="no_such_msgs/msg/Thing"),
     )
-    eventually(lambda: says(client, "/mixed", INT32, STRING))
     for topic, types in (("/wrong", (INT32, STRING)), ("/unknown", ("no_such_msgs",))):
         eventually(lambda topic=topic: stage(client, topic, "type known") is False)
         eventually(lambda topic=topic, types=types: says(client, topic, *types))
@@ -143,10 +134,10 @@ def test_versions_of_a_type_that_differ(direction: Any, bridge: Bridge, robot: D
     def events() -> list[list[str]]:
         return [[event.text for event in engine.events() if "/count" in event.text] for engine in (server, client)]
 
-    # It is tried again after 1, 2, 4 and 8 s, of which nothing is seen.
+    # It is tried again after 1 and 2 s, of which nothing is seen.
     before, said = shown(), events()
     assert {each[:2] for each in before} == {(State.DOWN, Cause.REFUSED)}
-    holds(lambda: [each[:2] for each in shown()] == [each[:2] for each in before], 12.0)
+    holds(lambda: [each[:2] for each in shown()] == [each[:2] for each in before], 5.0)
     assert [each[2] for each in shown()] == pytest.approx([each[2] for each in before], abs=0.5)
     assert events() == said
 
@@ -232,18 +223,6 @@ def test_versions_of_a_service_that_differ(
         eventually(lambda engine=engine: clashes(engine, "/set", SET, named))
         assert unnamed not in route(engine, "/set").reason
         assert not says(engine, "/set", HASH_PREFIX)
-
-
-def test_an_older_peer_describes_no_service(
-    bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The hashes tell which half differs."""
-    monkeypatch.setattr(ProvidingRoute, "message_types", Route.message_types)
-    pc.serve("/set", SetBool)
-    engines = with_other_services(bridge, Topic("/set", "transmit", kind="service"), robot, {SET: (REQUEST, "")})
-    hashes = TypeClash.HASHES(there=hash_of(SetBool.Request), here=hash_of_text(REQUEST))
-    for engine in engines:
-        eventually(lambda engine=engine: clashes(engine, "/set", SET, TypeDifference.IN_REQUEST(difference=hashes)))
 
 
 def test_versions_of_an_action_that_differ(bridge: Bridge, robot: Domain, pc: Domain) -> None:
@@ -351,15 +330,6 @@ def end_qos(side: Engine) -> tuple[Qos | None, Qos | None]:
     return chat.publisher_qos, chat.subscriber_qos
 
 
-def test_a_subscriber_that_asks_for_more(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    wants_history = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-    pc.listener("/chat", qos=wants_history)
-    robot.publisher("/chat", qos=BEST_EFFORT)
-    server, _ = bridge.both(Topic("/chat", "transmit"))
-    eventually(lambda: says(server, "/chat", "/stock asks for reliable, transient_local", "published with best_effort"))
-    assert stage(server, "/chat", "QoS compatible") is False
-
-
 @pytest.mark.parametrize("protocol", ["tcp", "udp"])
 def test_a_topic_port_that_is_taken(protocol: Any, bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """Both sides report it; once the port is free, trying again opens the topic."""
@@ -445,23 +415,6 @@ def test_a_key_in_the_home_folder(bridge: Bridge, tmp_path: Path, monkeypatch: p
     assert {link(server).fingerprint, link(client).fingerprint} == {mark}
     with pytest.raises(EngineError, match=rf"{home}/lost\.key: no such key file"):
         bridge.client(key_file="~/lost.key")
-
-
-def test_a_type_that_changes(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """The robot's program is replaced by one that publishes another type: the topic is opened again with that."""
-    words, out = pc.listener("/state"), robot.publisher("/state")
-    server, client = bridge.both(Topic("/state", "transmit"))
-    carries([out], server, ["/state"])
-    out.publish(text("on"))
-    heard(words, 1)
-    pc.clear()
-    robot.node.destroy_publisher(out)
-    numbers, out = pc.listener("/state", Int32), robot.publisher("/state", Int32)
-    eventually(lambda: happened(client, EventCode.ROUTE_TYPE_CHANGED, INT32))
-    carries([out], server, ["/state"])
-    out.publish(Int32(data=7))
-    assert heard(numbers, 1) == [serialize_message(Int32(data=7))]
-    assert route(server, "/state").type_name == INT32
 
 
 def test_a_type_that_is_replaced_while_the_old_publisher_still_shows(

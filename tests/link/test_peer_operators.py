@@ -12,8 +12,6 @@ from rsb_bridge.model.purposes import TOPIC
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from rsb_bridge.context import Context
     from rsb_bridge.route.route import Route
 
@@ -37,10 +35,7 @@ def route() -> Route:
 
 
 @pytest.mark.parametrize("forged", ["anna on pts/3", "root on tty1 from 10.0.0.1", "", "says: anna on pts/3"])
-def test_a_peer_cannot_pose_as_an_operator_of_this_side(
-    forged: str, route: Route, make_context: Callable[..., Context]
-) -> None:
-    context = make_context()
+def test_a_peer_cannot_pose_as_an_operator_of_this_side(forged: str, route: Route, context: Context) -> None:
     operators = PeerOperators(context, "robot1")
     operators.paused(route, forged)
     operators.removed(route, forged)
@@ -53,8 +48,7 @@ def test_a_peer_cannot_pose_as_an_operator_of_this_side(
         assert event.who in event.text
 
 
-def test_a_peer_cannot_fill_the_log_of_what_operators_did(route: Route, make_context: Callable[..., Context]) -> None:
-    context = make_context()
+def test_a_peer_cannot_fill_the_log_of_what_operators_did(route: Route, context: Context) -> None:
     operators = PeerOperators(context, "robot1")
     for _ in range(10 * _ROOM):
         operators.removed(route, "anna")

@@ -6,10 +6,9 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import msgspec
-import pytest
 
-from rsb_bridge.link.proposals import amended, amended_topic, amendment, proposal_of, same_route, topic_of
-from rsb_bridge.model.session import RANKS, Topic, priority_of, weight_of
+from rsb_bridge.link.proposals import amended, amended_topic, amendment, proposal_of, same_route
+from rsb_bridge.model.session import Topic, priority_of, weight_of
 from rsb_bridge.route.rate_limit import limits_changed
 from rsb_bridge.route.route import Route
 from rsb_bridge.transport.registry import default_transports
@@ -20,12 +19,6 @@ if TYPE_CHECKING:
 
 def proposal(topic: Topic) -> Propose:
     return proposal_of(topic, default_transports()["tcp"], client_name="robot1", use_name=False)
-
-
-@pytest.mark.parametrize("priority", RANKS)
-def test_there_and_back(priority: str) -> None:
-    topic = msgspec.convert({"topic": "/scan", "direction": "transmit", "priority": priority}, Topic)
-    assert topic_of(proposal(topic)).priority == priority
 
 
 def test_a_newer_side_s_ranks_count_as_the_nearest_word() -> None:

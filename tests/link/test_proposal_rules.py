@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Any, cast, get_args
 
 import msgspec
@@ -29,8 +28,6 @@ from rsb_bridge.wire.messages import Propose
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
-    from types import FrameType
-
     from rsb_bridge.link.base_link import BaseLink
 
 TRANSPORTS = default_transports()
@@ -143,23 +140,3 @@ def test_the_peer_is_told_each_key_that_a_proposal_has(key: str) -> None:
     proposal = proposal_of(topic, TRANSPORTS["tcp"], client_name="robot1", use_name=False)
     received = topic_of(cast("Propose", decode(encode(proposal))))
     assert getattr(received, key) == value
-
-
-def test_a_valid_proposal_does_not_take_the_form_of_a_file() -> None:
-    called: set[str] = set()
-
-    def note(frame: FrameType, event: str, _: object) -> None:
-        if event == "call":
-            called.add(frame.f_code.co_name)
-
-    ask = Topic("/scan", "transmit", type="sensor_msgs/msg/LaserScan", qos="sensor_data", max_rate=5.0)
-    proposal = proposal_of(ask, TRANSPORTS["tcp"], client_name="robot1", use_name=False)
-    before = sys.getprofile()
-    sys.setprofile(note)
-    try:
-        answer = refusal(proposal, Link(prefixed=True), SESSIONS["ip"])
-    finally:
-        sys.setprofile(before)
-    assert answer == ""
-    assert authorized.__name__ in called
-    assert not called & {as_written.__name__, read.__name__}

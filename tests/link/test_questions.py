@@ -54,118 +54,96 @@ def side(loop: VirtualLoop) -> Side:
     return Side(loop)
 
 
-def test_who_lists_topics_meanwhile_shares_the_question(loop: VirtualLoop) -> None:
+async def test_who_lists_topics_meanwhile_shares_the_question(loop: VirtualLoop) -> None:
     sent: list[Any] = []
     lists = TopicLists(NoRos(), lambda *_: True, sent.append, loop.create_task)
-
-    async def run() -> None:
-        asking = [asyncio.ensure_future(lists.ask()) for _ in range(3)]
-        await asyncio.sleep(0.0)
-        assert sent == [ListTopics(1)]
-        take(lists, TopicList(request=1, topics=()))
-        later = asyncio.ensure_future(lists.ask())
-        assert await asyncio.gather(*asking) == [[], [], []]
-        await asyncio.sleep(0.0)
-        assert sent == [ListTopics(1), ListTopics(2)], "an answer that was there is not used again"
-        take(lists, TopicList(request=1, topics=()))
-        assert not later.done()
-        take(lists, TopicList(request=2, topics=()))
-        assert await later == []
-
-    loop.run_until_complete(run())
+    asking = [asyncio.ensure_future(lists.ask()) for _ in range(3)]
+    await asyncio.sleep(0.0)
+    assert sent == [ListTopics(1)]
+    take(lists, TopicList(request=1, topics=()))
+    later = asyncio.ensure_future(lists.ask())
+    assert await asyncio.gather(*asking) == [[], [], []]
+    await asyncio.sleep(0.0)
+    assert sent == [ListTopics(1), ListTopics(2)], "an answer that was there is not used again"
+    take(lists, TopicList(request=1, topics=()))
+    assert not later.done()
+    take(lists, TopicList(request=2, topics=()))
+    assert await later == []
 
 
-def test_an_earlier_asker_s_timeout_harms_no_later_one(loop: VirtualLoop, side: Side) -> None:
-    async def run() -> None:
-        first = asyncio.ensure_future(side.ask())
-        await asyncio.sleep(3.0)
-        second = asyncio.ensure_future(side.ask())
-        with pytest.raises(LinkError, match=pattern(Denied.NO_ANSWER)):
-            await first
-        assert loop.time() == 5.0
-        third = asyncio.ensure_future(side.ask())
-        await asyncio.sleep(1.0)
-        assert side.sent == [AskType(route=3)] * 2, "after a timeout it is asked again"
-        side.questions.answered(3, b"yes")
-        assert [await second, await third] == [b"yes", b"yes"]
-        assert not side.questions.awaited(3)
-
-    loop.run_until_complete(run())
+async def test_an_earlier_asker_s_timeout_harms_no_later_one(loop: VirtualLoop, side: Side) -> None:
+    first = asyncio.ensure_future(side.ask())
+    await asyncio.sleep(3.0)
+    second = asyncio.ensure_future(side.ask())
+    with pytest.raises(LinkError, match=pattern(Denied.NO_ANSWER)):
+        await first
+    assert loop.time() == 5.0
+    third = asyncio.ensure_future(side.ask())
+    await asyncio.sleep(1.0)
+    assert side.sent == [AskType(route=3)] * 2, "after a timeout it is asked again"
+    side.questions.answered(3, b"yes")
+    assert [await second, await third] == [b"yes", b"yes"]
+    assert not side.questions.awaited(3)
 
 
-def test_an_asker_who_leaves_harms_no_other(loop: VirtualLoop, side: Side) -> None:
-    async def run() -> None:
-        first, second = asyncio.ensure_future(side.ask()), asyncio.ensure_future(side.ask())
-        await asyncio.sleep(1.0)
-        first.cancel()
-        await asyncio.sleep(1.0)
-        side.questions.answered(3, b"yes")
-        assert await second == b"yes"
-        alone = asyncio.ensure_future(side.ask())
-        await asyncio.sleep(1.0)
-        alone.cancel()
-        await asyncio.sleep(1.0)
-        assert not side.questions.awaited(3), "nobody waits"
-
-    loop.run_until_complete(run())
+async def test_an_asker_who_leaves_harms_no_other(side: Side) -> None:
+    first, second = asyncio.ensure_future(side.ask()), asyncio.ensure_future(side.ask())
+    await asyncio.sleep(1.0)
+    first.cancel()
+    await asyncio.sleep(1.0)
+    side.questions.answered(3, b"yes")
+    assert await second == b"yes"
+    alone = asyncio.ensure_future(side.ask())
+    await asyncio.sleep(1.0)
+    alone.cancel()
+    await asyncio.sleep(1.0)
+    assert not side.questions.awaited(3), "nobody waits"
 
 
-def test_questions_are_answered_one_after_the_other(loop: VirtualLoop, side: Side) -> None:
-    async def run() -> None:
-        for number in (1, 2, 3, 2):
-            side.asked(number)
-        await asyncio.sleep(1.5)
-        assert side.found == [1, 2]
-        side.asked(2)
-        await asyncio.sleep(9.0)
-        assert side.sent == [TypeText(route=1), TypeText(route=2), TypeText(route=3)]
-        side.asked(2)
-        await asyncio.sleep(2.0)
-        assert side.found == [1, 2, 3, 2], "it is answered again once it was answered"
-
-    loop.run_until_complete(run())
+async def test_questions_are_answered_one_after_the_other(side: Side) -> None:
+    for number in (1, 2, 3, 2):
+        side.asked(number)
+    await asyncio.sleep(1.5)
+    assert side.found == [1, 2]
+    side.asked(2)
+    await asyncio.sleep(9.0)
+    assert side.sent == [TypeText(route=1), TypeText(route=2), TypeText(route=3)]
+    side.asked(2)
+    await asyncio.sleep(2.0)
+    assert side.found == [1, 2, 3, 2], "it is answered again once it was answered"
 
 
-def test_a_peer_cannot_make_the_questions_many(loop: VirtualLoop, side: Side) -> None:
-    async def run() -> None:
-        for number in range(1000):
-            side.asked(number)
-        await asyncio.sleep(2000.0)
-        assert side.found == list(range(QUESTIONS_KEPT))
-        side.asked(1000)
-        await asyncio.sleep(2.0)
-        assert side.sent[-1] == TypeText(route=1000)
-
-    loop.run_until_complete(run())
+async def test_a_peer_cannot_make_the_questions_many(side: Side) -> None:
+    for number in range(1000):
+        side.asked(number)
+    await asyncio.sleep(2000.0)
+    assert side.found == list(range(QUESTIONS_KEPT))
+    side.asked(1000)
+    await asyncio.sleep(2.0)
+    assert side.sent[-1] == TypeText(route=1000)
 
 
-def test_the_next_connection_gets_no_answers_of_the_last(loop: VirtualLoop, side: Side) -> None:
-    async def run() -> None:
-        side.asked(1)
-        side.asked(2)
-        asking = asyncio.ensure_future(side.ask())
-        await asyncio.sleep(0.5)
-        side.questions.disconnected()
-        with pytest.raises(LinkError, match="the link was lost"):
-            await asking
-        side.asked(1)
-        await asyncio.sleep(9.0)
-        assert side.found == [1, 1]
-        assert side.sent == [AskType(route=3), TypeText(route=1)]
-
-    loop.run_until_complete(run())
+async def test_the_next_connection_gets_no_answers_of_the_last(side: Side) -> None:
+    side.asked(1)
+    side.asked(2)
+    asking = asyncio.ensure_future(side.ask())
+    await asyncio.sleep(0.5)
+    side.questions.disconnected()
+    with pytest.raises(LinkError, match="the link was lost"):
+        await asking
+    side.asked(1)
+    await asyncio.sleep(9.0)
+    assert side.found == [1, 1]
+    assert side.sent == [AskType(route=3), TypeText(route=1)]
 
 
-def test_a_failure_ends_what_waits(loop: VirtualLoop, side: Side) -> None:
+async def test_a_failure_ends_what_waits(side: Side) -> None:
     async def fails() -> ControlMessage:
         raise ValueError("broken")
 
-    async def run() -> None:
-        side.questions.answer(1, fails)
-        side.asked(2)
-        await asyncio.sleep(2.0)
-        side.asked(3)
-        await asyncio.sleep(2.0)
-        assert side.sent == [TypeText(route=3)]
-
-    loop.run_until_complete(run())
+    side.questions.answer(1, fails)
+    side.asked(2)
+    await asyncio.sleep(2.0)
+    side.asked(3)
+    await asyncio.sleep(2.0)
+    assert side.sent == [TypeText(route=3)]

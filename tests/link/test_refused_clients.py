@@ -9,8 +9,6 @@ from rsb_bridge.link.refused_clients import FORGOTTEN_AFTER, MOST, MOST_OF_ONE_H
 from rsb_bridge.model.verdict import LinkCause
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
@@ -20,8 +18,8 @@ def at(host: str) -> Any:
     return SimpleNamespace(host=host, peer=f"{host}:4242")
 
 
-def test_a_flood_of_names(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
-    refused = RefusedClients(make_context())
+def test_a_flood_of_names(context: Context) -> None:
+    refused = RefusedClients(context)
     refused.record_attempt(at("10.0.0.9"), "robot9", LinkCause.UNKNOWN_NAME, "")
     for number in range(1000):
         refused.record_attempt(at("10.0.0.66"), f"x{number}", LinkCause.UNKNOWN_NAME, "")
@@ -33,8 +31,8 @@ def test_a_flood_of_names(loop: VirtualLoop, make_context: Callable[..., Context
     assert refused.shown()[0].name == "robot9"
 
 
-def test_it_is_listed_until_it_tries_no_more(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
-    refused = RefusedClients(make_context())
+def test_it_is_listed_until_it_tries_no_more(loop: VirtualLoop, context: Context) -> None:
+    refused = RefusedClients(context)
     for attempt in range(1, 10):
         refused.record_attempt(at("10.0.0.9"), "robot9", LinkCause.UNKNOWN_NAME, "")
         loop.jump(12.0)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import struct
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 from tests.link.test_arming import CONSOLE, arm, let_time_pass, propose, route
-from tests.link.test_route_table import Pair, Side, hear_all
+from tests.link.test_route_table import hear_all, pair_of
 
 from rsb_bridge.cdr.resting import resting, stamped
 from rsb_bridge.cdr.velocity import velocity_of
@@ -21,8 +22,8 @@ from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, Disarmed
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lease import LASTS
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.rest_message import EVERY, HOLDS, TIMES, RestMessage
-from rsb_bridge.route.source_publishers import PublicationSpec, SourcePublishers
+from rsb_bridge.route.rest_message import EVERY, HOLDS, TIMES
+from rsb_bridge.route.source_publishers import PublicationSpec
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import with_number
 from rsb_bridge.wire.messages import Describe
@@ -139,18 +140,15 @@ class Driven:
         """
         self.robot, self._loop = Robot(loop), loop
         armed = () if there is None else (ArmedName("/cmd_vel", on_end=there),)
-        here = Side(make_context(ros=self.robot), is_client=True)
-        pc = Side(make_context(role="server", armed=armed), is_client=False)
-        here.other, pc.other = pc, here
-        self.pair: Pair = (here, pc)
+        self.pair = here, pc = pair_of(make_context(ros=self.robot), make_context(role="server", armed=armed))
         propose(here, Topic("/cmd_vel", "receive", arm=True, deadman=DEADMAN, type=kind, on_end=on_end))
         hear_all(self.pair)
         self.kind = kind
         self.describe()
         if not self.half.id:
             return  # it is refused
-        arm(pc, loop).result()
-        let_time_pass(self.pair, loop, 0.5)
+        arm(pc).result()
+        let_time_pass(self.pair, 0.5)
 
     def describe(self, qos: Qos | None = None) -> None:
         description = Describe(self.half.id, self.kind, "RIHS01_" + "0" * 64, qos or Qos(), (Source(("there",)),))
@@ -177,8 +175,13 @@ class Driven:
 
 
 @pytest.fixture
-def driven(loop: VirtualLoop, make_context: Callable[..., Context]) -> Driven:
-    made = Driven(loop, make_context)
+def make_driven(loop: VirtualLoop, make_context: Callable[..., Context]) -> Callable[..., Driven]:
+    return partial(Driven, loop, make_context)
+
+
+@pytest.fixture
+def driven(make_driven: Callable[..., Driven]) -> Driven:
+    made = make_driven()
     made.drive()
     assert made.payloads == [MOVES]
     return made
@@ -247,26 +250,6 @@ def test_the_robot_rests_at_once_however_it_is_disarmed(
     assert not loop.errors
 
 
-@pytest.mark.parametrize(
-    ("owner", "rule"),
-    [(IncomingRoute, "lapsed"), (RestMessage, "begin"), (RestMessage, "moved"), (SourcePublishers, "close")],
-)
-def test_each_rule_is_needed(
-    owner: type, rule: str, driven: Driven, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Without it, the robot moves on, or a publisher is left open that may still deliver what moves."""
-    by_an_operator(driven, 1)
-    hear_all(driven.pair)
-    driven.describe()
-    arm(driven.pair[1], loop).result()
-    let_time_pass(driven.pair, loop, 0.5)
-    monkeypatch.setattr(owner, rule, lambda *_: None)
-    driven.drive()
-    by_an_operator(driven, 1)
-    hear_all(driven.pair)
-    assert driven.payloads[-1] == MOVES or driven.robot.open_at_rest
-
-
 def test_the_robot_rests_once_the_sides_no_longer_hear_each_other(driven: Driven, loop: VirtualLoop) -> None:
     """Nothing is disarmed yet: the two may hear each other again, and then it goes on."""
     began = loop.time()
@@ -274,24 +257,24 @@ def test_the_robot_rests_once_the_sides_no_longer_hear_each_other(driven: Driven
     assert driven.payloads[1:2] == [RESTS]
     assert driven.robot.heard[1].at - began <= LASTS + 0.01
     assert driven.half.arming.armed
-    let_time_pass(driven.pair, loop, 1.0)
+    let_time_pass(driven.pair, 1.0)
     driven.drive()
-    let_time_pass(driven.pair, loop, 1.0)
+    let_time_pass(driven.pair, 1.0)
     assert driven.payloads[-1] == MOVES
 
 
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
 def test_the_robot_rests_when_a_time_of_the_arming_is_over(
-    at: int, loop: VirtualLoop, make_context: Callable[..., Context]
+    at: int, loop: VirtualLoop, make_driven: Callable[..., Driven]
 ) -> None:
     """To the moment, and not at the next tick: here the console is silent, before the deadman's time is over."""
-    driven = Driven(loop, make_context)
+    driven = make_driven()
     if at == 0:
         by_an_operator(driven, 1)
         hear_all(driven.pair)
         driven.describe()
-        arm(driven.pair[0], loop).result()
-        let_time_pass(driven.pair, loop, 0.5)
+        arm(driven.pair[0]).result()
+        let_time_pass(driven.pair, 0.5)
     armed_at = loop.time() - 0.5
     for _ in range(int(CONSOLE_SILENT_AFTER / 0.05) + 10):
         driven.drive()
@@ -305,27 +288,25 @@ def test_the_robot_rests_when_a_time_of_the_arming_is_over(
 def test_a_velocity_holds_for_a_second_without_a_further_message(driven: Driven, loop: VirtualLoop) -> None:
     """The message that would have stopped the robot may have been lost, though both sides hear each other."""
     for _ in range(2):
-        let_time_pass(driven.pair, loop, 0.9 * HOLDS)
+        let_time_pass(driven.pair, 0.9 * HOLDS)
         driven.drive()
     assert set(driven.payloads) == {MOVES}
     moved = loop.time()
-    let_time_pass(driven.pair, loop, HOLDS + REST_OVER + 0.1)
+    let_time_pass(driven.pair, HOLDS + REST_OVER + 0.1)
     rests = [each for each in driven.robot.heard if each.payload == RESTS]
     assert len(rests) == TIMES
     assert HOLDS <= rests[0].at - moved < HOLDS + 0.05
     driven.drive()
     assert driven.payloads[-1] == MOVES
     driven.drive(RESTS)
-    let_time_pass(driven.pair, loop, 2 * HOLDS)
+    let_time_pass(driven.pair, 2 * HOLDS)
     assert driven.payloads[-2:] == [MOVES, RESTS], "no rest follows a rest"
 
 
-def test_a_message_of_a_type_that_moves_nothing_holds_for_good(
-    loop: VirtualLoop, make_context: Callable[..., Context]
-) -> None:
-    driven = Driven(loop, make_context, POSE, on_end={"x": 0.1, "header": "auto"})
+def test_a_message_of_a_type_that_moves_nothing_holds_for_good(make_driven: Callable[..., Driven]) -> None:
+    driven = make_driven(POSE, on_end={"x": 0.1, "header": "auto"})
     driven.drive()
-    let_time_pass(driven.pair, loop, 3 * HOLDS)
+    let_time_pass(driven.pair, 3 * HOLDS)
     assert driven.payloads == [MOVES]
 
 
@@ -336,49 +317,47 @@ def test_a_robot_that_was_told_to_rest_hears_no_more(driven: Driven) -> None:
     assert driven.payloads == [MOVES, RESTS]
 
 
-def test_a_robot_rests_though_the_other_side_s_publishers_have_changed_since_it_moved(
-    driven: Driven, loop: VirtualLoop
-) -> None:
+def test_a_robot_rests_though_the_other_side_s_publishers_have_changed_since_it_moved(driven: Driven) -> None:
     """A node there, or an operator, publishes with another QoS, and so has the robot's own topic from then on."""
     driven.describe(Qos(depth=3, deadline=1.0))
-    let_time_pass(driven.pair, loop, 0.5)
+    let_time_pass(driven.pair, 0.5)
     by_an_operator(driven, 0)
     assert driven.payloads == [MOVES, RESTS]
 
 
 def test_a_robot_that_a_hand_beside_it_has_moved_rests_though_a_node_came_on_the_other_side(
-    loop: VirtualLoop, make_context: Callable[..., Context]
+    make_driven: Callable[..., Driven],
 ) -> None:
-    driven = Driven(loop, make_context)
+    driven = make_driven()
     driven.half.moved(PublicationSpec("/cmd_vel", TWIST, "RIHS01_" + "0" * 64, Qos(depth=7)), MOVES)
     driven.describe(Qos(depth=3, deadline=1.0))
     by_an_operator(driven, 0)
     assert driven.payloads == [RESTS]
 
 
-def test_nothing_is_published_where_nothing_has_moved(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
-    driven = Driven(loop, make_context)
+def test_nothing_is_published_where_nothing_has_moved(make_driven: Callable[..., Driven]) -> None:
+    driven = make_driven()
     by_an_operator(driven, 0)
     driven.wait(1.0)
     assert driven.payloads == []
 
 
-def test_the_next_arming_s_first_message_ends_the_rest(driven: Driven, loop: VirtualLoop) -> None:
+def test_the_next_arming_s_first_message_ends_the_rest(driven: Driven) -> None:
     """Not the arming itself: the first rest may have come before a subscription had found its publisher."""
     by_an_operator(driven, 0)
     hear_all(driven.pair)
     driven.describe()
-    arm(driven.pair[1], loop).result()
-    let_time_pass(driven.pair, loop, 2 * EVERY)
+    arm(driven.pair[1]).result()
+    let_time_pass(driven.pair, 2 * EVERY)
     assert driven.payloads[-2:] == [RESTS, RESTS]
     driven.drive()
     count = len(driven.payloads)
     assert count < 1 + TIMES
-    let_time_pass(driven.pair, loop, 1.0)
+    let_time_pass(driven.pair, 1.0)
     assert len(driven.payloads) == count
 
 
-def test_a_hand_and_nodes_with_other_depths_share_the_rest_s_publisher(driven: Driven, loop: VirtualLoop) -> None:
+def test_a_hand_and_nodes_with_other_depths_share_the_rest_s_publisher(driven: Driven) -> None:
     """Subscriptions take some time to find a publisher, which a rest has not."""
     before = len(driven.robot.voices)
     for qos in (Qos(depth=3), Qos(depth=7, reliability="best_effort")):
@@ -388,8 +367,8 @@ def test_a_hand_and_nodes_with_other_depths_share_the_rest_s_publisher(driven: D
     assert driven.payloads[-1] == RESTS
 
 
-def test_a_type_that_moves_nothing_has_no_rest(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
-    driven = Driven(loop, make_context, "std_msgs/msg/String")
+def test_a_type_that_moves_nothing_has_no_rest(make_driven: Callable[..., Driven]) -> None:
+    driven = make_driven("std_msgs/msg/String")
     driven.drive(BEGIN + b"\x02\0\0\0a\0")
     by_an_operator(driven, 0)
     driven.wait(1.0)
@@ -415,11 +394,10 @@ def test_the_more_careful_session_says_what_follows(
     there: str | dict[str, Any] | None,
     rest: bytes | None,
     shown: str,
-    loop: VirtualLoop,
-    make_context: Callable[..., Context],
+    make_driven: Callable[..., Driven],
 ) -> None:
     """The robot's message counts; both sides show it."""
-    driven = Driven(loop, make_context, on_end=on_end, there=there)
+    driven = make_driven(on_end=on_end, there=there)
     driven.drive()
     assert driven.half.on_end == shown
     by_an_operator(driven, 0)
@@ -427,8 +405,8 @@ def test_the_more_careful_session_says_what_follows(
     assert driven.payloads == [MOVES] + ([] if rest is None else [rest] * TIMES)
 
 
-def test_a_message_has_a_fresh_stamp_each_time(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
-    driven = Driven(loop, make_context, POSE, {"x": 0.1})
+def test_a_message_has_a_fresh_stamp_each_time(make_driven: Callable[..., Driven]) -> None:
+    driven = make_driven(POSE, {"x": 0.1})
     driven.drive()
     by_an_operator(driven, 0)
     driven.wait(1.0)
@@ -436,8 +414,8 @@ def test_a_message_has_a_fresh_stamp_each_time(loop: VirtualLoop, make_context: 
     assert len(set(stamps)) == TIMES
 
 
-def test_zero_of_another_type_has_its_defaults(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
-    driven = Driven(loop, make_context, POSE, "zero")
+def test_zero_of_another_type_has_its_defaults(make_driven: Callable[..., Driven]) -> None:
+    driven = make_driven(POSE, "zero")
     driven.drive()
     by_an_operator(driven, 0)
     driven.wait(1.0)
@@ -446,15 +424,13 @@ def test_zero_of_another_type_has_its_defaults(loop: VirtualLoop, make_context: 
 
 @pytest.mark.parametrize(("kind", "on_end"), [(TWIST, {"y": 0.1}), ("a_msgs/msg/Speed", "zero")])
 def test_a_message_that_does_not_fit_is_refused_before_anything_moves(
-    kind: str, on_end: str | dict[str, Any], loop: VirtualLoop, make_context: Callable[..., Context]
+    kind: str, on_end: str | dict[str, Any], make_driven: Callable[..., Driven]
 ) -> None:
-    driven = Driven(loop, make_context, kind, on_end)
+    driven = make_driven(kind, on_end)
     assert "on_end" in driven.half.refusal
 
 
-def test_the_velocity_that_the_robot_has_is_reported(
-    driven: Driven, loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_velocity_that_the_robot_has_is_reported(driven: Driven, monkeypatch: pytest.MonkeyPatch) -> None:
     """To the other side, and at once as far as it begins or ceases to move."""
     there = route(driven.pair[1])
 

@@ -179,14 +179,15 @@ class Side(FakePeer):
 Pair = tuple["Side", "Side"]
 
 
-@pytest.fixture
-def make_pair(loop: VirtualLoop, make_context: Callable[..., Context]) -> Callable[[], Pair]:
-    def make() -> Pair:
-        client, server = Side(make_context(), is_client=True), Side(make_context(role="server"), is_client=False)
-        client.other, server.other = server, client
-        return client, server
+def pair_of(client_context: Context, server_context: Context) -> Pair:
+    client, server = Side(client_context, is_client=True), Side(server_context, is_client=False)
+    client.other, server.other = server, client
+    return client, server
 
-    return make
+
+@pytest.fixture
+def make_pair(make_context: Callable[..., Context]) -> Callable[[], Pair]:
+    return lambda: pair_of(make_context(), make_context(role="server"))
 
 
 def settle(pair: Pair, loop: VirtualLoop) -> None:

@@ -8,7 +8,7 @@ from unittest.mock import patch
 
 import pytest
 from tests.link.test_arming import COMMANDS, CONSOLE, arm, events, let_time_pass, propose, route, turn
-from tests.link.test_route_table import Pair, Side, hear_all
+from tests.link.test_route_table import Pair, Side, hear_all, pair_of
 from tests.support.wording import says
 
 from rsb_bridge.link.errors import LinkError
@@ -31,25 +31,24 @@ OTHER = "bert's"
 
 
 @pytest.fixture
-def pair(loop: VirtualLoop, make_context: Callable[..., Context]) -> Pair:
+def pair(make_context: Callable[..., Context]) -> Pair:
     """A robot, which is the client, and a control PC, whose operator anna has armed the topic."""
-    robot, pc = Side(make_context(), is_client=True), Side(make_context(role="server"), is_client=False)
-    robot.other, pc.other = pc, robot
+    robot, pc = pair_of(make_context(), make_context(role="server"))
     propose(robot, COMMANDS)
     hear_all((robot, pc))
-    arm(pc, loop).result()
+    arm(pc).result()
     return robot, pc
 
 
-def ask(side: Side, loop: VirtualLoop, console: str = OTHER) -> asyncio.Task[None]:
+def ask(side: Side, console: str = OTHER) -> asyncio.Task[None]:
     async def asking() -> None:
         with acting("bert"):
             await side.table.questions.ask(route(side), console)
 
-    task = loop.create_task(asking())
-    turn(loop)
+    task = side.context.loop.create_task(asking())
+    turn(side)
     hear_all((side, side.other))
-    turn(loop)
+    turn(side)
     return task
 
 
@@ -69,37 +68,35 @@ both = pytest.mark.parametrize("at", [0, 1], ids=["from the other side", "beside
 
 
 @both
-def test_the_holder_sees_who_asks_and_how_long_it_takes(at: int, pair: Pair, loop: VirtualLoop) -> None:
+def test_the_holder_sees_who_asks_and_how_long_it_takes(at: int, pair: Pair) -> None:
     """So do both sides; the topic stays armed meanwhile."""
-    task = ask(pair[at], loop)
+    task = ask(pair[at])
     for side in pair:
         assert "bert" in shown(side).asked_by
         assert shown(side).goes_in == pytest.approx(ASKED_FOR, abs=0.1)
-    let_time_pass(pair, loop, 2.5)
+    let_time_pass(pair, 2.5)
     assert shown(pair[1]).goes_in == pytest.approx(ASKED_FOR - 2.5, abs=0.3)
     assert all(shown(side).armed for side in pair)
     assert not task.done()
-    task.cancel()
-    turn(loop)
 
 
 @both
-def test_a_holder_who_gives_it_ends_the_wait_at_once(at: int, pair: Pair, loop: VirtualLoop) -> None:
-    task = ask(pair[at], loop)
+def test_a_holder_who_gives_it_ends_the_wait_at_once(at: int, pair: Pair) -> None:
+    task = ask(pair[at])
     pair[1].table.questions.answer(route(pair[1]), CONSOLE, gives=True)
     hear_all(pair)
-    turn(loop)
+    turn(pair[0])
     assert task.done()
     task.result()
     assert all(not shown(side).asked_by for side in pair)
 
 
 @both
-def test_a_holder_who_keeps_it_is_named(at: int, pair: Pair, loop: VirtualLoop) -> None:
-    task = ask(pair[at], loop)
+def test_a_holder_who_keeps_it_is_named(at: int, pair: Pair) -> None:
+    task = ask(pair[at])
     pair[1].table.questions.answer(route(pair[1]), CONSOLE, gives=False)
     hear_all(pair)
-    turn(loop)
+    turn(pair[0])
     text = problem(task)
     assert says(text, TakeOverText.KEPT)
     assert "anna" in text
@@ -108,12 +105,12 @@ def test_a_holder_who_keeps_it_is_named(at: int, pair: Pair, loop: VirtualLoop) 
 
 @both
 def test_without_an_answer_it_goes_over(at: int, pair: Pair, loop: VirtualLoop) -> None:
-    task = ask(pair[at], loop)
+    task = ask(pair[at])
     began = loop.time()
     while not task.done():
         pair[1].table.arming.seen(CONSOLE, pressed=True)
         pair[at].table.questions.seen(OTHER)
-        let_time_pass(pair, loop, 0.25)
+        let_time_pass(pair, 0.25)
     task.result()
     assert loop.time() - began == pytest.approx(ASKED_FOR, abs=0.5)
 
@@ -124,27 +121,27 @@ def test_a_console_that_asked_and_is_silent_gets_nothing(
     at: int, alive_for: float, pair: Pair, loop: VirtualLoop
 ) -> None:
     """It stood still: nobody is there who would drive. The question is gone, and the holder goes on."""
-    task = ask(pair[at], loop)
+    task = ask(pair[at])
     began = loop.time()
     while not task.done():
         pair[1].table.arming.seen(CONSOLE, pressed=True)
         if loop.time() - began < alive_for:
             pair[at].table.questions.seen(OTHER)
-        let_time_pass(pair, loop, 0.25)
+        let_time_pass(pair, 0.25)
     assert says(problem(task), TakeOverText.ASKER_SILENT)
     assert loop.time() - began == pytest.approx(alive_for + ASKER_SILENT_AFTER, abs=0.5)
     assert all(shown(side).armed and not shown(side).asked_by for side in pair)
 
 
 @both
-def test_a_silent_console_does_not_get_what_was_disarmed_meanwhile(at: int, pair: Pair, loop: VirtualLoop) -> None:
+def test_a_silent_console_does_not_get_what_was_disarmed_meanwhile(at: int, pair: Pair) -> None:
     """As after a machine slept: its operator asked before that."""
-    task = ask(pair[at], loop)
+    task = ask(pair[at])
     now = pair[at].context.now
     with patch.object(pair[at].context, "now", lambda: now() + 60.0):
         pair[1].table.arming.disarm(route(pair[1]), Disarmed.DEADMAN)
         hear_all(pair)
-        turn(loop)
+        turn(pair[0])
         assert says(problem(task), TakeOverText.ASKER_SILENT)
 
 
@@ -159,7 +156,7 @@ ENDS = {
 @both
 @pytest.mark.parametrize("end", ENDS)
 def test_both_sides_record_who_asked_and_how_it_ended(end: str, at: int, pair: Pair, loop: VirtualLoop) -> None:
-    task = ask(pair[at], loop)
+    task = ask(pair[at])
     if end in ("kept", "given"):
         pair[1].table.questions.answer(route(pair[1]), CONSOLE, gives=end == "given")
     elif end == "withdrawn":
@@ -168,10 +165,10 @@ def test_both_sides_record_who_asked_and_how_it_ended(end: str, at: int, pair: P
     while end == "not answered" and loop.time() < until:
         pair[1].table.arming.seen(CONSOLE, pressed=True)
         pair[at].table.questions.seen(OTHER)
-        let_time_pass(pair, loop, 0.25)
-    turn(loop)
+        let_time_pass(pair, 0.25)
+    turn(pair[0])
     hear_all(pair)
-    turn(loop)
+    turn(pair[0])
     code, who = ENDS[end]
     for number, side in enumerate(pair):
         asked, ended = events(side, EventCode.OPERATOR_ASKED, *(each for each, _ in ENDS.values()))
@@ -182,71 +179,63 @@ def test_both_sides_record_who_asked_and_how_it_ended(end: str, at: int, pair: P
         assert ended.from_peer is (number != (1 if who == "anna" else at))
 
 
-def test_an_answer_is_no_answer_to_another_question(pair: Pair, loop: VirtualLoop) -> None:
+def test_an_answer_is_no_answer_to_another_question(pair: Pair) -> None:
     """One of the holder's own side was given it; of the other side, the holder does not know yet."""
-    task = ask(pair[0], loop)
+    task = ask(pair[0])
     pair[0].table.handle(AskEnded(route(pair[0]).id, "given", own=True))
-    turn(loop)
+    turn(pair[0])
     assert not task.done()
-    task.cancel()
-    turn(loop)
 
 
-def test_only_the_holders_side_answers(pair: Pair, loop: VirtualLoop) -> None:
+def test_only_the_holders_side_answers(pair: Pair) -> None:
     """A peer cannot give what an operator of this side holds."""
-    task = ask(pair[1], loop)
+    task = ask(pair[1])
     for own in (False, True):
         pair[1].table.handle(AskEnded(route(pair[1]).id, "given", own=own))
-        turn(loop)
+        turn(pair[0])
     assert not task.done()
-    task.cancel()
-    turn(loop)
 
 
 @both
-def test_it_needs_no_answer_once_it_is_disarmed(at: int, pair: Pair, loop: VirtualLoop) -> None:
-    task = ask(pair[at], loop)
+def test_it_needs_no_answer_once_it_is_disarmed(at: int, pair: Pair) -> None:
+    task = ask(pair[at])
     pair[1].table.arming.disarm(route(pair[1]), Disarmed.DEADMAN)
     hear_all(pair)
-    turn(loop)
+    turn(pair[0])
     task.result()
 
 
 @both
-def test_who_asks_no_longer_leaves_no_question(at: int, pair: Pair, loop: VirtualLoop) -> None:
-    task = ask(pair[at], loop)
+def test_who_asks_no_longer_leaves_no_question(at: int, pair: Pair) -> None:
+    task = ask(pair[at])
     task.cancel()
-    turn(loop)
+    turn(pair[0])
     hear_all(pair)
     assert all(not shown(side).asked_by for side in pair)
     with pytest.raises(LinkError):
         pair[1].table.questions.answer(route(pair[1]), CONSOLE, gives=True)
 
 
-def test_only_the_holders_console_answers(pair: Pair, loop: VirtualLoop) -> None:
-    task = ask(pair[0], loop)
+def test_only_the_holders_console_answers(pair: Pair) -> None:
+    task = ask(pair[0])
     for side, console in ((pair[1], "another"), (pair[0], OTHER)):
         with pytest.raises(LinkError) as error:
             side.table.questions.answer(route(side), console, gives=True)
         assert says(str(error.value), TakeOverText.NOT_YOURS)
     assert not task.done()
-    task.cancel()
-    turn(loop)
 
 
-def test_what_nobody_holds_needs_no_question(pair: Pair, loop: VirtualLoop) -> None:
+def test_what_nobody_holds_needs_no_question(pair: Pair) -> None:
     pair[1].table.arming.disarm(route(pair[1]), Disarmed.OPERATOR)
     hear_all(pair)
-    ask(pair[0], loop).result()
+    ask(pair[0]).result()
 
 
-def test_one_asks_at_a_time_and_nobody_oneself(pair: Pair, loop: VirtualLoop) -> None:
-    assert says(problem(ask(pair[1], loop, CONSOLE)), TakeOverText.HELD_HERE)
-    first = ask(pair[1], loop)
-    assert says(problem(ask(pair[1], loop, "third")), TakeOverText.ASKED_ALREADY)
-    assert says(problem(ask(pair[0], loop)), TakeOverText.ASKED_ALREADY)
-    first.cancel()
-    turn(loop)
+def test_one_asks_at_a_time_and_nobody_oneself(pair: Pair) -> None:
+    assert says(problem(ask(pair[1], CONSOLE)), TakeOverText.HELD_HERE)
+    ask(pair[1])
+    assert says(problem(ask(pair[1], "third")), TakeOverText.ASKED_ALREADY)
+    assert says(problem(ask(pair[0])), TakeOverText.ASKED_ALREADY)
 
 
 def test_of_two_questions_from_both_sides_the_holders_side_has_the_first(pair: Pair, loop: VirtualLoop) -> None:
@@ -269,11 +258,11 @@ def test_of_two_questions_from_both_sides_the_holders_side_has_the_first(pair: P
     loop.run_until_complete(both())
 
 
-def test_a_side_that_asks_again_and_again_is_not_heard(pair: Pair, loop: VirtualLoop) -> None:
+def test_a_side_that_asks_again_and_again_is_not_heard(pair: Pair) -> None:
     """Whoever drives watches the robot, not questions."""
     for _ in range(int(_AT_ONCE)):
-        ask(pair[0], loop).cancel()
-        turn(loop)
+        ask(pair[0]).cancel()
+        turn(pair[0])
         hear_all(pair)
-    assert says(problem(ask(pair[0], loop)), TakeOverText.KEPT)
+    assert says(problem(ask(pair[0])), TakeOverText.KEPT)
     assert not shown(pair[1]).asked_by

@@ -95,14 +95,11 @@ class Side:
         return await asking
 
 
-def test_an_answer_that_proves_itself_is_kept() -> None:
-    async def run() -> None:
-        side = Side()
-        assert await side.ask(zstandard.compress(TEXT.encode())) == TEXT
-        take(side.questions, TypeText(route=3, text=b"late"))
-        assert await side.questions.describe(Route(), linked=False) == TEXT  # type: ignore[arg-type]
-
-    asyncio.run(run())
+async def test_an_answer_that_proves_itself_is_kept() -> None:
+    side = Side()
+    assert await side.ask(zstandard.compress(TEXT.encode())) == TEXT
+    take(side.questions, TypeText(route=3, text=b"late"))
+    assert await side.questions.describe(Route(), linked=False) == TEXT  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -119,40 +116,31 @@ def test_an_answer_that_proves_itself_is_kept() -> None:
     ],
     ids=["unknown", "garbage", "empty", "no text", "another type", "a bomb", "too long", "link lost"],
 )
-def test_any_other_is_as_none(answer: bytes | None) -> None:
-    async def run() -> None:
-        with pytest.raises(LinkError, match=pattern(Denied.TYPE_NOT_INSTALLED, type_name="a_msgs/msg/B")):
-            await Side().ask(answer)
-
-    asyncio.run(run())
+async def test_any_other_is_as_none(answer: bytes | None) -> None:
+    with pytest.raises(LinkError, match=pattern(Denied.TYPE_NOT_INSTALLED, type_name="a_msgs/msg/B")):
+        await Side().ask(answer)
 
 
-def test_answers_are_given_one_at_a_time() -> None:
-    async def run() -> None:
-        side = Side()
-        side.ros.nodes = {"/node": TEXT}
-        for _ in range(100):
-            take(side.questions, AskType(route=3))
-        await asyncio.gather(*side.tasks)
-        (answer,) = side.sent
-        assert zstandard.decompress(answer.text).decode() == TEXT
-        assert side.ros.asked == ["/node"]
-
-    asyncio.run(run())
+async def test_answers_are_given_one_at_a_time() -> None:
+    side = Side()
+    side.ros.nodes = {"/node": TEXT}
+    for _ in range(100):
+        take(side.questions, AskType(route=3))
+    await asyncio.gather(*side.tasks)
+    (answer,) = side.sent
+    assert zstandard.decompress(answer.text).decode() == TEXT
+    assert side.ros.asked == ["/node"]
 
 
-def test_nodes_that_know_nothing_are_asked_again_after_a_while() -> None:
-    async def run() -> None:
-        side = Side()
-        side.ros.nodes = {f"/node{number}": TEXT.replace("x", "y") if number else None for number in range(9)}
-        for moment in (0.0, 9.0, 11.0):
-            side.time = moment
-            assert await side.known.find("a_msgs/msg/B", HASH, "/b") is None
-        assert side.ros.asked == ["/node0", "/node1", "/node2"] * 2, "three at a time, and after 10 s again"
-        side.time, side.ros.fails = 30.0, True
+async def test_nodes_that_know_nothing_are_asked_again_after_a_while() -> None:
+    side = Side()
+    side.ros.nodes = {f"/node{number}": TEXT.replace("x", "y") if number else None for number in range(9)}
+    for moment in (0.0, 9.0, 11.0):
+        side.time = moment
         assert await side.known.find("a_msgs/msg/B", HASH, "/b") is None
-
-    asyncio.run(run())
+    assert side.ros.asked == ["/node0", "/node1", "/node2"] * 2, "three at a time, and after 10 s again"
+    side.time, side.ros.fails = 30.0, True
+    assert await side.known.find("a_msgs/msg/B", HASH, "/b") is None
 
 
 def test_what_is_kept_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:

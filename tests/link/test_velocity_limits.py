@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import pytest
 from tests.link.test_arming import propose, route
-from tests.link.test_route_table import Pair, Side, hear_all
+from tests.link.test_route_table import Pair, hear_all, pair_of
 
 from rsb_bridge.model.demands import PEER_DEMANDS, OriginText
 from rsb_bridge.model.session import ArmedName, Topic
@@ -24,11 +24,10 @@ Lines = tuple[str, ...]
 
 def pair_with(make_context: Callable[..., Context], robots: VelocityLimits | None, pcs: VelocityLimits | None) -> Pair:
     armed = () if pcs is None else (ArmedName("/cmd_vel", limits=pcs),)
-    robot, pc = Side(make_context(), is_client=True), Side(make_context(role="server", armed=armed), is_client=False)
-    robot.other, pc.other = pc, robot
+    pair = robot, _ = pair_of(make_context(), make_context(role="server", armed=armed))
     propose(robot, Topic("/cmd_vel", "receive", limits=robots))
-    hear_all((robot, pc))
-    return robot, pc
+    hear_all(pair)
+    return pair
 
 
 @pytest.mark.parametrize(

@@ -49,6 +49,11 @@ class Machine:
         self.in_the_end(remote.stop)
         return remote
 
+    def attach_to(self, engine: Any = None, *, read_only: bool = False) -> RemoteEngine:
+        """Serve an engine as robot1, and attach to it."""
+        self.serve(engine)
+        return self.attach(read_only=read_only)
+
     def in_the_end(self, work: Callable[[], object]) -> None:
         """Register something to do before everything begun until now is ended."""
         self._resources.callback(work)

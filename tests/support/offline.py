@@ -60,6 +60,11 @@ def make_context(loop: VirtualLoop) -> Callable[..., Context]:
     return make
 
 
+@pytest.fixture
+def context(make_context: Callable[..., Context]) -> Context:
+    return make_context()
+
+
 class FakePeer:
     """A peer that a route alone is tested with.
 

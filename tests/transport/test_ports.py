@@ -39,22 +39,19 @@ class SlowUdp(Udp):
         self.listening -= 1
 
 
-def test_a_port_that_is_closed_while_it_is_opened_stays_closed() -> None:
-    async def scenario() -> None:
-        udp = SlowUdp()
-        ports = Ports(SESSION, Transports(udp), cast("Acceptor", None))
-        opening: asyncio.Task[Callable[[], None]] = asyncio.create_task(ports.open("udp", 9000))
-        waiting = asyncio.create_task(ports.open("udp", 9001))
-        await udp.listens.wait()
-        ports.close()
-        udp.goes_on.set()
-        for each in (opening, waiting):
-            with pytest.raises(ListenError, match=pattern(PortProblem.CLOSED_AGAIN)):
-                await each
-        assert udp.listening == 0
-        release = await ports.open("udp", 9000)
-        assert udp.listening == 1
-        release()
-        assert udp.listening == 0
-
-    asyncio.run(scenario())
+async def test_a_port_that_is_closed_while_it_is_opened_stays_closed() -> None:
+    udp = SlowUdp()
+    ports = Ports(SESSION, Transports(udp), cast("Acceptor", None))
+    opening: asyncio.Task[Callable[[], None]] = asyncio.create_task(ports.open("udp", 9000))
+    waiting = asyncio.create_task(ports.open("udp", 9001))
+    await udp.listens.wait()
+    ports.close()
+    udp.goes_on.set()
+    for each in (opening, waiting):
+        with pytest.raises(ListenError, match=pattern(PortProblem.CLOSED_AGAIN)):
+            await each
+    assert udp.listening == 0
+    release = await ports.open("udp", 9000)
+    assert udp.listening == 1
+    release()
+    assert udp.listening == 0

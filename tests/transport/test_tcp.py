@@ -69,7 +69,7 @@ def resolves(monkeypatch: pytest.MonkeyPatch, port: int) -> list[str]:
 
 
 def _open_sockets() -> set[str]:
-    gc.collect()
+    gc.collect(1)  # what the test has made; all that the worker has ever made takes half a second
     links = set()
     for descriptor in Path("/proc/self/fd").iterdir():
         with contextlib.suppress(FileNotFoundError):  # the folder's own
@@ -77,20 +77,16 @@ def _open_sockets() -> set[str]:
     return {link for link in links if link.startswith("socket:")}
 
 
-def test_an_address_that_is_silent_does_not_hold_up_the_next(
+async def test_an_address_that_is_silent_does_not_hold_up_the_next(
     monkeypatch: pytest.MonkeyPatch, port: int, resolves: list[str]
 ) -> None:
     """A name may have an IPv6 address whose packets are dropped on the way."""
     constants.TCP_CONNECT_TIMEOUT.set(monkeypatch, 120.0)
     resolves += [_SILENT, _LIVE]
-
-    async def main() -> None:
-        async with asyncio.timeout(30):
-            stream = await Tcp().connect("robot", port, StreamHandler())
-        assert stream.host == _LIVE
-        stream.abort("over")
-
-    asyncio.run(main())
+    async with asyncio.timeout(30):
+        stream = await Tcp().connect("robot", port, StreamHandler())
+    assert stream.host == _LIVE
+    stream.abort("over")
 
 
 def test_all_that_are_silent_time_out(monkeypatch: pytest.MonkeyPatch, port: int, resolves: list[str]) -> None:
@@ -108,25 +104,20 @@ def test_all_that_are_silent_time_out(monkeypatch: pytest.MonkeyPatch, port: int
 
 
 @pytest.mark.parametrize("addresses", [[_UNREACHABLE, _REFUSING], [_REFUSING, _UNREACHABLE], [_REFUSING, _REFUSING]])
-def test_where_some_cannot_be_reached_a_refusal_is_told(addresses: list[str], port: int, resolves: list[str]) -> None:
+async def test_where_some_cannot_be_reached_a_refusal_is_told(
+    addresses: list[str], port: int, resolves: list[str]
+) -> None:
     """On a network without IPv6 that address fails too, which is not what the operator has to know."""
     resolves += addresses
-
-    async def main() -> None:
-        with pytest.raises(OSError, match=r".+") as failure:
-            await Tcp().connect("robot", port, StreamHandler())
-        assert failure.value.errno == errno.ECONNREFUSED
-        assert says(os_error_message(failure.value), StreamProblem.REFUSED)
-
-    asyncio.run(main())
+    with pytest.raises(OSError, match=r".+") as failure:
+        await Tcp().connect("robot", port, StreamHandler())
+    assert failure.value.errno == errno.ECONNREFUSED
+    assert says(os_error_message(failure.value), StreamProblem.REFUSED)
 
 
-def test_a_name_without_an_address(port: int, resolves: list[str]) -> None:
-    async def main() -> None:
-        with pytest.raises(OSError, match=pattern(LookUpProblem.NO_ADDRESS, host="robot")):
-            await Tcp().connect("robot", port, StreamHandler())
-
-    asyncio.run(main())
+async def test_a_name_without_an_address(port: int, resolves: list[str]) -> None:
+    with pytest.raises(OSError, match=pattern(LookUpProblem.NO_ADDRESS, host="robot")):
+        await Tcp().connect("robot", port, StreamHandler())
 
 
 @pytest.mark.parametrize("addresses", [[_LIVE], [_LIVE, _ALSO_LIVE], [_SILENT, _LIVE]], ids=["one", "two", "silent"])
@@ -200,83 +191,68 @@ async def _connected() -> AsyncIterator[tuple[Stream, Kept, Stream, Kept]]:
         await asyncio.sleep(0)
 
 
-def test_a_slow_path_is_no_reason_to_send_again() -> None:
+async def test_a_slow_path_is_no_reason_to_send_again() -> None:
     """The kernel's longest wait for an acknowledgement is above the round trip, and short where that is short."""
-
-    async def main() -> None:
-        async with _connected() as (near, _, _, _):
-            sock = socket_of(near)
-            waits: list[float] = []
-            for round_trip in (0.03, 1.7, 90.0, 0.03):
-                near.round_trip_is(round_trip)
-                try:
-                    waits.append(sock.getsockopt(socket.IPPROTO_TCP, streams.TCP_RTO_MAX_MS) / 1000)
-                except OSError:
-                    pytest.skip("Linux has this option since 6.15")
-            assert waits[1] > 3 * 1.7
-            assert waits[2] < 10.0
-            assert waits[3] == streams.RETRIED_AFTER
-
-    asyncio.run(main())
+    async with _connected() as (near, _, _, _):
+        sock = socket_of(near)
+        waits: list[float] = []
+        for round_trip in (0.03, 1.7, 90.0, 0.03):
+            near.round_trip_is(round_trip)
+            try:
+                waits.append(sock.getsockopt(socket.IPPROTO_TCP, streams.TCP_RTO_MAX_MS) / 1000)
+            except OSError:
+                pytest.skip("Linux has this option since 6.15")
+        assert waits[1] > 3 * 1.7
+        assert waits[2] < 10.0
+        assert waits[3] == streams.RETRIED_AFTER
 
 
 @pytest.mark.parametrize("size", [4, 10_000_000], ids=["sent", "waiting"])
-def test_last_words_arrive_though_the_peer_was_sending(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_last_words_arrive_though_the_peer_was_sending(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each side had not read what the other had sent. A reset would have made the peer's next write fail."""
     constants.STREAM_LINGER.set(monkeypatch, 120.0)
-
-    async def main() -> None:
-        async with _connected() as (near, near_kept, far, far_kept):
-            near.pause_reading()
-            far.pause_reading()
-            far.write(b"unread")
-            near.write(bytes(size - 4) + b"last")
-            near.close()
-            near.write(b"after the last")
-            assert near.over
-            for _ in range(10):
-                far.write(b"more")
-                await asyncio.sleep(0.01)
-            far.resume_reading()
-            await far_kept.over.wait()
-            assert (len(far_kept.came), bytes(far_kept.came[-4:])) == (size, b"last")
-            await near_kept.over.wait()
-            assert near.gone
-            assert not near_kept.came
-
-    asyncio.run(main())
+    async with _connected() as (near, near_kept, far, far_kept):
+        near.pause_reading()
+        far.pause_reading()
+        far.write(b"unread")
+        near.write(bytes(size - 4) + b"last")
+        near.close()
+        near.write(b"after the last")
+        assert near.over
+        for _ in range(10):
+            far.write(b"more")
+            await asyncio.sleep(0.01)
+        far.resume_reading()
+        await far_kept.over.wait()
+        assert (len(far_kept.came), bytes(far_kept.came[-4:])) == (size, b"last")
+        await near_kept.over.wait()
+        assert near.gone
+        assert not near_kept.came
 
 
 @pytest.mark.parametrize("sends", [True, False])
-def test_a_peer_that_never_closes_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, sends: bool) -> None:
+async def test_a_peer_that_never_closes_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, sends: bool) -> None:
     """One that floods is cut off at a number of bytes, before any time is up."""
     constants.STREAM_LINGER.set(monkeypatch, 120.0 if sends else 0.1)
-
-    async def main() -> None:
-        async with _connected() as (near, near_kept, far, _):
-            far.pause_reading()
-            if sends:
-                far.write(bytes(20_000_000))
-            near.close()
-            await near_kept.over.wait()
-            assert near.gone
-            assert not far.gone
-
-    asyncio.run(main())
+    async with _connected() as (near, near_kept, far, _):
+        far.pause_reading()
+        if sends:
+            far.write(bytes(20_000_000))
+        near.close()
+        await near_kept.over.wait()
+        assert near.gone
+        assert not far.gone
 
 
-def test_a_connection_that_the_peer_has_reset_closes() -> None:
-    async def main() -> None:
-        async with _connected() as (near, near_kept, far, far_kept):
-            near.write(b"unread")
-            near.pause_reading()
-            far.pause_reading()
-            far.abort("gone")
-            await far_kept.over.wait()
-            near.close()
-            await near_kept.over.wait()
-
-    asyncio.run(main())
+async def test_a_connection_that_the_peer_has_reset_closes() -> None:
+    async with _connected() as (near, near_kept, far, far_kept):
+        near.write(b"unread")
+        near.pause_reading()
+        far.pause_reading()
+        far.abort("gone")
+        await far_kept.over.wait()
+        near.close()
+        await near_kept.over.wait()
 
 
 @pytest.mark.parametrize("number", [errno.EPIPE, errno.ECONNRESET])
@@ -284,19 +260,15 @@ def test_a_connection_that_breaks_is_explained(number: int) -> None:
     assert says(os_error_message(OSError(number, os.strerror(number))), StreamProblem.RESET)
 
 
-def test_a_connection_uses_the_preferred_congestion_control(
+async def test_a_connection_uses_the_preferred_congestion_control(
     monkeypatch: pytest.MonkeyPatch, port: int, resolves: list[str]
 ) -> None:
     """Reno is in every kernel, and on no machine the default."""
     constants.TCP_PREFERRED_CONGESTION_CONTROL.set(monkeypatch, "reno")
     resolves.append(_LIVE)
-
-    async def main() -> None:
-        stream = await Tcp().connect("robot", port, StreamHandler())
-        assert congestion_control(socket_of(stream)) == "reno"
-        stream.abort("over")
-
-    asyncio.run(main())
+    stream = await Tcp().connect("robot", port, StreamHandler())
+    assert congestion_control(socket_of(stream)) == "reno"
+    stream.abort("over")
 
 
 def test_a_congestion_control_that_the_machine_lacks_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

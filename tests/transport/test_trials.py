@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.held import held_by
-from tests.support.virtual_time import virtual_loop
 
 from rsb_bridge.transport.trials import AT_ONCE, MOST_TRIED, Results, Trials, UnprovenError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Coroutine
+    from collections.abc import Collection
+
+
+pytestmark = pytest.mark.usefixtures("loop")
 
 
 class Network:
@@ -50,114 +52,81 @@ class Network:
         return await self.trials.search(announced, self.attempt, self.discarded.append)
 
 
-def run(test: Callable[[], Coroutine[None, None, None]]) -> None:
-    with virtual_loop() as loop:
-        loop.run_until_complete(test())
-        assert loop.errors == []
-
-
 def fakes(count: int) -> list[str]:
     return [f"fake{number}" for number in range(count)]
 
 
-def test_a_single_address_is_used_as_soon_as_it_has_proven_the_key() -> None:
-    async def test() -> None:
-        network = Network(real=0.05)
-        results = await network.search(["real"])
-        assert (list(results.proven), results.others) == (["real"], 0)
-        assert asyncio.get_running_loop().time() == pytest.approx(0.05)
-
-    run(test)
+async def test_a_single_address_is_used_as_soon_as_it_has_proven_the_key() -> None:
+    network = Network(real=0.05)
+    results = await network.search(["real"])
+    assert (list(results.proven), results.others) == (["real"], 0)
+    assert asyncio.get_running_loop().time() == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize(("count", "within"), [(1, 0.5), (30, 0.5), (1000, 3.0)])
-def test_silent_ones_cost_little_time(count: int, within: float) -> None:
-    async def test() -> None:
-        network = Network(real=0.05)
-        results = await network.search([*fakes(count), "real"])
-        assert (list(results.proven), results.others) == (["real"], count)
-        assert asyncio.get_running_loop().time() < within
-        assert network.running == 0
-
-    run(test)
+async def test_silent_ones_cost_little_time(count: int, within: float) -> None:
+    network = Network(real=0.05)
+    results = await network.search([*fakes(count), "real"])
+    assert (list(results.proven), results.others) == (["real"], count)
+    assert asyncio.get_running_loop().time() < within
+    assert network.running == 0
 
 
-def test_one_that_proved_the_key_is_tried_first_the_next_time() -> None:
-    async def test() -> None:
-        network = Network(real=0.05)
-        await network.search([*fakes(1000), "real"])
-        began = asyncio.get_running_loop().time()
-        await network.search([*fakes(1000), "real"])
-        assert asyncio.get_running_loop().time() - began < 0.5
-
-    run(test)
+async def test_one_that_proved_the_key_is_tried_first_the_next_time() -> None:
+    network = Network(real=0.05)
+    await network.search([*fakes(1000), "real"])
+    began = asyncio.get_running_loop().time()
+    await network.search([*fakes(1000), "real"])
+    assert asyncio.get_running_loop().time() - began < 0.5
 
 
-def test_two_that_prove_the_key_are_both_found() -> None:
-    async def test() -> None:
-        network = Network(one=0.05, two=0.2)
-        assert set((await network.search(["one", *fakes(10), "two"])).proven) == {"one", "two"}
-
-    run(test)
+async def test_two_that_prove_the_key_are_both_found() -> None:
+    network = Network(one=0.05, two=0.2)
+    assert set((await network.search(["one", *fakes(10), "two"])).proven) == {"one", "two"}
 
 
-def test_what_fails_is_tried_less_and_less_often() -> None:
-    async def test() -> None:
-        network, announced = Network(), fakes(100)
-        network.refuses = set(announced)
-        loop = asyncio.get_running_loop()
-        while loop.time() < 600:
-            await network.search(announced)
-            await asyncio.sleep(1.0)
-        assert max(len(times) for times in network.tried.values()) < 60  # of 600 searches
-
-    run(test)
+async def test_what_fails_is_tried_less_and_less_often() -> None:
+    network, announced = Network(), fakes(100)
+    network.refuses = set(announced)
+    loop = asyncio.get_running_loop()
+    while loop.time() < 600:
+        await network.search(announced)
+        await asyncio.sleep(1.0)
+    assert max(len(times) for times in network.tried.values()) < 60  # of 600 searches
 
 
-def test_a_few_are_tried_each_time() -> None:
-    async def test() -> None:
-        network = Network()
-        network.refuses = {"wrong key"}
-        for _ in range(20):
-            await network.search(["wrong key"])
-            await asyncio.sleep(1.0)
-        assert len(network.tried["wrong key"]) == 20
-
-    run(test)
+async def test_a_few_are_tried_each_time() -> None:
+    network = Network()
+    network.refuses = {"wrong key"}
+    for _ in range(20):
+        await network.search(["wrong key"])
+        await asyncio.sleep(1.0)
+    assert len(network.tried["wrong key"]) == 20
 
 
-def test_tries_and_memory_are_bounded() -> None:
-    async def test() -> None:
-        network = Network()
-        for life in range(5):
-            await network.search([f"{life}.{number}" for number in range(5000)])
-        assert network.most <= MOST_TRIED
-        assert held_by(network.trials) <= 5000
-        for times in network.tried.values():
-            assert len(times) == 1
-        begun: dict[float, int] = {}
-        for (time,) in network.tried.values():
-            begun[time] = begun.get(time, 0) + 1
-        assert max(begun.values()) <= AT_ONCE
-
-    run(test)
+async def test_tries_and_memory_are_bounded() -> None:
+    network = Network()
+    for life in range(5):
+        await network.search([f"{life}.{number}" for number in range(5000)])
+    assert network.most <= MOST_TRIED
+    assert held_by(network.trials) <= 5000
+    for times in network.tried.values():
+        assert len(times) == 1
+    begun: dict[float, int] = {}
+    for (time,) in network.tried.values():
+        begun[time] = begun.get(time, 0) + 1
+    assert max(begun.values()) <= AT_ONCE
 
 
-def test_a_cancelled_search_leaves_nothing_behind() -> None:
-    async def test() -> None:
-        network = Network(real=0.05)
-        search = asyncio.create_task(network.search([*fakes(50), "real"]))
-        await asyncio.sleep(0.1)
-        search.cancel()
-        await asyncio.gather(search, return_exceptions=True)
-        assert network.running == 0
-        assert network.discarded == ["real"]
-
-    run(test)
+async def test_a_cancelled_search_leaves_nothing_behind() -> None:
+    network = Network(real=0.05)
+    search = asyncio.create_task(network.search([*fakes(50), "real"]))
+    await asyncio.sleep(0.1)
+    search.cancel()
+    await asyncio.gather(search, return_exceptions=True)
+    assert network.running == 0
+    assert network.discarded == ["real"]
 
 
-def test_no_announcement_at_all_is_no_error() -> None:
-    async def test() -> None:
-        assert (await Network().search([])).proven == {}
-
-    run(test)
+async def test_no_announcement_at_all_is_no_error() -> None:
+    assert (await Network().search([])).proven == {}

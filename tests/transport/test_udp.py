@@ -7,10 +7,11 @@ import contextlib
 import errno
 import socket
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 from tests.support import replaced
+from tests.support.coroutines import until
 from tests.support.held import held_by
 
 from rsb_bridge.transport import udp_segments
@@ -19,7 +20,7 @@ from rsb_bridge.transport.transport import RECEIVE_BUFFER, Acceptor
 from rsb_bridge.transport.udp import Udp, UdpSocket
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable
+    from collections.abc import AsyncIterator, Callable, Iterator
 
 HOSTS = pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
 
@@ -27,12 +28,6 @@ HOSTS = pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
 def has_segments() -> bool:
     with socket.socket(type=socket.SOCK_DGRAM) as probe:
         return udp_segments.can_segment(probe) and udp_segments.coalesce(probe)
-
-
-async def until(condition: Callable[[], object]) -> None:
-    async with asyncio.timeout(60):
-        while not condition():  # noqa: ASYNC110 — plain state, looked at for a moment
-            await asyncio.sleep(0.005)
 
 
 def address_of(host: str, port: int) -> Any:
@@ -138,159 +133,132 @@ class Skipping(asyncio.SelectorEventLoop):
             self.readers.append(callback)
 
 
-def test_a_peer_that_roams_does_not_make_the_table_of_sizes_grow() -> None:
-    async def main() -> None:
-        async with server_on("127.0.0.1") as (sock, _):
-            for number in range(1000):
-                assert sock.datagram_size((f"127.0.{number // 250}.{number % 250 + 1}", 1000)) > 1000
-            assert held_by(sock) <= 256
+@pytest.fixture
+def loop() -> Iterator[Skipping]:
+    with asyncio.Runner(loop_factory=Skipping) as runner:
+        yield cast("Skipping", runner.get_loop())
 
-    asyncio.run(main())
+
+async def test_a_peer_that_roams_does_not_make_the_table_of_sizes_grow() -> None:
+    async with server_on("127.0.0.1") as (sock, _):
+        for number in range(1000):
+            assert sock.datagram_size((f"127.0.{number // 250}.{number % 250 + 1}", 1000)) > 1000
+        assert held_by(sock) <= 256
 
 
 @HOSTS
 @pytest.mark.parametrize("with_segments", [True, False])
-def test_datagrams_arrive_as_they_were_sent(host: str, with_segments: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_datagrams_arrive_as_they_were_sent(
+    host: str, with_segments: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Datagrams of one size and of several, both ways, with the kernel's help and without."""
     if not with_segments:
         replaced.CAN_SEGMENT.set(monkeypatch, lambda _: False)
         replaced.COALESCE.set(monkeypatch, lambda _: False)
     sizes = [1200] * 150 + [700] + [1200] * 3 + [1, 2, 0, 5] + [60_000, 60_000, 9000]
     datagrams = [bytes([index % 251]) * size for index, size in enumerate(sizes)]
-
-    async def main() -> None:
-        async with pair(host) as (server, client, came, back):
-            client.send(datagrams, None)
-            await until(lambda: len(came) >= len(datagrams))
-            assert came == datagrams
-            server.send(datagrams, server.path(host, address_of(host, client.port)))
-            await until(lambda: len(back) >= len(datagrams))
-            assert back == datagrams
-
-    asyncio.run(main())
+    async with pair(host) as (server, client, came, back):
+        client.send(datagrams, None)
+        await until(lambda: len(came) >= len(datagrams))
+        assert came == datagrams
+        server.send(datagrams, server.path(host, address_of(host, client.port)))
+        await until(lambda: len(back) >= len(datagrams))
+        assert back == datagrams
 
 
 @pytest.mark.skipif(not has_segments(), reason="the kernel has no UDP segmentation")
 @HOSTS
-def test_datagrams_of_one_size_go_in_one_call(host: str) -> None:
-    async def main() -> None:
-        async with watched(host) as (calls, client, came):
-            client.send([bytes(1000)] * 64 + [bytes(400), bytes(1000)], None)
-            await until(lambda: len(came) == 66)
-            assert calls.sent == [64, 1, 1]
-            assert client.receive_buffer > 0
-
-    asyncio.run(main())
+async def test_datagrams_of_one_size_go_in_one_call(host: str) -> None:
+    async with watched(host) as (calls, client, came):
+        client.send([bytes(1000)] * 64 + [bytes(400), bytes(1000)], None)
+        await until(lambda: len(came) == 66)
+        assert calls.sent == [64, 1, 1]
+        assert client.receive_buffer > 0
 
 
 @pytest.mark.parametrize(("pause", "reads"), [(1.0, [1, 2, 3]), (0.00005, [1, 5])])
-def test_a_wake_up_reads_once_unless_they_follow_one_another(pause: float, reads: list[int]) -> None:
+async def test_a_wake_up_reads_once_unless_they_follow_one_another(
+    pause: float, reads: list[int], loop: Skipping
+) -> None:
     """A read that finds nothing costs as much as half a message; in a flood, one of many."""
-
-    async def main() -> None:
-        loop = asyncio.get_running_loop()
-        assert isinstance(loop, Skipping)
-        sock: Any = Watched(socket.socket(type=socket.SOCK_DGRAM))
-        sock.bind(("127.0.0.1", 0))
-        loop.held_at = 1000.0
-        came: list[bytes] = []
-        server = UdpSocket(sock, lambda _, datagrams: came.extend(bytes(each) for each, _ in datagrams))
-        with contextlib.closing(server), socket.socket(type=socket.SOCK_DGRAM) as client:
-            for number in range(4):
-                client.sendto(bytes([number]), ("127.0.0.1", server.port))
-            done = []
-            for _ in reads:
-                loop.readers[0]()
-                done.append(sock.reads)
-                loop.held_at += pause
-            assert done == reads
-            assert len(came) == min(4, reads[-1])
-
-    with asyncio.Runner(loop_factory=Skipping) as runner:
-        runner.run(main())
+    sock: Any = Watched(socket.socket(type=socket.SOCK_DGRAM))
+    sock.bind(("127.0.0.1", 0))
+    loop.held_at = 1000.0
+    came: list[bytes] = []
+    server = UdpSocket(sock, lambda _, datagrams: came.extend(bytes(each) for each, _ in datagrams))
+    with contextlib.closing(server), socket.socket(type=socket.SOCK_DGRAM) as client:
+        for number in range(4):
+            client.sendto(bytes([number]), ("127.0.0.1", server.port))
+        done = []
+        for _ in reads:
+            loop.readers[0]()
+            done.append(sock.reads)
+            loop.held_at += pause
+        assert done == reads
+        assert len(came) == min(4, reads[-1])
 
 
-def test_what_was_not_read_at_once_comes_next() -> None:
-    async def main() -> None:
-        async with pair("127.0.0.1") as (_, client, came, _):
-            client.send([b"a"], None)
-            client.send([b"bc"], None)
-            await until(lambda: len(came) == 2)
-            assert came == [b"a", b"bc"]
-
-    asyncio.run(main())
+async def test_what_was_not_read_at_once_comes_next() -> None:
+    async with pair("127.0.0.1") as (_, client, came, _):
+        client.send([b"a"], None)
+        client.send([b"bc"], None)
+        await until(lambda: len(came) == 2)
+        assert came == [b"a", b"bc"]
 
 
-def test_nothing_waits_in_a_socket_that_is_closed() -> None:
-    async def main() -> None:
-        async with watched() as (calls, client, _):
-            calls.refuses = True
-            client.send([b"waits"], None)
-            assert client.congested
-            client.close()
-            calls.refuses = False
-            client.send([b"late"], None)
-            assert not client.congested
-            assert client.waiting_bytes == 0
-
-    asyncio.run(main())
+async def test_nothing_waits_in_a_socket_that_is_closed() -> None:
+    async with watched() as (calls, client, _):
+        calls.refuses = True
+        client.send([b"waits"], None)
+        assert client.congested
+        client.close()
+        calls.refuses = False
+        client.send([b"late"], None)
+        assert not client.congested
+        assert client.waiting_bytes == 0
 
 
 @pytest.mark.skipif(not has_segments(), reason="the kernel has no UDP segmentation")
 @pytest.mark.parametrize("number", [errno.EIO, errno.EINVAL, errno.EMSGSIZE])
-def test_what_the_kernel_does_not_cut_goes_one_by_one_for_a_while(number: int) -> None:
+async def test_what_the_kernel_does_not_cut_goes_one_by_one_for_a_while(number: int, loop: Skipping) -> None:
     """An interface may not be able to, or the path has just become narrower; nothing is lost by it."""
-
-    async def main() -> None:
-        async with watched() as (calls, client, came):
-            calls.failures = [OSError(number, "")]
-            client.send([bytes(1000)] * 10, None)
-            await until(lambda: len(came) == 10)
-            client.send([bytes(1000)] * 10, None)
-            await until(lambda: len(came) == 20)
-            assert calls.sent == [1] * 20
-            loop = asyncio.get_running_loop()
-            assert isinstance(loop, Skipping)
-            loop.skipped += 1.0
-            client.send([bytes(1000)] * 10, None)
-            await until(lambda: len(came) == 30)
-            assert calls.sent[20:] == [10]
-
-    with asyncio.Runner(loop_factory=Skipping) as runner:
-        runner.run(main())
+    async with watched() as (calls, client, came):
+        calls.failures = [OSError(number, "")]
+        client.send([bytes(1000)] * 10, None)
+        await until(lambda: len(came) == 10)
+        client.send([bytes(1000)] * 10, None)
+        await until(lambda: len(came) == 20)
+        assert calls.sent == [1] * 20
+        loop.skipped += 1.0
+        client.send([bytes(1000)] * 10, None)
+        await until(lambda: len(came) == 30)
+        assert calls.sent[20:] == [10]
 
 
-def test_a_datagram_that_fails_alone_is_lost_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_datagram_that_fails_alone_is_lost_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     replaced.CAN_SEGMENT.set(monkeypatch, lambda _: False)
-
-    async def main() -> None:
-        async with watched() as (calls, client, came):
-            calls.failures = [None, OSError(errno.EMSGSIZE, "")]
-            client.send([b"a", b"b", b"c"], None)
-            await until(lambda: len(came) == 2)
-            assert came == [b"a", b"c"]
-
-    asyncio.run(main())
+    async with watched() as (calls, client, came):
+        calls.failures = [None, OSError(errno.EMSGSIZE, "")]
+        client.send([b"a", b"b", b"c"], None)
+        await until(lambda: len(came) == 2)
+        assert came == [b"a", b"c"]
 
 
-def test_what_the_kernel_refuses_waits_in_order_and_is_bounded() -> None:
-    async def main() -> None:
-        async with watched() as (calls, client, came):
-            written = asyncio.Event()
-            client.when_writable.add(written.set)
-            calls.refuses = True
-            for number in range(40):
-                client.send([bytes([number]) * 1000] * 1000, None)
-            assert client.congested
-            assert 16 << 20 <= client.waiting_bytes <= (16 << 20) + 1_000_000
-            calls.refuses = False
-            await written.wait()
-            assert not client.congested
-            assert client.waiting_bytes == 0
-            await until(lambda: came)
-            assert came == sorted(came)
-
-    asyncio.run(main())
+async def test_what_the_kernel_refuses_waits_in_order_and_is_bounded() -> None:
+    async with watched() as (calls, client, came):
+        written = asyncio.Event()
+        client.when_writable.add(written.set)
+        calls.refuses = True
+        for number in range(40):
+            client.send([bytes([number]) * 1000] * 1000, None)
+        assert client.congested
+        assert 16 << 20 <= client.waiting_bytes <= (16 << 20) + 1_000_000
+        calls.refuses = False
+        await written.wait()
+        assert not client.congested
+        assert client.waiting_bytes == 0
+        await until(lambda: came)
+        assert came == sorted(came)
 
 
 class _Counted(bytes):
@@ -303,31 +271,24 @@ class _Counted(bytes):
         return super().__len__()
 
 
-def test_what_waits_is_not_counted_anew_for_each_message() -> None:
+async def test_what_waits_is_not_counted_anew_for_each_message() -> None:
     """One link's datagrams wait for the kernel, and all links send on the same socket meanwhile."""
-
-    async def main() -> None:
-        async with watched() as (calls, client, _):
-            calls.refuses = True
-            client.send([_Counted(1400) for _ in range(5000)], None)
-            _Counted.asked = 0
-            for _ in range(1000):
-                client.send([_Counted(1400)], None)
-            assert _Counted.asked <= 10 * 1000
-
-    asyncio.run(main())
+    async with watched() as (calls, client, _):
+        calls.refuses = True
+        client.send([_Counted(1400) for _ in range(5000)], None)
+        _Counted.asked = 0
+        for _ in range(1000):
+            client.send([_Counted(1400)], None)
+        assert _Counted.asked <= 10 * 1000
 
 
-def test_a_limit_that_was_raised_is_used_without_a_restart() -> None:
-    async def main() -> None:
-        async with watched() as (calls, client, _):
-            calls.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 50_000)
-            with socket.socket(type=socket.SOCK_DGRAM) as other:
-                other.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-                allowed = other.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
-            assert allowed <= client.receive_buffer <= RECEIVE_BUFFER
-
-    asyncio.run(main())
+async def test_a_limit_that_was_raised_is_used_without_a_restart() -> None:
+    async with watched() as (calls, client, _):
+        calls.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 50_000)
+        with socket.socket(type=socket.SOCK_DGRAM) as other:
+            other.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+            allowed = other.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
+        assert allowed <= client.receive_buffer <= RECEIVE_BUFFER
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support import constants, replaced
+from tests.support.coroutines import until
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
@@ -56,13 +57,6 @@ def router(_router: Router) -> Router:
     return _router
 
 
-async def until(condition: Callable[[], object], what: str = "") -> None:
-    """Wait on a loop."""
-    async with asyncio.timeout(60):
-        while not condition():  # noqa: ASYNC110 (it is no event of ours)
-            await asyncio.sleep(0.01)
-
-
 @contextlib.asynccontextmanager
 async def in_network(
     router: Router, service: str = "server", *watched: str, strangers: Strangers | None = None
@@ -90,13 +84,54 @@ def of_strangers(endpoint: ZenohEndpoint) -> Sized:
     return endpoint._of_strangers
 
 
-async def known_stranger(router: Router, server: ZenohEndpoint) -> Any:
-    """Return a stranger whose router knows the endpoint; before that it drops samples."""
-    other = stranger(router)
-    publisher = other.declare_publisher(f"{ROOT}/fleet/at/{server.address}/{NOBODY}/{NOBODY}")
-    await until(lambda: publisher.matching_status.matching)
-    publisher.undeclare()
-    return other
+class Somebody:
+    """A stranger who puts samples where an endpoint hears them.
+
+    Attributes:
+        session: in the endpoint's network.
+    """
+
+    def __init__(self, router: Router, server: ZenohEndpoint) -> None:
+        self.session = stranger(router)
+        self._at = f"{ROOT}/fleet/at/{server.address}"
+
+    async def is_heard(self) -> None:
+        """Wait until the router knows the endpoint; before that it drops samples."""
+        publisher = self.session.declare_publisher(f"{self._at}/{NOBODY}/{NOBODY}")
+        await until(lambda: publisher.matching_status.matching)
+        publisher.undeclare()
+
+    def put(
+        self,
+        payload: bytes = b"x",
+        stream: str = NOBODY,
+        sender: str = NOBODY,
+        *,
+        number: int = 0,
+        kind: SampleKind = SampleKind.DATA,
+    ) -> None:
+        self.put_at(f"{sender}/{stream}", payload, Header(kind, 0, number).pack())
+
+    def drop(self, payload: bytes = b"x", sender: str = NOBODY) -> None:
+        self.put_at(f"{sender}/drop", payload)
+
+    def put_at(self, key: str, payload: bytes = b"x", attachment: bytes | None = None) -> None:
+        block = zenoh.CongestionControl.BLOCK
+        self.session.put(f"{self._at}/{key}", payload, attachment=attachment, congestion_control=block)
+
+
+@contextlib.asynccontextmanager
+async def with_stranger(
+    router: Router, *watched: str, strangers: Strangers | None = None
+) -> AsyncIterator[tuple[ZenohEndpoint, Somebody, list[str]]]:
+    """A server's endpoint, a stranger whom it hears, and the streams that the endpoint was asked for."""
+    async with in_network(router, "server", *watched, strangers=strangers) as server:
+        asked: list[str] = []
+        server.on_stream = lambda who, which, _: _kept(asked, which)
+        other = Somebody(router, server)
+        await other.is_heard()
+        yield server, other, asked
+        other.session.close()
 
 
 class End:
@@ -125,101 +160,58 @@ def _kept(asked: list[str], what: str) -> End:
     return End()
 
 
-def test_endpoints_see_one_another_come_and_go(router: Router) -> None:
-    async def test() -> None:
-        async with in_network(router, "server", "client") as server:
-            seen: list[tuple[str, bool]] = []
-            server.on_seen = lambda who, comes: seen.append((who.address, comes))
-            async with in_network(router, "client") as client:
-                await until(lambda: client.address in server.seen)
-                assert server.seen[client.address].label == "a label"
-                assert [each.address for each in await client.ask("server")] == [server.address]
-                address = client.address
-            await until(lambda: not server.seen)
-            assert seen == [(address, True), (address, False)]
-
-    asyncio.run(test())
+async def test_endpoints_see_one_another_come_and_go(router: Router) -> None:
+    async with in_network(router, "server", "client") as server:
+        seen: list[tuple[str, bool]] = []
+        server.on_seen = lambda who, comes: seen.append((who.address, comes))
+        async with in_network(router, "client") as client:
+            await until(lambda: client.address in server.seen)
+            assert server.seen[client.address].label == "a label"
+            assert [each.address for each in await client.ask("server")] == [server.address]
+            address = client.address
+        await until(lambda: not server.seen)
+        assert seen == [(address, True), (address, False)]
 
 
-def test_a_process_that_is_killed_is_missed_at_once(router: Router) -> None:
-    async def test() -> None:
-        async with in_network(router, "server", "client") as server:
-            end = End()
-            client = Announced(router, f"{ROOT}/fleet/here/client/{NOBODY}/x")
-            try:
-                await until(lambda: NOBODY in server.seen)
-                server.add(NOBODY, NOBODY, end)
-            finally:
-                client.kill()
-            await until(lambda: end.cut)
-
-    asyncio.run(test())
+async def test_a_process_that_is_killed_is_missed_at_once(router: Router) -> None:
+    async with in_network(router, "server", "client") as server:
+        end = End()
+        client = Announced(router, f"{ROOT}/fleet/here/client/{NOBODY}/x")
+        try:
+            await until(lambda: NOBODY in server.seen)
+            server.add(NOBODY, NOBODY, end)
+        finally:
+            client.kill()
+        await until(lambda: end.cut)
 
 
-@pytest.mark.parametrize(
-    ("sender", "stream"),
-    [("UPPER", NOBODY), ("\x1b[2J", NOBODY), (NOBODY, "short"), ("a" * 5000, NOBODY), (NOBODY, "f" * 17)],
-)
-def test_keys_that_no_endpoint_makes_are_passed_over(router: Router, sender: str, stream: str) -> None:
-    async def test() -> None:
-        async with in_network(router) as server:
-            asked: list[str] = []
-            server.on_stream = lambda who, which, _: _kept(asked, who)
-            other = await known_stranger(router, server)
-            at = f"{ROOT}/fleet/at/{server.address}"
-            other.put(f"{at}/{sender}/{stream}", b"x", attachment=Header(SampleKind.DATA, 0, 0).pack())
-            other.put(f"{at}/{NOBODY}/{NOBODY}", b"x", attachment=Header(SampleKind.DATA, 0, 0).pack())
-            await until(lambda: asked)
-            assert asked == [NOBODY]
-            other.close()
-
-    asyncio.run(test())
+async def test_what_no_endpoint_sends_is_passed_over(router: Router) -> None:
+    async with with_stranger(router) as (_, other, asked):
+        for sender, stream in (("UPPER", NOBODY), ("\x1b[2J", NOBODY), ("a" * 5000, NOBODY), (NOBODY, "f" * 17)):
+            other.put(stream=stream, sender=sender)
+        for attachment in (None, b"", b"\1", bytes(11), bytes(60_000)):
+            other.put_at(f"{NOBODY}/{'1' * 16}", attachment=attachment)
+        other.put(stream="2" * 16)
+        await until(lambda: asked)
+        assert asked == ["2" * 16]
 
 
-@pytest.mark.parametrize(
-    "attachment", [None, b"", b"\1", bytes(11), bytes(60_000)], ids=["none", "empty", "1", "11", "60000"]
-)
-def test_attachments_that_are_none_of_ours_are_passed_over(router: Router, attachment: bytes | None) -> None:
-    async def test() -> None:
-        async with in_network(router) as server:
-            asked: list[str] = []
-            server.on_stream = lambda who, which, _: _kept(asked, which)
-            other = await known_stranger(router, server)
-            at = f"{ROOT}/fleet/at/{server.address}/{NOBODY}"
-            other.put(f"{at}/{'1' * 16}", b"x", attachment=attachment)
-            other.put(f"{at}/{'2' * 16}", b"x", attachment=Header(SampleKind.DATA, 0, 0).pack())
-            await until(lambda: asked)
-            assert asked == ["2" * 16]
-            other.close()
-
-    asyncio.run(test())
-
-
-def test_samples_of_a_stream_that_is_over_are_answered_and_begin_nothing(router: Router) -> None:
+async def test_samples_of_a_stream_that_is_over_are_answered_and_begin_nothing(router: Router) -> None:
     """Captured samples that are played again, for example, and all that waits for the loop is within a budget."""
-
-    async def test() -> None:
-        async with in_network(router) as server:
-            asked: list[str] = []
-            server.on_stream = lambda who, which, _: _kept(asked, which)
-            other = await known_stranger(router, server)
-            ends: list[Any] = []
-            other.declare_subscriber(f"{ROOT}/fleet/at/{NOBODY}/*/*", ends.append)
-            key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/{NOBODY}"
-            for number in (7, 8):
-                other.put(key, b"x", attachment=Header(SampleKind.DATA, 0, number).pack())
-            for kind in (SampleKind.WINDOW, SampleKind.END):
-                other.put(key, b"x", attachment=Header(kind, 0, 0).pack())
-            await until(lambda: len(ends) == 2)
-            headers = [Header.unpack(each.attachment.to_bytes()) for each in ends]
-            assert [header and header.kind for header in headers] == [SampleKind.END] * 2
-            assert asked == []
-            other.close()
-
-    asyncio.run(test())
+    async with with_stranger(router) as (_, other, asked):
+        ends: list[Any] = []
+        other.session.declare_subscriber(f"{ROOT}/fleet/at/{NOBODY}/*/*", ends.append)
+        for number in (7, 8):
+            other.put(number=number)
+        for kind in (SampleKind.WINDOW, SampleKind.END):
+            other.put(kind=kind)
+        await until(lambda: len(ends) == 2)
+        headers = [Header.unpack(each.attachment.to_bytes()) for each in ends]
+        assert [header and header.kind for header in headers] == [SampleKind.END] * 2
+        assert asked == []
 
 
-def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.ZENOH_RECEIVE_BUFFER.set(monkeypatch, 100_000)
     counted: list[int] = []
     within = replaced.ZENOH_WITHIN_BUDGET.value
@@ -230,64 +222,37 @@ def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: pytest.
             counted.append(length)
 
     replaced.ZENOH_WITHIN_BUDGET.set(monkeypatch, count)
-
-    async def test() -> None:
-        async with in_network(router) as server:
-            came: list[bytes] = []
-            server.add(NOBODY, NOBODY, End())
-            server.on_datagram = lambda who, payload: came.append(payload)
-            other = stranger(router)
-            key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/drop"
-            for _ in range(500):
-                other.put(key, bytes(1000), congestion_control=zenoh.CongestionControl.BLOCK)
-            eventually(lambda: len(counted) == 500)  # the loop has had no turn
-            other.close()
-            await until(lambda: waiting_bytes(server) == 0)
-            assert len(came) == 100_000 // (1000 + constants.ZENOH_OVERHEAD.value)
-
-    asyncio.run(test())
+    async with with_stranger(router) as (server, other, _):
+        came: list[bytes] = []
+        server.add(NOBODY, NOBODY, End())
+        server.on_datagram = lambda who, payload: came.append(payload)
+        for _ in range(500):
+            other.drop(bytes(1000))
+        eventually(lambda: len(counted) == 500)  # the loop has had no turn
+        await until(lambda: waiting_bytes(server) == 0)
+        assert len(came) == 100_000 // (1000 + constants.ZENOH_OVERHEAD.value)
 
 
 @pytest.mark.parametrize("number", [0, 1])
-def test_a_long_sample_of_a_stranger_is_neither_copied_nor_queued(router: Router, number: int) -> None:
-    async def test() -> None:
-        budget = Strangers()
-        async with in_network(router, strangers=budget) as server:
-            asked: list[str] = []
-            server.on_stream = lambda who, which, _: _kept(asked, which)
-            other = await known_stranger(router, server)
-            at = f"{ROOT}/fleet/at/{server.address}/{NOBODY}"
-            header = Header(SampleKind.DATA, 0, number).pack()
-            other.put(f"{at}/{'1' * 16}", bytes(STRANGER_LIMIT + 1), attachment=header)
-            other.put(f"{at}/{'2' * 16}", bytes(STRANGER_LIMIT), attachment=Header(SampleKind.DATA, 0, 0).pack())
-            await until(lambda: asked)
-            assert asked == ["2" * 16]
-            assert budget.turned_away == 1
-            other.close()
-
-    asyncio.run(test())
+async def test_a_long_sample_of_a_stranger_is_neither_copied_nor_queued(router: Router, number: int) -> None:
+    budget = Strangers()
+    async with with_stranger(router, strangers=budget) as (_, other, asked):
+        other.put(bytes(STRANGER_LIMIT + 1), "1" * 16, number=number)
+        other.put(bytes(STRANGER_LIMIT), "2" * 16)
+        await until(lambda: asked)
+        assert asked == ["2" * 16]
+        assert budget.turned_away == 1
 
 
-def test_a_long_sample_on_a_stream_that_is_not_proven_is_dropped(router: Router) -> None:
-    async def test() -> None:
-        async with in_network(router) as server:
-            unproven, proven = End(trusted=False), End()
-            server.add(NOBODY, "1" * 16, unproven)
-            server.add(NOBODY, "2" * 16, proven)
-            other = stranger(router)
-            at = f"{ROOT}/fleet/at/{server.address}/{NOBODY}"
-            header = Header(SampleKind.DATA, 0, 0).pack()
-
-            def comes() -> bool:
-                for stream in ("1" * 16, "2" * 16):  # again and again: the router may not know yet who subscribes
-                    other.put(f"{at}/{stream}", bytes(100_000), attachment=header)
-                return bool(proven.came)
-
-            await until(comes)
-            assert unproven.came == []
-            other.close()
-
-    asyncio.run(test())
+async def test_a_long_sample_on_a_stream_that_is_not_proven_is_dropped(router: Router) -> None:
+    async with with_stranger(router) as (server, other, _):
+        unproven, proven = End(trusted=False), End()
+        server.add(NOBODY, "1" * 16, unproven)
+        server.add(NOBODY, "2" * 16, proven)
+        for stream in ("1" * 16, "2" * 16):
+            other.put(bytes(100_000), stream)
+        await until(lambda: proven.came)
+        assert unproven.came == []
 
 
 class _Waiting(asyncio.SelectorEventLoop):
@@ -298,237 +263,179 @@ class _Waiting(asyncio.SelectorEventLoop):
         return True
 
 
-def test_only_samples_of_routes_are_taken_on_zenohs_thread(router: Router) -> None:
-    async def test() -> None:
-        async with in_network(router) as server:
-            of_route, of_link, unproven = End(), End(of_link=True), End(trusted=False)
-            ends = {"1" * 16: of_route, "2" * 16: of_link, "3" * 16: unproven}
-            for stream, end in ends.items():
-                server.add(NOBODY, stream, end)
-            other = stranger(router)
-            header = Header(SampleKind.DATA, 0, 0).pack()
-
-            def comes() -> bool:
-                for stream in ends:  # again and again: the router may not know yet who subscribes
-                    other.put(f"{ROOT}/fleet/at/{server.address}/{NOBODY}/{stream}", b"x", attachment=header)
-                return all(end.came for end in ends.values()) and bool(of_route.threads - here)
-
-            here = {threading.get_ident()}
-            await until(comes)  # on the loop's thread, if the loop is busy when a sample comes
-            assert of_link.threads == unproven.threads == here
-            other.close()
-
+@pytest.fixture
+def loop() -> Iterator[asyncio.AbstractEventLoop]:
     with asyncio.Runner(loop_factory=_Waiting) as runner:
-        runner.run(test())
+        yield runner.get_loop()
 
 
-def test_what_strangers_send_takes_no_room_from_peers(router: Router) -> None:
-    async def test() -> None:
-        budget = Strangers(100_000)
-        async with in_network(router, strangers=budget) as server:
-            asked: list[str] = []
-            server.on_stream = lambda who, which, _: _kept(asked, which)
-            peer = End()
-            server.add(NOBODY, NOBODY, peer)
-            other = stranger(router)
-            at, header = f"{ROOT}/fleet/at/{server.address}", Header(SampleKind.DATA, 0, 0).pack()
-            settings = {"attachment": header, "congestion_control": zenoh.CongestionControl.BLOCK}
-            for number in range(500):
-                other.put(f"{at}/{number:016x}/{NOBODY}", bytes(1000), **settings)
-            other.put(f"{at}/{NOBODY}/{NOBODY}", bytes(1_000_000), **settings)
-            eventually(lambda: waiting_bytes(server))  # the loop has had no turn
-            await until(lambda: peer.came)
-            assert budget.used == 0
-            assert len(asked) == 100_000 // (1000 + constants.ZENOH_OVERHEAD.value)
-            assert budget.turned_away == 500 - len(asked)
-            other.close()
+@pytest.mark.usefixtures("loop")
+async def test_only_samples_of_routes_are_taken_on_zenohs_thread(router: Router) -> None:
+    async with with_stranger(router) as (server, other, _):
+        of_route, of_link, unproven = End(), End(of_link=True), End(trusted=False)
+        ends = {"1" * 16: of_route, "2" * 16: of_link, "3" * 16: unproven}
+        for stream, end in ends.items():
+            server.add(NOBODY, stream, end)
 
-    asyncio.run(test())
+        def comes() -> bool:
+            for stream in ends:
+                other.put(stream=stream)
+            return all(end.came for end in ends.values()) and bool(of_route.threads - here)
+
+        here = {threading.get_ident()}
+        await until(comes)  # on the loop's thread, if the loop is busy when a sample comes
+        assert of_link.threads == unproven.threads == here
 
 
-def test_few_first_samples_of_strangers_wait(router: Router) -> None:
-    async def test() -> None:
-        async with in_network(router) as server:
-            asked: list[str] = []
-            before: list[int] = []
-            server.on_stream = lambda who, which, _: _kept(asked, which)
-
-            class Peer(End):
-                def arrived(self, header: Header, payload: bytes) -> None:
-                    before.append(len(asked))
-
-            server.add(NOBODY, NOBODY, Peer())
-            other = stranger(router)
-            at, header = f"{ROOT}/fleet/at/{server.address}", Header(SampleKind.DATA, 0, 0).pack()
-            settings = {"attachment": header, "congestion_control": zenoh.CongestionControl.BLOCK}
-            for number in range(1000):
-                other.put(f"{at}/{number:016x}/{NOBODY}", b"x", **settings)
-            other.put(f"{at}/{NOBODY}/{NOBODY}", b"x", **settings)
-            eventually(lambda: waiting_bytes(server))  # the loop has had no turn
-            await until(lambda: before and not of_strangers(server))
-            assert before[0] <= constants.ZENOH_STRANGERS_AT_A_TIME.value
-            assert len(asked) == constants.ZENOH_STRANGERS_WAIT.value
-            other.close()
-
-    asyncio.run(test())
+async def test_what_strangers_send_takes_no_room_from_peers(router: Router) -> None:
+    budget = Strangers(100_000)
+    async with with_stranger(router, strangers=budget) as (server, other, asked):
+        peer = End()
+        server.add(NOBODY, NOBODY, peer)
+        for number in range(500):
+            other.put(bytes(1000), sender=f"{number:016x}")
+        other.put(bytes(1_000_000))
+        eventually(lambda: waiting_bytes(server))  # the loop has had no turn
+        await until(lambda: peer.came)
+        assert budget.used == 0
+        assert len(asked) == 100_000 // (1000 + constants.ZENOH_OVERHEAD.value)
+        assert budget.turned_away == 500 - len(asked)
 
 
-def test_what_comes_while_a_stream_is_proven_stays_in_order(router: Router) -> None:
-    async def test() -> None:
-        async with in_network(router) as server:
-            other = stranger(router)
-            key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/{NOBODY}"
+async def test_few_first_samples_of_strangers_wait(router: Router) -> None:
+    async with with_stranger(router) as (server, other, asked):
+        before: list[int] = []
 
-            def put(number: int) -> None:
-                other.put(key, b"x", attachment=Header(SampleKind.DATA, 0, number).pack())
+        class Peer(End):
+            def arrived(self, header: Header, payload: bytes) -> None:
+                before.append(len(asked))
 
-            class Proving(End):
-                def arrived(self, header: Header, payload: bytes) -> None:
-                    super().arrived(header, payload)
-                    if header.number == 0:
-                        self.trusted = True
-                        server.trust(NOBODY, NOBODY)
-                        put(5)
-                        eventually(lambda: waiting_bytes(server))
-
-            end = Proving(trusted=False)
-            server.add(NOBODY, NOBODY, end)
-            for number in range(5):
-                put(number)
-            eventually(lambda: len(of_strangers(server)) == 5)  # the loop has had no turn
-            await until(lambda: len(end.came) == 6)
-            assert [header.number for header, _ in end.came] == [*range(6)]
-            other.close()
-
-    asyncio.run(test())
+        server.add(NOBODY, NOBODY, Peer())
+        for number in range(1000):
+            other.put(sender=f"{number:016x}")
+        other.put()
+        eventually(lambda: waiting_bytes(server))  # the loop has had no turn
+        await until(lambda: before and not of_strangers(server))
+        assert before[0] <= constants.ZENOH_STRANGERS_AT_A_TIME.value
+        assert len(asked) == constants.ZENOH_STRANGERS_WAIT.value
 
 
-def test_datagrams_of_endpoints_without_a_stream_are_dropped(router: Router) -> None:
-    async def test() -> None:
-        async with in_network(router) as server:
-            came: list[str] = []
-            server.on_datagram = lambda who, payload: came.append(who)
-            unproven, peer = End(trusted=False), End()
-            server.add("1" * 16, NOBODY, unproven)
-            server.add("2" * 16, NOBODY, peer)
-            other = stranger(router)
-            for who in ("0" * 16, "1" * 16, "2" * 16):
-                other.put(f"{ROOT}/fleet/at/{server.address}/{who}/drop", b"x")
-            await until(lambda: came)
-            assert came == ["2" * 16]
-            server.forget("2" * 16, NOBODY)
-            server.add("3" * 16, NOBODY, End())
-            for who in ("2" * 16, "3" * 16):
-                other.put(f"{ROOT}/fleet/at/{server.address}/{who}/drop", b"x")
-            await until(lambda: came[1:])
-            assert came[1:] == ["3" * 16]
-            other.close()
+async def test_what_comes_while_a_stream_is_proven_stays_in_order(router: Router) -> None:
+    async with with_stranger(router) as (server, other, _):
 
-    asyncio.run(test())
+        class Proving(End):
+            def arrived(self, header: Header, payload: bytes) -> None:
+                super().arrived(header, payload)
+                if header.number == 0:
+                    self.trusted = True
+                    server.trust(NOBODY, NOBODY)
+                    other.put(number=5)
+                    eventually(lambda: waiting_bytes(server))
+
+        end = Proving(trusted=False)
+        server.add(NOBODY, NOBODY, end)
+        for number in range(5):
+            other.put(number=number)
+        eventually(lambda: len(of_strangers(server)) == 5)  # the loop has had no turn
+        await until(lambda: len(end.came) == 6)
+        assert [header.number for header, _ in end.came] == [*range(6)]
 
 
-def test_a_flood_does_not_keep_the_loop_from_its_other_work() -> None:
-    async def test() -> None:
-        router = Router()
-        try:
-            async with in_network(router) as server:
-                turns: list[bytes] = []
-                server.add(NOBODY, NOBODY, End())
-                server.on_datagram = lambda _, payload: turns.append(payload)
-                other, count = stranger(router), 5 * constants.ZENOH_AT_A_TIME.value
-                for _ in range(count):
-                    other.put(
-                        f"{ROOT}/fleet/at/{server.address}/{NOBODY}/drop",
-                        b"x",
-                        congestion_control=zenoh.CongestionControl.BLOCK,
-                    )
-                size = 1 + constants.ZENOH_OVERHEAD.value
-                eventually(lambda: waiting_bytes(server) == count * size)  # the loop has had no turn
-                other.close()
-                seen_at: list[int] = []
-                while len(turns) < count:
-                    await asyncio.sleep(0)
-                    seen_at.append(len(turns))
-                assert (
-                    max(b - a for a, b in zip([0, *seen_at], seen_at, strict=False)) <= constants.ZENOH_AT_A_TIME.value
-                )
-        finally:
-            router.close()
-
-    asyncio.run(test())
+async def test_datagrams_of_endpoints_without_a_stream_are_dropped(router: Router) -> None:
+    async with with_stranger(router) as (server, other, _):
+        came: list[str] = []
+        server.on_datagram = lambda who, payload: came.append(who)
+        server.add("1" * 16, NOBODY, End(trusted=False))
+        server.add("2" * 16, NOBODY, End())
+        for who in ("0" * 16, "1" * 16, "2" * 16):
+            other.drop(sender=who)
+        await until(lambda: came)
+        assert came == ["2" * 16]
+        server.forget("2" * 16, NOBODY)
+        server.add("3" * 16, NOBODY, End())
+        for who in ("2" * 16, "3" * 16):
+            other.drop(sender=who)
+        await until(lambda: came[1:])
+        assert came[1:] == ["3" * 16]
 
 
-def test_one_arrival_that_fails_does_not_hold_up_the_next(router: Router) -> None:
-    async def test() -> None:
-        asyncio.get_running_loop().set_exception_handler(lambda *_: None)
-        async with in_network(router) as server:
-            came: list[bytes] = []
-
-            def take(_: str, payload: bytes) -> None:
-                came.append(payload)
-                if len(came) == 1:
-                    raise ZeroDivisionError
-
+async def test_a_flood_does_not_keep_the_loop_from_its_other_work() -> None:
+    with contextlib.closing(Router()) as router:
+        async with with_stranger(router) as (server, other, _):
+            turns: list[bytes] = []
             server.add(NOBODY, NOBODY, End())
-            server.on_datagram = take
-            other = stranger(router)
-            for payload in (b"fails", b"next"):
-                other.put(f"{ROOT}/fleet/at/{server.address}/{NOBODY}/drop", payload)
-            await until(lambda: len(came) == 2)
-            other.close()
+            server.on_datagram = lambda _, payload: turns.append(payload)
+            count = 5 * constants.ZENOH_AT_A_TIME.value
+            for _ in range(count):
+                other.drop()
+            size = 1 + constants.ZENOH_OVERHEAD.value
+            eventually(lambda: waiting_bytes(server) == count * size)  # the loop has had no turn
+            seen_at: list[int] = []
+            while len(turns) < count:
+                await asyncio.sleep(0)
+                seen_at.append(len(turns))
+            assert max(b - a for a, b in zip([0, *seen_at], seen_at, strict=False)) <= constants.ZENOH_AT_A_TIME.value
 
-    asyncio.run(test())
+
+async def test_one_arrival_that_fails_does_not_hold_up_the_next(router: Router) -> None:
+    asyncio.get_running_loop().set_exception_handler(lambda *_: None)
+    async with with_stranger(router) as (server, other, _):
+        came: list[bytes] = []
+
+        def take(_: str, payload: bytes) -> None:
+            came.append(payload)
+            if len(came) == 1:
+                raise ZeroDivisionError
+
+        server.add(NOBODY, NOBODY, End())
+        server.on_datagram = take
+        for payload in (b"fails", b"next"):
+            other.drop(payload)
+        await until(lambda: len(came) == 2)
 
 
-def test_announcements_are_limited_in_number_and_harmless(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_announcements_are_limited_in_number_and_harmless(
+    router: Router, monkeypatch: pytest.MonkeyPatch
+) -> None:
     constants.ZENOH_MOST_SEEN.set(monkeypatch, 5)
-
-    async def test() -> None:
-        async with in_network(router, "server", "client") as server:
-            other = stranger(router)
-            live = other.liveliness()
-            root = f"{ROOT}/fleet/here/client"
-            tokens = [live.declare_token(f"{root}/{'z' * 16}/odd"), live.declare_token(f"{root}/{'1' * 5000}/long")]
-            tokens.append(live.declare_token(f"{root}/{'e' * 16}/%1B%5B2J%FF{'x' * 5000}"))
-            await until(lambda: "e" * 16 in server.seen)
-            label = server.seen["e" * 16].label
-            assert label.isprintable()
-            assert len(label) <= 300
-            tokens += [live.declare_token(f"{root}/{number:016x}/x") for number in range(20)]
-            last = live.declare_token(f"{root}/{'f' * 16}/x")
-            heard: list[Any] = []
-            other.declare_subscriber(f"{ROOT}/fleet/at/{'f' * 16}/*/*", heard.append)
-            await until(lambda: len(server.seen) == 5)
-            assert all(constants.ZENOH_ADDRESS.value.fullmatch(each) for each in server.seen)
-            for token in [*tokens, last]:
-                token.undeclare()
-            await until(lambda: not server.seen)
-            other.close()
-
-    asyncio.run(test())
+    async with in_network(router, "server", "client") as server:
+        other = stranger(router)
+        live = other.liveliness()
+        root = f"{ROOT}/fleet/here/client"
+        tokens = [live.declare_token(f"{root}/{'z' * 16}/odd"), live.declare_token(f"{root}/{'1' * 5000}/long")]
+        tokens.append(live.declare_token(f"{root}/{'e' * 16}/%1B%5B2J%FF{'x' * 5000}"))
+        await until(lambda: "e" * 16 in server.seen)
+        label = server.seen["e" * 16].label
+        assert label.isprintable()
+        assert len(label) <= 300
+        tokens += [live.declare_token(f"{root}/{number:016x}/x") for number in range(20)]
+        await until(lambda: len(server.seen) == 5)
+        assert all(constants.ZENOH_ADDRESS.value.fullmatch(each) for each in server.seen)
+        for token in tokens:
+            token.undeclare()
+        await until(lambda: not server.seen)
+        other.close()
 
 
-def test_many_announcements_hide_no_new_one(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_many_announcements_hide_no_new_one(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.ZENOH_MOST_SEEN.set(monkeypatch, 5)
-
-    async def test() -> None:
-        async with in_network(router, "server", "client") as server:
-            other = stranger(router)
-            root = f"{ROOT}/fleet/here/client"
-            first = other.liveliness().declare_token(f"{root}/{'a' * 16}/x")
-            await until(lambda: "a" * 16 in server.seen)
-            server.add("a" * 16, NOBODY, End())
-            tokens = [other.liveliness().declare_token(f"{root}/{number:016x}/x") for number in range(20)]
-            await until(lambda: f"{19:016x}" in server.seen)
-            assert len(server.seen) == 5
-            assert "a" * 16 in server.seen
-            del first, tokens
-            other.close()
-
-    asyncio.run(test())
+    async with in_network(router, "server", "client") as server:
+        other = stranger(router)
+        root = f"{ROOT}/fleet/here/client"
+        first = other.liveliness().declare_token(f"{root}/{'a' * 16}/x")
+        await until(lambda: "a" * 16 in server.seen)
+        server.add("a" * 16, NOBODY, End())
+        tokens = [other.liveliness().declare_token(f"{root}/{number:016x}/x") for number in range(20)]
+        await until(lambda: f"{19:016x}" in server.seen)
+        assert len(server.seen) == 5
+        assert "a" * 16 in server.seen
+        del first, tokens
+        other.close()
 
 
-def test_who_leaves_while_an_endpoint_is_made_is_forgotten(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_who_leaves_while_an_endpoint_is_made_is_forgotten(
+    router: Router, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Else a fleet would have two servers for good, and nobody would link."""
     constants.ZENOH_CONFIRMED.set(monkeypatch, 1.0)
     ghost, ask = Seen("server", NOBODY, "gone"), endpoints.ZenohEndpoint.ask
@@ -536,64 +443,55 @@ def test_who_leaves_while_an_endpoint_is_made_is_forgotten(router: Router, monke
     async def ask_too_early(self: ZenohEndpoint, service: str) -> list[Seen]:
         return [*await ask(self, service), ghost]
 
-    async def test() -> None:
-        async with in_network(router) as server:
-            replaced.ZENOH_ASK.set(monkeypatch, ask_too_early)
-            network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
-            client = await network.endpoint("client", "", ["server"])
-            assert ghost.address in client.seen
-            await until(lambda: ghost.address not in client.seen)
-            assert server.address in client.seen
-            client.close()
-            network.close()
-
-    asyncio.run(test())
-
-
-def test_whoever_announces_anothers_address_and_leaves_ends_no_stream_of_it(router: Router) -> None:
-    async def test() -> None:
-        async with in_network(router, "server", "client") as server, in_network(router, "client") as client:
-            await until(lambda: client.address in server.seen)
-            end = End()
-            server.add(client.address, NOBODY, end)
-            came: list[str] = []
-            server.on_seen = lambda who, comes: came.append(who.address)
-            other = stranger(router)
-            root = f"{ROOT}/fleet/here/client"
-            other.liveliness().declare_token(f"{root}/{client.address}/liar").undeclare()
-            with other.liveliness().declare_token(f"{root}/{NOBODY}/marker"):
-                await until(lambda: NOBODY in came)
-            assert end.cut == []
-            assert server.seen[client.address].label == "a label"
-            other.close()
-
-    asyncio.run(test())
-
-
-def test_a_router_that_is_killed_cuts_streams_off_and_is_found_again() -> None:
-    async def test() -> None:
-        router = Router()
+    async with in_network(router) as server:
+        replaced.ZENOH_ASK.set(monkeypatch, ask_too_early)
         network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
-        try:
-            server = await network.endpoint("server", "x", ("client",))
-            end = End()
-            server.add(NOBODY, NOBODY, end)
-            router.kill()
-            await until(lambda: end.cut)
-            with pytest.raises(OSError, match=pattern(Unreachable.NOBODY_LISTENS)):
-                await network.open()
-            router.start()
-            await until(lambda: network.connected)
-            await network.open()
-            async with in_network(router, "client") as client:
-                await until(lambda: client.address in server.seen)
-                assert [each.address for each in await client.ask("server")] == [server.address]
-            server.close()
-        finally:
-            network.close()
-            router.close()
+        client = await network.endpoint("client", "", ["server"])
+        assert ghost.address in client.seen
+        await until(lambda: ghost.address not in client.seen)
+        assert server.address in client.seen
+        client.close()
+        network.close()
 
-    asyncio.run(test())
+
+async def test_whoever_announces_anothers_address_and_leaves_ends_no_stream_of_it(router: Router) -> None:
+    async with in_network(router, "server", "client") as server, in_network(router, "client") as client:
+        await until(lambda: client.address in server.seen)
+        end = End()
+        server.add(client.address, NOBODY, end)
+        came: list[str] = []
+        server.on_seen = lambda who, comes: came.append(who.address)
+        other = stranger(router)
+        root = f"{ROOT}/fleet/here/client"
+        other.liveliness().declare_token(f"{root}/{client.address}/liar").undeclare()
+        with other.liveliness().declare_token(f"{root}/{NOBODY}/marker"):
+            await until(lambda: NOBODY in came)
+        assert end.cut == []
+        assert server.seen[client.address].label == "a label"
+        other.close()
+
+
+async def test_a_router_that_is_killed_cuts_streams_off_and_is_found_again() -> None:
+    router = Router()
+    network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
+    try:
+        server = await network.endpoint("server", "x", ("client",))
+        end = End()
+        server.add(NOBODY, NOBODY, end)
+        router.kill()
+        await until(lambda: end.cut)
+        with pytest.raises(OSError, match=pattern(Unreachable.NOBODY_LISTENS)):
+            await network.open()
+        router.start()
+        await until(lambda: network.connected)
+        await network.open()
+        async with in_network(router, "client") as client:
+            await until(lambda: client.address in server.seen)
+            assert [each.address for each in await client.ask("server")] == [server.address]
+        server.close()
+    finally:
+        network.close()
+        router.close()
 
 
 def test_a_process_that_ends_with_a_network_open_does_end(router: Router) -> None:
@@ -627,6 +525,29 @@ def test_nothing_is_left_of_a_network_that_was_opened_and_closed(router: Router)
         asyncio.run(once())
     eventually(lambda: descriptors() < before[0] + 10, what="descriptors")
     eventually(lambda: threads() < before[1] + 10, what="threads")
+
+
+class Stuck:
+    """A session that a router holds up when it closes."""
+
+    def __init__(self, session: Any) -> None:
+        self._session = session
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._session, name)
+
+    def close(self) -> None:
+        self._session.close()
+        raise zenoh.ZError("close operation timed out!")
+
+
+async def test_a_session_that_does_not_close_in_time_is_left(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Zenoh raises then, on a thread of which nobody takes exceptions: pytest fails a test for one."""
+    opens = zenoh.open
+    monkeypatch.setattr(zenoh, "open", lambda config: Stuck(opens(config)))
+    network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
+    await network.open()
+    network.close()
 
 
 async def why(settings: ZenohSettings, base: Path) -> str:
@@ -688,60 +609,47 @@ def test_an_endpoint_where_nobody_or_somebody_else_listens(tmp_path: Path) -> No
         assert says(said, Unreachable.NO_ANSWER_WITHIN) or says(said, Unreachable.NO_ZENOH)
 
 
-def test_a_network_that_was_closed_meanwhile_is_left(router: Router, tmp_path: Path) -> None:
+async def test_a_network_that_was_closed_meanwhile_is_left(router: Router, tmp_path: Path) -> None:
     """Opening goes on in its thread; what it opens, then, is closed."""
-
-    async def test() -> None:
-        network = Network(ZenohSettings(connect=(router.endpoint,)), tmp_path)
-        network.close()
-        with pytest.raises(OSError):
-            await network.open()
-        assert network._session is None
-
-    asyncio.run(test())
+    network = Network(ZenohSettings(connect=(router.endpoint,)), tmp_path)
+    network.close()
+    with pytest.raises(OSError):
+        await network.open()
+    assert network._session is None
 
 
-def test_a_router_that_takes_nothing_holds_up_no_loop() -> None:
+async def test_a_router_that_takes_nothing_holds_up_no_loop() -> None:
     """Were one of these sent on the loop, it would be held back there, and the router would never go on."""
-
-    async def test() -> None:
-        router = Router()
-        try:
-            async with in_network(router) as server, in_network(router, "client", "server") as client:
-                end = End()
-                server.on_stream = lambda who, which, header: end
-                server_key = client.key(server.address, NOBODY)
-                await until(lambda: server.address in client.seen)
-                server.add(client.address, NOBODY, end)
-                router.pause()
-                for number in range(120):
-                    client.outbox.put(server_key, bytes([number]) * 100_000, Header(SampleKind.DATA, 2, number))
-                client.outbox.put(client.key(server.address, "1" * 16), b"link", Header(SampleKind.DATA, 0, 0))
-                assert client.outbox.waiting(server_key, 2) > 2_000_000
-                router.go_on()
-                await until(lambda: sum(len(payload) == 100_000 for _, payload in end.came) == 120)
-                data = [header.number for header, payload in end.came if len(payload) == 100_000]
-                assert data == [*range(120)]
-        finally:
-            router.close()
-
-    asyncio.run(test())
+    router = Router()
+    try:
+        async with in_network(router) as server, in_network(router, "client", "server") as client:
+            end = End()
+            server.on_stream = lambda who, which, header: end
+            server_key = client.key(server.address, NOBODY)
+            await until(lambda: server.address in client.seen)
+            server.add(client.address, NOBODY, end)
+            router.pause()
+            for number in range(120):
+                client.outbox.put(server_key, bytes([number]) * 100_000, Header(SampleKind.DATA, 2, number))
+            client.outbox.put(client.key(server.address, "1" * 16), b"link", Header(SampleKind.DATA, 0, 0))
+            assert client.outbox.waiting(server_key, 2) > 2_000_000
+            router.go_on()
+            await until(lambda: sum(len(payload) == 100_000 for _, payload in end.came) == 120)
+            data = [header.number for header, payload in end.came if len(payload) == 100_000]
+            assert data == [*range(120)]
+    finally:
+        router.close()
 
 
-def test_a_sample_that_is_larger_than_any_of_ours_is_refused(router: Router) -> None:
-    async def test() -> None:
-        async with in_network(router) as server:
-            came: list[int] = []
-            server.add(NOBODY, NOBODY, End())
-            server.on_datagram = lambda who, payload: came.append(len(payload))
-            other = stranger(router)
-            key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/drop"
-            other.put(key, bytes(20_000_000), congestion_control=zenoh.CongestionControl.BLOCK)
-            await until(lambda: other.put(key, b"small") or came)
-            assert {*came} == {5}
-            other.close()
-
-    asyncio.run(test())
+async def test_a_sample_that_is_larger_than_any_of_ours_is_refused(router: Router) -> None:
+    async with with_stranger(router) as (server, other, _):
+        came: list[int] = []
+        server.add(NOBODY, NOBODY, End())
+        server.on_datagram = lambda who, payload: came.append(len(payload))
+        other.drop(bytes(20_000_000))
+        other.drop(b"small")
+        await until(lambda: came)
+        assert {*came} == {5}
 
 
 def sockets(table: str, state: str = "") -> set[str]:
@@ -754,64 +662,54 @@ def sockets(table: str, state: str = "") -> set[str]:
     return {row[1] for row in rows if f"socket:[{row[9]}]" in own and row[3].startswith(state)}
 
 
-def test_who_listens_opens_no_other_port_and_calls_nobody(tmp_path: Path) -> None:
+async def test_who_listens_opens_no_other_port_and_calls_nobody(tmp_path: Path) -> None:
     port = free_port()
     (tmp_path / "z.json5").write_text("{transport: {link: {tls: {verify_name_on_connect: true}}}}")
 
     def opened() -> set[str]:
         return {*sockets("udp"), *sockets("udp6"), *sockets("tcp", "0A"), *sockets("tcp6", "0A")}
 
-    async def test() -> None:
-        before = opened()
-        for config in (None, "z.json5"):
-            network = Network(ZenohSettings(listen=(f"tcp/127.0.0.1:{port}",), config=config), tmp_path)
+    before = opened()
+    for config in (None, "z.json5"):
+        network = Network(ZenohSettings(listen=(f"tcp/127.0.0.1:{port}",), config=config), tmp_path)
+        await network.open()
+        assert {each.partition(":")[2] for each in opened() - before} == {f"{port:04X}"}
+        network.close()
+    with socket.create_server(("127.0.0.1", port)) as busy:
+        network = Network(ZenohSettings(listen=(f"tcp/127.0.0.1:{port}",)), tmp_path)
+        with pytest.raises(OSError, match=pattern(Unreachable.ERROR)):
             await network.open()
-            assert {each.partition(":")[2] for each in opened() - before} == {f"{port:04X}"}
-            network.close()
-        with socket.create_server(("127.0.0.1", port)) as busy:
-            network = Network(ZenohSettings(listen=(f"tcp/127.0.0.1:{port}",)), tmp_path)
-            with pytest.raises(OSError, match=pattern(Unreachable.ERROR)):
-                await network.open()
-            network.close()
-            del busy
-
-    asyncio.run(test())
+        network.close()
+        del busy
 
 
-def test_who_connects_opens_no_port(router: Router, tmp_path: Path) -> None:
+async def test_who_connects_opens_no_port(router: Router, tmp_path: Path) -> None:
     (tmp_path / "z.json5").write_text("{transport: {link: {tls: {verify_name_on_connect: true}}}}")
 
     def bound() -> set[str]:
         return sockets("udp") | sockets("udp6") | sockets("tcp", "0A") | sockets("tcp6", "0A")
 
-    async def test() -> None:
-        before = bound()  # other tests of this process may leave DDS's
-        for config in (None, "z.json5"):
-            network = Network(ZenohSettings(connect=(router.endpoint,), config=config), tmp_path)
-            await network.open()
-            assert bound() <= before
-            network.close()
-
-    asyncio.run(test())
+    before = bound()  # other tests of this process may leave DDS's
+    for config in (None, "z.json5"):
+        network = Network(ZenohSettings(connect=(router.endpoint,), config=config), tmp_path)
+        await network.open()
+        assert bound() <= before
+        network.close()
 
 
-def test_a_server_is_told_of_others_by_name_and_not_of_itself(router: Router, tmp_path: Path) -> None:
+async def test_a_server_is_told_of_others_by_name_and_not_of_itself(router: Router, tmp_path: Path) -> None:
     """Its own announcement comes again when the router does; another's may have no name."""
-
-    async def play() -> None:
-        network = Network(ZenohSettings(connect=(router.endpoint,)), tmp_path)
-        links, told = Links(network, "pc"), list[str]()
-        transport = Zenoh(links)
-        await transport.listen("zenoh", 0, Acceptor(StreamHandler, lambda *_: None, lambda _: None, others=told.append))
-        endpoint = links.endpoint_if_open()
-        try:
-            await until(lambda: endpoint.address in endpoint.seen)
-            for comes in (False, True):
-                endpoint._announced(Seen("server", endpoint.address, "pc"), comes=comes)
-            endpoint._announced(Seen("server", NOBODY, ""), comes=True)
-        finally:
-            transport.close()
-        (text,) = told
-        assert says(text, FleetText.OTHER_SERVER, fleet="fleet", names=f"endpoint {NOBODY}")
-
-    asyncio.run(play())
+    network = Network(ZenohSettings(connect=(router.endpoint,)), tmp_path)
+    links, told = Links(network, "pc"), list[str]()
+    transport = Zenoh(links)
+    await transport.listen("zenoh", 0, Acceptor(StreamHandler, lambda *_: None, lambda _: None, others=told.append))
+    endpoint = links.endpoint_if_open()
+    try:
+        await until(lambda: endpoint.address in endpoint.seen)
+        for comes in (False, True):
+            endpoint._announced(Seen("server", endpoint.address, "pc"), comes=comes)
+        endpoint._announced(Seen("server", NOBODY, ""), comes=True)
+    finally:
+        transport.close()
+    (text,) = told
+    assert says(text, FleetText.OTHER_SERVER, fleet="fleet", names=f"endpoint {NOBODY}")

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import gc
 import random
 import weakref
-from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.virtual_time import virtual_loop
 from tests.support.zenoh_pipes import Pair, Sent, Side
 
 from rsb_bridge.transport.zenoh.outbox import OWN_COST
@@ -17,18 +14,9 @@ from rsb_bridge.transport.zenoh.pipe import SAMPLE, WINDOW, Pipe, PipeProblem
 from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 
-if TYPE_CHECKING:
-    from collections.abc import Coroutine
-
+pytestmark = pytest.mark.usefixtures("loop")
 UNDER_WAY = WINDOW + SAMPLE
 """Bytes at most that a receiver has to hold."""
-
-
-def run(test: Coroutine[None, None, None]) -> None:
-    """Run a test's coroutine; an exception that nobody caught fails it."""
-    with virtual_loop() as loop:
-        loop.run_until_complete(test)
-        assert loop.errors == []
 
 
 def held(pipe: Pipe) -> int:
@@ -36,498 +24,395 @@ def held(pipe: Pipe) -> int:
     return len(pipe._held)
 
 
-def test_what_is_written_arrives_in_order_and_whole() -> None:
-    async def test() -> None:
-        pair, sent = Pair(), random.Random(1)
-        written = [sent.randbytes(sent.choice([1, 100, 70_000, SAMPLE + 1])) for _ in range(60)]
-        for each in written:
-            pair.near.pipe.write(each)
-        await pair.settle()
-        assert pair.far.told.data == b"".join(written)
-        assert pair.near.pipe.get_write_buffer_size() == 0
-
-    run(test())
+async def test_what_is_written_arrives_in_order_and_whole() -> None:
+    pair, sent = Pair(), random.Random(1)
+    written = [sent.randbytes(sent.choice([1, 100, 70_000, SAMPLE + 1])) for _ in range(60)]
+    for each in written:
+        pair.near.pipe.write(each)
+    await pair.settle()
+    assert pair.far.told.data == b"".join(written)
+    assert pair.near.pipe.get_write_buffer_size() == 0
 
 
 @pytest.mark.parametrize("size", [1, SAMPLE - 1, SAMPLE, SAMPLE + 1, SAMPLE * 2 + SAMPLE // 2])
-def test_a_write_is_split_where_it_is_longer_than_a_sample(size: int) -> None:
-    async def test() -> None:
-        pair = Pair()
-        data = random.Random(size).randbytes(size)
-        pair.near.pipe.write(memoryview(data))
-        pieces = [each.payload for each in pair.near.sent(SampleKind.DATA)]
-        assert max(map(len, pieces)) <= SAMPLE
-        assert len(pieces) == -(-size // SAMPLE)
-        assert b"".join(pieces) == data
-
-    run(test())
+async def test_a_write_is_split_where_it_is_longer_than_a_sample(size: int) -> None:
+    pair = Pair()
+    data = random.Random(size).randbytes(size)
+    pair.near.pipe.write(memoryview(data))
+    pieces = [each.payload for each in pair.near.sent(SampleKind.DATA)]
+    assert max(map(len, pieces)) <= SAMPLE
+    assert len(pieces) == -(-size // SAMPLE)
+    assert b"".join(pieces) == data
 
 
-def test_a_buffer_may_be_used_again_at_once() -> None:
-    async def test() -> None:
-        pair = Pair()
-        buffer = bytearray(b"first")
-        pair.near.pipe.write(memoryview(buffer))
-        buffer[:] = b"other"
+async def test_a_buffer_may_be_used_again_at_once() -> None:
+    pair = Pair()
+    buffer = bytearray(b"first")
+    pair.near.pipe.write(memoryview(buffer))
+    buffer[:] = b"other"
+    await pair.settle()
+    assert pair.far.told.data == b"first"
+
+
+async def test_what_is_under_way_is_bounded_and_congestion_is_told_once() -> None:
+    pair = Pair()
+    pair.near.pipe.set_write_buffer_limits(high=SAMPLE)
+    for _ in range(20):
+        pair.near.pipe.write(bytes(SAMPLE // 2))
+    under_way = sum(len(each.payload) for each in pair.near.sent(SampleKind.DATA))
+    assert WINDOW <= under_way <= UNDER_WAY
+    assert pair.near.told.calls == ["made", "pause"]
+    await pair.settle()
+    assert pair.near.told.calls == ["made", "pause", "resume"]
+    assert len(pair.far.told.data) == 10 * SAMPLE
+
+
+async def test_a_receiver_that_pauses_holds_up_its_sender_and_nothing_is_lost() -> None:
+    pair = Pair()
+    pair.far.pipe.pause_reading()
+    data = random.Random(2).randbytes(12 * SAMPLE)
+    pair.near.pipe.write(data)
+    await pair.settle()
+    assert pair.far.told.data == b""
+    assert pair.near.pipe.get_write_buffer_size() == len(data) - WINDOW
+    pair.far.pipe.resume_reading()
+    await asyncio.sleep(0)
+    assert 0 < len(pair.far.told.data) < SAMPLE  # a turn of the loop for each piece, and not all at once
+    for _ in range(100):
         await pair.settle()
-        assert pair.far.told.data == b"first"
-
-    run(test())
+    assert pair.far.told.data == data
 
 
-def test_what_is_under_way_is_bounded_and_congestion_is_told_once() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.near.pipe.set_write_buffer_limits(high=SAMPLE)
-        for _ in range(20):
-            pair.near.pipe.write(bytes(SAMPLE // 2))
-        under_way = sum(len(each.payload) for each in pair.near.sent(SampleKind.DATA))
-        assert WINDOW <= under_way <= UNDER_WAY
-        assert pair.near.told.calls == ["made", "pause"]
-        await pair.settle()
-        assert pair.near.told.calls == ["made", "pause", "resume"]
-        assert len(pair.far.told.data) == 10 * SAMPLE
-
-    run(test())
-
-
-def test_a_receiver_that_pauses_holds_up_its_sender_and_nothing_is_lost() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.far.pipe.pause_reading()
-        data = random.Random(2).randbytes(12 * SAMPLE)
-        pair.near.pipe.write(data)
-        await pair.settle()
-        assert pair.far.told.data == b""
-        assert pair.near.pipe.get_write_buffer_size() == len(data) - WINDOW
-        pair.far.pipe.resume_reading()
-        await asyncio.sleep(0)
-        assert 0 < len(pair.far.told.data) < SAMPLE  # a turn of the loop for each piece, and not all at once
-        for _ in range(100):
-            await pair.settle()
-        assert pair.far.told.data == data
-
-    run(test())
-
-
-def test_reading_that_is_resumed_while_data_is_taken_keeps_the_order() -> None:
+async def test_reading_that_is_resumed_while_data_is_taken_keeps_the_order() -> None:
     """The reader pauses when it has enough, and resumes from within: it must not be called recursively."""
+    pair = Pair()
+    inside = False
 
-    async def test() -> None:
-        pair = Pair()
+    def take(data: bytes) -> None:
+        nonlocal inside
+        assert not inside
+        inside = True
+        pair.far.told.pieces.append(data)
+        pair.far.pipe.pause_reading()
+        pair.far.pipe.resume_reading()
         inside = False
 
-        def take(data: bytes) -> None:
-            nonlocal inside
-            assert not inside
-            inside = True
-            pair.far.told.pieces.append(data)
-            pair.far.pipe.pause_reading()
-            pair.far.pipe.resume_reading()
-            inside = False
-
-        pair.far.told.data_received = take  # type: ignore[method-assign]
-        pair.far.pipe.pause_reading()
-        data = random.Random(3).randbytes(2 * SAMPLE)
-        pair.near.pipe.write(data)
+    pair.far.told.data_received = take  # type: ignore[method-assign]
+    pair.far.pipe.pause_reading()
+    data = random.Random(3).randbytes(2 * SAMPLE)
+    pair.near.pipe.write(data)
+    await pair.settle()
+    pair.far.pipe.resume_reading()
+    for _ in range(50):
         await pair.settle()
-        pair.far.pipe.resume_reading()
-        for _ in range(50):
-            await pair.settle()
-        assert pair.far.told.data == data
-
-    run(test())
+    assert pair.far.told.data == data
 
 
-def test_reading_that_is_paused_again_stops_at_once() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.far.pipe.pause_reading()
-        pair.near.pipe.write(bytes(3 * SAMPLE))
+async def test_reading_that_is_paused_again_stops_at_once() -> None:
+    pair = Pair()
+    pair.far.pipe.pause_reading()
+    pair.near.pipe.write(bytes(3 * SAMPLE))
+    await pair.settle()
+    pair.far.told.pause_after = 1
+    pair.far.pipe.resume_reading()
+    for _ in range(20):
         await pair.settle()
-        pair.far.told.pause_after = 1
-        pair.far.pipe.resume_reading()
-        for _ in range(20):
-            await pair.settle()
-        assert len(pair.far.told.pieces) == 1
-
-    run(test())
+    assert len(pair.far.told.pieces) == 1
 
 
-def test_a_paused_receiver_holds_no_more_than_the_bytes_that_came() -> None:
+async def test_a_paused_receiver_holds_no_more_than_the_bytes_that_came() -> None:
     """A sample of nothing, too, would take memory if each were kept."""
-
-    async def test() -> None:
-        pair = Pair()
-        pair.far.pipe.pause_reading()
-        for number in range(100_000):
-            pair.far.arrive(SampleKind.DATA, number)
-        assert held(pair.far.pipe) == 0
-        assert not pair.far.pipe.is_closing()
-
-    run(test())
+    pair = Pair()
+    pair.far.pipe.pause_reading()
+    for number in range(100_000):
+        pair.far.arrive(SampleKind.DATA, number)
+    assert held(pair.far.pipe) == 0
+    assert not pair.far.pipe.is_closing()
 
 
-def test_a_stream_that_misses_a_sample_is_over_on_both_sides() -> None:
-    async def test() -> None:
-        pair = Pair()
-        for number in range(4):
-            pair.near.pipe.write(bytes([number]))
-        del pair.near.network.on_its_way[1:3]
-        await pair.settle()
-        assert pair.far.told.data == b"\0"
-        for side in (pair.near, pair.far):
-            assert side.told.calls[-1] == "lost"
-            assert str(side.told.error) == PipeProblem.SAMPLES_LOST(count=2)
-            assert side.network.end is None
-
-    run(test())
+async def test_a_stream_that_misses_a_sample_is_over_on_both_sides() -> None:
+    pair = Pair()
+    for number in range(4):
+        pair.near.pipe.write(bytes([number]))
+    del pair.near.network.on_its_way[1:3]
+    await pair.settle()
+    assert pair.far.told.data == b"\0"
+    for side in (pair.near, pair.far):
+        assert side.told.calls[-1] == "lost"
+        assert str(side.told.error) == PipeProblem.SAMPLES_LOST(count=2)
+        assert side.network.end is None
 
 
-def test_a_sample_that_comes_again_changes_nothing() -> None:
-    async def test() -> None:
-        pair = Pair()
-        for number in range(3):
-            pair.far.arrive(SampleKind.DATA, number, bytes([number]))
-        for number in (0, 2, 1):
-            pair.far.arrive(SampleKind.DATA, number, b"again")
-        pair.far.arrive(SampleKind.DATA, 3, b"\3")
-        assert pair.far.told.data == b"\0\1\2\3"
-        assert not pair.far.pipe.is_closing()
-
-    run(test())
+async def test_a_sample_that_comes_again_changes_nothing() -> None:
+    pair = Pair()
+    for number in range(3):
+        pair.far.arrive(SampleKind.DATA, number, bytes([number]))
+    for number in (0, 2, 1):
+        pair.far.arrive(SampleKind.DATA, number, b"again")
+    pair.far.arrive(SampleKind.DATA, 3, b"\3")
+    assert pair.far.told.data == b"\0\1\2\3"
+    assert not pair.far.pipe.is_closing()
 
 
-def test_a_peer_that_ignores_the_window_is_cut_off() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.far.pipe.pause_reading()
-        for number in range(2 * UNDER_WAY // SAMPLE):
-            pair.far.arrive(SampleKind.DATA, number, bytes(SAMPLE))
-            assert held(pair.far.pipe) <= UNDER_WAY
-        await pair.settle()
-        assert pair.far.told.calls[-1] == "lost"
-        assert str(pair.far.told.error) == PipeProblem.WINDOW_IGNORED(limit=WINDOW)
-        assert str(pair.near.told.error) == str(pair.far.told.error)
-        assert held(pair.far.pipe) == 0
-
-    run(test())
+async def test_a_peer_that_ignores_the_window_is_cut_off() -> None:
+    pair = Pair()
+    pair.far.pipe.pause_reading()
+    for number in range(2 * UNDER_WAY // SAMPLE):
+        pair.far.arrive(SampleKind.DATA, number, bytes(SAMPLE))
+        assert held(pair.far.pipe) <= UNDER_WAY
+    await pair.settle()
+    assert pair.far.told.calls[-1] == "lost"
+    assert str(pair.far.told.error) == PipeProblem.WINDOW_IGNORED(limit=WINDOW)
+    assert str(pair.near.told.error) == str(pair.far.told.error)
+    assert held(pair.far.pipe) == 0
 
 
-def test_a_window_cannot_be_opened_for_what_zenoh_has_not_been_given() -> None:
+async def test_a_window_cannot_be_opened_for_what_zenoh_has_not_been_given() -> None:
     """Anyone in the network can claim that all has come, while the router takes nothing."""
-
-    async def test() -> None:
-        pair = Pair()
-        network = pair.near.network
-        for _ in range(10):
-            pair.near.pipe.write(bytes(WINDOW))
-            network.backlog = sum(len(each.payload) for each in pair.near.sent(SampleKind.DATA))
-            pair.near.arrive(SampleKind.WINDOW, 2**63)
-        assert network.backlog <= UNDER_WAY
-
-    run(test())
+    pair = Pair()
+    network = pair.near.network
+    for _ in range(10):
+        pair.near.pipe.write(bytes(WINDOW))
+        network.backlog = sum(len(each.payload) for each in pair.near.sent(SampleKind.DATA))
+        pair.near.arrive(SampleKind.WINDOW, 2**63)
+    assert network.backlog <= UNDER_WAY
 
 
-def test_an_older_window_closes_nothing() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.near.pipe.write(bytes(WINDOW + 2 * SAMPLE))
-        pair.near.arrive(SampleKind.WINDOW, 2 * SAMPLE)
-        pair.near.arrive(SampleKind.WINDOW, SAMPLE)
-        assert pair.near.pipe.get_write_buffer_size() == 0
-
-    run(test())
+async def test_an_older_window_closes_nothing() -> None:
+    pair = Pair()
+    pair.near.pipe.write(bytes(WINDOW + 2 * SAMPLE))
+    pair.near.arrive(SampleKind.WINDOW, 2 * SAMPLE)
+    pair.near.arrive(SampleKind.WINDOW, SAMPLE)
+    assert pair.near.pipe.get_write_buffer_size() == 0
 
 
-def test_what_is_in_flight_is_what_the_other_side_has_not_reported() -> None:
+async def test_what_is_in_flight_is_what_the_other_side_has_not_reported() -> None:
     """With each sample's own cost, and still where the stream has ended: Zenoh may have it for a while."""
-
-    async def test() -> None:
-        client = Side("a", "b")
-        for _ in range(4):
-            client.pipe.write(bytes(1000))
-        assert client.network.in_flight == 4 * (1000 + OWN_COST)
-        client.arrive(SampleKind.WINDOW, 1000)
-        assert client.network.in_flight == 3 * (1000 + OWN_COST)
-        client.arrive(SampleKind.WINDOW, 1000)
-        client.arrive(SampleKind.WINDOW, 500)
-        assert client.network.in_flight == 3 * (1000 + OWN_COST)
-        client.arrive(SampleKind.WINDOW, 4000)
-        assert client.network.in_flight == 0
+    client = Side("a", "b")
+    for _ in range(4):
         client.pipe.write(bytes(1000))
-        client.pipe.abort()
-        assert client.network.in_flight == 1000 + OWN_COST
-        await asyncio.sleep(10)
-        assert client.network.in_flight == 0
+    assert client.network.in_flight == 4 * (1000 + OWN_COST)
+    client.arrive(SampleKind.WINDOW, 1000)
+    assert client.network.in_flight == 3 * (1000 + OWN_COST)
+    client.arrive(SampleKind.WINDOW, 1000)
+    client.arrive(SampleKind.WINDOW, 500)
+    assert client.network.in_flight == 3 * (1000 + OWN_COST)
+    client.arrive(SampleKind.WINDOW, 4000)
+    assert client.network.in_flight == 0
+    client.pipe.write(bytes(1000))
+    client.pipe.abort()
+    assert client.network.in_flight == 1000 + OWN_COST
+    await asyncio.sleep(10)
+    assert client.network.in_flight == 0
 
-    run(test())
 
-
-def test_a_window_that_is_lost_is_asked_for() -> None:
+async def test_a_window_that_is_lost_is_asked_for() -> None:
     """Else the stream would stand still for good, with nothing that shows it."""
-
-    async def test() -> None:
-        pair = Pair()
-        data = random.Random(3).randbytes(3 * WINDOW)
-        pair.near.pipe.write(data)
-        for each in pair.near.network.on_its_way:
-            pair.far.pipe.arrived(*each)
-        pair.near.network.on_its_way.clear()
-        lost = pair.far.sent(SampleKind.WINDOW)
-        pair.far.network.on_its_way.clear()
-        assert len(lost) > 1
-        await pair.settle()
-        assert len(pair.far.told.data) < len(data)
-        await asyncio.sleep(4.1)
-        await pair.settle()
-        assert pair.far.told.data == data
-
-    run(test())
+    pair = Pair()
+    data = random.Random(3).randbytes(3 * WINDOW)
+    pair.near.pipe.write(data)
+    for each in pair.near.network.on_its_way:
+        pair.far.pipe.arrived(*each)
+    pair.near.network.on_its_way.clear()
+    lost = pair.far.sent(SampleKind.WINDOW)
+    pair.far.network.on_its_way.clear()
+    assert len(lost) > 1
+    await pair.settle()
+    assert len(pair.far.told.data) < len(data)
+    await asyncio.sleep(4.1)
+    await pair.settle()
+    assert pair.far.told.data == data
 
 
-def test_many_questions_have_one_answer_and_none_after_the_end() -> None:
+async def test_many_questions_have_one_answer_and_none_after_the_end() -> None:
     """A stranger may ask as often as they like."""
-
-    async def test() -> None:
-        pair = Pair()
-        for number in range(100):
-            pair.far.arrive(SampleKind.DATA, number, b"")
-        await asyncio.sleep(0)
-        assert len(pair.far.sent(SampleKind.WINDOW)) == 1
-        pair.far.arrive(SampleKind.DATA, 100, b"")
-        await asyncio.sleep(0)
-        assert len(pair.far.sent(SampleKind.WINDOW)) == 2
-        pair.far.arrive(SampleKind.DATA, 101, b"")
-        pair.far.pipe.abort()
-        await asyncio.sleep(0)
-        assert len(pair.far.sent(SampleKind.WINDOW)) == 2
-
-    run(test())
+    pair = Pair()
+    for number in range(100):
+        pair.far.arrive(SampleKind.DATA, number, b"")
+    await asyncio.sleep(0)
+    assert len(pair.far.sent(SampleKind.WINDOW)) == 1
+    pair.far.arrive(SampleKind.DATA, 100, b"")
+    await asyncio.sleep(0)
+    assert len(pair.far.sent(SampleKind.WINDOW)) == 2
+    pair.far.arrive(SampleKind.DATA, 101, b"")
+    pair.far.pipe.abort()
+    await asyncio.sleep(0)
+    assert len(pair.far.sent(SampleKind.WINDOW)) == 2
 
 
-def test_the_loss_of_a_last_sample_shows_though_nothing_follows() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.near.pipe.write(b"a map, once")
-        pair.near.network.on_its_way.clear()
-        await asyncio.sleep(2.1)
+async def test_the_loss_of_a_last_sample_shows_though_nothing_follows() -> None:
+    pair = Pair()
+    pair.near.pipe.write(b"a map, once")
+    pair.near.network.on_its_way.clear()
+    await asyncio.sleep(2.1)
+    await pair.settle()
+    assert [side.told.calls[-1] for side in (pair.near, pair.far)] == ["lost", "lost"]
+    assert str(pair.near.told.error) == PipeProblem.SAMPLE_LOST()
+
+
+async def test_a_stream_at_rest_says_once_that_it_has_said_all() -> None:
+    pair, said = Pair(), 0
+    pair.near.pipe.write(b"one")
+    await pair.settle()
+    for _ in range(60):
+        await asyncio.sleep(1.0)
+        said += len(pair.near.network.on_its_way)
         await pair.settle()
-        assert [side.told.calls[-1] for side in (pair.near, pair.far)] == ["lost", "lost"]
-        assert str(pair.near.told.error) == PipeProblem.SAMPLE_LOST()
-
-    run(test())
+    assert said == 1
 
 
-def test_a_stream_at_rest_says_once_that_it_has_said_all() -> None:
-    async def test() -> None:
-        pair, said = Pair(), 0
-        pair.near.pipe.write(b"one")
+async def test_what_waits_for_a_reader_is_asked_about_now_and_then_only() -> None:
+    pair = Pair()
+    pair.far.pipe.pause_reading()
+    pair.near.pipe.write(bytes(3 * WINDOW))
+    asked = 0
+    for _ in range(60):
         await pair.settle()
-        for _ in range(60):
-            await asyncio.sleep(1.0)
-            said += len(pair.near.network.on_its_way)
-            await pair.settle()
-        assert said == 1
+        await asyncio.sleep(1.0)
+        asked += pair.near.sent(SampleKind.DATA).count(Sent(Header(SampleKind.DATA, 1, 4 + asked), b""))
+    assert 20 <= asked <= 30
+    pair.near.pipe.abort()
+    await pair.settle()
+    await asyncio.sleep(10.0)
+    assert pair.near.network.on_its_way == []
 
-    run(test())
+
+async def test_closing_sends_what_waits_and_then_ends() -> None:
+    pair = Pair()
+    data = random.Random(4).randbytes(7 * SAMPLE)
+    pair.near.pipe.write(data)
+    pair.near.pipe.close()
+    pair.near.pipe.write(b"too late")
+    assert pair.near.told.calls[-1] != "lost"
+    await pair.settle()
+    assert pair.far.told.data == data
+    assert pair.far.told.calls == ["made", "eof", "lost"]
+    assert pair.near.told.calls[-1] == "lost"
+    assert pair.near.told.error is None
+    assert pair.far.told.error is None
 
 
-def test_what_waits_for_a_reader_is_asked_about_now_and_then_only() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.far.pipe.pause_reading()
-        pair.near.pipe.write(bytes(3 * WINDOW))
-        asked = 0
-        for _ in range(60):
-            await pair.settle()
-            await asyncio.sleep(1.0)
-            asked += pair.near.sent(SampleKind.DATA).count(Sent(Header(SampleKind.DATA, 1, 4 + asked), b""))
-        assert 20 <= asked <= 30
-        pair.near.pipe.abort()
+async def test_aborting_waits_for_nothing() -> None:
+    pair = Pair()
+    pair.far.pipe.pause_reading()
+    pair.near.pipe.write(bytes(7 * SAMPLE))
+    pair.near.pipe.close()
+    pair.near.pipe.abort()
+    pair.near.pipe.abort()
+    await asyncio.sleep(0)
+    assert pair.near.told.calls.count("lost") == 1
+    assert pair.near.pipe.get_write_buffer_size() == 0
+    assert len(pair.near.sent(SampleKind.END)) == 1
+
+
+async def test_what_came_before_the_end_is_delivered_though_reading_was_paused() -> None:
+    pair = Pair()
+    pair.far.pipe.pause_reading()
+    data = random.Random(5).randbytes(SAMPLE)
+    pair.near.pipe.write(data)
+    pair.near.pipe.close()
+    await pair.settle()
+    assert pair.far.told.calls == ["made"]
+    pair.far.pipe.resume_reading()
+    for _ in range(20):
         await pair.settle()
-        await asyncio.sleep(10.0)
-        assert pair.near.network.on_its_way == []
-
-    run(test())
+    assert pair.far.told.data == data
+    assert pair.far.told.calls == ["made", "eof", "lost"]
 
 
-def test_closing_sends_what_waits_and_then_ends() -> None:
-    async def test() -> None:
-        pair = Pair()
-        data = random.Random(4).randbytes(7 * SAMPLE)
-        pair.near.pipe.write(data)
-        pair.near.pipe.close()
-        pair.near.pipe.write(b"too late")
-        assert pair.near.told.calls[-1] != "lost"
-        await pair.settle()
-        assert pair.far.told.data == data
-        assert pair.far.told.calls == ["made", "eof", "lost"]
-        assert pair.near.told.calls[-1] == "lost"
-        assert pair.near.told.error is None
-        assert pair.far.told.error is None
-
-    run(test())
+async def test_an_end_that_counts_more_than_came_says_so() -> None:
+    pair = Pair()
+    pair.near.pipe.write(b"lost")
+    pair.near.network.on_its_way.clear()
+    pair.near.pipe.close()
+    await pair.settle()
+    assert str(pair.far.told.error) == PipeProblem.SAMPLE_LOST()
 
 
-def test_aborting_waits_for_nothing() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.far.pipe.pause_reading()
-        pair.near.pipe.write(bytes(7 * SAMPLE))
-        pair.near.pipe.close()
-        pair.near.pipe.abort()
-        pair.near.pipe.abort()
-        await asyncio.sleep(0)
-        assert pair.near.told.calls.count("lost") == 1
-        assert pair.near.pipe.get_write_buffer_size() == 0
-        assert len(pair.near.sent(SampleKind.END)) == 1
-
-    run(test())
-
-
-def test_what_came_before_the_end_is_delivered_though_reading_was_paused() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.far.pipe.pause_reading()
-        data = random.Random(5).randbytes(SAMPLE)
-        pair.near.pipe.write(data)
-        pair.near.pipe.close()
-        await pair.settle()
-        assert pair.far.told.calls == ["made"]
-        pair.far.pipe.resume_reading()
-        for _ in range(20):
-            await pair.settle()
-        assert pair.far.told.data == data
-        assert pair.far.told.calls == ["made", "eof", "lost"]
-
-    run(test())
-
-
-def test_an_end_that_counts_more_than_came_says_so() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.near.pipe.write(b"lost")
-        pair.near.network.on_its_way.clear()
-        pair.near.pipe.close()
-        await pair.settle()
-        assert str(pair.far.told.error) == PipeProblem.SAMPLE_LOST()
-
-    run(test())
-
-
-def test_an_end_while_this_side_still_has_much_to_send_ends_it() -> None:
+async def test_an_end_while_this_side_still_has_much_to_send_ends_it() -> None:
     """Its window will never open again."""
-
-    async def test() -> None:
-        pair = Pair()
-        pair.far.pipe.pause_reading()
-        pair.near.pipe.write(bytes(9 * SAMPLE))
-        pair.near.pipe.close()
-        await pair.settle()
-        pair.far.pipe.abort()
-        await pair.settle()
-        assert pair.near.told.calls[-1] == "lost"
-        assert pair.near.network.end is None
-
-    run(test())
+    pair = Pair()
+    pair.far.pipe.pause_reading()
+    pair.near.pipe.write(bytes(9 * SAMPLE))
+    pair.near.pipe.close()
+    await pair.settle()
+    pair.far.pipe.abort()
+    await pair.settle()
+    assert pair.near.told.calls[-1] == "lost"
+    assert pair.near.network.end is None
 
 
-def test_nothing_is_delivered_once_this_side_closes() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.near.pipe.write(bytes(WINDOW + SAMPLE))
-        pair.near.pipe.close()
-        pair.near.arrive(SampleKind.DATA, 0, b"late")
-        assert pair.near.told.data == b""
-        assert pair.near.told.calls == ["made", "pause"]
-
-    run(test())
+async def test_nothing_is_delivered_once_this_side_closes() -> None:
+    pair = Pair()
+    pair.near.pipe.write(bytes(WINDOW + SAMPLE))
+    pair.near.pipe.close()
+    pair.near.arrive(SampleKind.DATA, 0, b"late")
+    assert pair.near.told.data == b""
+    assert pair.near.told.calls == ["made", "pause"]
 
 
-def test_a_reason_from_afar_is_short_and_harmless() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.far.arrive(SampleKind.END, 0, b"\x1b[2J\xff" + b"x" * 100_000)
-        await pair.settle()
-        words = str(pair.far.told.error)
-        assert words.isprintable()
-        assert len(words) <= 200
-
-    run(test())
+async def test_a_reason_from_afar_is_short_and_harmless() -> None:
+    pair = Pair()
+    pair.far.arrive(SampleKind.END, 0, b"\x1b[2J\xff" + b"x" * 100_000)
+    await pair.settle()
+    words = str(pair.far.told.error)
+    assert words.isprintable()
+    assert len(words) <= 200
 
 
-def test_kinds_that_a_later_version_may_send_are_passed_over() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.far.arrive(200, 7, b"?")
-        await pair.settle()
-        assert pair.far.told.calls == ["made"]
-        assert pair.far.network.on_its_way == []
-
-    run(test())
+async def test_kinds_that_a_later_version_may_send_are_passed_over() -> None:
+    pair = Pair()
+    pair.far.arrive(200, 7, b"?")
+    await pair.settle()
+    assert pair.far.told.calls == ["made"]
+    assert pair.far.network.on_its_way == []
 
 
-def test_cut_off_tells_both_sides() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.near.pipe.cut_off("the router is lost")
-        await pair.settle()
-        assert str(pair.near.told.error) == "the router is lost"
-        assert pair.far.told.calls[-1] == "lost"
-
-    run(test())
+async def test_cut_off_tells_both_sides() -> None:
+    pair = Pair()
+    pair.near.pipe.cut_off("the router is lost")
+    await pair.settle()
+    assert str(pair.near.told.error) == "the router is lost"
+    assert pair.far.told.calls[-1] == "lost"
 
 
 @pytest.mark.parametrize("pieces", [[4101], [4000, 101], [1] * 4101], ids=["at once", "in two", "in many"])
 @pytest.mark.parametrize("paused", [False, True])
-def test_a_stranger_has_4_kib_until_it_is_answered(pieces: list[int], paused: bool) -> None:
-    async def test() -> None:
-        side = Side("a" * 16, "b" * 16, stranger=True)
-        if paused:
-            side.pipe.pause_reading()
-        for number, size in enumerate(pieces):
-            side.arrive(SampleKind.DATA, number, bytes(size))
-        await asyncio.sleep(0)
-        assert isinstance(side.told.error, OSError)
-        assert sum(map(len, side.told.pieces)) + held(side.pipe) <= STRANGER_LIMIT
-
-    run(test())
+async def test_a_stranger_has_4_kib_until_it_is_answered(pieces: list[int], paused: bool) -> None:
+    side = Side("a" * 16, "b" * 16, stranger=True)
+    if paused:
+        side.pipe.pause_reading()
+    for number, size in enumerate(pieces):
+        side.arrive(SampleKind.DATA, number, bytes(size))
+    await asyncio.sleep(0)
+    assert isinstance(side.told.error, OSError)
+    assert sum(map(len, side.told.pieces)) + held(side.pipe) <= STRANGER_LIMIT
 
 
-def test_a_stranger_that_is_answered_may_send_more_behind_its_proof() -> None:
-    async def test() -> None:
-        side = Side("a" * 16, "b" * 16, stranger=True)
-        assert side.pipe.longest == STRANGER_LIMIT
-        side.arrive(SampleKind.DATA, 0, bytes(100))
-        side.pipe.write(b"answer")
-        assert side.pipe.longest >= SAMPLE
-        assert not side.pipe.trusted
-        side.arrive(SampleKind.DATA, 1, bytes(SAMPLE))
-        side.pipe.trust()
-        assert side.pipe.trusted
-        side.arrive(SampleKind.DATA, 2, bytes(SAMPLE))
-        assert len(side.told.data) == 100 + 2 * SAMPLE
-
-    run(test())
+async def test_a_stranger_that_is_answered_may_send_more_behind_its_proof() -> None:
+    side = Side("a" * 16, "b" * 16, stranger=True)
+    assert side.pipe.longest == STRANGER_LIMIT
+    side.arrive(SampleKind.DATA, 0, bytes(100))
+    side.pipe.write(b"answer")
+    assert side.pipe.longest >= SAMPLE
+    assert not side.pipe.trusted
+    side.arrive(SampleKind.DATA, 1, bytes(SAMPLE))
+    side.pipe.trust()
+    assert side.pipe.trusted
+    side.arrive(SampleKind.DATA, 2, bytes(SAMPLE))
+    assert len(side.told.data) == 100 + 2 * SAMPLE
 
 
-def test_nothing_leads_from_a_pipe_that_is_over_to_its_protocol() -> None:
-    async def test() -> None:
-        side = Side("a" * 16, "b" * 16, stranger=True)
-        side.arrive(SampleKind.DATA, 0, bytes(100))
-        gone = [weakref.ref(each) for each in (side.pipe, side.told)]
-        side.pipe.abort()
-        del side
-        await asyncio.sleep(0)
-        await asyncio.sleep(0)
-        assert [each() for each in gone] == [None, None]
-
-    gc.disable()
-    try:
-        run(test())
-    finally:
-        gc.enable()
+@pytest.mark.usefixtures("no_collector")
+async def test_nothing_leads_from_a_pipe_that_is_over_to_its_protocol() -> None:
+    side = Side("a" * 16, "b" * 16, stranger=True)
+    side.arrive(SampleKind.DATA, 0, bytes(100))
+    gone = [weakref.ref(each) for each in (side.pipe, side.told)]
+    side.pipe.abort()
+    del side
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    assert [each() for each in gone] == [None, None]
 
 
 # --- strangers
@@ -545,182 +430,149 @@ FORGED = [
 
 @pytest.mark.parametrize("tag", [b"", bytes(16)], ids=["untagged", "tagged"])
 @pytest.mark.parametrize("forged", FORGED, ids=str)
-def test_a_forged_sample_changes_nothing_while_the_stream_lives(
+async def test_a_forged_sample_changes_nothing_while_the_stream_lives(
     forged: tuple[SampleKind, int, bytes], tag: bytes
 ) -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.near.pipe.write(b"0")
+    pair = Pair()
+    pair.near.pipe.write(b"0")
+    await pair.settle()
+    for number in range(20):
+        for side in (pair.near, pair.far):
+            side.forge(*forged, tag=tag)
+        pair.near.pipe.write(b"1")
         await pair.settle()
-        for number in range(20):
-            for side in (pair.near, pair.far):
-                side.forge(*forged, tag=tag)
-            pair.near.pipe.write(b"1")
-            await pair.settle()
-            await asyncio.sleep(0.5)
-            assert len(pair.far.told.data) == 2 + number
-        assert set(pair.near.told.calls + pair.far.told.calls) == {"made"}
-
-    run(test())
+        await asyncio.sleep(0.5)
+        assert len(pair.far.told.data) == 2 + number
+    assert set(pair.near.told.calls + pair.far.told.calls) == {"made"}
 
 
-def test_samples_that_are_played_again_on_the_other_side_change_nothing() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.near.pipe.write(b"0")
-        captured = list(pair.near.network.on_its_way)
-        await pair.settle()
-        for sample in captured:
-            pair.near.pipe.arrived(*sample)
-        assert pair.near.told.data == b""
-
-    run(test())
+async def test_samples_that_are_played_again_on_the_other_side_change_nothing() -> None:
+    pair = Pair()
+    pair.near.pipe.write(b"0")
+    captured = list(pair.near.network.on_its_way)
+    await pair.settle()
+    for sample in captured:
+        pair.near.pipe.arrived(*sample)
+    assert pair.near.told.data == b""
 
 
-def test_an_end_that_is_not_proven_is_believed_once_nothing_comes() -> None:
+async def test_an_end_that_is_not_proven_is_believed_once_nothing_comes() -> None:
     """A peer that was started again knows no key of the stream."""
+    pair = Pair()
+    pair.near.pipe.write(b"0")
+    await pair.settle()
+    pair.near.forge(SampleKind.END, 0, b"there is no such stream any more")
+    await asyncio.sleep(2.5)
+    assert pair.near.told.calls == ["made"]
+    await asyncio.sleep(1.0)
+    assert pair.near.told.calls == ["made", "lost"]
 
-    async def test() -> None:
-        pair = Pair()
-        pair.near.pipe.write(b"0")
+
+async def test_a_stream_at_rest_outlives_forged_ends_because_the_other_side_answers() -> None:
+    pair, asked = Pair(), 0
+    pair.near.pipe.write(b"0")
+    await pair.settle()
+    for _ in range(1000):
+        pair.near.forge(SampleKind.END, 0)
+        asked += len(pair.near.sent(SampleKind.DATA))
         await pair.settle()
-        pair.near.forge(SampleKind.END, 0, b"there is no such stream any more")
-        await asyncio.sleep(2.5)
-        assert pair.near.told.calls == ["made"]
-        await asyncio.sleep(1.0)
-        assert pair.near.told.calls == ["made", "lost"]
-
-    run(test())
+        await asyncio.sleep(0.01)
+    assert pair.near.told.calls == ["made"]
+    assert asked <= 10  # within 10 s
 
 
-def test_a_stream_at_rest_outlives_forged_ends_because_the_other_side_answers() -> None:
-    async def test() -> None:
-        pair, asked = Pair(), 0
-        pair.near.pipe.write(b"0")
+async def test_a_token_that_goes_ends_a_stream_only_if_its_owner_has_gone() -> None:
+    pair = Pair()
+    pair.near.pipe.write(b"0")
+    await pair.settle()
+    pair.near.pipe.doubt("it has left")
+    for _ in range(8):
+        await asyncio.sleep(0.5)
         await pair.settle()
-        for _ in range(1000):
-            pair.near.forge(SampleKind.END, 0)
-            asked += len(pair.near.sent(SampleKind.DATA))
-            await pair.settle()
-            await asyncio.sleep(0.01)
-        assert pair.near.told.calls == ["made"]
-        assert asked <= 10  # within 10 s
-
-    run(test())
-
-
-def test_a_token_that_goes_ends_a_stream_only_if_its_owner_has_gone() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.near.pipe.write(b"0")
-        await pair.settle()
-        pair.near.pipe.doubt("it has left")
-        for _ in range(8):
-            await asyncio.sleep(0.5)
-            await pair.settle()
-        assert pair.near.told.calls == ["made"]
-        pair.near.pipe.doubt("it has left")
-        await asyncio.sleep(4.0)
-        assert pair.near.told.calls == ["made", "lost"]
-        assert str(pair.near.told.error) == "it has left"
-
-    run(test())
+    assert pair.near.told.calls == ["made"]
+    pair.near.pipe.doubt("it has left")
+    await asyncio.sleep(4.0)
+    assert pair.near.told.calls == ["made", "lost"]
+    assert str(pair.near.told.error) == "it has left"
 
 
 @pytest.mark.parametrize("how", ["end", "token"])
-def test_a_doubt_is_known_at_once(how: str) -> None:
+async def test_a_doubt_is_known_at_once(how: str) -> None:
     """Whether the other end has gone takes seconds to find out; what it has armed does not stay armed so long."""
-
-    async def test() -> None:
-        pair, doubts = Pair(), list[str]()
-        pair.near.pipe.when_doubted = lambda: doubts.append(how)
-        pair.near.pipe.write(b"0")
-        await pair.settle()
-        assert not doubts
-        if how == "end":
-            pair.near.forge(SampleKind.END, 0)
-        else:
-            pair.near.pipe.doubt("it has left")
-        assert doubts == [how]
-        await pair.settle()
-        assert pair.near.told.calls == ["made"]
-
-    run(test())
-
-
-def test_what_was_under_way_does_not_hide_that_a_peer_has_died() -> None:
-    async def test() -> None:
-        pair = Pair()
-        pair.near.pipe.write(b"0")
-        await pair.settle()
-        pair.far.pipe.write(b"last words")
+    pair, doubts = Pair(), list[str]()
+    pair.near.pipe.when_doubted = lambda: doubts.append(how)
+    pair.near.pipe.write(b"0")
+    await pair.settle()
+    assert not doubts
+    if how == "end":
+        pair.near.forge(SampleKind.END, 0)
+    else:
         pair.near.pipe.doubt("it has left")
-        await asyncio.sleep(0.2)
-        pair.carry()
-        pair.near.network.on_its_way.clear()
-        pair.far.network.on_its_way.clear()
-        await asyncio.sleep(7.0)
-        assert pair.near.told.calls == ["made", "lost"]
+    assert doubts == [how]
+    await pair.settle()
+    assert pair.near.told.calls == ["made"]
 
-    run(test())
+
+async def test_what_was_under_way_does_not_hide_that_a_peer_has_died() -> None:
+    pair = Pair()
+    pair.near.pipe.write(b"0")
+    await pair.settle()
+    pair.far.pipe.write(b"last words")
+    pair.near.pipe.doubt("it has left")
+    await asyncio.sleep(0.2)
+    pair.carry()
+    pair.near.network.on_its_way.clear()
+    pair.far.network.on_its_way.clear()
+    await asyncio.sleep(7.0)
+    assert pair.near.told.calls == ["made", "lost"]
 
 
 @pytest.mark.parametrize("kind", [SampleKind.END, SampleKind.WINDOW])
-def test_a_client_takes_further_answers_until_one_is_adopted(kind: SampleKind) -> None:
-    async def test() -> None:
-        pair = Pair(authenticated=False)
-        near = pair.near
-        near.pipe.begin_trial()
-        near.pipe.write(b"first")
-        near.forge(kind, 2**60)
-        near.forge(SampleKind.DATA, 0, b"forged")
-        near.forge(SampleKind.DATA, 7, b"forged too")
-        near.told.pieces.clear()
+async def test_a_client_takes_further_answers_until_one_is_adopted(kind: SampleKind) -> None:
+    pair = Pair(authenticated=False)
+    near = pair.near
+    near.pipe.begin_trial()
+    near.pipe.write(b"first")
+    near.forge(kind, 2**60)
+    near.forge(SampleKind.DATA, 0, b"forged")
+    near.forge(SampleKind.DATA, 7, b"forged too")
+    near.told.pieces.clear()
 
-        def take(data: bytes) -> None:
-            near.pipe.adopt()
+    def take(data: bytes) -> None:
+        near.pipe.adopt()
 
-        deliver = near.told.data_received
-        near.told.data_received = take  # type: ignore[method-assign]
-        near.arrive(SampleKind.DATA, 0, b"answer")
-        near.told.data_received = deliver  # type: ignore[method-assign]
-        near.authenticate(opener=True)
-        pair.far.authenticate(opener=False)
-        near.arrive(SampleKind.DATA, 0, b"again")
-        near.arrive(SampleKind.DATA, 1, b"second")
-        assert near.told.data == b"second"
-        assert near.told.calls == ["made"]
-
-    run(test())
+    deliver = near.told.data_received
+    near.told.data_received = take  # type: ignore[method-assign]
+    near.arrive(SampleKind.DATA, 0, b"answer")
+    near.told.data_received = deliver  # type: ignore[method-assign]
+    near.authenticate(opener=True)
+    pair.far.authenticate(opener=False)
+    near.arrive(SampleKind.DATA, 0, b"again")
+    near.arrive(SampleKind.DATA, 1, b"second")
+    assert near.told.data == b"second"
+    assert near.told.calls == ["made"]
 
 
-def test_answers_of_strangers_are_bounded() -> None:
-    async def test() -> None:
-        pair = Pair(authenticated=False)
-        pair.near.pipe.begin_trial()
-        for _ in range(10_000):
-            pair.near.forge(SampleKind.DATA, 0, b"forged")
-        assert len(pair.near.told.pieces) <= 64
-
-    run(test())
+async def test_answers_of_strangers_are_bounded() -> None:
+    pair = Pair(authenticated=False)
+    pair.near.pipe.begin_trial()
+    for _ in range(10_000):
+        pair.near.forge(SampleKind.DATA, 0, b"forged")
+    assert len(pair.near.told.pieces) <= 64
 
 
-def test_without_tags_an_end_is_believed_once_nothing_comes() -> None:
+async def test_without_tags_an_end_is_believed_once_nothing_comes() -> None:
     """A link without encryption has none."""
-
-    async def test() -> None:
-        pair = Pair(authenticated=False)
-        pair.near.pipe.write(b"0")
+    pair = Pair(authenticated=False)
+    pair.near.pipe.write(b"0")
+    await pair.settle()
+    for _ in range(10):
+        pair.far.forge(SampleKind.END, 1)
+        pair.near.pipe.write(b"1")
         await pair.settle()
-        for _ in range(10):
-            pair.far.forge(SampleKind.END, 1)
-            pair.near.pipe.write(b"1")
-            await pair.settle()
-            await asyncio.sleep(1.0)
-        assert pair.far.told.calls == ["made"]
-        pair.near.pipe.close()
-        await pair.settle()
-        await asyncio.sleep(4.0)
-        assert pair.far.told.calls == ["made", "eof", "lost"]
-
-    run(test())
+        await asyncio.sleep(1.0)
+    assert pair.far.told.calls == ["made"]
+    pair.near.pipe.close()
+    await pair.settle()
+    await asyncio.sleep(4.0)
+    assert pair.far.told.calls == ["made", "eof", "lost"]

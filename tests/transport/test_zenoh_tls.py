@@ -77,25 +77,23 @@ def test_a_router_with_a_certificate_of_our_authority(tmp_path: Path, start: Sta
     assert told(tmp_path, router, root_ca_certificate=authority.file) == ""
 
 
-def test_another_authority(tmp_path: Path, start: Start) -> None:
-    router = start(*Authority(tmp_path).sign("hub"))
-    said = told(tmp_path, router, root_ca_certificate=Authority(tmp_path, "other").file)
-    assert says(said, Unreachable.CERTIFICATE_REFUSED, remedy=CertificateRemedy.UNTRUSTED())
-
-
-def test_a_certificate_that_has_expired(tmp_path: Path, start: Start) -> None:
+@pytest.mark.parametrize(
+    ("certificate", "remedy"),
+    [
+        ({}, CertificateRemedy.UNTRUSTED),
+        ({"valid_for": EXPIRED}, CertificateRemedy.EXPIRED),
+        ({"host": "hub.example"}, CertificateRemedy.WRONG_NAME),
+    ],
+    ids=["another authority", "expired", "another name"],
+)
+def test_a_router_whose_certificate_is_refused(
+    certificate: dict[str, Any], remedy: CertificateRemedy, tmp_path: Path, start: Start
+) -> None:
     authority = Authority(tmp_path)
-    router = start(*authority.sign("hub", valid_for=EXPIRED))
-    said = told(tmp_path, router, root_ca_certificate=authority.file)
-    assert says(said, Unreachable.CERTIFICATE_REFUSED, remedy=CertificateRemedy.EXPIRED())
-
-
-def test_a_certificate_of_another_name(tmp_path: Path, start: Start) -> None:
-    authority = Authority(tmp_path)
-    router = start(*authority.sign("hub", host="hub.example"))
-    said = told(tmp_path, router, root_ca_certificate=authority.file)
-    assert says(said, Unreachable.CERTIFICATE_REFUSED, remedy=CertificateRemedy.WRONG_NAME())
-    assert told(tmp_path, router, root_ca_certificate=authority.file, verify_name_on_connect=False) == ""
+    router = start(*authority.sign("hub", **certificate))
+    trusted = authority if certificate else Authority(tmp_path, "other")
+    said = told(tmp_path, router, root_ca_certificate=trusted.file)
+    assert says(said, Unreachable.CERTIFICATE_REFUSED, remedy=remedy())
 
 
 def test_a_router_that_asks_for_a_certificate(tmp_path: Path, start: Start) -> None:
