@@ -38,8 +38,6 @@ _MUCH_LATER = 0.9 * INTERRUPTION
 
 
 class ActionInvariants:
-    """Watches a world's actions."""
-
     def __init__(self, world: World) -> None:
         self._world = world
         self._patience = world.conditions.patience
@@ -47,7 +45,6 @@ class ActionInvariants:
         self._openings: dict[ProvidingRoute, tuple[int, bool, set[bytes]]] = {}
 
     def check(self) -> None:
-        """Check everything once."""
         for action in self._world.action_flows.values():
             self._check_action(action)
 
@@ -161,14 +158,12 @@ def near_and_far(world: World, action: ActionFlow) -> tuple[Run | None, Run | No
 
 
 def halves_of(world: World, action: ActionFlow) -> list[CallsRoute]:
-    """The halves of its route."""
     links: list[Link] = list(world.link_ends(world.robot(action.robot)) or ())
     found: list[Any] = [route for link in links for route in link.routes.values() if route.topic == action.near_name]
     return [route for route in found if isinstance(route, (CallingRoute, ProvidingRoute)) and route.action is not None]
 
 
 def said(world: World, action: ActionFlow) -> str:
-    """Return both sides' states of an action."""
     shown = [half.snapshot() for half in halves_of(world, action)]
     return "; ".join(f"{each.state} {each.reason!r} {each.calls} {each.goals}" for each in shown)
 
@@ -179,7 +174,6 @@ def _offered(run: Run, action: ActionFlow) -> bool:
 
 
 def in_flight(route: CallsRoute) -> int:
-    """The calls of a half for which anybody waits."""
     action = route.action if isinstance(route, CallingRoute) else None
     waiting = len(action.waiting) if action is not None else 0
     return len(pending_calls(route)) + waiting

@@ -29,8 +29,6 @@ ANSWERED_WITHIN = 5.0
 
 
 class CallInvariants:
-    """Watches a world's services."""
-
     def __init__(self, world: World) -> None:
         self._world = world
         self._patience = world.conditions.patience
@@ -38,7 +36,6 @@ class CallInvariants:
         self._given_up: dict[ServiceFlow, int] = {}
 
     def check(self) -> None:
-        """Check everything once."""
         for run in self._world.runs():
             self._check_counts(run)
         for service in self._world.service_flows.values():
@@ -111,7 +108,6 @@ class CallInvariants:
 
 
 def half_of(link: Link, service: ServiceFlow) -> CallsRoute | None:
-    """A link's half of a service's route."""
     for route in link.routes.values():
         if isinstance(route, CallsRoute) and route.topic == service.near_name:
             return route
