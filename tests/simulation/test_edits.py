@@ -93,6 +93,7 @@ class Edits(Yard):
 
     async def pause(self, side: str) -> None:
         await self._command(side, PauseTopics(self.half(side).key, paused=True))
+        await until(lambda: all(half is not None and half.paused for half in self.halves()), 1.0)
 
     async def arm(self, side: str) -> None:
         await self._command(side, ArmTopic(self.half(side).key))
