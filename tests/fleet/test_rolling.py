@@ -23,8 +23,6 @@ SETTLE = 10.0
 
 
 class RefusingEngine(ScriptedEngine):
-    """Refuses every edit."""
-
     def do(self, command: Command[R], step: Any = None) -> Future[R]:
         super().do(command, step)
         return refused("no leave")

@@ -36,7 +36,6 @@ class Outcome:
 
 
 def main() -> int:
-    """The command."""
     arguments = _arguments()
     if arguments.inputs:
         for path in arguments.inputs:

@@ -68,12 +68,10 @@ def edit_text(data: bytes, random: Random) -> bytes:
 
 
 def edit_msgpack(data: bytes, random: Random) -> bytes:
-    """A value in a MessagePack document is replaced, removed or repeated."""
     return _edit_document(data, random, msgspec.msgpack.decode, msgspec.msgpack.encode)
 
 
 def edit_json(data: bytes, random: Random) -> bytes:
-    """A value in a JSON document is replaced, removed or repeated."""
     return _edit_document(data, random, json.loads, lambda value: json.dumps(value, default=str).encode())
 
 

@@ -27,7 +27,6 @@ class Findings:
         self._kinds: set[str] = set()
 
     def read(self, data: bytes) -> None:
-        """Have the parser read an input. What it raises is kept."""
         try:
             self._parser.read(data)
         except Exception as error:  # noqa: BLE001 -- every exception is a finding
@@ -42,7 +41,6 @@ class Findings:
 
 
 def inputs_in(folder: Path) -> list[Path]:
-    """The failing inputs in a folder, the fuzzer's own of crashes and timeouts too."""
     return sorted(path for path in folder.glob("*-*") if path.suffix != ".txt") if folder.is_dir() else []
 
 

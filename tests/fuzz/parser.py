@@ -30,7 +30,6 @@ class Parser:
     """A parser, and the conditions that hold for all its inputs.
 
     Attributes:
-        name: also of its corpus's folder.
         read: has it read an input. Raises where something is not as it should be: an exception that is not documented,
             output without a bound, or a value that does not come back equal from its own encoding.
         seeds: inputs of which all or nearly all is right.
@@ -44,9 +43,7 @@ class Parser:
 
     @property
     def corpus(self) -> Path:
-        """The folder of inputs that earlier runs found worth keeping."""
         return CORPUS / self.name
 
     def kept(self) -> Iterator[Path]:
-        """The files of the corpus."""
         return (path for path in sorted(self.corpus.glob("*")) if path.is_file())

@@ -11,7 +11,7 @@ Read in this order:
   `world_log`: what happened.
 - `conditions`, `faults` and `operators`: causes of change; `invariants`, `call_invariants`, `action_invariants` and
   `tables`: conditions that are checked every few seconds.
-- `call_harness`: one service in a world without faults.
+- `beds` and `call_harness`: worlds without faults, in which tests live that are coroutines (`conftest`).
 
 ``python -m tests.simulation SEED`` plays a world.
 """

@@ -10,7 +10,6 @@ from tests.simulation.world import Violation, World
 
 
 def main() -> int:
-    """Play one, and say what happened."""
     parser = argparse.ArgumentParser(prog="python -m tests.simulation", description=__doc__)
     parser.add_argument("seed", type=int, help="which world")
     parser.add_argument("--days", type=float, default=1.0, help="how long it lives (default: 1)")

@@ -31,8 +31,6 @@ class ActionFlow(CallFlow[ActionServer]):
     Its period may be 0: it sends no goals by itself.
 
     Attributes:
-        goals: the newest goals, by id.
-        heard: the last status message that the client heard.
         explains: whether events of the world explain that a goal's result is unknown.
         log: goals and cancels that reached its servers, in order: ``goal`` or ``cancel``, and the goal.
     """
@@ -85,11 +83,9 @@ class ActionFlow(CallFlow[ActionServer]):
             self._later(self._random.uniform(0.0, self.period), self._beat, life)
 
     def rest(self) -> None:
-        """Send no more goals."""
         self.period = 0.0
 
     def busy(self, period: float) -> None:
-        """Send goals from now on, one every so many s on average."""
         self.period = period
         self._beat(self._life)
 
@@ -116,7 +112,6 @@ class ActionFlow(CallFlow[ActionServer]):
 
     @property
     def ready(self) -> bool:
-        """Whether clients see a server."""
         return self._clients[SEND_GOAL].ready and self._clients[GET_RESULT].ready and self._clients[CANCEL_GOAL].ready
 
     def send(self, plan: Plan | None = None) -> Goal | None:
@@ -133,7 +128,6 @@ class ActionFlow(CallFlow[ActionServer]):
         return goal
 
     def cancel(self, goal: Goal) -> None:
-        """Have a goal cancelled."""
         goal.cancel = goal.cancel or Asked()
         self._ask(CANCEL_GOAL, goal, goal.cancel, CDR + goal.id + bytes(8))
 
@@ -142,7 +136,6 @@ class ActionFlow(CallFlow[ActionServer]):
             self.cancel(goal)
 
     def ask_result(self, goal: Goal) -> None:
-        """Ask how a goal ended."""
         goal.asks = goal.asks or Asked()
         self._ask(GET_RESULT, goal, goal.asks, CDR + goal.id)
 
@@ -169,7 +162,6 @@ class ActionFlow(CallFlow[ActionServer]):
 
     @property
     def goes_on(self) -> bool:
-        """Whether any goal does."""
         return self.server is not None and any(self.server.runs(each) for each in self.goals)
 
     def to_cancel(self) -> list[Goal]:
@@ -242,7 +234,6 @@ class ActionFlow(CallFlow[ActionServer]):
     # --- what the server says: `tests.simulation.action_server.Watcher`
 
     def arrived(self, server: ActionServer, goal: bytes) -> Plan:
-        """A goal has come."""
         known = self.goals[goal]
         known.arrived += 1
         self.log.append(("goal", known))
@@ -253,18 +244,15 @@ class ActionFlow(CallFlow[ActionServer]):
         return known.plan
 
     def accepted(self, server: ActionServer, goal: bytes) -> None:
-        """It goes on from now."""
         if self.goals[goal].told is not None:
             self._on_wrong(f"{self}: {self.goals[goal]} begins after its client got the answer {self.goals[goal].told}")
         self.goals[goal].server = server
 
     def ended(self, goal: bytes, state: str) -> None:
-        """It is over."""
         known = self.goals[goal]
         known.state, known.ended = state, self._loop.time()
 
     def cancelled(self, goal: bytes) -> None:
-        """A cancel has come."""
         known = self.goals[goal]
         known.cancelled = True
         self.log.append(("cancel", known))

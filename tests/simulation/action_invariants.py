@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from tests.simulation.action_flow import ActionFlow
     from tests.simulation.engine_host import Run
     from tests.simulation.goals import Goal
+    from tests.simulation.service_flow import ServiceFlow
     from tests.simulation.world import World
 
     from rsb_bridge.link.link import Link
@@ -38,8 +39,6 @@ _MUCH_LATER = 0.9 * INTERRUPTION
 
 
 class ActionInvariants:
-    """Watches a world's actions."""
-
     def __init__(self, world: World) -> None:
         self._world = world
         self._patience = world.conditions.patience
@@ -47,7 +46,6 @@ class ActionInvariants:
         self._openings: dict[ProvidingRoute, tuple[int, bool, set[bytes]]] = {}
 
     def check(self) -> None:
-        """Check everything once."""
         for action in self._world.action_flows.values():
             self._check_action(action)
 
@@ -59,7 +57,7 @@ class ActionInvariants:
         near, _ = near_and_far(world, action)
         dead_is_seen = action.dead_is_seen
         gone = action.server is None and not dead_is_seen
-        if near is not None and _offered(near, action):
+        if near is not None and offered(near, action):
             if not any(link.linked for link in near.links() if link.name == robot.name):
                 world.wrong(f"{action}: clients see a server, and the link is down")
             waited = now - max(action.changed, world.clear_since(robot))
@@ -81,7 +79,7 @@ class ActionInvariants:
     def _check_reached(self, action: ActionFlow, near: Run, clear: float) -> None:
         world, now, server = self._world, self._world.loop.time(), action.server
         assert server is not None
-        if not _offered(near, action):
+        if not offered(near, action):
             world.wrong(f"{action}: it can be reached, and is not offered; {said(world, action)}")
         soon = self._patience * TOLD_WITHIN
         for goal in action.waiting():
@@ -154,32 +152,29 @@ def _is_half(route: CallsRoute, action: ActionFlow) -> bool:
     )
 
 
-def near_and_far(world: World, action: ActionFlow) -> tuple[Run | None, Run | None]:
+def near_and_far(world: World, flow: ActionFlow | ServiceFlow) -> tuple[Run | None, Run | None]:
     """The engines on the clients' and on the server's side."""
-    ends = world.robot(action.robot).host.run, world.server.run
-    return ends if action.topic.direction == "transmit" else ends[::-1]
+    ends = world.robot(flow.robot).host.run, world.server.run
+    return ends if flow.topic.direction == "transmit" else ends[::-1]
 
 
 def halves_of(world: World, action: ActionFlow) -> list[CallsRoute]:
-    """The halves of its route."""
     links: list[Link] = list(world.link_ends(world.robot(action.robot)) or ())
     found: list[Any] = [route for link in links for route in link.routes.values() if route.topic == action.near_name]
     return [route for route in found if isinstance(route, (CallingRoute, ProvidingRoute)) and route.action is not None]
 
 
 def said(world: World, action: ActionFlow) -> str:
-    """Return both sides' states of an action."""
     shown = [half.snapshot() for half in halves_of(world, action)]
     return "; ".join(f"{each.state} {each.reason!r} {each.calls} {each.goals}" for each in shown)
 
 
-def _offered(run: Run, action: ActionFlow) -> bool:
+def offered(run: Run, flow: ActionFlow | ServiceFlow) -> bool:
     servers, node = run.host.domain.services.servers, f"/{run.node.node_name}"
-    return any(each.node == node for each in servers[action.near_services[0]])
+    return any(each.node == node for each in servers[flow.near_services[0]])
 
 
 def in_flight(route: CallsRoute) -> int:
-    """The calls of a half for which anybody waits."""
     action = route.action if isinstance(route, CallingRoute) else None
     waiting = len(action.waiting) if action is not None else 0
     return len(pending_calls(route)) + waiting

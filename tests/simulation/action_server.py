@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextvars
 import struct
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from tests.simulation.ros import Writer, hash_of
 from tests.simulation.services import Server
@@ -20,6 +20,7 @@ from rsb_bridge.route.calls.goals import STATES
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from tests.simulation.action_flow import ActionFlow
     from tests.simulation.ros import Domain
 
     from rsb_bridge.ros.ros_interface import Request
@@ -37,9 +38,7 @@ class Plan(NamedTuple):
     """A server's behaviour for one goal.
 
     Attributes:
-        accepts: whether it accepts the goal.
         after: s until it answers, or None if it never does.
-        runs: s.
         state: in which it ends, unless it is cancelled.
     """
 
@@ -49,33 +48,12 @@ class Plan(NamedTuple):
     state: str = "succeeded"
 
 
-class Watcher(Protocol):
-    """Gets a server's requests, and the outcome of each goal."""
-
-    def arrived(self, server: ActionServer, goal: bytes) -> Plan:
-        """A goal has come."""
-        ...
-
-    def accepted(self, server: ActionServer, goal: bytes) -> None:
-        """It goes on from now."""
-        ...
-
-    def ended(self, goal: bytes, state: str) -> None:
-        """It is over."""
-        ...
-
-    def cancelled(self, goal: bytes) -> None:
-        """A cancel has come."""
-        ...
-
-
 def names(action: str) -> list[str]:
     """Return the names of an action's services and topics, by lane."""
     return [name_of(lane, action) for lane in LANES["action"]]
 
 
 def lane_type(lane: int) -> tuple[str, str]:
-    """Type and hash of a lane."""
     type_name = type_of(LANES["action"][lane], TYPE)
     return type_name, hash_of(type_name)
 
@@ -88,7 +66,7 @@ class ActionServer:
         said_at: s, when that was.
     """
 
-    def __init__(self, domain: Domain, action: str, node: str, watcher: Watcher) -> None:
+    def __init__(self, domain: Domain, action: str, node: str, watcher: ActionFlow) -> None:
         self.closed = False
         self.said, self.said_at = b"", 0.0
         self._domain, self._loop, self._watcher = domain, domain.loop, watcher
@@ -114,15 +92,12 @@ class ActionServer:
 
     @property
     def seen(self) -> bool:
-        """Whether others see it."""
         return any(server.seen for server in self._servers.values())
 
     def remembers(self, goal: bytes) -> bool:
-        """Whether it knows a goal, over or not."""
         return goal in self._states
 
     def runs(self, goal: bytes) -> bool:
-        """Whether a goal goes on."""
         return not self.closed and self._states.get(goal) in _RUNNING
 
     # --- requests

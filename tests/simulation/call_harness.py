@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+from tests.simulation.beds import Bed, until
 from tests.simulation.conditions import STILL
 from tests.simulation.ros import hash_of
 from tests.simulation.services import Client, Server
@@ -31,12 +31,7 @@ SETTLED = 3.0
 
 
 class ScriptedServer:
-    """A server that repeats each request in its answer, at once or on `answer`.
-
-    Attributes:
-        asked: its requests, oldest first.
-        endpoint: as the domain knows it.
-    """
+    """A server that repeats each request in its answer, at once or on `answer`."""
 
     def __init__(self, domain: Domain, service: str, node: str, type_name: str, type_hash: str, *, waits: bool) -> None:
         self.asked: list[bytes] = []
@@ -65,12 +60,7 @@ class ScriptedServer:
 
 
 class ScriptedClient:
-    """A client that keeps its requests and answers.
-
-    Attributes:
-        endpoint: as the domain knows it.
-        answers: by the request's number.
-    """
+    """A client that keeps its requests and answers."""
 
     def __init__(self, domain: Domain, service: str, node: str, type_name: str, type_hash: str) -> None:
         self.node = node
@@ -79,7 +69,6 @@ class ScriptedClient:
         self.endpoint = Client(domain.services, node, service, type_name, type_hash, self._take)
 
     def ask(self, content: bytes = b"") -> int:
-        """Make a call."""
         request = b"\0\1\0\0" + f"{self.node} {len(self.requests)} ".encode() + content
         number = self.endpoint.call(request)
         self.requests[number] = request
@@ -99,19 +88,11 @@ class ScriptedClient:
 
 
 def answer_to(request: bytes, node: str) -> bytes:
-    """Return the answer of a server's node to a request."""
     return b"\0\1\0\0you asked " + request + b", says " + node.encode()
 
 
-class CallHarness:
-    """The service of a robot's session.
-
-    Args:
-        spec: fields of its entry.
-
-    Attributes:
-        far: the provider's host.
-    """
+class CallHarness(Bed):
+    """The service of a robot's session."""
 
     def __init__(self, seed: int = 1, provider: str = "server", kind: str = "service", **spec: Any) -> None:
         self.world = World(seed, replace(STILL, topics=(0,)))
@@ -135,7 +116,6 @@ class CallHarness:
         type_name: str = TYPE,
         type_hash: str | None = None,
     ) -> ScriptedServer:
-        """A server on the providing side, or on the callers'."""
         host, name = (self.far, self.far_name) if far else (self.near, self.near_name)
         return ScriptedServer(
             host.domain,
@@ -149,7 +129,6 @@ class CallHarness:
     def client(
         self, node: str = "/client", *, suffix: str = "", type_name: str = TYPE, type_hash: str | None = None
     ) -> ScriptedClient:
-        """A client on the callers' side."""
         return ScriptedClient(
             self.near.domain,
             self.near_name + suffix,
@@ -180,14 +159,10 @@ class CallHarness:
 
     @property
     def offered(self) -> bool:
-        """Whether the bridge offers the service on the callers' side."""
         return any(each.node.startswith("/rsb_") for each in self.near.domain.services.servers[self.near_name])
 
     async def ready(self, client: ScriptedClient) -> None:
-        """Wait until the client sees a server."""
-        async with asyncio.timeout(30.0):
-            while not client.endpoint.ready:  # noqa: ASYNC110 — plain state of a simulated world
-                await asyncio.sleep(0.05)
+        await until(lambda: client.endpoint.ready, 30.0)
 
 
 def _half(host: EngineHost) -> CallsRoute:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from tests.simulation.action_invariants import in_flight, left_of_ended_calls
+from tests.simulation.action_invariants import in_flight, left_of_ended_calls, near_and_far, offered
 from tests.support.inside import pending_calls
 
 from rsb_bridge.route.calls.calling import CallingRoute
@@ -29,8 +29,6 @@ ANSWERED_WITHIN = 5.0
 
 
 class CallInvariants:
-    """Watches a world's services."""
-
     def __init__(self, world: World) -> None:
         self._world = world
         self._patience = world.conditions.patience
@@ -38,7 +36,6 @@ class CallInvariants:
         self._given_up: dict[ServiceFlow, int] = {}
 
     def check(self) -> None:
-        """Check everything once."""
         for run in self._world.runs():
             self._check_counts(run)
         for service in self._world.service_flows.values():
@@ -74,11 +71,11 @@ class CallInvariants:
     def _check_service(self, service: ServiceFlow) -> None:
         world, now = self._world, self._world.loop.time()
         robot = world.robot(service.robot)
-        near, far = _runs(world, robot, service)
+        near, far = near_and_far(world, service)
         link = _link(near, robot) if near is not None else None
-        if near is not None and (link is None or not link.linked) and _offered(near, service):
+        if near is not None and (link is None or not link.linked) and offered(near, service):
             world.wrong(f"{service}: it is offered, and the link is down")
-        if near is not None and service.server is None and not service.dead_is_seen and _offered(near, service):
+        if near is not None and service.server is None and not service.dead_is_seen and offered(near, service):
             gone = now - service.changed
             if gone > self._patience * WITHDRAWN_WITHIN and link is not None and not robot.troubles:
                 world.wrong(f"{service}: it is offered, though the server has been gone for {gone:.1f} s")
@@ -91,7 +88,7 @@ class CallInvariants:
         world, now = self._world, self._world.loop.time()
         began = (self._can_call.setdefault(service, now), service.changed, robot.commanded, world.clear_since(robot))
         waited = now - max(began)
-        if waited > self._patience * OFFERED_WITHIN and not _offered(near, service):
+        if waited > self._patience * OFFERED_WITHIN and not offered(near, service):
             world.wrong(f"{service}: it can be called for {waited:.1f} s, and is not offered; {world.said(service)}")
         given_up = sum(_given_up(link, service) for link in world.link_ends(robot) or ())
         if given_up != self._given_up.get(service):
@@ -111,26 +108,14 @@ class CallInvariants:
 
 
 def half_of(link: Link, service: ServiceFlow) -> CallsRoute | None:
-    """A link's half of a service's route."""
     for route in link.routes.values():
         if isinstance(route, CallsRoute) and route.topic == service.near_name:
             return route
     return None
 
 
-def _runs(world: World, robot: Robot, service: ServiceFlow) -> tuple[Run | None, Run | None]:
-    """The engines on the callers' and on the providing side."""
-    ends = robot.host.run, world.server.run
-    return ends if service.topic.direction == "transmit" else ends[::-1]
-
-
 def _link(run: Run, robot: Robot) -> Link | None:
     return next((link for link in run.links() if link.name == robot.name), None)
-
-
-def _offered(run: Run, service: ServiceFlow) -> bool:
-    node = f"/{run.node.node_name}"
-    return any(each.node == node for each in run.host.domain.services.servers[service.near_name])
 
 
 def _given_up(link: Link, service: ServiceFlow) -> int:

@@ -15,19 +15,13 @@ class Conditions:
     """The ranges from which a world's contents are drawn.
 
     Attributes:
-        robots: possible numbers of robots.
-        topics: possible numbers of topics in a robot's session.
-        services: possible numbers of services in it.
-        actions: possible numbers of actions in it.
         periods: s, between which the average time from one message of a topic to the next is.
-        latched: part of the topics that are latched.
         size: bytes of a message, at most, on average.
         faults: s from one fault of a robot to the next, on average, or 0 for no faults. Its topics have as many, and
             the server a fifth.
         commands: s from one command of an operator to the next, on average, or 0 for no commands.
         nights: part of the time that each robot is switched off, for hours: an engine that waits alone costs a tenth of
             one that is linked, so more days with faults can be lived in the same time.
-        checks: s, between which everything is checked.
         patience: how many times longer than usual everything may take: more where an engine is slowed down.
     """
 
@@ -80,6 +74,5 @@ _WITH_ACTIONS = 0.15
 
 
 def draw_conditions(random: Random) -> Conditions:
-    """Draw the conditions of a world."""
     conditions = random.choices((QUIET, LIVELY, STORM, FLEET), (4, 4, 2, 1))[0]
     return ACTIONS if random.random() < _WITH_ACTIONS else conditions

@@ -1,98 +1,46 @@
-"""Reports the simulated time of a run, its cost, and the numbers of faults, commands and checks."""
+"""Runs tests that are coroutines in simulated time.
+
+A coroutine that is a test lives in the world of its *bed*, a fixture: `harness`, `court`, `yard` or `edits`. The marker
+`bed` has the arguments that the bed is made of. The world's nodes and engines start before the test, and the world ends
+with it.
+"""
 
 from __future__ import annotations
 
-import time
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+import inspect
+from typing import Any
 
 import pytest
+from tests.simulation.beds import Bed, Yard
+from tests.simulation.call_harness import CallHarness
 
-if TYPE_CHECKING:
-    from collections.abc import Coroutine
-
-    from tests.simulation.world import World
-
-
-class Played(NamedTuple):
-    """A world that has been played.
-
-    Attributes:
-        simulated: s.
-        cpu: s, of this process.
-        real: s.
-    """
-
-    what: str
-    simulated: float
-    cpu: float
-    real: float
-    faults: int
-    commands: int
-    checks: int
-
-    def __str__(self) -> str:
-        return (
-            f"{self.simulated / 86_400:8.3f} days in {self.cpu:5.1f} s of CPU time, {self.real:5.1f} s: "
-            f"{self.faults:5,} faults, {self.commands:5,} commands, {self.checks:7,} checks  {self.what}"
-        )
+_PARAMETERS = ("seed", "provider", "lister")
+"""Of a test, and of its bed."""
 
 
-class Play(Protocol):
-    """Plays worlds, and notes what that cost."""
-
-    def __call__(self, world: World, seconds: float, *doings: Coroutine[None, None, None]) -> None:
-        """Play a world, as `World.play` does."""
-        ...
-
-
-_PLAYED = pytest.StashKey[list[Played]]()
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run a test that is a coroutine in the world of its bed."""
+    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+        return None
+    given = {name: pyfuncitem.funcargs[name] for name in inspect.signature(pyfuncitem.obj).parameters}
+    bed = next(each for each in given.values() if isinstance(each, Bed))
+    bed.world.play(life=bed.live(pyfuncitem.obj(**given)))
+    return True
 
 
 @pytest.fixture
-def play(request: pytest.FixtureRequest) -> Play:
-    """Plays a world."""
-    played = request.config.stash.setdefault(_PLAYED, [])
-
-    def play(world: World, seconds: float, *doings: Coroutine[None, None, None]) -> None:
-        cpu, real = time.process_time(), time.monotonic()
-        try:
-            world.play(seconds, *doings)
-        finally:
-            log = world.log
-            played.append(
-                Played(
-                    request.node.name,
-                    world.loop.time(),
-                    time.process_time() - cpu,
-                    time.monotonic() - real,
-                    log.faults.total(),
-                    log.commands.total(),
-                    world.invariants.checks,
-                )
-            )
-
-    return play
+def harness(request: pytest.FixtureRequest) -> CallHarness:
+    return CallHarness(**bed_of(request))
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Report a line for each test function, and the sum of all."""
-    played = config.stash.get(_PLAYED, [])
-    if not played:
-        return
-    by_test: dict[str, list[Played]] = {}
-    for each in played:
-        by_test.setdefault(each.what.partition("[")[0], []).append(each)
-    terminalreporter.section("simulated time")
-    for what, worlds in (*by_test.items(), ("in all", played)):
-        terminalreporter.write_line(str(Played(f"{what}: {len(worlds)}", *_sums(worlds))))
+@pytest.fixture
+def yard(request: pytest.FixtureRequest) -> Yard:
+    marker = request.node.get_closest_marker("bed")
+    return Yard(*marker.args if marker is not None else ())
 
 
-def _sums(worlds: list[Played]) -> tuple[float, float, float, int, int, int]:
-    return (
-        sum(each.simulated for each in worlds),
-        sum(each.cpu for each in worlds),
-        sum(each.real for each in worlds),
-        sum(each.faults for each in worlds),
-        sum(each.commands for each in worlds),
-        sum(each.checks for each in worlds),
-    )
+def bed_of(request: pytest.FixtureRequest) -> dict[str, Any]:
+    """Return the arguments that a test's marker `bed`, and its parameters, have for its bed."""
+    marker = request.node.get_closest_marker("bed")
+    given = {name: request.getfixturevalue(name) for name in _PARAMETERS if name in request.fixturenames}
+    return given | (marker.kwargs if marker is not None else {})

@@ -66,8 +66,6 @@ class _Queue(RosToLoopQueue):
 
 
 class _Events(EventLog):
-    """An event log that tells each event to the world as well."""
-
     def __init__(self, clock: Clock, told: Callable[[Level, EventCode, str, str], None]) -> None:
         super().__init__(clock)
         self._told = told
@@ -90,14 +88,7 @@ class EngineHost:
     """A computer, its ROS domain, and the session that its engine runs.
 
     Attributes:
-        name: in failures, and of the machine.
         session: what the next engine will run.
-        keys: by client's name.
-        run: the running engine, or None.
-        on_run: told of each engine that begins to run.
-        on_end: told of each engine that is about to end.
-        on_event: told of each event.
-        on_leak: told of what an engine leaves open when it stops.
     """
 
     def __init__(self, network: Network, name: str, address: str, random: Random) -> None:
@@ -115,7 +106,6 @@ class EngineHost:
         self.random = random
 
     def start(self) -> Run:
-        """Run an engine."""
         assert self.run is None, f"{self.name} runs one"
         run = self.run = Run(self)
         self.on_run(run)
@@ -123,20 +113,17 @@ class EngineHost:
         return run
 
     async def stop(self) -> None:
-        """Stop the engine as an operator does."""
         run = self._ending()
         if run is not None:
             await run.stop()
 
     def kill(self) -> None:
-        """End the engine's process as kill -9 does."""
         run = self._ending()
         if run is not None:
             run.process.kill()
             run.die()
 
     def power_off(self) -> None:
-        """Switch the machine off at the wall."""
         run = self._ending()
         self.machine.power_off()
         if run is not None:
@@ -150,14 +137,7 @@ class EngineHost:
 
 
 class Run:
-    """One engine process.
-
-    Attributes:
-        process: as its kernel knows it.
-        node: in its ROS domain.
-        began: s, when.
-        over: whether it was stopped or died.
-    """
+    """One engine process."""
 
     def __init__(self, host: EngineHost) -> None:
         self.host = host
@@ -187,7 +167,6 @@ class Run:
         return Bridge(context, host.keys, _Snapshots(blank, self.events, host.clock))
 
     def begin(self) -> None:
-        """Start the engine."""
         self._task = self.loop.create_task(self._main(), context=self.process.context)
 
     async def _main(self) -> None:
@@ -198,7 +177,6 @@ class Run:
             self.bridge.context.transports.close()
 
     def links(self) -> list[Link]:
-        """Its links."""
         return self.bridge.links()
 
     async def command(self, work: Coroutine[None, None, T], who: str = "") -> T | None:
@@ -232,7 +210,6 @@ class Run:
         return result
 
     async def stop(self) -> None:
-        """Stop, and leave nothing behind."""
         self.over = True
         assert self._task is not None
         self.bridge.stop()

@@ -40,7 +40,6 @@ async def tunnelled(world: World, seconds: float, speed: float = 5_000.0, fresh_
     """A robot's only way is a tunnel that carries a third of what its topics bring, and has room for minutes of it.
 
     Args:
-        speed: bytes/s.
         fresh_within: s, the greatest age of a message on arrival.
     """
     (robot,) = world.robots
@@ -64,11 +63,7 @@ async def tunnelled(world: World, seconds: float, speed: float = 5_000.0, fresh_
 
 
 async def delayed(world: World, seconds: float, delay: float = 3.0) -> None:
-    """Everything between a robot and the server takes some seconds, as through a satellite or a buffer on the way.
-
-    Args:
-        delay: s, each way.
-    """
+    """Everything between a robot and the server takes some seconds, as through a satellite or a buffer on the way."""
     (robot,) = world.robots
     await asyncio.sleep(20.0)
     for flow in robot.topic_flows:
@@ -160,7 +155,6 @@ async def _pause_all(world: World, *, paused: bool) -> None:
 
 
 async def server_restarts(world: World, times: int) -> None:
-    """The server is stopped as an operator does it, and started again."""
     for _ in range(times):
         await asyncio.sleep(60.0)
         with world.trouble("server stopped", *world.robots):
@@ -191,7 +185,6 @@ async def shut_down_for(world: World, seconds: float, *, cuts: int) -> None:
 
 
 async def client_restarts(world: World, times: int) -> None:
-    """A robot's engine is stopped as an operator does it, and started again."""
     robot = world.robots[0]
     for _ in range(times):
         await asyncio.sleep(60.0)

@@ -60,7 +60,6 @@ async def cut(world: World, robot: Robot, random: Random) -> None:
 
 
 async def cut_one_way(world: World, robot: Robot, random: Random) -> None:
-    """Cut one direction only."""
     ends = [robot.host.machine, world.server.machine]
     random.shuffle(ends)
     with world.trouble("one-way cut", robot):
@@ -70,7 +69,6 @@ async def cut_one_way(world: World, robot: Robot, random: Random) -> None:
 
 
 async def flap(world: World, robot: Robot, random: Random) -> None:
-    """The network comes and goes every 3 s."""
     with world.trouble("flapping", robot):
         for _ in range(random.randrange(3, 40)):
             world.network.cut(robot.host.machine, world.server.machine)
@@ -97,7 +95,6 @@ async def bad_network(world: World, robot: Robot, random: Random) -> None:
 
 
 async def refused(world: World, robot: Robot, random: Random) -> None:
-    """A firewall at the server refuses connections."""
     with world.trouble("refused connects", *world.robots):
         world.server.machine.refuses = True
         world.network.cut(robot.host.machine, world.server.machine)
@@ -136,7 +133,6 @@ async def move(world: World, robot: Robot, random: Random) -> None:
 
 
 async def kill(world: World, robot: Robot, random: Random) -> None:
-    """The robot's engine is killed, and started again."""
     with world.trouble("client killed", robot):
         robot.host.kill()
         await asyncio.sleep(random.choice((0.0, duration(random))))
@@ -144,7 +140,6 @@ async def kill(world: World, robot: Robot, random: Random) -> None:
 
 
 async def power_cut(world: World, robot: Robot, random: Random) -> None:
-    """The robot is switched off, and on again."""
     with world.trouble("client switched off", robot):
         robot.host.power_off()
         await asyncio.sleep(duration(random))
@@ -154,7 +149,6 @@ async def power_cut(world: World, robot: Robot, random: Random) -> None:
 
 
 async def night(world: World, robot: Robot, random: Random) -> None:
-    """The robot is switched off for hours, and on again."""
     with world.trouble("client switched off for the night", robot):
         await robot.host.stop()
         robot.host.power_off()
@@ -164,7 +158,6 @@ async def night(world: World, robot: Robot, random: Random) -> None:
 
 
 async def upgrade(world: World, robot: Robot, random: Random) -> None:
-    """The robot's engine is stopped in good order, and started again, while the others run."""
     with world.trouble("client restarted", robot):
         await robot.host.stop()
         await asyncio.sleep(duration(random))
@@ -201,7 +194,6 @@ async def wrong_key(world: World, robot: Robot, random: Random) -> None:
 
 
 async def server_killed(world: World, random: Random) -> None:
-    """The server's engine is killed, and started again."""
     with world.trouble("server killed", *world.robots):
         world.server.kill()
         await asyncio.sleep(random.choice((0.0, duration(random))))
@@ -209,7 +201,6 @@ async def server_killed(world: World, random: Random) -> None:
 
 
 async def server_off(world: World, random: Random) -> None:
-    """The server is switched off, and on again."""
     with world.trouble("server switched off", *world.robots):
         world.server.power_off()
         await asyncio.sleep(duration(random))
@@ -219,7 +210,6 @@ async def server_off(world: World, random: Random) -> None:
 
 
 async def server_upgrade(world: World, random: Random) -> None:
-    """The server's engine is stopped in good order, and started again, while the clients run."""
     with world.trouble("server restarted", *world.robots):
         await world.server.stop()
         await asyncio.sleep(duration(random))
@@ -241,7 +231,6 @@ def _set_clock(world: World, host: EngineHost, random: Random) -> None:
 
 
 async def publisher_gone(world: World, flow: TopicFlow, random: Random) -> None:
-    """A node that publishes ends, and is started again."""
     with world.flow_trouble(flow, "publisher gone"):
         flow.vanish()
         await asyncio.sleep(duration(random))
@@ -249,7 +238,6 @@ async def publisher_gone(world: World, flow: TopicFlow, random: Random) -> None:
 
 
 async def listener_gone(world: World, flow: TopicFlow, random: Random) -> None:
-    """A node that subscribes ends, and is started again."""
     with world.flow_trouble(flow, "listener gone"):
         flow.deafen()
         await asyncio.sleep(duration(random))
@@ -257,7 +245,6 @@ async def listener_gone(world: World, flow: TopicFlow, random: Random) -> None:
 
 
 async def type_differs(world: World, flow: TopicFlow, random: Random) -> None:
-    """The two sides have different versions of a type installed, for long."""
     with world.flow_trouble(flow, "type differs"):
         flow.update_listener(1)
         await asyncio.sleep(random.choice((duration(random), random.uniform(0.1, 4.0) * _HOUR)))
@@ -272,7 +259,6 @@ async def take_fails(world: World, flow: TopicFlow, random: Random) -> None:
 
 
 async def server_ends(world: World, service: ServiceFlow | ActionFlow, random: Random) -> None:
-    """A node that serves ends, and is started again."""
     with world.flow_trouble(service, "server gone"):
         service.vanish()
         await asyncio.sleep(duration(random))
@@ -297,7 +283,6 @@ async def server_hesitates(world: World, service: ServiceFlow | ActionFlow, rand
 
 
 async def caller_restarts(world: World, service: ServiceFlow | ActionFlow, random: Random) -> None:
-    """Restart a calling node while its calls are in flight."""
     world.log.fault("caller restarts")
     service.call()
     await asyncio.sleep(random.uniform(0.0, 1.0))

@@ -33,14 +33,8 @@ class Flow:
     """One entry of a session, with its nodes.
 
     Attributes:
-        number: of the flow, among those of its kind.
-        topic: the entry in the client's session.
-        robot: the client's name.
         near: the domain of the publisher, or of the callers.
         far: the domain of the listener, or of the server.
-        near_name: the name of the topic, service or action in `near`.
-        far_name: its name in `far`.
-        changed: s, time of the last change to its nodes.
         troubles: reasons why it may be interrupted, with how often each applies.
     """
 
@@ -59,13 +53,7 @@ class Flow:
         """Make it, without any node.
 
         Args:
-            number: of the flow, among those of its kind.
-            topic: the entry in the client's session.
-            robot: the client's name.
-            ends: the near and the far domain.
-            random: decides times and sizes.
             period: s from one message, call or goal to the next, on average.
-            on_wrong: called with a description of each error.
         """
         self.number = number
         self.topic = topic
@@ -84,19 +72,11 @@ class Flow:
         self._loop.call_later(seconds, doing, *args, context=_OF_NOBODY)
 
     def _soon_again(self, doing: Callable[..., object], *args: Any) -> None:
-        """Do something after about a period."""
         self._later(self.period * self._random.uniform(0.5, 1.5), doing, *args)
 
 
 class CallFlow(Flow, Generic[S]):
-    """A service or an action, with its clients and its server.
-
-    Attributes:
-        near_services: the names of all services that it consists of, in `near`.
-        far_services: the names of these in `far`.
-        server: the running server, or None.
-        answered: answers that reached their callers.
-    """
+    """A service or an action, with its clients and its server."""
 
     near_services: list[str]
     far_services: list[str]
@@ -112,11 +92,9 @@ class CallFlow(Flow, Generic[S]):
         raise NotImplementedError
 
     def call(self) -> None:
-        """Start a new client in place of the previous one."""
         raise NotImplementedError
 
     def appear(self) -> None:
-        """Start a server, unless one runs."""
         if self.server is None:
             self.changed = self._loop.time()
             self.server = self._new_server()
@@ -131,7 +109,6 @@ class CallFlow(Flow, Generic[S]):
 
     @property
     def dead_is_seen(self) -> bool:
-        """Whether a killed server is still visible to other nodes."""
         self._dead = [each for each in self._dead if each.seen]
         return bool(self._dead)
 

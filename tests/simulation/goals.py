@@ -16,8 +16,6 @@ class Asked:
 
     Attributes:
         at: s, time of the last request, or None before the first.
-        servers: that got this request.
-        done: whether it is answered.
     """
 
     at: float | None = None
@@ -35,19 +33,12 @@ class Goal:
     """A goal's state at its client and its server.
 
     Attributes:
-        plan: what its server does with it.
-        sent: s, when its client sent it.
         client: the number of its client's life.
-        server: that accepted it, or None.
         arrived: times that it came to a server.
         state: in which it ended there, or empty while it runs.
         ended: s, when that was.
         told: whether its client got "accepted" or "rejected", or None before the answer.
         result: the state that reached its client, or empty before that.
-        cancelled: whether a cancel reached its server.
-        fed: the last feedback that its client heard.
-        cancel: its client's request for a cancel, or None.
-        asks: its client's request for the result, or None.
     """
 
     id: bytes
@@ -70,5 +61,4 @@ class Goal:
 
     @property
     def is_over(self) -> bool:
-        """Whether its client waits for nothing any more."""
         return self.told is False or bool(self.result)

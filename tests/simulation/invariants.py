@@ -68,9 +68,7 @@ class Invariants:
     """Watches a world.
 
     Attributes:
-        checks: how often everything was looked at.
         worst_recovery: s, the longest that a robot took to be linked once it could be.
-        actions: what must hold of actions.
     """
 
     def __init__(self, world: World) -> None:
@@ -88,7 +86,6 @@ class Invariants:
         self.actions = ActionInvariants(world)
 
     async def watch(self) -> None:
-        """Check everything, again and again."""
         while True:
             await asyncio.sleep(self._random.uniform(*self._world.conditions.checks))
             self.check()
@@ -180,7 +177,6 @@ class Invariants:
             world.wrong(f"{robot.name} and the server disagree on which routes there are, and paused: {wrong}")
 
     def _check_topic(self, robot: Robot, flow: TopicFlow) -> None:
-        """A topic that can flow flows."""
         world, now = self._world, self._world.loop.time()
         if not self._can_flow_now(robot, flow):
             self._can_flow.pop(flow, None)
@@ -338,7 +334,6 @@ class Invariants:
 
 
 def route_of(link: Link, flow: TopicFlow) -> Route | None:
-    """A link's route that carries a flow."""
     for route in link.routes.values():
         if route.topic == flow.near_name and route.from_client == (flow.topic.direction == "transmit"):
             return route

@@ -43,21 +43,13 @@ class Livelock(Exception):  # noqa: N818 — it says how things are
 
 
 class Program(Protocol):
-    """The loop's view of a running program (`tests.simulation.machine.Process`).
-
-    Attributes:
-        alive: whether it has not ended.
-    """
+    """The loop's view of a running program (`tests.simulation.machine.Process`)."""
 
     alive: bool
 
-    def getaddrinfo(self, host: str | None, port: int | None, kind: int) -> list[tuple[Any, ...]]:
-        """Look a name up."""
-        ...
+    def getaddrinfo(self, host: str | None, port: int | None, kind: int) -> list[tuple[Any, ...]]: ...
 
-    def add_task(self, task: asyncio.Task[Any]) -> None:
-        """One of its tasks begins."""
-        ...
+    def add_task(self, task: asyncio.Task[Any]) -> None: ...
 
 
 PROGRAM: contextvars.ContextVar[Program] = contextvars.ContextVar("program")
@@ -105,7 +97,6 @@ class Timer(asyncio.TimerHandle):
         return self._when
 
     def program(self) -> Program | None:
-        """The program that it belongs to."""
         return self.context.get(PROGRAM)
 
 
@@ -115,15 +106,10 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
     Attributes:
         on_error: called with what asyncio tells an exception handler: an exception that nobody caught. By default the
             loop stops and raises it.
-        callbacks: how many have run.
     """
 
     def __init__(self, random: Random) -> None:
-        """Begin at time 0 s.
-
-        Args:
-            random: for how long an executor takes.
-        """
+        """Begin at time 0 s."""
         self.on_error: Callable[[dict[str, Any]], None] = self._fail
         self.callbacks = 0
         self._random = random
@@ -174,7 +160,6 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
             self._cancelled_timers = 0
 
     def timers(self) -> list[Timer]:
-        """The timers that are set."""
         return [handle for _, _, handle in self._timers if not handle.cancelled()]
 
     # --- running
@@ -247,11 +232,9 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
                 self.call_exception_handler({"message": f"exception in {handle.callback}", "exception": error})
 
     def freeze(self, program: Program) -> None:
-        """Have nothing of a program run, as SIGSTOP does."""
         self._frozen.setdefault(program, [])
 
     def is_frozen(self, program: Program) -> bool:
-        """Whether nothing of a program runs."""
         return program in self._frozen
 
     def thaw(self, program: Program, *, reads_first: bool) -> None:

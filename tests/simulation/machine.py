@@ -24,11 +24,7 @@ _FIRST_EPHEMERAL, _EPHEMERAL_PORTS = 32_768, 28_000
 
 
 class Descriptor(Protocol):
-    """A socket or connection of a process."""
-
-    def killed(self) -> None:
-        """Its process was killed: the kernel closes it."""
-        ...
+    def killed(self) -> None: ...
 
     def vanished(self) -> None:
         """Its machine lost its power: nobody closes it."""
@@ -39,12 +35,9 @@ class Machine:
     """A computer: its address, its ports, and whether it is switched on.
 
     Attributes:
-        address: its IPv4 address.
         off_at: s, when it was switched off, or None while it is on.
         stream_buffer: bytes of a stream that its kernel takes before the peer's has acknowledged them.
         receive_buffer: bytes of datagrams that its kernel keeps for a socket (net.core.rmem_max).
-        refuses: whether its firewall refuses connections.
-        bound: sockets by their type and port.
     """
 
     def __init__(self, name: str, network: Network, address: str) -> None:
@@ -62,14 +55,12 @@ class Machine:
 
     @property
     def up(self) -> bool:
-        """Whether it is switched on."""
         return self.off_at is None
 
     def __repr__(self) -> str:
         return f"<{self.name} {self.address}>"
 
     def free_port(self, kind: int) -> int:
-        """A port that no socket of that type has had for long."""
         while True:
             self._last_port = (self._last_port + 1) % _EPHEMERAL_PORTS
             port = _FIRST_EPHEMERAL + self._last_port
@@ -77,7 +68,6 @@ class Machine:
                 return port
 
     def move(self, address: str) -> None:
-        """Get another address. Connections from the old one hear nothing any more."""
         self.network.leave(self.address)
         self.address = address
         self.network.join(self, address)
@@ -89,7 +79,6 @@ class Machine:
             process.end(lambda descriptor: descriptor.vanished())
 
     def power_on(self) -> None:
-        """Be there again, with nothing running."""
         self.off_at = None
         self.network.woke(self)
 
@@ -98,12 +87,8 @@ class Process:
     """One run of a program, as its kernel knows it.
 
     Attributes:
-        network: its machine's.
-        loop: the world's.
         context: to run its code in; tasks and timers inherit it.
-        descriptors: its sockets and connections.
         failed: tasks that raised an exception, and when (s).
-        most_descriptors: as `ulimit -n` has it.
         alive: whether it has not been killed. Tasks of a killed process may still run, but reach nobody.
     """
 
@@ -131,7 +116,6 @@ class Process:
         return left
 
     def end(self, free: Callable[[Descriptor], None]) -> None:
-        """End at once, and free each descriptor in some way."""
         if self.alive:
             self.alive = False
             self.machine.processes.remove(self)
@@ -140,7 +124,6 @@ class Process:
             self.descriptors.clear()
 
     def add_task(self, task: asyncio.Task[Any]) -> None:
-        """One of its tasks begins."""
         self.tasks[task] = None
         task.add_done_callback(self._task_ended)
 
@@ -167,5 +150,4 @@ class Process:
 
 
 def os_error(number: int) -> OSError:
-    """The error that a system call fails with."""
     return OSError(number, os.strerror(number))

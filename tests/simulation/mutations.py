@@ -54,8 +54,6 @@ class Mutation(NamedTuple):
     Attributes:
         changes: what is put in the place of which attribute of which class or module.
         finds: part of the violation, a regular expression.
-        hours: that the world lives, at most.
-        doing: what is made to happen in it.
     """
 
     what: str
@@ -76,7 +74,6 @@ class Mutation(NamedTuple):
 
 
 def _overflowing(self: Any, at_most: float = float("inf")) -> float:
-    """Replace `Backoff.next` by its old form, which raises OverflowError from the 1,025th attempt on."""
     self.attempts = getattr(self, "attempts", 0) + 1
     delay: float = min(at_most, self._longest, 0.5 * 2 ** (self.attempts - 1))
     return delay
@@ -172,7 +169,7 @@ _propose = replaced.PROPOSE_ROUTE.value
 _no_limit = property(lambda _: 1 << 60, lambda *_: None)
 
 
-def _nothing(*_: object, **__: object) -> None:
+def nothing(*_: object, **__: object) -> None:
     """Do nothing, in place of the work that a mutation leaves out."""
 
 
@@ -239,7 +236,7 @@ MUTATIONS = (
     ),
     Mutation(
         "the ids of routes that were closed are never forgotten",
-        ((RouteIds, "closed", _nothing),),
+        ((RouteIds, "closed", nothing),),
         "_by_id", STILL, 1, 3.0, _differs,
     ),
     Mutation(
@@ -249,7 +246,7 @@ MUTATIONS = (
     ),
     Mutation(
         "a stream is not closed with its link",
-        ((DataStream, "end", _nothing),),
+        ((DataStream, "end", nothing),),
         "left open", STORM, 2, 2.0,
     ),
     Mutation(
@@ -264,17 +261,17 @@ MUTATIONS = (
     ),
     Mutation(
         "a silent peer is not given up",
-        ((Keepalive, "watch", _nothing),),
+        ((Keepalive, "watch", nothing),),
         "seems linked", STORM, 4, 1.0,
     ),
     Mutation(
         "UDP sockets of links that are down are not closed",
-        ((UdpChannel, "close", _nothing),),
+        ((UdpChannel, "close", nothing),),
         "left open", STORM, 3, 2.0,
     ),
     Mutation(
         "what the other side makes of a topic is not taken in",
-        ((CombinedVerdict, "take", _nothing),),
+        ((CombinedVerdict, "take", nothing),),
         "do not agree on", _SILENT, 1, 0.5,
     ),
     Mutation(
@@ -289,7 +286,7 @@ MUTATIONS = (
     ),
     Mutation(
         "messages that are late are taken for ok",
-        ((LateWatch, "tick", _nothing),),
+        ((LateWatch, "tick", nothing),),
         "shows it as ok", _WATCHED, 1, 0.05, _delay,
     ),
     Mutation(
@@ -304,7 +301,7 @@ MUTATIONS = (
     ),
     Mutation(
         "a service is still offered when the link is down",
-        ((CallingRoute, "_withdraw", _nothing),),
+        ((CallingRoute, "_withdraw", nothing),),
         "without a link|and the link is down", CALLS, 1, 1.0,
     ),
     Mutation(
@@ -319,7 +316,7 @@ MUTATIONS = (
     ),
     Mutation(
         "who waits for a result is given up when the link drops",
-        ((CallerAction, "keep", _nothing),),
+        ((CallerAction, "keep", nothing),),
         "waits for its result", _GOALS, 1, 0.05, cancelled_while_cut,
     ),
     Mutation(
@@ -339,12 +336,12 @@ MUTATIONS = (
     ),
     Mutation(
         "a call that waited for the action to be reached again is not counted when it is given up",
-        ((CallingRoute, "_give_up_waiting", _nothing),),
+        ((CallingRoute, "_give_up_waiting", nothing),),
         "calls in flight, and has", replace(ACTIONS, faults=20.0), 4, 0.2,
     ),
     Mutation(
         "a call that waits for a goal's answer is not forgotten with its opening",
-        ((KeptAnswers, "is_over", _nothing),),
+        ((KeptAnswers, "is_over", nothing),),
         "of calls that are over", replace(ACTIONS, faults=20.0), 4, 0.1,
     ),
 )

@@ -29,10 +29,7 @@ class Path:
     Attributes:
         latency: s, between which each packet takes; datagrams overtake each other within it.
         loss: part of the datagrams that are lost; a stream's bytes come 0.2 s later instead.
-        duplicates: part of the datagrams that come twice.
         bandwidth: bytes/s, or None for no limit.
-        mtu: bytes of the largest packet.
-        cut_at: s, when it was cut, or None.
     """
 
     latency: tuple[float, float] = _GOOD
@@ -75,8 +72,6 @@ class Network:
     """All machines, the paths between them, and the names that they have.
 
     Attributes:
-        loop: the world's.
-        random: decides what each packet meets.
         names: the addresses that name servers give, or None if they do not answer. They do not know names that are
             missing.
     """

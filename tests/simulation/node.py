@@ -20,20 +20,7 @@ if TYPE_CHECKING:
 
 
 class Node:
-    """The engine's node in a domain: `rsb_bridge.ros.ros_interface.RosInterface`.
-
-    Attributes:
-        instance_id: as a real node's.
-        node_name: as a real node's.
-        turns: as a real node's, whose thread is the loop's.
-        shortfalls: as a real node's.
-        writers: what it publishes with.
-        readers: what it subscribes with.
-        servers_of_ours: what it serves with.
-        clients_of_ours: what it calls with.
-        on_writer: told of each publisher made.
-        on_reader: told of each subscription made.
-    """
+    """The engine's node in a domain: `rsb_bridge.ros.ros_interface.RosInterface`."""
 
     def __init__(self, domain: Domain, name: str, instance_id: str) -> None:
         self.instance_id = instance_id

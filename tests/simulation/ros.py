@@ -54,23 +54,14 @@ class Domain:
     """One ROS domain.
 
     Attributes:
-        loop: the world's.
-        random: how long discovery and taking take.
         taking: s, between which messages wait until they are taken: more where the ROS thread is busy.
         installed: hash by type name, of the types that nodes here were built with.
         written: what makes a message of a type from its fields, for the types that engines here write themselves.
         numbers: whether messages carry their publisher's numbers, which some middleware does not give.
-        services: its servers and clients.
     """
 
     def __init__(self, loop: SimulatedLoop, random: Random, wall_ns: Callable[[], int]) -> None:
-        """Make an empty one.
-
-        Args:
-            loop: the world's.
-            random: how long discovery and taking take.
-            wall_ns: the wall clock of the machine.
-        """
+        """Make an empty one."""
         self.loop = loop
         self.random = random
         self.wall_ns = wall_ns
@@ -182,11 +173,7 @@ class Writer:
     """A publisher of any node's: `rsb_bridge.ros.ros_interface.Publisher`.
 
     Attributes:
-        node: its node's name.
-        seen_qos: as others see it: without the depth.
-        matched: the subscriptions that it reaches.
         kept: its messages for subscriptions that come later.
-        on_publish: told of each message.
     """
 
     def __init__(
@@ -246,8 +233,6 @@ class Reader:
     """A subscription of any node's: `rsb_bridge.ros.ros_interface.Subscription`.
 
     Attributes:
-        node: its node's name.
-        seen_qos: as others see it: without the depth.
         lost: messages that came and could not be kept until they were taken.
         on_take: told of each batch, before the sink.
         stalled: whether the taking thread is stopped; arriving messages are kept as usual.

@@ -29,7 +29,6 @@ class Label(NamedTuple):
 
     Attributes:
         caller: the number of the client that asked, among all that the service has had.
-        number: of the call, as the client counts.
     """
 
     service: int
@@ -38,11 +37,7 @@ class Label(NamedTuple):
 
 
 class ServiceFlow(CallFlow[Server]):
-    """A service, with its callers and its server.
-
-    Attributes:
-        last_answered: s, when the last answer arrived.
-    """
+    """A service, with its callers and its server."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)

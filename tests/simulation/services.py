@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from tests.simulation.ros import Domain
 
-    from rsb_bridge.ros.ros_interface import OnFailure, RequestSink, ResponseSink
+    from rsb_bridge.ros.ros_interface import OnFailure
 
 SEEN = Qos(depth=0)
 """What others see of a server's or a client's policies."""
@@ -110,7 +110,7 @@ class _End(Generic[T]):
         type_name: str,
         type_hash: str,
         sink: Callable[[Sequence[T]], None],
-        on_failure: OnFailure | None,
+        on_failure: OnFailure | None = None,
     ) -> None:
         self.gid = services.domain.new_gid()
         self.node = node
@@ -125,6 +125,8 @@ class _End(Generic[T]):
         self._pending: deque[T] = deque()
         self._draining = False
         self._context = contextvars.copy_context()
+        self.matched: dict[Server, None] = {}  # of a client: the servers that its calls reach
+        services.add(self)  # type: ignore[arg-type]
 
     def put(self, each: T) -> None:
         """A request or a response came."""
@@ -167,19 +169,6 @@ class _End(Generic[T]):
 class Server(_End[Request]):
     """A server of any node's: `rsb_bridge.ros.ros_interface.ServiceServer`."""
 
-    def __init__(
-        self,
-        services: Services,
-        node: str,
-        service: str,
-        type_name: str,
-        type_hash: str,
-        sink: RequestSink,
-        on_failure: OnFailure | None = None,
-    ) -> None:
-        super().__init__(services, node, service, type_name, type_hash, sink, on_failure)
-        services.add(self)
-
     @property
     def seen(self) -> bool:
         """Whether other nodes see it."""
@@ -191,26 +180,9 @@ class Server(_End[Request]):
 
 
 class Client(_End[Response]):
-    """A client of any node's: `rsb_bridge.ros.ros_interface.ServiceClient`.
+    """A client of any node's: `rsb_bridge.ros.ros_interface.ServiceClient`."""
 
-    Attributes:
-        matched: the servers that its calls reach.
-    """
-
-    def __init__(
-        self,
-        services: Services,
-        node: str,
-        service: str,
-        type_name: str,
-        type_hash: str,
-        sink: ResponseSink,
-        on_failure: OnFailure | None = None,
-    ) -> None:
-        super().__init__(services, node, service, type_name, type_hash, sink, on_failure)
-        self.matched: dict[Server, None] = {}
-        self.called = 0
-        services.add(self)
+    called = 0
 
     @property
     def ready(self) -> bool:

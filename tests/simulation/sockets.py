@@ -41,11 +41,7 @@ _TRANSPORTS = ("rsb_bridge.transport.", "aiohappyeyeballs.")
 
 
 class Socket:
-    """A socket: for datagrams, to accept streams, or a stream's until it is handed to a transport.
-
-    Attributes:
-        options: by name, as far as they were set.
-    """
+    """A socket: for datagrams, to accept streams, or a stream's until it is handed to a transport."""
 
     def __init__(
         self,

@@ -36,8 +36,6 @@ class _Segment:
 
     Attributes:
         pieces: as they were written, or None for the end of the stream.
-        size: bytes.
-        sent: s, when.
     """
 
     __slots__ = ("pieces", "sent", "size")
@@ -49,11 +47,7 @@ class _Segment:
 
 
 class StreamTransport(asyncio.Transport):
-    """One end of a connection: the asyncio transport and the kernel's half under it.
-
-    Attributes:
-        process: whose end it is.
-    """
+    """One end of a connection: the asyncio transport and the kernel's half under it."""
 
     peer: StreamTransport
 

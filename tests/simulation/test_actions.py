@@ -13,7 +13,9 @@ import pytest
 from tests.simulation import faults
 from tests.simulation.action_invariants import halves_of, left_at_rest, said
 from tests.simulation.action_server import Plan
+from tests.simulation.beds import Bed, until
 from tests.simulation.conditions import STILL
+from tests.simulation.conftest import bed_of
 from tests.simulation.services import Server
 from tests.simulation.world import World
 from tests.support import constants, replaced
@@ -27,7 +29,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator
 
     from tests.simulation.action_flow import ActionFlow
-    from tests.simulation.conftest import Play
     from tests.simulation.engine_host import EngineHost
     from tests.simulation.goals import Goal
 
@@ -38,16 +39,11 @@ _SETTLED = 60.0
 SIDES = ("server", "client")
 
 
-class Court:
+class Court(Bed):
     """One action of a robot's session, its server and its client.
 
     Args:
         provider: which side has the server.
-
-    Attributes:
-        world: in which it is.
-        near: the client's computer.
-        far: the server's.
     """
 
     def __init__(self, provider: str, seed: int = 1, **spec: Any) -> None:
@@ -61,8 +57,20 @@ class Court:
         self.near, self.far = ends if provider == "server" else ends[::-1]
 
     async def begin(self) -> None:
-        """Wait until the client sees a server."""
         await until(lambda: self.action.ready, 30.0)
+
+    async def live(self, life: Coroutine[None, None, None]) -> None:
+        """Run a test, and wait until everything that it leaves behind is forgotten."""
+        with short_interruptions():
+            await super().live(life)
+            self.action.rest()
+            await until(lambda: not self.action.goes_on, 250.0)
+            await asyncio.sleep(_HOUR + kept_calls.SENT_KEPT + 10.0)
+            halves = halves_of(self.world, self.action)
+            assert len(halves) == 2
+            for half in halves:
+                if left := left_at_rest(half):
+                    self.world.wrong(f"at rest, {half.key} still has {left}; {said(self.world, self.action)}")
 
     async def goal(self, **plan: Any) -> Goal:
         """Send a goal that is accepted."""
@@ -88,13 +96,6 @@ class Court:
             host.start()
 
 
-async def until(condition: Callable[[], object], within: float) -> None:
-    """Wait for something, with a deadline."""
-    async with asyncio.timeout(within):
-        while not condition():  # noqa: ASYNC110 — plain state of a simulated world
-            await asyncio.sleep(0.05)
-
-
 @contextlib.contextmanager
 def short_interruptions() -> Iterator[None]:
     """Shorten the hour for which goals outlive an interruption to minutes."""
@@ -105,181 +106,127 @@ def short_interruptions() -> Iterator[None]:
         yield
 
 
-def lived(play: Play, court: Court, life: Coroutine[None, None, None], seconds: float = 500.0) -> None:
-    """Play a world until a life is over and everything that it leaves behind is forgotten."""
-    over: list[bool] = []
-
-    async def live() -> None:
-        await court.begin()
-        await life
-        court.action.rest()
-        await until(lambda: not court.action.goes_on, 250.0)
-        await asyncio.sleep(_HOUR + kept_calls.SENT_KEPT + 10.0)
-        halves = halves_of(court.world, court.action)
-        assert len(halves) == 2
-        for half in halves:
-            if left := left_at_rest(half):
-                court.world.wrong(f"at rest, {half.key} still has {left}; {said(court.world, court.action)}")
-        over.append(True)
-
-    async def guarded() -> None:
-        try:
-            await live()
-        except Exception as error:  # noqa: BLE001 — its failure is the test's
-            court.world.loop.fail(error)
-
-    with short_interruptions():
-        play(court.world, seconds, guarded())
-    assert over, "it has not come to an end"
+@pytest.fixture
+def court(request: pytest.FixtureRequest) -> Court:
+    return Court(**bed_of(request))
 
 
 @pytest.mark.parametrize("provider", SIDES)
-def test_a_goal_that_was_accepted_goes_on_over_a_cut(provider: str, play: Play) -> None:
+async def test_a_goal_that_was_accepted_goes_on_over_a_cut(provider: str, court: Court) -> None:
     """Its result is there though the action server forgets it after 10 s; another's is not taken for it."""
-    court = Court(provider)
-
-    async def live() -> None:
-        goals = [await court.goal(runs=runs, state=state) for runs, state in ((3.0, "aborted"), (50.0, "succeeded"))]
-        with court.cut():
-            await asyncio.sleep(40.0)
-            assert [each.state for each in goals] == ["aborted", ""]
-            assert not goals[0].result
-            assert not court.action.server.remembers(goals[0].id)  # type: ignore[union-attr]
-        await until(lambda: goals[0].result, 15.0)
-        await until(lambda: goals[1].result, 30.0)
-        assert [each.result for each in goals] == ["aborted", "succeeded"]
-
-    lived(play, court, live())
+    goals = [await court.goal(runs=runs, state=state) for runs, state in ((3.0, "aborted"), (50.0, "succeeded"))]
+    with court.cut():
+        await asyncio.sleep(40.0)
+        assert [each.state for each in goals] == ["aborted", ""]
+        assert not goals[0].result
+        assert not court.action.server.remembers(goals[0].id)  # type: ignore[union-attr]
+    await until(lambda: goals[0].result, 15.0)
+    await until(lambda: goals[1].result, 30.0)
+    assert [each.result for each in goals] == ["aborted", "succeeded"]
 
 
 @pytest.mark.parametrize("provider", SIDES)
-def test_a_cancel_of_the_cut_comes_before_anything_else(provider: str, play: Play) -> None:
-    court = Court(provider)
-
-    async def live() -> None:
-        first, second = await court.goal(runs=300.0), await court.goal(runs=100.0)
-        with court.cut():
-            await asyncio.sleep(10.0)
-            assert court.action.send() is None, "nobody can send a goal now"
-            court.action.cancel(first)
-            await asyncio.sleep(20.0)
-            assert not first.cancelled
-        await until(lambda: court.action.ready, 15.0)
-        third = court.action.send()
-        await until(lambda: first.result and third and third.told, 5.0)
-        assert first.result == "canceled"
-        assert [what for what, _ in court.action.log] == ["goal", "goal", "cancel", "goal"]
-        assert court.action.log[2][1] is first
-        assert not second.result
-
-    lived(play, court, live())
+async def test_a_cancel_of_the_cut_comes_before_anything_else(provider: str, court: Court) -> None:
+    first, second = await court.goal(runs=300.0), await court.goal(runs=100.0)
+    with court.cut():
+        await asyncio.sleep(10.0)
+        assert court.action.send() is None, "nobody can send a goal now"
+        court.action.cancel(first)
+        await asyncio.sleep(20.0)
+        assert not first.cancelled
+    await until(lambda: court.action.ready, 15.0)
+    third = court.action.send()
+    await until(lambda: first.result and third and third.told, 5.0)
+    assert first.result == "canceled"
+    assert [what for what, _ in court.action.log] == ["goal", "goal", "cancel", "goal"]
+    assert court.action.log[2][1] is first
+    assert not second.result
 
 
 @pytest.mark.parametrize("provider", SIDES)
-def test_a_goal_on_its_way_begins_once_or_never(provider: str, play: Play) -> None:
+@pytest.mark.bed(timeout=60.0)
+async def test_a_goal_on_its_way_begins_once_or_never(provider: str, court: Court) -> None:
     """A goal that arrived before the cut is accepted at both ends; another is rejected."""
-    court = Court(provider, timeout=60.0)
-
-    async def live() -> None:
-        came = court.action.send(Plan(after=15.0, runs=5.0))
-        assert came is not None
-        await until(lambda: came.arrived, 5.0)
-        with court.cut():
-            late = court.action.send()
-            assert late is not None
-            await asyncio.sleep(20.0)
-            assert came.server is not None
-        await until(lambda: came.result and late.told is not None, 30.0)
-        assert (came.told, came.result, came.arrived) == (True, "succeeded", 1)
-        assert (late.told, late.arrived) == (False, 0)
-
-    lived(play, court, live())
+    came = court.action.send(Plan(after=15.0, runs=5.0))
+    assert came is not None
+    await until(lambda: came.arrived, 5.0)
+    with court.cut():
+        late = court.action.send()
+        assert late is not None
+        await asyncio.sleep(20.0)
+        assert came.server is not None
+    await until(lambda: came.result and late.told is not None, 30.0)
+    assert (came.told, came.result, came.arrived) == (True, "succeeded", 1)
+    assert (late.told, late.arrived) == (False, 0)
 
 
 @pytest.mark.parametrize("provider", SIDES)
 @pytest.mark.parametrize("end", ["near", "far"])
-def test_a_bridge_that_is_killed_and_started_again(provider: str, end: str, play: Play) -> None:
+async def test_a_bridge_that_is_killed_and_started_again(provider: str, end: str, court: Court) -> None:
     """At the client's end, the client asks again; at the server's, the bridge does."""
-    court = Court(provider)
-
-    async def live() -> None:
-        goal = await court.goal(runs=60.0)
-        cancelled = await court.goal(runs=300.0)
-        host: EngineHost = getattr(court, end)
-        if end == "far":
-            with court.cut():
-                await asyncio.sleep(8.0)
-                court.action.cancel(cancelled)
-                await court.restart(host)
-        else:
-            await court.restart(host)
-            await until(lambda: court.action.ready, 30.0)
-            court.action.cancel(cancelled)
-        await until(lambda: cancelled.result, 30.0)
-        assert cancelled.result == "canceled"
-        await until(lambda: goal.result, 90.0)
-        assert (goal.result, goal.arrived) == ("succeeded", 1)
-
-    lived(play, court, live())
-
-
-def test_a_server_that_does_not_answer_leaves_nothing_behind(play: Play) -> None:
-    court = Court("client", timeout=2.0)
-
-    async def live() -> None:
-        for _ in range(5):
-            court.action.send(Plan(after=None))
-        await asyncio.sleep(5.0)
-        expired = [half.calls.expired for half in halves_of(court.world, court.action)]
-        assert expired == [5, 5]
-        await asyncio.sleep(kept_calls.SENT_KEPT + 5.0)
-        await court.goal(runs=1.0)  # the server reports that it has no other goals
-
-    lived(play, court, live())
-
-
-@pytest.mark.parametrize("provider", SIDES)
-def test_a_goal_that_is_asked_about_again_in_vain_leaves_nothing_behind(provider: str, play: Play) -> None:
-    """The call waits for the answer to the call before the cut, which the server never sends."""
-    court = Court(provider, timeout=20.0)
-
-    async def live() -> None:
-        goal = court.action.send(Plan(after=None))
-        assert goal is not None
-        await until(lambda: goal.arrived, 5.0)
+    goal = await court.goal(runs=60.0)
+    cancelled = await court.goal(runs=300.0)
+    host: EngineHost = getattr(court, end)
+    if end == "far":
         with court.cut():
-            await asyncio.sleep(10.0)
-        await until(lambda: all(half.calls.expired for half in halves_of(court.world, court.action)), 45.0)
-        await court.goal(runs=1.0)  # the server reports that it has no other goals
-        assert goal.arrived == 1
+            await asyncio.sleep(8.0)
+            court.action.cancel(cancelled)
+            await court.restart(host)
+    else:
+        await court.restart(host)
+        await until(lambda: court.action.ready, 30.0)
+        court.action.cancel(cancelled)
+    await until(lambda: cancelled.result, 30.0)
+    assert cancelled.result == "canceled"
+    await until(lambda: goal.result, 90.0)
+    assert (goal.result, goal.arrived) == ("succeeded", 1)
 
-    lived(play, court, live())
+
+@pytest.mark.bed(provider="client", timeout=2.0)
+async def test_a_server_that_does_not_answer_leaves_nothing_behind(court: Court) -> None:
+    for _ in range(5):
+        court.action.send(Plan(after=None))
+    await asyncio.sleep(5.0)
+    expired = [half.calls.expired for half in halves_of(court.world, court.action)]
+    assert expired == [5, 5]
+    await asyncio.sleep(kept_calls.SENT_KEPT + 5.0)
+    await court.goal(runs=1.0)  # the server reports that it has no other goals
 
 
 @pytest.mark.parametrize("provider", SIDES)
-def test_a_server_that_is_replaced_unseen_leaves_nothing_behind(provider: str, play: Play) -> None:
+@pytest.mark.bed(timeout=20.0)
+async def test_a_goal_that_is_asked_about_again_in_vain_leaves_nothing_behind(provider: str, court: Court) -> None:
+    """The call waits for the answer to the call before the cut, which the server never sends."""
+    goal = court.action.send(Plan(after=None))
+    assert goal is not None
+    await until(lambda: goal.arrived, 5.0)
+    with court.cut():
+        await asyncio.sleep(10.0)
+    await until(lambda: all(half.calls.expired for half in halves_of(court.world, court.action)), 45.0)
+    await court.goal(runs=1.0)  # the server reports that it has no other goals
+    assert goal.arrived == 1
+
+
+@pytest.mark.parametrize("provider", SIDES)
+@pytest.mark.bed(timeout=100.0)
+async def test_a_server_that_is_replaced_unseen_leaves_nothing_behind(provider: str, court: Court) -> None:
     """Others see the server that was killed until after the next one is there: at no time is there none."""
-    court = Court(provider, timeout=100.0)
-
-    async def live() -> None:
-        goal = court.action.send(Plan(after=None))
-        assert goal is not None
-        await until(lambda: goal.arrived, 5.0)
-        court.action.vanish(killed=True)
-        court.action.appear()
-        await asyncio.sleep(1.0)
-        court.action.vanish()  # it may have got the call, too, as it was there when the bridge looked next
-        await asyncio.sleep(1.0)
-        court.action.appear()
-        await until(lambda: not court.action.dead_is_seen, 60.0)
-        await until(lambda: all(half.calls.lost for half in halves_of(court.world, court.action)), 5.0)
-        await court.goal(runs=1.0)  # the server reports that it has no other goals
-
-    lived(play, court, live())
+    goal = court.action.send(Plan(after=None))
+    assert goal is not None
+    await until(lambda: goal.arrived, 5.0)
+    court.action.vanish(killed=True)
+    court.action.appear()
+    await asyncio.sleep(1.0)
+    court.action.vanish()  # it may have got the call, too, as it was there when the bridge looked next
+    await asyncio.sleep(1.0)
+    court.action.appear()
+    await until(lambda: not court.action.dead_is_seen, 60.0)
+    await until(lambda: all(half.calls.lost for half in halves_of(court.world, court.action)), 5.0)
+    await court.goal(runs=1.0)  # the server reports that it has no other goals
 
 
 @pytest.mark.parametrize("seed", [1, *long(2, 3, 4, 5, 6)])
-def test_nothing_is_left_over_after_a_course_of_faults(seed: int, play: Play) -> None:
+def test_nothing_is_left_over_after_a_course_of_faults(seed: int) -> None:
     """Links drop, bridges and servers are killed, at either end, while goals are sent, and cancelled, all the time."""
     court = Court(SIDES[seed % 2], seed, timeout=(None, 5.0)[seed // 2 % 2])
     action, world = court.action, court.world
@@ -308,11 +255,11 @@ def test_nothing_is_left_over_after_a_course_of_faults(seed: int, play: Play) ->
         # replaced another unseen publishes none before its first goal.
         await court.goal(runs=1.0)
 
-    lived(play, court, live(), 1000.0)
+    court.world.play(life=court.live(live()))
 
 
 @pytest.mark.parametrize("mistaken", [False, True], ids=["as it is", "one answer begins the lease"])
-def test_a_goal_right_after_arming_is_accepted(mistaken: bool, play: Play) -> None:
+def test_a_goal_right_after_arming_is_accepted(mistaken: bool) -> None:
     """A goal that is sent at once may overtake what keeps the lease."""
     court = Court("server", arm=True, deadman=0.0, max_age=0.0)
     told: list[bool | None] = []
@@ -341,6 +288,6 @@ def test_a_goal_right_after_arming_is_accepted(mistaken: bool, play: Play) -> No
     with contextlib.ExitStack() as stack:
         if mistaken:
             stack.enter_context(replaced.LEASE_BEGUN.during(property(lambda lease: lease._answered)))
-        play(court.world, 60.0, troubled())
+        court.world.play(60.0, troubled())
     assert len(told) == 6
     assert (False in told) == mistaken

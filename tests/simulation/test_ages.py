@@ -19,14 +19,12 @@ from rsb_bridge.model.clock import StampClock
 from rsb_bridge.route.age import MessageAge, PublisherClocks
 
 if TYPE_CHECKING:
-    from tests.simulation.conftest import Play
     from tests.simulation.topic_flow import TopicFlow
 
     from rsb_bridge.model.session import Protocol
 
 MAX_AGE = 0.5
 _AGES = replace(STILL, checks=(5.0, 5.0), patience=20.0)
-_SECONDS = 400.0
 
 
 def aging_world(seed: int, protocol: Protocol = "tcp", max_rate: float | None = None) -> tuple[World, TopicFlow]:
@@ -43,10 +41,10 @@ def aging_world(seed: int, protocol: Protocol = "tcp", max_rate: float | None = 
 
 @pytest.mark.parametrize("protocol", ["tcp", "udp"])
 @pytest.mark.parametrize("seed", [2, *long(1, 3, 4, 5, 6)])
-def test_nothing_old_is_published(seed: int, protocol: Protocol, play: Play) -> None:
+def test_nothing_old_is_published(seed: int, protocol: Protocol) -> None:
     world, flow = aging_world(seed, protocol, None if seed % 2 else 10.0)
-    play(world, _SECONDS, aged(world))
-    assert flow.heard > 1000
+    world.play(life=aged(world))
+    assert flow.heard > 500
     assert flow.oldest < MAX_AGE + 0.2  # with what DDS takes at both ends
 
 
@@ -90,21 +88,21 @@ _MISTAKES = (
 )
 
 
-def test_nothing_old_is_published_when_the_link_comes_up_over_a_slow_way(play: Play) -> None:
+def test_nothing_old_is_published_when_the_link_comes_up_over_a_slow_way() -> None:
     world, flow = aging_world(1)
-    play(world, _SECONDS, linked_by_a_slow_way(world))
-    assert flow.heard > 1000
+    world.play(life=linked_by_a_slow_way(world))
+    assert flow.heard > 500
 
 
 @pytest.mark.parametrize(("what", "changes", "doing"), _MISTAKES, ids=[what for what, *_ in _MISTAKES])
-def test_each_rule_is_needed(what: str, changes: Any, doing: Any, play: Play) -> None:
+def test_each_rule_is_needed(what: str, changes: Any, doing: Any) -> None:
     found = []
     for seed in (4, 7, 1, 2, 3, 5, 6, 8):  # in most of them not every mistake shows; in the first two, soon
         world, _ = aging_world(seed)
         mutation = Mutation(what, changes, "s old, more than", _AGES, seed, 1.0)
         try:
             with mutation.made():
-                play(world, _SECONDS, doing(world))
+                world.play(life=doing(world))
         except Violation as violation:
             if mutation.finds not in str(violation):
                 raise
@@ -113,7 +111,7 @@ def test_each_rule_is_needed(what: str, changes: Any, doing: Any, play: Play) ->
     assert found, what
 
 
-def test_nothing_is_sent_that_is_old_when_it_is_sent(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_sent_that_is_old_when_it_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Messages that wait in the sender's queue or are taken late expire there, whatever the receiver does."""
     replaced.WHY_OLD.set(monkeypatch, _any_age)
     world, flow = aging_world(3)
@@ -127,6 +125,6 @@ def test_nothing_is_sent_that_is_old_when_it_is_sent(play: Play, monkeypatch: py
         send(self, batch)
 
     monkeypatch.setattr(StreamSender, "send", noted)
-    play(world, _SECONDS, aged(world))
+    world.play(life=aged(world))
     assert sent
     assert max(sent) <= MAX_AGE + 0.002

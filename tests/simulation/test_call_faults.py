@@ -6,8 +6,8 @@ import asyncio
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
-from tests.simulation.call_harness import CallHarness
-from tests.simulation.test_calls import lived, until
+import pytest
+from tests.simulation.beds import until
 from tests.support import constants
 from tests.support.goals import cancel_request, goal, goal_request
 from tests.support.inside import clients_of, offers_of, waiting_frames
@@ -19,36 +19,29 @@ from rsb_bridge.route.calls.providing import ProvidingRoute
 from rsb_bridge.wire.headers import CallFrame, What
 
 if TYPE_CHECKING:
-    import pytest
-    from tests.simulation.call_harness import ScriptedClient, ScriptedServer
-    from tests.simulation.conftest import Play
+    from tests.simulation.call_harness import CallHarness, ScriptedClient, ScriptedServer
 
 _ACTION = "test_msgs/action/Fibonacci"
 
 
-def test_a_service_that_cannot_be_called_ends_its_route_and_not_the_link(
-    play: Play, monkeypatch: pytest.MonkeyPatch
+async def test_a_service_that_cannot_be_called_ends_its_route_and_not_the_link(
+    harness: CallHarness, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    harness = CallHarness()
+    _, far = harness.halves()
+    connections = far.peer.connections
 
-    async def live() -> None:
-        _, far = harness.halves()
-        connections = far.peer.connections
+    def fails(*_: Any) -> None:
+        raise RosError("another version is installed")
 
-        def fails(*_: Any) -> None:
-            raise RosError("another version is installed")
-
-        monkeypatch.setattr(far.context.ros, "call_service", fails)
-        harness.server()
-        await asyncio.sleep(30.0)
-        _, far = harness.halves()
-        assert far.peer.connections == connections
-        assert "another version is installed" in harness.shown()[0].reason
-        assert "another version is installed" in harness.shown()[1].reason
-        monkeypatch.undo()
-        await harness.ready(harness.client())
-
-    lived(play, harness, live())
+    monkeypatch.setattr(far.context.ros, "call_service", fails)
+    harness.server()
+    await asyncio.sleep(30.0)
+    _, far = harness.halves()
+    assert far.peer.connections == connections
+    assert "another version is installed" in harness.shown()[0].reason
+    assert "another version is installed" in harness.shown()[1].reason
+    monkeypatch.undo()
+    await harness.ready(harness.client())
 
 
 def _action(harness: CallHarness) -> list[ScriptedServer]:
@@ -65,153 +58,126 @@ def _client_of(harness: CallHarness, lane: int) -> ScriptedClient:
     return harness.client(f"/client{lane}", suffix=kind.suffix, type_name=kind.type_name or _ACTION + kind.type_suffix)
 
 
-def test_endpoints_that_fail_are_replaced_while_goals_run(play: Play) -> None:
+@pytest.mark.bed(kind="action")
+async def test_endpoints_that_fail_are_replaced_while_goals_run(harness: CallHarness) -> None:
     """Endpoints that an interruption leaves open have to work."""
-    harness = CallHarness(kind="action")
-
-    async def live() -> None:
-        servers, client = _action(harness), _client_of(harness, GET_RESULT)
-        await harness.ready(client)
-        client.ask(bytes(16))
-        await until(lambda: servers[GET_RESULT].asked, 2.0)
-        near, far = harness.halves()
-        assert isinstance(near, CallingRoute)
-        assert isinstance(far, ProvidingRoute)
-        clients_of(far).clients[CANCEL_GOAL].fail()
-        await until(lambda: not harness.counted()[1].in_flight and clients_of(far).ready, 15.0)
-        await harness.ready(client)
-        offers_of(near).servers[GET_RESULT].fail()
-        await asyncio.sleep(1.0)
-        await until(lambda: bool(offers_of(near)), 15.0)
-        await harness.ready(client)
-        await until(
-            lambda: len(servers[GET_RESULT].asked) == 2, 15.0
-        )  # the first client's question is as lost as it is
-        servers[GET_RESULT].answer()
-        await until(lambda: client.answers, 5.0)
-
-    lived(play, harness, live())
+    servers, client = _action(harness), _client_of(harness, GET_RESULT)
+    await harness.ready(client)
+    client.ask(bytes(16))
+    await until(lambda: servers[GET_RESULT].asked, 2.0)
+    near, far = harness.halves()
+    assert isinstance(near, CallingRoute)
+    assert isinstance(far, ProvidingRoute)
+    clients_of(far).clients[CANCEL_GOAL].fail()
+    await until(lambda: not harness.counted()[1].in_flight and clients_of(far).ready, 15.0)
+    await harness.ready(client)
+    offers_of(near).servers[GET_RESULT].fail()
+    await asyncio.sleep(1.0)
+    await until(lambda: bool(offers_of(near)), 15.0)
+    await harness.ready(client)
+    await until(lambda: len(servers[GET_RESULT].asked) == 2, 15.0)  # the first client's question is as lost as it is
+    servers[GET_RESULT].answer()
+    await until(lambda: client.answers, 5.0)
 
 
-def test_a_new_cancel_to_an_action_whose_server_has_gone_is_refused(play: Play) -> None:
+@pytest.mark.bed(kind="action")
+async def test_a_new_cancel_to_an_action_whose_server_has_gone_is_refused(harness: CallHarness) -> None:
     """It says what one said that was answered, and is no repetition of it."""
-    harness = CallHarness(kind="action")
-
-    async def live() -> None:
-        servers, client = _action(harness), _client_of(harness, CANCEL_GOAL)
-        await harness.ready(client)
-        content = bytes(24)
-        client.ask(content)
-        await until(lambda: servers[CANCEL_GOAL].asked, 2.0)
-        servers[CANCEL_GOAL].answer()
-        await until(lambda: client.right, 2.0)
-        near, far = harness.halves()
-        connections = far.peer.connections
-        for server in servers:
-            server.endpoint.close()
-        await until(lambda: not near.offered, 2.0)
-        assert near.channel is not None
-        near.channel.send([(CallFrame(What.CALL, CANCEL_GOAL, 1000, 0, client.requests[1]).pack(), 0, 0)])
-        await asyncio.sleep(2.0)
-        assert far.peer.connections == connections
-        assert far.calls.snapshot().refused == {"provider gone": 1}
-
-    lived(play, harness, live())
+    servers, client = _action(harness), _client_of(harness, CANCEL_GOAL)
+    await harness.ready(client)
+    content = bytes(24)
+    client.ask(content)
+    await until(lambda: servers[CANCEL_GOAL].asked, 2.0)
+    servers[CANCEL_GOAL].answer()
+    await until(lambda: client.right, 2.0)
+    near, far = harness.halves()
+    connections = far.peer.connections
+    for server in servers:
+        server.endpoint.close()
+    await until(lambda: not near.offered, 2.0)
+    assert near.channel is not None
+    near.channel.send([(CallFrame(What.CALL, CANCEL_GOAL, 1000, 0, client.requests[1]).pack(), 0, 0)])
+    await asyncio.sleep(2.0)
+    assert far.peer.connections == connections
+    assert far.calls.snapshot().refused == {"provider gone": 1}
 
 
-def test_calls_that_expire_while_nothing_gets_through_hold_nothing(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
-    harness = CallHarness(timeout=1.0)
-
-    async def live() -> None:
-        server, client = harness.server(waits=True), harness.client()
-        await harness.ready(client)
-        for half, answers in zip(harness.halves(), (False, True), strict=True):
-            with monkeypatch.context() as stuck:
-                for _ in range(100):
-                    client.ask()
-                if answers:
-                    await until(lambda: len(server.asked) == 100, 1.0)
-                stuck.setattr(type(half.channel), "congested", True)
-                server.answer()
-                await asyncio.sleep(5.0)
-                assert harness.counted()[answers].expired == 100
-                assert not waiting_frames(half)
-
-    lived(play, harness, live())
+@pytest.mark.bed(timeout=1.0)
+async def test_calls_that_expire_while_nothing_gets_through_hold_nothing(
+    harness: CallHarness, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server, client = harness.server(waits=True), harness.client()
+    await harness.ready(client)
+    for half, answers in zip(harness.halves(), (False, True), strict=True):
+        with monkeypatch.context() as stuck:
+            for _ in range(100):
+                client.ask()
+            if answers:
+                await until(lambda: len(server.asked) == 100, 1.0)
+            stuck.setattr(type(half.channel), "congested", True)
+            server.answer()
+            await asyncio.sleep(5.0)
+            assert harness.counted()[answers].expired == 100
+            assert not waiting_frames(half)
 
 
-def test_more_goals_run_than_answers_are_kept(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.bed(kind="action")
+async def test_more_goals_run_than_answers_are_kept(harness: CallHarness, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.ANSWERS_KEPT.set(monkeypatch, 8)
-    harness = CallHarness(kind="action")
-
-    async def live() -> None:
-        servers, client = _action(harness), _client_of(harness, GET_RESULT)
-        await harness.ready(client)
-        for number in range(20):
-            client.endpoint.call(goal_request(goal(number)))
-        await until(lambda: len(servers[GET_RESULT].asked) == 20, 2.0)
-        servers[GET_RESULT].answer()
-        await until(lambda: len(client.answers) == 20, 2.0)
-
-    lived(play, harness, live())
+    servers, client = _action(harness), _client_of(harness, GET_RESULT)
+    await harness.ready(client)
+    for number in range(20):
+        client.endpoint.call(goal_request(goal(number)))
+    await until(lambda: len(servers[GET_RESULT].asked) == 20, 2.0)
+    servers[GET_RESULT].answer()
+    await until(lambda: len(client.answers) == 20, 2.0)
 
 
-def test_a_cancel_that_the_link_has_no_room_for_after_an_outage_is_asked_again(play: Play) -> None:
-    harness = CallHarness(kind="action")
-
-    async def live() -> None:
-        servers, client = _action(harness), _client_of(harness, CANCEL_GOAL)
-        await harness.ready(client)
-        near, _ = harness.halves()
-        client.endpoint.call(cancel_request(goal(1)))
-        await until(lambda: servers[CANCEL_GOAL].asked, 1.0)
-        with patch.object(near.peer.budget.asked, "take", lambda *_: Refused.CALLS_UNDER_WAY):
-            connections = near.peer.connections
-            near.peer.control.abort("cut")  # type: ignore[attr-defined]
-            await until(lambda: near.peer.connections > connections and near.offered, 30.0)
-            await asyncio.sleep(2.0)
-            assert len(servers[CANCEL_GOAL].asked) == 1
-        servers[CANCEL_GOAL].answer()
-        await until(lambda: client.answers, 5.0)
-
-    lived(play, harness, live())
+@pytest.mark.bed(kind="action")
+async def test_a_cancel_that_the_link_has_no_room_for_after_an_outage_is_asked_again(harness: CallHarness) -> None:
+    servers, client = _action(harness), _client_of(harness, CANCEL_GOAL)
+    await harness.ready(client)
+    near, _ = harness.halves()
+    client.endpoint.call(cancel_request(goal(1)))
+    await until(lambda: servers[CANCEL_GOAL].asked, 1.0)
+    with patch.object(near.peer.budget.asked, "take", lambda *_: Refused.CALLS_UNDER_WAY):
+        connections = near.peer.connections
+        near.peer.control.abort("cut")  # type: ignore[attr-defined]
+        await until(lambda: near.peer.connections > connections and near.offered, 30.0)
+        await asyncio.sleep(2.0)
+        assert len(servers[CANCEL_GOAL].asked) == 1
+    servers[CANCEL_GOAL].answer()
+    await until(lambda: client.answers, 5.0)
 
 
-def test_what_is_kept_of_a_peers_messages_is_in_its_budget(play: Play) -> None:
-    harness = CallHarness(kind="action")
-
-    async def live() -> None:
-        _action(harness)
-        await harness.ready(_client_of(harness, CANCEL_GOAL))
-        near, _ = harness.halves()
-        assert isinstance(near, CallingRoute)
-        budget = near.peer.budget.kept
-        for size in (1000, 10, budget.limit + 1, 100):
-            near.deliver([(CallFrame(What.MESSAGE, STATUS, 0, 0, bytes(size)).pack(), 0, 0)])
-            assert budget.held == (size if size < budget.limit else 0)
-        near.close("over")
-        assert budget.held == 0
-
-    lived(play, harness, live())
+@pytest.mark.bed(kind="action")
+async def test_what_is_kept_of_a_peers_messages_is_in_its_budget(harness: CallHarness) -> None:
+    _action(harness)
+    await harness.ready(_client_of(harness, CANCEL_GOAL))
+    near, _ = harness.halves()
+    assert isinstance(near, CallingRoute)
+    budget = near.peer.budget.kept
+    budget.limit = 2000  # instead of 1 GB, which takes seconds to fill
+    for size in (1000, 10, budget.limit + 1, 100):
+        near.deliver([(CallFrame(What.MESSAGE, STATUS, 0, 0, bytes(size)).pack(), 0, 0)])
+        assert budget.held == (size if size < budget.limit else 0)
+    near.close("over")
+    assert budget.held == 0
 
 
-def test_a_peer_that_refuses_a_call_on_another_lane_does_not_upset_the_counts(play: Play) -> None:
-    harness = CallHarness(kind="action")
-
-    async def live() -> None:
-        servers, client = _action(harness), _client_of(harness, CANCEL_GOAL)
-        await harness.ready(client)
-        client.endpoint.call(cancel_request(goal(1)))
-        await until(lambda: servers[CANCEL_GOAL].asked, 1.0)
-        near, far = harness.halves()
-        first = near.id
-        assert far.channel is not None
-        far.channel.send([(CallFrame(What.REFUSED, GET_RESULT, 1, 0, b"provider gone").pack(), 0, 0)])
-        await until(lambda: near.id != first and near.offered, 15.0)
-        await until(lambda: harness.counted()[0].in_flight == 1, 5.0)
-        servers[CANCEL_GOAL].answer()
-        await until(lambda: client.answers, 5.0)
-        assert harness.counted()[0].in_flight == 0
-        assert harness.counted()[0].answered == 1
-
-    lived(play, harness, live())
+@pytest.mark.bed(kind="action")
+async def test_a_peer_that_refuses_a_call_on_another_lane_does_not_upset_the_counts(harness: CallHarness) -> None:
+    servers, client = _action(harness), _client_of(harness, CANCEL_GOAL)
+    await harness.ready(client)
+    client.endpoint.call(cancel_request(goal(1)))
+    await until(lambda: servers[CANCEL_GOAL].asked, 1.0)
+    near, far = harness.halves()
+    first = near.id
+    assert far.channel is not None
+    far.channel.send([(CallFrame(What.REFUSED, GET_RESULT, 1, 0, b"provider gone").pack(), 0, 0)])
+    await until(lambda: near.id != first and near.offered, 15.0)
+    await until(lambda: harness.counted()[0].in_flight == 1, 5.0)
+    servers[CANCEL_GOAL].answer()
+    await until(lambda: client.answers, 5.0)
+    assert harness.counted()[0].in_flight == 0
+    assert harness.counted()[0].answered == 1

@@ -3,56 +3,41 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.simulation.call_harness import SETTLED, CallHarness
-from tests.simulation.test_calls import lived
 
 from rsb_bridge.model.verdict import Cause
 
-if TYPE_CHECKING:
-    from tests.simulation.conftest import Play
-
 
 @pytest.mark.parametrize("provider", ["server", "client"])
-def test_a_node_on_the_callers_side_may_be_the_one_that_is_meant(provider: str, play: Play) -> None:
-    harness = CallHarness(1, provider)
+async def test_a_node_on_the_callers_side_may_be_the_one_that_is_meant(provider: str, harness: CallHarness) -> None:
     meant = {"server": "provider: client", "client": "provider: server"}[provider]
-
-    async def live() -> None:
-        assert not any(meant in shown.reason for shown in harness.shown())
-        wrong = harness.server("/here", far=False)
-        await asyncio.sleep(SETTLED + 1.0)
-        for shown in harness.shown():
-            assert shown.cause == Cause.NO_SERVER
-            assert meant in shown.reason
-            assert "/here" in shown.reason
-        wrong.endpoint.close()
-        await asyncio.sleep(SETTLED + 1.0)
-        assert not any(meant in shown.reason for shown in harness.shown())
-        harness.server()
-        await asyncio.sleep(SETTLED + 1.0)
-        assert harness.offered
-
-    lived(play, harness, live())
+    assert not any(meant in shown.reason for shown in harness.shown())
+    wrong = harness.server("/here", far=False)
+    await asyncio.sleep(SETTLED + 1.0)
+    for shown in harness.shown():
+        assert shown.cause == Cause.NO_SERVER
+        assert meant in shown.reason
+        assert "/here" in shown.reason
+    wrong.endpoint.close()
+    await asyncio.sleep(SETTLED + 1.0)
+    assert not any(meant in shown.reason for shown in harness.shown())
+    harness.server()
+    await asyncio.sleep(SETTLED + 1.0)
+    assert harness.offered
 
 
-def test_a_similar_name_is_proposed_only_where_nobody_ever_served(play: Play) -> None:
-    harness = CallHarness()
+async def test_a_similar_name_is_proposed_only_where_nobody_ever_served(harness: CallHarness) -> None:
     harness.far_name = f"{harness.far_name}s"
-
-    async def live() -> None:
-        alike = harness.server()
-        await asyncio.sleep(SETTLED + 10.0)
-        assert all(f"did you mean {harness.far_name}?" in shown.reason for shown in harness.shown())
-        harness.far_name = harness.far_name[:-1]
-        right = harness.server()
-        await asyncio.sleep(SETTLED)
-        right.endpoint.close()
-        await asyncio.sleep(SETTLED + 10.0)
-        assert [shown.cause for shown in harness.shown()] == [Cause.SERVER_GONE] * 2
-        assert not any("did you mean" in shown.reason for shown in harness.shown())
-        alike.endpoint.close()
-
-    lived(play, harness, live())
+    alike = harness.server()
+    await asyncio.sleep(SETTLED + 10.0)
+    assert all(f"did you mean {harness.far_name}?" in shown.reason for shown in harness.shown())
+    harness.far_name = harness.far_name[:-1]
+    right = harness.server()
+    await asyncio.sleep(SETTLED)
+    right.endpoint.close()
+    await asyncio.sleep(SETTLED + 10.0)
+    assert [shown.cause for shown in harness.shown()] == [Cause.SERVER_GONE] * 2
+    assert not any("did you mean" in shown.reason for shown in harness.shown())
+    alike.endpoint.close()

@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 import pytest
+from tests.simulation.beds import until
 from tests.simulation.call_harness import SETTLED, TYPE, CallHarness
+from tests.simulation.mutations import nothing
 from tests.simulation.ros import hash_of
 from tests.support import constants, replaced
 from tests.support.inside import pending_calls
+from tests.support.long import long
 
 from rsb_bridge.link.link import Link
 from rsb_bridge.model.commands import ArmTopic, DisarmTopic, PauseTopics
@@ -20,42 +23,14 @@ from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.calling import CallingRoute
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine
+    from collections.abc import Callable
 
-    from tests.simulation.conftest import Play
     from tests.support.places import Place
 
     from rsb_bridge.route.calls.calls_route import CallsRoute
     from rsb_bridge.route.calls.pending_calls import PendingCall
 
 _WITHDRAWN_WITHIN = 1.0
-
-
-def lived(play: Play, harness: CallHarness, life: Coroutine[None, None, None], seconds: float = 120.0) -> None:
-    """Play a world until a life is over, and raise its exception."""
-    failure: list[BaseException] = []
-    over: list[bool] = []
-
-    async def live() -> None:
-        await asyncio.sleep(10.0)
-        try:
-            await life
-        except BaseException as error:
-            failure.append(error)
-            raise
-        over.append(True)
-
-    play(harness.world, seconds, live())
-    if failure:
-        raise failure[0]
-    assert over, "it has not come to an end"
-
-
-async def until(condition: Callable[[], object], within: float) -> None:
-    """Wait for something, with a deadline."""
-    async with asyncio.timeout(within):
-        while not condition():  # noqa: ASYNC110 — plain state of a simulated world
-            await asyncio.sleep(0.02)
 
 
 def under_way(route: CallsRoute) -> list[PendingCall]:
@@ -70,208 +45,172 @@ def say(harness: CallHarness) -> tuple[tuple[State, str], tuple[State, str]]:
 
 
 @pytest.mark.parametrize("provider", ["server", "client"])
-@pytest.mark.parametrize("seed", range(1, 4))
-def test_many_calls_at_once_are_answered_in_any_order(seed: int, provider: str, play: Play) -> None:
-    harness = CallHarness(seed, provider)
-
-    async def live() -> None:
-        server, clients = harness.server(waits=True), [harness.client(f"/client{n}") for n in range(5)]
+@pytest.mark.parametrize("seed", [1, *long(2, 3)])
+async def test_many_calls_at_once_are_answered_in_any_order(seed: int, provider: str, harness: CallHarness) -> None:
+    server, clients = harness.server(waits=True), [harness.client(f"/client{n}") for n in range(5)]
+    for client in clients:
+        await harness.ready(client)
+    for _ in range(200):
         for client in clients:
-            await harness.ready(client)
-        for _ in range(200):
-            for client in clients:
-                client.ask()
-        await until(lambda: len(server.asked) == 1000, 5.0)
-        near, far = harness.counted()
-        assert near.in_flight == far.in_flight == 1000
-        server.answer(Random(seed).shuffle)
-        await until(lambda: sum(client.right for client in clients) == 1000, 5.0)
-        near, far = harness.counted()
-        assert near.answered == far.answered == 1000
-        await asyncio.sleep(SETTLED)
-        near, far = harness.counted()
-        assert near.node_p50 == pytest.approx(far.node_p50, abs=1e-6)
-        assert near.way_p50 is not None
-        assert say(harness) == ((State.OK, Cause.NONE), (State.OK, Cause.NONE))
-        assert all(stage.done for shown in harness.shown() for stage in shown.stages)
-
-    lived(play, harness, live())
-
-
-def test_a_service_is_offered_only_while_somebody_answers(play: Play) -> None:
-    harness = CallHarness()
-
-    async def live() -> None:
-        client = harness.client()
-        await asyncio.sleep(SETTLED)
-        assert not harness.offered
-        assert say(harness) == ((State.WAITING, Cause.NO_SERVER), (State.WAITING, Cause.NO_SERVER))
-        for _ in range(3):
-            server = harness.server()
-            await harness.ready(client)
             client.ask()
-            await until(lambda: len(client.answers) == len(client.requests), 1.0)
-            await asyncio.sleep(SETTLED)
-            assert say(harness)[0] == (State.OK, Cause.NONE)
-            server.endpoint.close()
-            await until(lambda: not harness.offered and not client.endpoint.ready, _WITHDRAWN_WITHIN)
-            await asyncio.sleep(SETTLED)
-            assert say(harness) == ((State.DOWN, Cause.SERVER_GONE), (State.DOWN, Cause.SERVER_GONE))
-        assert client.right == 3
+    await until(lambda: len(server.asked) == 1000, 5.0)
+    near, far = harness.counted()
+    assert near.in_flight == far.in_flight == 1000
+    server.answer(Random(seed).shuffle)
+    await until(lambda: sum(client.right for client in clients) == 1000, 5.0)
+    near, far = harness.counted()
+    assert near.answered == far.answered == 1000
+    await asyncio.sleep(SETTLED)
+    near, far = harness.counted()
+    assert near.node_p50 == pytest.approx(far.node_p50, abs=1e-6)
+    assert near.way_p50 is not None
+    assert say(harness) == ((State.OK, Cause.NONE), (State.OK, Cause.NONE))
+    assert all(stage.done for shown in harness.shown() for stage in shown.stages)
 
-    lived(play, harness, live())
 
-
-def test_calls_are_lost_with_the_server_that_had_them(play: Play) -> None:
-    harness = CallHarness()
-
-    async def live() -> None:
-        server, client = harness.server(waits=True), harness.client()
+async def test_a_service_is_offered_only_while_somebody_answers(harness: CallHarness) -> None:
+    client = harness.client()
+    await asyncio.sleep(SETTLED)
+    assert not harness.offered
+    assert say(harness) == ((State.WAITING, Cause.NO_SERVER), (State.WAITING, Cause.NO_SERVER))
+    for _ in range(3):
+        server = harness.server()
         await harness.ready(client)
         client.ask()
-        await until(lambda: server.asked, 1.0)
+        await until(lambda: len(client.answers) == len(client.requests), 1.0)
+        await asyncio.sleep(SETTLED)
+        assert say(harness)[0] == (State.OK, Cause.NONE)
         server.endpoint.close()
+        await until(lambda: not harness.offered and not client.endpoint.ready, _WITHDRAWN_WITHIN)
         await asyncio.sleep(SETTLED)
-        near, far = harness.counted()
-        assert (near.lost, far.lost, near.in_flight, far.in_flight) == (1, 1, 0, 0)
-        assert near.last_failure
-        # one that is killed and started again answers at once, though the dead one is still seen
-        server = harness.server(waits=True)
-        await harness.ready(client)
-        server.die()
-        harness.server()
-        await asyncio.sleep(0.5)
-        number = client.ask()
-        await until(lambda: number in client.answers, 1.0)
-
-    lived(play, harness, live())
+        assert say(harness) == ((State.DOWN, Cause.SERVER_GONE), (State.DOWN, Cause.SERVER_GONE))
+    assert client.right == 3
 
 
-def test_a_server_that_is_killed_loses_its_calls_when_it_is_seen_no_more(play: Play) -> None:
-    harness = CallHarness(timeout=100.0)
+async def test_calls_are_lost_with_the_server_that_had_them(harness: CallHarness) -> None:
+    server, client = harness.server(waits=True), harness.client()
+    await harness.ready(client)
+    client.ask()
+    await until(lambda: server.asked, 1.0)
+    server.endpoint.close()
+    await asyncio.sleep(SETTLED)
+    near, far = harness.counted()
+    assert (near.lost, far.lost, near.in_flight, far.in_flight) == (1, 1, 0, 0)
+    assert near.last_failure
+    # one that is killed and started again answers at once, though the dead one is still seen
+    server = harness.server(waits=True)
+    await harness.ready(client)
+    server.die()
+    harness.server()
+    await asyncio.sleep(0.5)
+    number = client.ask()
+    await until(lambda: number in client.answers, 1.0)
 
-    async def live() -> None:
-        server, client = harness.server(waits=True), harness.client()
-        await harness.ready(client)
+
+@pytest.mark.bed(timeout=100.0)
+async def test_a_server_that_is_killed_loses_its_calls_when_it_is_seen_no_more(harness: CallHarness) -> None:
+    server, client = harness.server(waits=True), harness.client()
+    await harness.ready(client)
+    client.ask()
+    await until(lambda: server.asked, 1.0)
+    server.die()
+    await asyncio.sleep(5.0)
+    assert harness.offered
+    assert harness.counted()[0].in_flight == 1
+    await until(lambda: not harness.offered, 42.0)
+    await asyncio.sleep(1.0)
+    assert [calls.lost for calls in harness.counted()] == [1, 1]
+
+
+@pytest.mark.bed(timeout=2.0)
+async def test_a_call_that_has_no_answer_is_given_up_and_its_answer_goes_to_nobody(harness: CallHarness) -> None:
+    server, client = harness.server(waits=True), harness.client()
+    await harness.ready(client)
+    for _ in range(3):
         client.ask()
-        await until(lambda: server.asked, 1.0)
-        server.die()
-        await asyncio.sleep(5.0)
-        assert harness.offered
-        assert harness.counted()[0].in_flight == 1
-        await until(lambda: not harness.offered, 42.0)
-        await asyncio.sleep(1.0)
-        assert [calls.lost for calls in harness.counted()] == [1, 1]
-
-    lived(play, harness, live(), 200.0)
-
-
-def test_a_call_that_has_no_answer_is_given_up_and_its_answer_goes_to_nobody(play: Play) -> None:
-    harness = CallHarness(timeout=2.0)
-
-    async def live() -> None:
-        server, client = harness.server(waits=True), harness.client()
-        await harness.ready(client)
-        for _ in range(3):
-            client.ask()
-        await asyncio.sleep(1.5)
-        assert harness.counted()[0].in_flight == 3
-        await asyncio.sleep(SETTLED)
-        assert [calls.expired for calls in harness.counted()] == [3, 3]
-        assert say(harness) == ((State.SLOW, Cause.UNANSWERED), (State.SLOW, Cause.UNANSWERED))
-        server.answer()
-        await asyncio.sleep(SETTLED)
-        assert not client.answers
-        assert harness.counted()[1].late == 3
-        await asyncio.sleep(60.0)
-        assert say(harness) == ((State.SLOW, Cause.UNANSWERED), (State.SLOW, Cause.UNANSWERED))
-        client.ask()
-        await until(lambda: len(server.asked) == 4, 1.0)
-        server.answer()
-        await asyncio.sleep(SETTLED + 1.0)
-        assert say(harness) == ((State.OK, Cause.NONE), (State.OK, Cause.NONE))
-
-    lived(play, harness, live())
+    await asyncio.sleep(1.5)
+    assert harness.counted()[0].in_flight == 3
+    await asyncio.sleep(SETTLED)
+    assert [calls.expired for calls in harness.counted()] == [3, 3]
+    assert say(harness) == ((State.SLOW, Cause.UNANSWERED), (State.SLOW, Cause.UNANSWERED))
+    server.answer()
+    await asyncio.sleep(SETTLED)
+    assert not client.answers
+    assert harness.counted()[1].late == 3
+    await asyncio.sleep(60.0)
+    assert say(harness) == ((State.SLOW, Cause.UNANSWERED), (State.SLOW, Cause.UNANSWERED))
+    client.ask()
+    await until(lambda: len(server.asked) == 4, 1.0)
+    server.answer()
+    await asyncio.sleep(SETTLED + 1.0)
+    assert say(harness) == ((State.OK, Cause.NONE), (State.OK, Cause.NONE))
 
 
 @pytest.mark.parametrize("provider", ["server", "client"])
-def test_a_link_that_is_cut(provider: str, play: Play) -> None:
-    harness = CallHarness(1, provider, timeout=30.0)
-
-    async def live() -> None:
-        server, client = harness.server(waits=True), harness.client()
-        await harness.ready(client)
-        for _ in range(10):
-            client.ask()
-        await until(lambda: len(server.asked) == 10, 1.0)
-        with harness.world.trouble("cut", harness.robot):
-            harness.world.network.cut(harness.near.machine, harness.far.machine)
-            await until(lambda: not harness.offered, 8.0)
-            assert harness.counted()[0].lost == 10
-            assert say(harness)[0] == (State.DOWN, Cause.LINK_DOWN)
-            await until(lambda: harness.counted()[1].lost == 10, 8.0)
-            server.answer()
-            await asyncio.sleep(10.0)
-            harness.world.network.heal(harness.near.machine, harness.far.machine)
-        await harness.ready(client)
+@pytest.mark.bed(timeout=30.0)
+async def test_a_link_that_is_cut(provider: str, harness: CallHarness) -> None:
+    server, client = harness.server(waits=True), harness.client()
+    await harness.ready(client)
+    for _ in range(10):
         client.ask()
-        await until(lambda: len(server.asked) == 11, 1.0)
+    await until(lambda: len(server.asked) == 10, 1.0)
+    with harness.world.trouble("cut", harness.robot):
+        harness.world.network.cut(harness.near.machine, harness.far.machine)
+        await until(lambda: not harness.offered, 8.0)
+        assert harness.counted()[0].lost == 10
+        assert say(harness)[0] == (State.DOWN, Cause.LINK_DOWN)
+        await until(lambda: harness.counted()[1].lost == 10, 8.0)
         server.answer()
-        await until(lambda: client.right == 1, 1.0)
-        await asyncio.sleep(SETTLED)
-        near, far = harness.counted()
-        assert (near.asked, near.answered, near.lost) == (11, 1, 10)
-        assert (far.asked, far.answered, far.lost) == (11, 1, 10)
-
-    lived(play, harness, live())
-
-
-def test_a_pause_gives_up_what_is_under_way(play: Play) -> None:
-    harness = CallHarness()
-
-    async def live() -> None:
-        server, client = harness.server(waits=True), harness.client()
-        await harness.ready(client)
-        client.ask()
-        await until(lambda: server.asked, 1.0)
-        assert harness.far.run is not None
-        bridge, key = harness.far.run.bridge, harness.halves()[1].key
-        await harness.far.run.command(bridge.do(PauseTopics(key, paused=True)))
-        await until(lambda: not harness.offered, _WITHDRAWN_WITHIN)
-        await asyncio.sleep(SETTLED)
-        assert [calls.lost for calls in harness.counted()] == [1, 1]
-        assert say(harness) == ((State.PAUSED, Cause.PAUSED), (State.PAUSED, Cause.PAUSED))
-        await harness.far.run.command(bridge.do(PauseTopics(key, paused=False)))
-        await harness.ready(client)
-        client.ask()
-        await until(lambda: len(server.asked) == 2, 1.0)
-        server.answer()
-        await until(lambda: client.right == 1, 1.0)
-
-    lived(play, harness, live())
+        await asyncio.sleep(10.0)
+        harness.world.network.heal(harness.near.machine, harness.far.machine)
+    await harness.ready(client)
+    client.ask()
+    await until(lambda: len(server.asked) == 11, 1.0)
+    server.answer()
+    await until(lambda: client.right == 1, 1.0)
+    await asyncio.sleep(SETTLED)
+    near, far = harness.counted()
+    assert (near.asked, near.answered, near.lost) == (11, 1, 10)
+    assert (far.asked, far.answered, far.lost) == (11, 1, 10)
 
 
-def test_arming(play: Play) -> None:
-    harness = CallHarness(arm=True, deadman=0.0)
+async def test_a_pause_gives_up_what_is_under_way(harness: CallHarness) -> None:
+    server, client = harness.server(waits=True), harness.client()
+    await harness.ready(client)
+    client.ask()
+    await until(lambda: server.asked, 1.0)
+    assert harness.far.run is not None
+    bridge, key = harness.far.run.bridge, harness.halves()[1].key
+    await harness.far.run.command(bridge.do(PauseTopics(key, paused=True)))
+    await until(lambda: not harness.offered, _WITHDRAWN_WITHIN)
+    await asyncio.sleep(SETTLED)
+    assert [calls.lost for calls in harness.counted()] == [1, 1]
+    assert say(harness) == ((State.PAUSED, Cause.PAUSED), (State.PAUSED, Cause.PAUSED))
+    await harness.far.run.command(bridge.do(PauseTopics(key, paused=False)))
+    await harness.ready(client)
+    client.ask()
+    await until(lambda: len(server.asked) == 2, 1.0)
+    server.answer()
+    await until(lambda: client.right == 1, 1.0)
 
-    async def live() -> None:
-        harness.server()
-        client = harness.client()
-        await asyncio.sleep(SETTLED)
-        assert not harness.offered
-        assert say(harness)[0] == (State.DISARMED, Cause.DISARMED)
-        assert harness.near.run is not None
-        bridge, key = harness.near.run.bridge, harness.halves()[0].key
-        await harness.near.run.command(bridge.do(ArmTopic(key)))
-        await harness.ready(client)
-        client.ask()
-        await until(lambda: client.right == 1, 1.0)
-        await harness.near.run.command(bridge.do(DisarmTopic(key)))
-        await until(lambda: not harness.offered, _WITHDRAWN_WITHIN)
-        await asyncio.sleep(SETTLED)
-        assert say(harness)[1] == (State.DISARMED, Cause.DISARMED)
 
-    lived(play, harness, live())
+@pytest.mark.bed(arm=True, deadman=0.0)
+async def test_arming(harness: CallHarness) -> None:
+    harness.server()
+    client = harness.client()
+    await asyncio.sleep(SETTLED)
+    assert not harness.offered
+    assert say(harness)[0] == (State.DISARMED, Cause.DISARMED)
+    assert harness.near.run is not None
+    bridge, key = harness.near.run.bridge, harness.halves()[0].key
+    await harness.near.run.command(bridge.do(ArmTopic(key)))
+    await harness.ready(client)
+    client.ask()
+    await until(lambda: client.right == 1, 1.0)
+    await harness.near.run.command(bridge.do(DisarmTopic(key)))
+    await until(lambda: not harness.offered, _WITHDRAWN_WITHIN)
+    await asyncio.sleep(SETTLED)
+    assert say(harness)[1] == (State.DISARMED, Cause.DISARMED)
 
 
 async def _called_at_once(harness: CallHarness) -> None:
@@ -298,16 +237,16 @@ async def _called_at_once(harness: CallHarness) -> None:
 
 
 @pytest.mark.parametrize("provider", ["server", "client"])
-def test_a_call_right_after_arming_is_answered(provider: str, play: Play) -> None:
-    harness = CallHarness(1, provider, arm=True, deadman=0.0, max_age=0.0)
-    lived(play, harness, _called_at_once(harness))
+@pytest.mark.bed(arm=True, deadman=0.0, max_age=0.0)
+async def test_a_call_right_after_arming_is_answered(provider: str, harness: CallHarness) -> None:
+    await _called_at_once(harness)
 
 
-def test_it_has_to_be_offered_only_once_the_lease_has_begun(play: Play) -> None:
-    harness = CallHarness(arm=True, deadman=0.0, max_age=0.0)
+@pytest.mark.bed(arm=True, deadman=0.0, max_age=0.0)
+async def test_it_has_to_be_offered_only_once_the_lease_has_begun(harness: CallHarness) -> None:
     begun = property(lambda _: True)
     with replaced.LEASE_BEGUN.during(begun), pytest.raises(AssertionError, match="'link silent': 1"):
-        lived(play, harness, _called_at_once(harness))
+        await _called_at_once(harness)
 
 
 async def _offered_soon(harness: CallHarness) -> None:
@@ -323,20 +262,15 @@ async def _offered_soon(harness: CallHarness) -> None:
     await arms
 
 
-def test_it_is_offered_once_the_two_sides_hear_each_other(play: Play) -> None:
-    harness = CallHarness(arm=True, deadman=0.0)
-    lived(play, harness, _offered_soon(harness))
+@pytest.mark.bed(arm=True, deadman=0.0)
+async def test_it_is_offered_once_the_two_sides_hear_each_other(harness: CallHarness) -> None:
+    await _offered_soon(harness)
 
 
-def test_it_has_to_be_opened_when_the_lease_begins(play: Play) -> None:
-    harness = CallHarness(arm=True, deadman=0.0)
-    with replaced.LEASE_LIVES.during(_forgotten), pytest.raises(TimeoutError):
-        lived(play, harness, _offered_soon(harness))
-    assert not harness.offered
-
-
-def _forgotten(*_: object) -> None:
-    """Do nothing, in place of the work that a mutation leaves out."""
+@pytest.mark.bed(arm=True, deadman=0.0)
+def test_it_has_to_be_opened_when_the_lease_begins(harness: CallHarness) -> None:
+    with replaced.LEASE_LIVES.during(nothing), pytest.raises(TimeoutError):
+        harness.world.play(life=harness.live(_offered_soon(harness)))
 
 
 def _different_version_there(harness: CallHarness) -> None:
@@ -350,23 +284,6 @@ def _different_version_of_a_caller(harness: CallHarness) -> None:
     harness.client(type_hash=hash_of(TYPE, 1))
 
 
-def _different_type_of_a_caller(harness: CallHarness) -> None:
-    harness.server()
-    harness.client(type_name="std_srvs/srv/Trigger")
-
-
-def _servers_of_different_types(harness: CallHarness) -> None:
-    harness.server("/one")
-    harness.server("/two", type_name="std_srvs/srv/Trigger")
-    harness.client()
-
-
-def _servers_of_different_versions(harness: CallHarness) -> None:
-    harness.server("/one")
-    harness.server("/two", type_hash=hash_of(TYPE, 1))
-    harness.client()
-
-
 def _another_type_than_the_session_says(harness: CallHarness) -> None:
     harness.server("/one", type_name="std_srvs/srv/Trigger")
     harness.client()
@@ -377,109 +294,83 @@ def _another_type_than_the_session_says(harness: CallHarness) -> None:
     [
         _different_version_there,
         _different_version_of_a_caller,
-        _different_type_of_a_caller,
-        _servers_of_different_types,
-        _servers_of_different_versions,
-        _another_type_than_the_session_says,
+        pytest.param(_another_type_than_the_session_says, marks=pytest.mark.bed(type=TYPE)),
     ],
 )
-def test_types_that_differ_are_refused_on_both_sides(differ: Callable[[CallHarness], None], play: Play) -> None:
-    harness = CallHarness(type=TYPE if differ is _another_type_than_the_session_says else "auto")
+async def test_types_that_differ_are_refused_on_both_sides(
+    differ: Callable[[CallHarness], None], harness: CallHarness
+) -> None:
+    differ(harness)
+    await asyncio.sleep(SETTLED)
+    assert not harness.offered
+    assert say(harness) == ((State.DOWN, Cause.TYPE_CONFLICT), (State.DOWN, Cause.TYPE_CONFLICT))
+    assert TYPE.rpartition("/")[2] in harness.shown()[0].reason
 
-    async def live() -> None:
-        differ(harness)
+
+async def test_the_other_side_is_asked_about_one_version_at_a_time(harness: CallHarness) -> None:
+    asked: list[tuple[str, Callable[[str], None]]] = []
+    near = harness.halves()[0]
+    assert isinstance(near, CallingRoute)
+    near.compare_types = lambda _, types, tell: asked.append((types[0].type_hash, tell))
+    harness.near.domain.installed[TYPE] = hash_of(TYPE, 9)
+    for version in range(4):
+        server = harness.server(type_hash=hash_of(TYPE, version))
         await asyncio.sleep(SETTLED)
-        assert not harness.offered
-        assert say(harness) == ((State.DOWN, Cause.TYPE_CONFLICT), (State.DOWN, Cause.TYPE_CONFLICT))
-        assert TYPE.rpartition("/")[2] in harness.shown()[0].reason
-
-    lived(play, harness, live())
-
-
-def test_the_other_side_is_asked_about_one_version_at_a_time(play: Play) -> None:
-    harness = CallHarness()
-
-    async def live() -> None:
-        asked: list[tuple[str, Callable[[str], None]]] = []
-        near = harness.halves()[0]
-        assert isinstance(near, CallingRoute)
-        near.compare_types = lambda _, types, tell: asked.append((types[0].type_hash, tell))
-        harness.near.domain.installed[TYPE] = hash_of(TYPE, 9)
-        for version in range(4):
-            server = harness.server(type_hash=hash_of(TYPE, version))
+        assert hash_of(TYPE, version) in harness.shown()[0].reason
+        if version < 3:
+            server.endpoint.close()
             await asyncio.sleep(SETTLED)
-            assert hash_of(TYPE, version) in harness.shown()[0].reason
-            if version < 3:
-                server.endpoint.close()
-                await asyncio.sleep(SETTLED)
-        assert [each for each, _ in asked] == [hash_of(TYPE, 0)]
-        asked[0][1]("the old difference")
-        assert "the old difference" not in harness.shown()[0].reason
-        assert [each for each, _ in asked] == [hash_of(TYPE, 0), hash_of(TYPE, 3)]
-        asked[1][1]("the new difference")
-        await asyncio.sleep(SETTLED)
-        assert all("the new difference" in shown.reason for shown in harness.shown())
-
-    lived(play, harness, live())
+    assert [each for each, _ in asked] == [hash_of(TYPE, 0)]
+    asked[0][1]("the old difference")
+    assert "the old difference" not in harness.shown()[0].reason
+    assert [each for each, _ in asked] == [hash_of(TYPE, 0), hash_of(TYPE, 3)]
+    asked[1][1]("the new difference")
+    await asyncio.sleep(SETTLED)
+    assert all("the new difference" in shown.reason for shown in harness.shown())
 
 
-def test_a_caller_that_has_the_wrong_type_takes_nothing_from_the_others(play: Play) -> None:
-    harness = CallHarness()
-
-    async def live() -> None:
-        server, client = harness.server(waits=True), harness.client()
-        await harness.ready(client)
-        client.ask()
-        await until(lambda: server.asked, 1.0)
-        wrong = harness.client("/wrong", type_name="std_srvs/srv/Trigger")
-        await asyncio.sleep(SETTLED)
-        assert say(harness) == ((State.UNHEARD, Cause.TYPE_CONFLICT), (State.UNHEARD, Cause.TYPE_CONFLICT))
-        assert all("/wrong" in shown.reason for shown in harness.shown())
-        server.answer()
-        await until(lambda: client.right == 1, 1.0)
-        wrong.endpoint.close()
-        await asyncio.sleep(SETTLED)
-        assert say(harness) == ((State.OK, Cause.NONE), (State.OK, Cause.NONE))
-
-    lived(play, harness, live())
+async def test_a_caller_that_has_the_wrong_type_takes_nothing_from_the_others(harness: CallHarness) -> None:
+    server, client = harness.server(waits=True), harness.client()
+    await harness.ready(client)
+    client.ask()
+    await until(lambda: server.asked, 1.0)
+    wrong = harness.client("/wrong", type_name="std_srvs/srv/Trigger")
+    await asyncio.sleep(SETTLED)
+    assert say(harness) == ((State.UNHEARD, Cause.TYPE_CONFLICT), (State.UNHEARD, Cause.TYPE_CONFLICT))
+    assert all("/wrong" in shown.reason for shown in harness.shown())
+    server.answer()
+    await until(lambda: client.right == 1, 1.0)
+    wrong.endpoint.close()
+    await asyncio.sleep(SETTLED)
+    assert say(harness) == ((State.OK, Cause.NONE), (State.OK, Cause.NONE))
 
 
-def test_two_servers_are_named_and_the_first_answer_counts(play: Play) -> None:
-    harness = CallHarness()
-
-    async def live() -> None:
-        servers = [harness.server("/one"), harness.server("/two")]
-        client = harness.client()
-        await harness.ready(client)
-        client.ask()
-        await asyncio.sleep(SETTLED)
-        assert client.right == 1
-        assert harness.counted()[1].late == 1
-        assert say(harness) == ((State.UNHEARD, Cause.SEVERAL_SERVERS), (State.UNHEARD, Cause.SEVERAL_SERVERS))
-        assert "/one and /two" in harness.shown()[0].reason
-        servers[0].endpoint.close()
-        await asyncio.sleep(SETTLED)
-        assert say(harness)[0] == (State.OK, Cause.NONE)
-
-    lived(play, harness, live())
+async def test_two_servers_are_named_and_the_first_answer_counts(harness: CallHarness) -> None:
+    servers = [harness.server("/one"), harness.server("/two")]
+    client = harness.client()
+    await harness.ready(client)
+    client.ask()
+    await asyncio.sleep(SETTLED)
+    assert client.right == 1
+    assert harness.counted()[1].late == 1
+    assert say(harness) == ((State.UNHEARD, Cause.SEVERAL_SERVERS), (State.UNHEARD, Cause.SEVERAL_SERVERS))
+    assert "/one and /two" in harness.shown()[0].reason
+    servers[0].endpoint.close()
+    await asyncio.sleep(SETTLED)
+    assert say(harness)[0] == (State.OK, Cause.NONE)
 
 
-def test_a_server_on_the_callers_side_is_named_and_nothing_is_offered_beside_it(play: Play) -> None:
-    harness = CallHarness()
-
-    async def live() -> None:
-        harness.server()
-        client = harness.client()
-        await harness.ready(client)
-        local = harness.server("/local", far=False)
-        await until(lambda: not harness.offered, _WITHDRAWN_WITHIN)
-        await asyncio.sleep(SETTLED)
-        assert say(harness) == ((State.DOWN, Cause.SERVED_HERE), (State.DOWN, Cause.SERVED_HERE))
-        assert "/local" in harness.shown()[1].reason
-        local.endpoint.close()
-        await until(lambda: harness.offered, 2.0)
-
-    lived(play, harness, live())
+async def test_a_server_on_the_callers_side_is_named_and_nothing_is_offered_beside_it(harness: CallHarness) -> None:
+    harness.server()
+    client = harness.client()
+    await harness.ready(client)
+    local = harness.server("/local", far=False)
+    await until(lambda: not harness.offered, _WITHDRAWN_WITHIN)
+    await asyncio.sleep(SETTLED)
+    assert say(harness) == ((State.DOWN, Cause.SERVED_HERE), (State.DOWN, Cause.SERVED_HERE))
+    assert "/local" in harness.shown()[1].reason
+    local.endpoint.close()
+    await until(lambda: harness.offered, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -490,11 +381,10 @@ def test_a_server_on_the_callers_side_is_named_and_nothing_is_offered_beside_it(
         (constants.CALLS_A_SECOND, 20.0, "calls a second", 20),
     ],
 )
+@pytest.mark.bed(timeout=2.0)
 def test_beyond_its_bounds_a_call_is_refused_and_counted(
-    limit: Place, most: float, cause: str, passing: int, play: Play
+    limit: Place, most: float, cause: str, passing: int, harness: CallHarness
 ) -> None:
-    harness = CallHarness(timeout=2.0)
-
     async def live() -> None:
         server, client = harness.server(waits=True), harness.client()
         await harness.ready(client)
@@ -513,12 +403,12 @@ def test_beyond_its_bounds_a_call_is_refused_and_counted(
         await until(lambda: len(server.asked) == passing + 1, 2.0)
 
     with limit.during(most):
-        lived(play, harness, live())
+        harness.world.play(life=harness.live(live()))
 
 
-def test_the_providing_side_enforces_its_bounds(play: Play) -> None:
+@pytest.mark.bed(timeout=5.0)
+def test_the_providing_side_enforces_its_bounds(harness: CallHarness) -> None:
     """A peer that keeps to none of them is refused call by call, and counts that."""
-    harness = CallHarness(timeout=5.0)
 
     async def live() -> None:
         server, client = harness.server(waits=True), harness.client()
@@ -536,30 +426,26 @@ def test_the_providing_side_enforces_its_bounds(play: Play) -> None:
         near.peer.budget.asked._bytes.held = sum(call.size for call in under_way(near))
 
     with constants.CALLS_UNDER_WAY.during(10):
-        lived(play, harness, live())
+        harness.world.play(life=harness.live(live()))
 
 
-def test_max_rate_is_of_calls(play: Play) -> None:
-    harness = CallHarness(max_rate=5.0)
-
-    async def live() -> None:
-        server, client = harness.server(), harness.client()
-        await harness.ready(client)
-        for _ in range(100):
-            client.ask()
-            await asyncio.sleep(0.05)
-        await asyncio.sleep(SETTLED)
-        near, _ = harness.counted()
-        assert 25 <= len(server.asked) <= 32
-        assert near.refused == {"calls a second": 100 - len(server.asked)}
-
-    lived(play, harness, live())
+@pytest.mark.bed(max_rate=5.0)
+async def test_max_rate_is_of_calls(harness: CallHarness) -> None:
+    server, client = harness.server(), harness.client()
+    await harness.ready(client)
+    for _ in range(100):
+        client.ask()
+        await asyncio.sleep(0.05)
+    await asyncio.sleep(SETTLED)
+    near, _ = harness.counted()
+    assert 25 <= len(server.asked) <= 32
+    assert near.refused == {"calls a second": 100 - len(server.asked)}
 
 
 @pytest.mark.parametrize("provider", ["server", "client"])
-def test_over_one_stream_that_all_routes_share(provider: str, play: Play) -> None:
+@pytest.mark.bed(compression="none")
+def test_over_one_stream_that_all_routes_share(provider: str, harness: CallHarness) -> None:
     """Like Bluetooth: requests and answers go in chunks, interleaved with other routes, both ways on one channel."""
-    harness = CallHarness(1, provider, compression="none")
 
     async def live() -> None:
         server, client = harness.server(waits=True), harness.client()
@@ -578,21 +464,17 @@ def test_over_one_stream_that_all_routes_share(provider: str, play: Play) -> Non
             assert half.channel.carrier is link.control.stream
 
     with replaced.TCP_MULTIPLEXED.during(True):
-        lived(play, harness, live())
+        harness.world.play(life=harness.live(live()))
 
 
-def test_compression(play: Play) -> None:
-    harness = CallHarness(compression="zstd")
-
-    async def live() -> None:
-        harness.server()
-        client = harness.client()
-        await harness.ready(client)
-        for size in (0, 10, 100_000, 3_000_000):
-            client.ask(bytes(size))
-        await until(lambda: client.right == 4, 5.0)
-        near, _ = harness.halves()
-        assert near.channel is not None
-        assert near.channel.carrier.sent_bytes < 100_000
-
-    lived(play, harness, live())
+@pytest.mark.bed(compression="zstd")
+async def test_compression(harness: CallHarness) -> None:
+    harness.server()
+    client = harness.client()
+    await harness.ready(client)
+    for size in (0, 10, 100_000, 3_000_000):
+        client.ask(bytes(size))
+    await until(lambda: client.right == 4, 5.0)
+    near, _ = harness.halves()
+    assert near.channel is not None
+    assert near.channel.carrier.sent_bytes < 100_000

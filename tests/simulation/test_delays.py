@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.simulation.conditions import STILL
@@ -16,9 +15,6 @@ from tests.simulation.world import World
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 
-if TYPE_CHECKING:
-    from tests.simulation.conftest import Play
-
 _SAID_WITHIN, _OVER_WITHIN = 5.0, 8.0
 
 
@@ -26,7 +22,7 @@ _SAID_WITHIN, _OVER_WITHIN = 5.0, 8.0
     ("seed", "protocol", "direction"),
     [(1, "tcp", "transmit"), (2, "tcp", "receive"), (12, "udp", "transmit"), (7, "udp", "receive")],
 )
-def test_both_sides_say_that_messages_are_late(seed: int, protocol: str, direction: str, play: Play) -> None:
+def test_both_sides_say_that_messages_are_late(seed: int, protocol: str, direction: str) -> None:
     """Within 5 s of the first message that comes out late; and both are content again 8 s after the way is fast."""
     world = World(seed, replace(STILL, checks=(1.0, 1.0)))
     (robot,) = world.robots
@@ -66,4 +62,4 @@ def test_both_sides_say_that_messages_are_late(seed: int, protocol: str, directi
         assert set(content) == {True, False}, content
         assert max(content.values()) - mended_at <= _OVER_WITHIN, (content, mended_at)
 
-    play(world, 180.0, live())
+    world.play(life=live())

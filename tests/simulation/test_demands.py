@@ -14,8 +14,8 @@ from unittest.mock import patch
 
 import msgspec
 import pytest
+from tests.simulation.beds import Yard
 from tests.simulation.ros import STRING, Reader, Writer, hash_of
-from tests.simulation.test_patterns import Yard, lived
 from tests.support import replaced
 from tests.support.long import long
 
@@ -29,7 +29,6 @@ from rsb_bridge.model.session import Topic
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from tests.simulation.conftest import Play
     from tests.simulation.engine_host import Run
 
     from rsb_bridge.link.link import Link
@@ -46,7 +45,6 @@ class Edits(Yard):
     """A robot and a server whose sessions demand some names, by name and by patterns, and bridge others freely.
 
     Attributes:
-        demanded: the names on the robot that have to be armed.
         crossed: messages by name on the robot, as nodes of the other domain have counted them.
     """
 
@@ -61,11 +59,7 @@ class Edits(Yard):
         if self.random.random() < 0.5:
             robot, server = server, robot
         self.robot.session = msgspec.structs.replace(self.robot.session, topics=robot)
-        clients = tuple(
-            msgspec.structs.replace(each, topics=server if each.name == self._name else ())
-            for each in self.server.session.accepted_clients
-        )
-        self.server.session = msgspec.structs.replace(self.server.session, clients=clients)
+        self.list_on_server(*server)
         self._writers = [self._ends(name) for name in self.names]
 
     def _demanding(self, word: str) -> tuple[Topic, ...]:
@@ -87,7 +81,7 @@ class Edits(Yard):
         Reader(far, "/counter", at, STRING, hash_of(STRING), Qos(), count)  # type: ignore[arg-type]
         return Writer(near, "/publisher", here, STRING, hash_of(STRING), Qos())
 
-    async def live(self) -> None:
+    async def edit(self) -> None:
         """Publish, and have operators of both sides edit."""
         until = self.world.loop.time() + _HOURS * 3600
         commands = 0
@@ -103,7 +97,6 @@ class Edits(Yard):
         assert any(name not in self.demanded for name in self.crossed), "what is free crosses"
 
     async def _edit(self) -> bool:
-        """Whether an operator of either side has changed something."""
         on_server = self.random.random() < 0.5
         run = (self.server if on_server else self.robot).run
         assert run is not None
@@ -166,9 +159,9 @@ class Edits(Yard):
 
 
 @pytest.mark.parametrize("seed", [0, *long(1, 2)])
-def test_what_either_session_demands_never_crosses_unarmed(seed: int, play: Play) -> None:
+def test_what_either_session_demands_never_crosses_unarmed(seed: int) -> None:
     yard = Edits(seed)
-    lived(play, yard, yard.live(), _HOURS * 3600 + 60)
+    yard.world.play(life=yard.live(yard.edit()))
 
 
 def _forgotten(self: RunningDemands, stay: object) -> None:
@@ -200,7 +193,7 @@ _matching = replaced.DEMANDS_MATCHING.value
     ],
     ids=["edits drop demands", "only the route's own entry", "patterns do not count"],
 )
-def test_a_mistake_is_found(owner: type, name: str, mistake: Callable[..., object], play: Play) -> None:
+def test_a_mistake_is_found(owner: type, name: str, mistake: Callable[..., object]) -> None:
     yard = Edits(0)
     with patch.object(owner, name, mistake), pytest.raises(AssertionError, match="crossed unarmed"):
-        lived(play, yard, yard.live(), _HOURS * 3600 + 60)
+        yard.world.play(life=yard.live(yard.edit()))

@@ -16,20 +16,19 @@ from rsb_bridge.model.codes import EventCode
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
-    from tests.simulation.conftest import Play
 
-_TIMES = 5
+_TIMES = 3
 _CONDITIONS = replace(STILL, topics=(8,), periods=(0.5, 2.0))
 
 
 @pytest.mark.parametrize("restarts", [client_restarts, *long(server_restarts)])
 @pytest.mark.parametrize("seed", [3, *long(1, 2)])
 def test_a_goodbye_ends_the_topics_streams_without_an_error(
-    seed: int, restarts: Callable[[World, int], Coroutine[None, None, None]], play: Play
+    seed: int, restarts: Callable[[World, int], Coroutine[None, None, None]]
 ) -> None:
     """The connection of the goodbye may end before or after the TCP topics' connections."""
     world = World(seed, _CONDITIONS)
-    play(world, (_TIMES + 1) * 75.0, restarts(world, _TIMES))
+    world.play(life=restarts(world, _TIMES))
     assert any(flow.topic.protocol == "tcp" for flow in world.topic_flows.values())
     assert world.log.events[EventCode.LINK_CLOSED_BY_PEER] >= _TIMES
     assert not world.log.events[EventCode.ROUTE_CHANNEL_LOST]

@@ -15,15 +15,13 @@ from rsb_bridge.link.link import Link
 from rsb_bridge.wire.messages import Ping, Propose, Report
 
 if TYPE_CHECKING:
-    from tests.simulation.conftest import Play
-
     from rsb_bridge.wire.messages import ControlMessage
 
-_WHILE = 1200.0
+_WHILE = 600.0
 _SETTLED_AFTER = 60.0
 
 
-def count_messages(play: Play, world: World, seconds: float, *doings: object) -> Counter[type]:
+def count_messages(world: World, seconds: float, *doings: object) -> Counter[type]:
     """The control messages of both sides, by type, from a minute after the beginning."""
     sent: Counter[type] = Counter()
     send = Link.send
@@ -34,28 +32,28 @@ def count_messages(play: Play, world: World, seconds: float, *doings: object) ->
         send(self, message)
 
     with patch.object(Link, "send", counting):
-        play(world, seconds, *doings)  # type: ignore[arg-type]
+        world.play(seconds, *doings)  # type: ignore[arg-type]
     return sent
 
 
-def test_a_link_on_which_nothing_happens_only_pings(play: Play) -> None:
+def test_a_link_on_which_nothing_happens_only_pings() -> None:
     """Counts that the peer knows are not reported again."""
-    sent = count_messages(play, World(1, replace(STILL, topics=(4,), periods=(1e9, 1e9))), _WHILE)
+    sent = count_messages(World(1, replace(STILL, topics=(4,), periods=(1e9, 1e9))), _WHILE)
     assert sent[Ping] > 1.9 * (_WHILE - _SETTLED_AFTER)
     assert not sent[Report]
 
 
-def test_each_message_is_reported_and_no_more(play: Play) -> None:
+def test_each_message_is_reported_and_no_more() -> None:
     """The receiver's count, the sender's ledger with it, and the sender's before: three reports for a message."""
     world = World(1, replace(STILL, topics=(1,), periods=(10.0, 10.0)))
-    sent = count_messages(play, world, _WHILE)
+    sent = count_messages(world, _WHILE)
     (flow,) = world.topic_flows.values()
     assert flow.heard > 0.8 * _WHILE / 10.0
     assert sent[Report] <= 4 * flow.heard
 
 
-def test_a_route_whose_types_differ_is_proposed_ever_more_rarely(play: Play) -> None:
+def test_a_route_whose_types_differ_is_proposed_ever_more_rarely() -> None:
     """Both sides accept it every time, and find out only then what it is refused for."""
     world = World(1, STILL)
-    sent = count_messages(play, world, _WHILE, type_differs_for(world, 2 * _WHILE))
+    sent = count_messages(world, _WHILE, type_differs_for(world, 2 * _WHILE))
     assert 0.9 * _WHILE / 10.0 - 10 < sent[Propose] <= _WHILE / 10.0

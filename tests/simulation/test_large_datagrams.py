@@ -3,191 +3,102 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass, field
-from random import Random
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import msgspec
 import pytest
-from tests.simulation.loop import SimulatedLoop
-from tests.simulation.machine import Machine, Process
-from tests.simulation.network import Network
-from tests.simulation.sockets import simulated
-from tests.support.schedulers import lone_scheduler
-from tests.support.session_keys import session_keys
+from tests.simulation.conditions import STILL
+from tests.simulation.world import World
 
-from rsb_bridge.channel.data_keys import DataKeys
-from rsb_bridge.channel.datagram_channel import DatagramReceiver, DatagramSender, datagram_channel
-from rsb_bridge.channel.udp_channel import ClientUdpChannel, PathProbe, ServerUdpChannel, UdpDemultiplexer
-from rsb_bridge.link.data_channels import UdpChannels
+from rsb_bridge.channel.datagram_channel import DatagramSender
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.transport.streams import StreamHandler
-from rsb_bridge.transport.transport import Acceptor
-from rsb_bridge.transport.udp import Udp
-from rsb_bridge.wire.framing import Budget
-from rsb_bridge.wire.sealing import CipherSuite
+from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from tests.simulation.engine_host import EngineHost
+    from tests.simulation.topic_flow import TopicFlow
 
-    from rsb_bridge.model.snapshot import Level
-    from rsb_bridge.transport.streams import Address
-    from rsb_bridge.transport.transport import DatagramSocket
-    from rsb_bridge.wire.framing import Message
-    from rsb_bridge.wire.sealing import Role
-
-_LINK = b"the link"
-_PORT = 49152
 _DEBIAN = 212_992
 """Bytes: net.core.rmem_max of most distributions."""
+_ENOUGH = 8 << 20
 
 
-@dataclass
-class Route:
-    """A route's end (`RouteSink`), with what waits to be sent and what has come."""
-
-    outgoing: bool
-    id: int = 1
-    duplex: bool = False
-    rank: int = 0
-    arrived: list[int] = field(default_factory=list)
-    waiting: list[bytes] = field(default_factory=list)
-    sender: DatagramSender | None = None
-
-    def deliver(self, messages: Iterable[Message]) -> None:
-        self.arrived += [len(payload) for payload, _, _ in messages]
-
-    def flush(self) -> None:
-        while self.waiting and self.sender is not None and not self.sender.congested:
-            self.sender.send([(self.waiting.pop(0), 0, 0)])
-        if self.waiting and self.sender is not None:
-            self.sender.ask()
-
-    def channel_lost(self, reason: str) -> None:
-        raise AssertionError(reason)
+def datagrams(receive_buffer: int) -> tuple[World, TopicFlow]:
+    """A world in which a robot's topic crosses by UDP to a server whose kernel keeps so many bytes."""
+    world = World(1, replace(STILL, topics=(0,), periods=(1e9, 1e9)))
+    (robot,) = world.robots
+    topic = Topic("/cloud", "transmit", protocol="udp")
+    robot.host.session = msgspec.structs.replace(robot.host.session, topics=(topic,))
+    flow = world.add_topic_flow(robot, topic, world.random("flow"))
+    world.server.machine.receive_buffer = receive_buffer
+    for path in world.network.both_ways(robot.host.machine, world.server.machine):
+        path.latency, path.mtu = (0.0002, 0.0002), 9000
+    return world, flow
 
 
-class Side:
-    """One machine, its UDP channels, and the events of its link."""
-
-    def __init__(self, network: Network, name: str, address: str, role: Role, receive_buffer: int) -> None:
-        self.machine = Machine(name, network, address)
-        self.machine.receive_buffer = receive_buffer
-        self.process = Process(self.machine)
-        self.events: list[tuple[EventCode, str]] = []
-        self.keys = DataKeys(session_keys(CipherSuite.AESGCM, bytes(32), _LINK), role, Budget(1 << 28))
-        self.probe = PathProbe(self.keys)
-        self.channels = UdpChannels(network.loop, self._log, lambda: None, lambda _: None)
-        self.route = Route(outgoing=role == "client")
-
-    def _log(self, level: Level, code: EventCode, text: str) -> None:
-        self.events.append((code, text))
+async def sent(flow: TopicFlow, count: int, size: int, every: float) -> None:
+    """Publish messages of some bytes on average, and see that all come out."""
+    heard, flow.size = flow.heard, size
+    for _ in range(count):
+        flow.publish()
+        await asyncio.sleep(every)
+    await asyncio.sleep(2.0)
+    assert flow.heard == heard + count
 
 
-class Link:
-    """A client that sends to a server."""
-
-    def __init__(self, receive_buffer: int) -> None:
-        self.loop = SimulatedLoop(Random(1))  # type: ignore[abstract]  # what is not simulated raises
-        self.network = Network(self.loop, Random(2))
-        self.client = Side(self.network, "robot", "10.0.0.2", "client", 8 << 20)
-        self.server = Side(self.network, "pc", "10.0.0.1", "server", receive_buffer)
-        for path in self.network.both_ways(self.client.machine, self.server.machine):
-            path.latency, path.mtu = (0.0002, 0.0002), 9000
-
-    async def open(self) -> None:
-        demultiplexer = UdpDemultiplexer(self._new_channel)
-        acceptor = Acceptor(StreamHandler, demultiplexer.received, lambda message: None)
-        await self._of(self.server, Udp().listen("10.0.0.1", _PORT, acceptor))
-        await self._of(self.client, self._connect())
-
-    async def _of(self, side: Side, work: object) -> None:
-        assert asyncio.iscoroutine(work)
-        await self.loop.create_task(work, context=side.process.context)
-
-    def _new_channel(self, link_id: bytes, socket: DatagramSocket, _: Address) -> ServerUdpChannel:
-        side = self.server
-        channel = ServerUdpChannel(socket, "10.0.0.1", side.probe, self.loop.time, lambda: None)
-        side.channels.add(_PORT, channel)
-        receiver = datagram_channel(channel, side.route, side.keys, lone_scheduler())
-        assert isinstance(receiver, DatagramReceiver)
-        return channel
-
-    async def _connect(self) -> None:
-        side, ready = self.client, asyncio.Event()
-        channel = ClientUdpChannel(Udp(), ("10.0.0.1", _PORT), side.probe, self.loop.time, ready.set)
-        side.channels.open(_PORT, channel)
-        await ready.wait()
-        sender = datagram_channel(channel, side.route, side.keys, lone_scheduler())
-        assert isinstance(sender, DatagramSender)
-        side.route.sender = sender
-
-    async def send(self, count: int, size: int) -> None:
-        """Send messages, and wait until nothing waits any more."""
-        self.client.route.waiting += [bytes(size)] * count
-        await self._of(self.client, _flushed(self.client.route))
-        while self.client.route.waiting or (self.client.route.sender and self.client.route.sender.congested):
-            await asyncio.sleep(0.01)
-            self.tick()
-        await asyncio.sleep(0.1)
-        self.tick()
-
-    def tick(self) -> None:
-        for side in (self.client, self.server):
-            side.process.context.run(side.channels.tick)
+def told(host: EngineHost) -> list[str]:
+    assert host.run is not None
+    return [event.text for event in host.run.events.after(0) if event.code == EventCode.LINK_UDP_BUFFER]
 
 
-async def _flushed(route: Route) -> None:
-    route.flush()
-
-
-def told(side: Side) -> list[str]:
-    return [text for code, text in side.events if code is EventCode.LINK_UDP_BUFFER]
-
-
-@pytest.mark.parametrize("receive_buffer", [_DEBIAN, 8 << 20])
+@pytest.mark.parametrize("receive_buffer", [_DEBIAN, _ENOUGH])
 def test_large_messages_arrive_whatever_the_kernel_keeps(receive_buffer: int) -> None:
     """Both sides say once where a kernel's limit is too small, with what to run there."""
+    world, flow = datagrams(receive_buffer)
 
-    async def main() -> None:
-        await link.open()
-        await link.send(20, 1_000_000)
-        assert link.server.route.arrived == [1_000_000] * 20
-        for side, where in ((link.server, "here"), (link.client, "there")):
+    async def live() -> None:
+        await asyncio.sleep(20.0)
+        await sent(flow, 20, 1_000_000, 0.2)
+        for host, where in ((world.server, "here"), (world.robots[0].host, "there")):
             if receive_buffer == _DEBIAN:
-                (text,) = told(side)
+                (text,) = told(host)
                 assert f"Run {where}: sudo sysctl -w net.core.rmem_max=8388608" in text
             else:
-                assert not told(side)
+                assert not told(host)
 
-    with simulated():
-        link = Link(receive_buffer)
-        link.loop.run_until_complete(main())
+    world.play(life=live())
 
 
 def test_a_limit_that_is_raised_counts_at_once() -> None:
-    async def main() -> None:
-        await link.open()
-        await link.send(2, 1_000_000)
-        link.server.machine.receive_buffer = 8 << 20
-        link.tick()
-        await link.send(20, 1_000_000)
-        assert link.server.route.arrived == [1_000_000] * 22
-        assert link.client.route.sender is not None
-        assert link.client.route.sender.via.window > _DEBIAN
+    world, flow = datagrams(_DEBIAN)
 
-    with simulated():
-        link = Link(_DEBIAN)
-        link.loop.run_until_complete(main())
+    def window() -> int:
+        run = world.robots[0].host.run
+        assert run is not None
+        (half,) = run.links()[0].routes.values()
+        assert isinstance(half.channel, DatagramSender)
+        return half.channel.via.window
+
+    async def live() -> None:
+        await asyncio.sleep(20.0)
+        await sent(flow, 2, 1_000_000, 0.2)
+        assert window() <= _DEBIAN
+        world.server.machine.receive_buffer = _ENOUGH
+        await asyncio.sleep(2.0)
+        await sent(flow, 20, 1_000_000, 0.2)
+        assert window() > _DEBIAN
+
+    world.play(life=live())
 
 
 def test_small_messages_need_no_large_buffer() -> None:
-    async def main() -> None:
-        await link.open()
-        await link.send(1000, 2_500)
-        assert len(link.server.route.arrived) == 1000
-        assert not told(link.server)
-        assert not told(link.client)
+    world, flow = datagrams(_DEBIAN)
 
-    with simulated():
-        link = Link(_DEBIAN)
-        link.loop.run_until_complete(main())
+    async def live() -> None:
+        await asyncio.sleep(20.0)
+        await sent(flow, 1000, 2_500, 0.002)
+        assert not told(world.server)
+        assert not told(world.robots[0].host)
+
+    world.play(life=live())

@@ -17,7 +17,7 @@ import msgspec
 import pytest
 from tests.simulation.conditions import STILL
 from tests.simulation.invariants import route_of
-from tests.simulation.mutations import Mutation
+from tests.simulation.mutations import Mutation, nothing
 from tests.simulation.world import Violation, World
 from tests.support import replaced
 from tests.support.long import long_cases
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator
     from random import Random
 
-    from tests.simulation.conftest import Play
     from tests.simulation.engine_host import EngineHost, Run
     from tests.simulation.machine import Machine
 
@@ -65,7 +64,6 @@ class Heartbeats:
 
     @contextlib.contextmanager
     def tapped(self, now: Callable[[], float]) -> Iterator[None]:
-        """Note them while this lasts."""
         send, handle = replaced.LEASE_SEND.value, LinkLease.handle
 
         def sends(lease: LinkLease) -> None:
@@ -86,11 +84,7 @@ class Heartbeats:
 
 
 class Armed:
-    """A world with one robot, one topic that has to be armed, and operators on both sides.
-
-    Attributes:
-        armed: how often it was armed.
-    """
+    """A world with one robot, one topic that has to be armed, and operators on both sides."""
 
     def __init__(self, seed: int, protocol: Protocol, direction: str) -> None:
         self.world = World(seed, _CONDITIONS)
@@ -123,12 +117,10 @@ class Armed:
 
     @property
     def source(self) -> EngineHost:
-        """The computer where the topic's messages are made."""
         return self.robot.host if self.flow.topic.direction == "transmit" else self.world.server
 
     @property
     def sink(self) -> EngineHost:
-        """The computer where they are published."""
         return self.world.server if self.flow.topic.direction == "transmit" else self.robot.host
 
     @property
@@ -137,7 +129,6 @@ class Armed:
         return self.source.machine, self.sink.machine
 
     def run(self, host: EngineHost) -> Run:
-        """The engine of a computer, which is there."""
         assert host.run is not None
         return host.run
 
@@ -147,11 +138,9 @@ class Armed:
         return [run for run in runs if not self.world.loop.is_frozen(run.process)]
 
     def half(self, run: Run) -> Route | None:
-        """An engine's half of the topic."""
         return next((half for link in run.links() if (half := route_of(link, self.flow)) is not None), None)
 
     def state(self, run: Run) -> State | None:
-        """The state that a side shows of the topic."""
         half = self.half(run)
         return None if half is None else run.process.context.copy().run(half.verdict).state
 
@@ -164,7 +153,6 @@ class Armed:
     # --- what must never be
 
     def _published(self, payload: bytes) -> Any:
-        """Check a message that an engine publishes now."""
         account = self._count_published(payload)
         made, now, wrong = self.flow.made_at(payload), self.world.loop.time(), self.world.wrong
         assert made is not None
@@ -197,14 +185,12 @@ class Armed:
     # --- what operators do
 
     async def keep(self) -> None:
-        """Press a key on both sides now and then."""
         while True:
             await asyncio.sleep(1.0)
             for run in self.runs():
                 await run.command(run.bridge.do(KeepArmed(pressed=True)))
 
     async def operate(self) -> None:
-        """Arm it again and again, on either side, and disarm it now and then."""
         while True:
             await asyncio.sleep(self.random.uniform(0.2, 2.0))
             if not (runs := self.runs()):
@@ -217,7 +203,6 @@ class Armed:
                 asyncio.ensure_future(self.disarm(run))  # noqa: RUF006
 
     async def arm(self, run: Run) -> None:
-        """Try to arm it on one side."""
         half = self.half(run)
         if run.host.name in self._asking or half is None:
             return
@@ -264,7 +249,6 @@ class Armed:
             self._stood_still_at = max(self._stood_still_at, began)
 
     async def freeze(self, host: EngineHost, seconds: float, *, reads_first: bool) -> None:
-        """Stop an engine's process, and have it go on."""
         process = self.run(host).process
         async with self.stood_still(seconds, LASTS):
             self.world.loop.freeze(process)
@@ -303,21 +287,19 @@ class Armed:
             path.mend()
 
     def mend(self) -> None:
-        """Have a good network again."""
         self.world.network.path(*self.machines).mend()
 
     async def restart(self, host: EngineHost) -> None:
-        """Kill an engine, and start it again."""
         host.kill()
         await asyncio.sleep(self.random.uniform(0.0, 1.0))
         host.start()
 
     # --- lives
 
-    def play(self, play: Play, seconds: float, *lives: Coroutine[Any, Any, None]) -> None:
-        """Play the world until the first of some lives is over, for so long at most, and watch it."""
+    def play(self, *lives: Coroutine[Any, Any, None]) -> None:
+        """Play the world until the first of some lives is over, and watch it."""
         with self.heartbeats.tapped(self.world.loop.time):
-            play(self.world, seconds, self._live(*lives))
+            self.world.play(life=self._live(*lives))
 
     async def _live(self, life: Coroutine[Any, Any, None], *others: Coroutine[Any, Any, None]) -> None:
         tasks = [asyncio.ensure_future(each) for each in (self.watch(), self.keep(), *others)]
@@ -362,9 +344,9 @@ CASES: list[Any] = [
 
 
 @pytest.mark.parametrize(("protocol", "direction"), CASES)
-def test_what_is_armed_comes_out_young_or_not_at_all(protocol: Protocol, direction: str, play: Play) -> None:
+def test_what_is_armed_comes_out_young_or_not_at_all(protocol: Protocol, direction: str) -> None:
     armed = Armed(1, protocol, direction)
-    armed.play(play, SECONDS + 30.0, armed.anything(), armed.operate())
+    armed.play(armed.anything(), armed.operate())
     assert armed.armed >= 3
     assert armed.flow.heard >= 300
 
@@ -485,19 +467,15 @@ EPISODES = (
 
 
 @pytest.mark.parametrize(("protocol", "direction"), CASES)
-def test_one_standstill_after_the_other(protocol: Protocol, direction: str, play: Play) -> None:
+def test_one_standstill_after_the_other(protocol: Protocol, direction: str) -> None:
     armed = Armed(2, protocol, direction)
-
-    lived = []
 
     async def live() -> None:
         for episode in EPISODES:
             await episode(armed)
-            lived.append(episode)
         await armed.flows()
 
-    armed.play(play, 160.0, live())
-    assert tuple(lived) == EPISODES
+    armed.play(live())
 
 
 # --- each rule is needed
@@ -544,10 +522,6 @@ async def _at_once(self: Settling) -> None:
     """Replace `Settling.wait` by a form that does not wait."""
 
 
-def _nothing(*_: Any) -> None:
-    """Do nothing, in place of the work that a mutation leaves out."""
-
-
 _look = replaced.LEASE_LOOK.value
 _marked = Marker.marked
 _ALIVE = property(lambda self: self._on)
@@ -567,17 +541,17 @@ _MISTAKES = (
     ("messages carry the newest number", (Marker, "marked", _newest_number), stalled_on_a_slow_way, _OLD),
     ("a backlog counts as new", (Marker, "marked", _each_turn), stalled_with_a_backlog, _OLD),
     ("the command that disarms does not wait", (Settling, "wait", _at_once), disarmed_on_a_slow_way, _AFTER),
-    ("messages in flight are not waited for", (Settling, "begin", _nothing), disarmed_on_a_slow_way, "as disarmed"),
+    ("messages in flight are not waited for", (Settling, "begin", nothing), disarmed_on_a_slow_way, "as disarmed"),
 )
 # fmt: on
 
 
 @pytest.mark.parametrize(("what", "change", "episode", "finds"), _MISTAKES, ids=[what for what, *_ in _MISTAKES])
-def test_each_rule_is_needed(what: str, change: Any, episode: Any, finds: str, play: Play) -> None:
+def test_each_rule_is_needed(what: str, change: Any, episode: Any, finds: str) -> None:
     # The link's window, and that of the path, would keep a burst from being sent at once.
     is_burst = episode is stalled_with_a_backlog
     armed = Armed(3, "udp" if is_burst else "tcp", "transmit")
     changes = (change, (window, "FIRST", 1 << 20), (path_rate, "LEAST_ON_PATH", 1 << 20)) if is_burst else (change,)
     mutation = Mutation(what, changes, finds, _CONDITIONS, 3, 0.02)
     with mutation.made(), pytest.raises(Violation, match=mutation.finds):
-        armed.play(play, 80.0, episode(armed))
+        armed.play(episode(armed))

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import replace
 from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 import msgspec
 import pytest
-from tests.simulation.conditions import STILL
+from tests.simulation.beds import until
 from tests.simulation.ros import STRING, Writer, hash_of
-from tests.simulation.test_calls import until
-from tests.simulation.world import World
 from tests.support import constants, replaced
 
 from rsb_bridge.api import EngineError
@@ -27,164 +24,89 @@ from rsb_bridge.model.patterns import (
 )
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import PatternSnapshot, State
+from rsb_bridge.model.snapshot import State
 
 if TYPE_CHECKING:
-    from collections.abc import Coroutine
+    from tests.simulation.beds import Yard
 
-    from tests.simulation.conftest import Play
-    from tests.simulation.engine_host import EngineHost
-
-    from rsb_bridge.link.link import Link
     from rsb_bridge.link.name_watch import NameWatch
-    from rsb_bridge.route.route import Route
 
 _OTHER = "std_msgs/msg/Int32"
 _SEEN = 5.0
 """s within which a change of a graph has made routes on both sides."""
 
 
-class Yard:
-    """A robot and a server, on which topics come and go.
-
-    Args:
-        listed: the topics of the robot's session.
-
-    Attributes:
-        world: in which they are.
-        server: the server's host.
-    """
-
-    def __init__(self, *listed: Topic) -> None:
-        self.world = World(1, replace(STILL, topics=(0,)))
-        self.robot: EngineHost = self.world.robots[0].host
-        self.server: EngineHost = self.world.server
-        self.robot.session = msgspec.structs.replace(self.robot.session, topics=listed)
-        self._name = self.world.robots[0].name
-
-    def publish(self, *topics: str, on_server: bool = False) -> list[Writer]:
-        """Publishers of a program."""
-        domain = (self.server if on_server else self.robot).domain
-        return [Writer(domain, "/program", topic, STRING, hash_of(STRING), Qos()) for topic in topics]
-
-    def link(self, *, on_server: bool = False) -> Link:
-        """The link, on either side."""
-        run = (self.server if on_server else self.robot).run
-        assert run is not None
-        return next(link for link in run.links() if link.name == self._name)
-
-    def routes(self, *, on_server: bool = False) -> dict[str, Route]:
-        """The routes by their topics' names on the robot."""
-        return {route.spec.topic: route for route in self.link(on_server=on_server).routes.values()}
-
-    def patterns(self) -> list[PatternSnapshot]:
-        """The robot's."""
-        return list(self.link().snapshot().patterns)
-
-    def codes(self) -> list[str]:
-        """Return the codes of the robot's events."""
-        assert self.robot.run is not None
-        return [event.code for event in self.robot.run.events.after(0)]
+_NO_EXCEPTION_LEFT = tuple(f"/gone/t{n}" for n in range(EXCEPTIONS_PER_PATTERN))
 
 
-def lived(play: Play, yard: Yard, life: Coroutine[None, None, None], seconds: float) -> None:
-    """Play a world until a life is over, and raise its exception."""
-    outcome: list[BaseException | None] = []
-
-    async def live() -> None:
-        await asyncio.sleep(10.0)
-        try:
-            await life
-        except BaseException as error:
-            outcome.append(error)
-            raise
-        outcome.append(None)
-
-    play(yard.world, seconds, live())
-    assert outcome == [None]
-
-
-def test_a_topic_that_is_gone_keeps_its_route_for_a_while(play: Play) -> None:
+@pytest.mark.bed(Topic("/camera/**", "transmit"))
+async def test_a_topic_that_is_gone_keeps_its_route_for_a_while(yard: Yard) -> None:
     """A node that is started again finds its route as it was; one that never comes back leaves none."""
-    yard = Yard(Topic("/camera/**", "transmit"))
-
-    async def live() -> None:
-        (writer,) = yard.publish("/camera/image")
-        await until(lambda: "/camera/image" in yard.routes(on_server=True), _SEEN)
-        first = yard.routes()["/camera/image"]
-        for _ in range(5):
-            writer.close()
-            await until(lambda: yard.patterns()[0].gone == 1, _SEEN)
-            await asyncio.sleep(GONE_AFTER - 2 * _SEEN)
-            assert yard.routes() == {"/camera/image": first}
-            (writer,) = yard.publish("/camera/image")
-            await until(lambda: yard.patterns()[0].gone == 0, _SEEN)
+    (writer,) = yard.publish("/camera/image")
+    await until(lambda: "/camera/image" in yard.routes(on_server=True), _SEEN)
+    first = yard.routes()["/camera/image"]
+    for _ in range(5):
         writer.close()
         await until(lambda: yard.patterns()[0].gone == 1, _SEEN)
-        await asyncio.sleep(GONE_AFTER - _SEEN)
-        assert "/camera/image" in yard.routes(on_server=True)
-        await until(lambda: not yard.routes() and not yard.routes(on_server=True), 2 * _SEEN)
-        assert yard.patterns()[0].state is State.WAITING
-        yard.publish("/camera/image")
-        await until(lambda: "/camera/image" in yard.routes(on_server=True), _SEEN)
+        await asyncio.sleep(GONE_AFTER - 2 * _SEEN)
+        assert yard.routes() == {"/camera/image": first}
+        (writer,) = yard.publish("/camera/image")
+        await until(lambda: yard.patterns()[0].gone == 0, _SEEN)
+    writer.close()
+    await until(lambda: yard.patterns()[0].gone == 1, _SEEN)
+    await asyncio.sleep(GONE_AFTER - _SEEN)
+    assert "/camera/image" in yard.routes(on_server=True)
+    await until(lambda: not yard.routes() and not yard.routes(on_server=True), 2 * _SEEN)
+    assert yard.patterns()[0].state is State.WAITING
+    yard.publish("/camera/image")
+    await until(lambda: "/camera/image" in yard.routes(on_server=True), _SEEN)
 
-    lived(play, yard, live(), 6.5 * GONE_AFTER)
 
-
-def test_a_link_that_is_down_is_no_reason_to_take_topics_for_gone(play: Play) -> None:
+@pytest.mark.bed(Topic("/cmd/*", "receive"))
+async def test_a_link_that_is_down_is_no_reason_to_take_topics_for_gone(yard: Yard) -> None:
     """While the link is down, the server's topics are unknown; a topic that is missing afterwards counts as gone from
     then on.
     """
-    yard = Yard(Topic("/cmd/*", "receive"))
-
-    async def live() -> None:
-        stays, goes = yard.publish(*(f"/{yard.link().name}/cmd/{name}" for name in ("stays", "goes")), on_server=True)
-        await until(lambda: yard.routes().keys() == {"/cmd/stays", "/cmd/goes"}, _SEEN)
-        with yard.world.trouble("server away", *yard.world.robots):
-            await yard.server.stop()
-            goes.close()
-            await asyncio.sleep(3 * GONE_AFTER)
-            assert yard.routes().keys() == {"/cmd/stays", "/cmd/goes"}
-            assert yard.patterns()[0].gone == 0
-            assert yard.patterns()[0].state is State.WAITING
-            yard.server.start()
-        await until(lambda: yard.patterns()[0].gone == 1, 60.0)
-        await asyncio.sleep(GONE_AFTER - _SEEN)
-        assert "/cmd/goes" in yard.routes()
-        await until(lambda: yard.routes().keys() == {"/cmd/stays"}, 2 * _SEEN)
-        assert not stays.closed
-
-    lived(play, yard, live(), 5 * GONE_AFTER)
+    stays, goes = yard.publish(*(f"/{yard.link().name}/cmd/{name}" for name in ("stays", "goes")), on_server=True)
+    await until(lambda: yard.routes().keys() == {"/cmd/stays", "/cmd/goes"}, _SEEN)
+    with yard.world.trouble("server away", *yard.world.robots):
+        await yard.server.stop()
+        goes.close()
+        await asyncio.sleep(3 * GONE_AFTER)
+        assert yard.routes().keys() == {"/cmd/stays", "/cmd/goes"}
+        assert yard.patterns()[0].gone == 0
+        assert yard.patterns()[0].state is State.WAITING
+        yard.server.start()
+    await until(lambda: yard.patterns()[0].gone == 1, 60.0)
+    await asyncio.sleep(GONE_AFTER - _SEEN)
+    assert "/cmd/goes" in yard.routes()
+    await until(lambda: yard.routes().keys() == {"/cmd/stays"}, 2 * _SEEN)
+    assert not stays.closed
 
 
 @pytest.mark.long
-def test_a_pattern_ends_at_its_limit_and_says_so(play: Play) -> None:
-    yard = Yard(Topic("/a/*", "transmit"), Topic("/b/**", "transmit"), Topic("/c/*", "transmit"))
-
-    async def live() -> None:
-        writers = yard.publish(*(f"/a/t{n}" for n in range(ROUTES_PER_PATTERN + 20)))
-        await until(lambda: yard.patterns()[0].beyond == 20, _SEEN)
-        assert (yard.patterns()[0].routes, yard.patterns()[0].state) == (ROUTES_PER_PATTERN, State.DOWN)
-        assert yard.codes().count(EventCode.LINK_PATTERN_FULL) == 1
-        await until(lambda: len(yard.routes(on_server=True)) == ROUTES_PER_PATTERN, 30.0)
-        bridged = [writer for writer in writers if writer.topic in yard.routes()]
-        for writer in bridged[:20]:
-            writer.close()  # a topic that is gone makes room at once
-        await until(lambda: yard.patterns()[0].beyond == 0, _SEEN)
-        assert {writer.topic for writer in bridged[:20]}.isdisjoint(yard.routes())
-        assert yard.codes().count(EventCode.LINK_PATTERN_ROOM) == 1
-        rest = ROUTES_BY_PATTERNS - 2 * ROUTES_PER_PATTERN
-        yard.publish(*(f"/b/x/t{n}" for n in range(ROUTES_PER_PATTERN)), *(f"/c/t{n}" for n in range(rest + 1)))
-        await until(lambda: yard.patterns()[2].beyond == 1, _SEEN)
-        assert [each.routes for each in yard.patterns()] == [ROUTES_PER_PATTERN, ROUTES_PER_PATTERN, rest]
-        assert len(yard.routes()) == ROUTES_BY_PATTERNS
-
-    lived(play, yard, live(), 120.0)
+@pytest.mark.bed(Topic("/a/*", "transmit"), Topic("/b/**", "transmit"), Topic("/c/*", "transmit"))
+async def test_a_pattern_ends_at_its_limit_and_says_so(yard: Yard) -> None:
+    writers = yard.publish(*(f"/a/t{n}" for n in range(ROUTES_PER_PATTERN + 20)))
+    await until(lambda: yard.patterns()[0].beyond == 20, _SEEN)
+    assert (yard.patterns()[0].routes, yard.patterns()[0].state) == (ROUTES_PER_PATTERN, State.DOWN)
+    assert yard.codes().count(EventCode.LINK_PATTERN_FULL) == 1
+    await until(lambda: len(yard.routes(on_server=True)) == ROUTES_PER_PATTERN, 30.0)
+    bridged = [writer for writer in writers if writer.topic in yard.routes()]
+    for writer in bridged[:20]:
+        writer.close()  # a topic that is gone makes room at once
+    await until(lambda: yard.patterns()[0].beyond == 0, _SEEN)
+    assert {writer.topic for writer in bridged[:20]}.isdisjoint(yard.routes())
+    assert yard.codes().count(EventCode.LINK_PATTERN_ROOM) == 1
+    rest = ROUTES_BY_PATTERNS - 2 * ROUTES_PER_PATTERN
+    yard.publish(*(f"/b/x/t{n}" for n in range(ROUTES_PER_PATTERN)), *(f"/c/t{n}" for n in range(rest + 1)))
+    await until(lambda: yard.patterns()[2].beyond == 1, _SEEN)
+    assert [each.routes for each in yard.patterns()] == [ROUTES_PER_PATTERN, ROUTES_PER_PATTERN, rest]
+    assert len(yard.routes()) == ROUTES_BY_PATTERNS
 
 
-def test_what_the_other_side_does_not_tell_is_forgotten_with_the_connection(play: Play) -> None:
-    yard = Yard(Topic("/cmd/*", "receive"))
-
+@pytest.mark.bed(Topic("/cmd/*", "receive"))
+def test_what_the_other_side_does_not_tell_is_forgotten_with_the_connection(yard: Yard) -> None:
     async def live() -> None:
         yard.publish(*(f"/{yard.link().name}/cmd/{name}" for name in "abc"), on_server=True)
         await until(lambda: yard.patterns()[0].beyond == 1, _SEEN)
@@ -197,12 +119,11 @@ def test_what_the_other_side_does_not_tell_is_forgotten_with_the_connection(play
         await until(lambda: yard.patterns()[0].beyond == 1, 60.0)
 
     with constants.NAMES_FOLLOWED.during(2):
-        lived(play, yard, live(), 180.0)
+        yard.world.play(life=yard.live(live()))
 
 
-def test_a_type_is_told_anew_though_no_more_names_have_room(play: Play) -> None:
-    yard = Yard(Topic("/cmd/*", "receive"))
-
+@pytest.mark.bed(Topic("/cmd/*", "receive"))
+def test_a_type_is_told_anew_though_no_more_names_have_room(yard: Yard) -> None:
     async def live() -> None:
         name = f"/{yard.link().name}/cmd/vel"
         yard.publish(name, on_server=True)
@@ -211,71 +132,58 @@ def test_a_type_is_told_anew_though_no_more_names_have_room(play: Play) -> None:
         await until(lambda: yard.link().patterns.there == {("topic", name): ""}, 2 * _SEEN)
 
     with constants.NAMES_FOLLOWED.during(1):
-        lived(play, yard, live(), 60.0)
+        yard.world.play(life=yard.live(live()))
 
 
-def test_what_an_edited_pattern_cannot_bridge_any_more_is_named(play: Play) -> None:
+@pytest.mark.bed(Topic("/a/*", "transmit", remote_topic="/x/*"))
+async def test_what_an_edited_pattern_cannot_bridge_any_more_is_named(yard: Yard) -> None:
     """Its name on the server would be too long: it stays as it was."""
-    yard = Yard(Topic("/a/*", "transmit", remote_topic="/x/*"))
     name = f"/a/{'t' * 150}"
-
-    async def live() -> None:
-        yard.publish(name)
-        await until(lambda: yard.routes(on_server=True).keys() == {name}, _SEEN)
-        of_pattern = yard.link().patterns
-        (before,) = of_pattern.all()
-        of_pattern.replace(before.identity, msgspec.structs.replace(before, remote_topic=f"/{'y' * 150}/*"))
-        assert yard.patterns()[0].state is State.DOWN
-        assert name in yard.patterns()[0].reason
-        of_pattern.replace(before.identity, before)
-        assert (yard.patterns()[0].state, yard.patterns()[0].routes) == (State.OK, 1)
-
-    lived(play, yard, live(), 60.0)
+    yard.publish(name)
+    await until(lambda: yard.routes(on_server=True).keys() == {name}, _SEEN)
+    of_pattern = yard.link().patterns
+    (before,) = of_pattern.all()
+    of_pattern.replace(before.identity, msgspec.structs.replace(before, remote_topic=f"/{'y' * 150}/*"))
+    assert yard.patterns()[0].state is State.DOWN
+    assert name in yard.patterns()[0].reason
+    of_pattern.replace(before.identity, before)
+    assert (yard.patterns()[0].state, yard.patterns()[0].routes) == (State.OK, 1)
 
 
-def test_operators_of_neither_side_make_a_session_that_cannot_be_read(play: Play) -> None:
+@pytest.mark.bed(Topic("/a/*", "transmit", excepts=_NO_EXCEPTION_LEFT))
+async def test_operators_of_neither_side_make_a_session_that_cannot_be_read(yard: Yard) -> None:
     """A pattern has a limited number of exceptions, for removals by both sides."""
-    full = tuple(f"/gone/t{n}" for n in range(EXCEPTIONS_PER_PATTERN))
-    yard = Yard(Topic("/a/*", "transmit", excepts=full))
-
-    async def live() -> None:
-        yard.publish("/a/one", "/a/two")
-        await until(lambda: yard.routes(on_server=True).keys() == {"/a/one", "/a/two"}, _SEEN)
-        own, other = yard.robot.run, yard.server.run
-        assert own is not None
-        assert other is not None
-        with pytest.raises(EngineError):
-            await own.command(own.bridge.do(RemoveTopic(yard.routes()["/a/one"].key)))
-        assert "/a/one" in yard.routes()
-        await other.command(other.bridge.do(RemoveTopic(yard.routes(on_server=True)["/a/two"].key)))
-        await until(lambda: EventCode.LINK_PATTERN_FULL in yard.codes(), _SEEN)
-        assert yard.link().patterns.all()[0].excepts == full
-
-    lived(play, yard, live(), 60.0)
+    yard.publish("/a/one", "/a/two")
+    await until(lambda: yard.routes(on_server=True).keys() == {"/a/one", "/a/two"}, _SEEN)
+    own, other = yard.robot.run, yard.server.run
+    assert own is not None
+    assert other is not None
+    with pytest.raises(EngineError):
+        await own.command(own.bridge.do(RemoveTopic(yard.routes()["/a/one"].key)))
+    assert "/a/one" in yard.routes()
+    await other.command(other.bridge.do(RemoveTopic(yard.routes(on_server=True)["/a/two"].key)))
+    await until(lambda: EventCode.LINK_PATTERN_FULL in yard.codes(), _SEEN)
+    assert yard.link().patterns.all()[0].excepts == _NO_EXCEPTION_LEFT
 
 
-def test_what_a_pattern_has_made_is_listed_as_long_as_it_is_there(play: Play) -> None:
+@pytest.mark.bed(Topic("/cmd/*", "receive"))
+async def test_what_a_pattern_has_made_is_listed_as_long_as_it_is_there(yard: Yard) -> None:
     """A server may do with its client what that lists: not what a server's operator has removed."""
-    yard = Yard(Topic("/cmd/*", "receive"))
-
-    async def live() -> None:
-        yard.publish(f"/{yard.link().name}/cmd/vel", on_server=True)
-        await until(lambda: "/cmd/vel" in yard.routes(on_server=True), _SEEN)
-        assert yard.link().table.listed == {("topic", "/cmd/vel", "receive")}
-        server = yard.server.run
-        assert server is not None
-        await server.command(server.bridge.do(RemoveTopic(yard.routes(on_server=True)["/cmd/vel"].key)))
-        await until(lambda: not yard.routes(), _SEEN)
-        assert yard.link().patterns.all()[0].excepts == ("/cmd/vel",)
-        assert yard.link().table.listed == set()
-
-    lived(play, yard, live(), 60.0)
+    yard.publish(f"/{yard.link().name}/cmd/vel", on_server=True)
+    await until(lambda: "/cmd/vel" in yard.routes(on_server=True), _SEEN)
+    assert yard.link().table.listed == {("topic", "/cmd/vel", "receive")}
+    server = yard.server.run
+    assert server is not None
+    await server.command(server.bridge.do(RemoveTopic(yard.routes(on_server=True)["/cmd/vel"].key)))
+    await until(lambda: not yard.routes(), _SEEN)
+    assert yard.link().patterns.all()[0].excepts == ("/cmd/vel",)
+    assert yard.link().table.listed == set()
 
 
 @pytest.mark.long
-def test_many_patterns_cost_nothing_while_nothing_changes(play: Play) -> None:
+@pytest.mark.bed(*(Topic(f"/group{n}/**/none", "transmit") for n in range(19)), Topic("/group0/*", "transmit"))
+def test_many_patterns_cost_nothing_while_nothing_changes(yard: Yard) -> None:
     """500 topics and 20 patterns: a name is held against patterns once, and a graph that rests is not looked at."""
-    yard = Yard(*(Topic(f"/group{n}/**/none", "transmit") for n in range(19)), Topic("/group0/*", "transmit"))
     yard.publish(*(f"/group{n % 20}/t{n}" for n in range(500)))
     matched: list[str] = []
     looks: list[float] = []
@@ -302,4 +210,4 @@ def test_many_patterns_cost_nothing_while_nothing_changes(play: Play) -> None:
         assert set(matched) == {"/group0/new", "/another"}
 
     with patch.object(Pattern, "match", note_match), replaced.NAMES_LOOK.during(note_look):
-        lived(play, yard, live(), 800.0)
+        yard.world.play(life=yard.live(live()))

@@ -13,20 +13,17 @@ from tests.simulation.world import World
 from rsb_bridge.model.codes import EventCode
 
 if TYPE_CHECKING:
-    from tests.simulation.conftest import Play
-
     from rsb_bridge.model.profiles import ProfileName
 
 _GAP = 9.0
 
 
 @pytest.mark.parametrize(("profile", "connections"), [(None, 2), ("lte", 1)])
-def test_a_gap(profile: ProfileName | None, connections: int, play: Play) -> None:
+def test_a_gap(profile: ProfileName | None, connections: int) -> None:
     world = World(1, STILL)
     (robot,) = world.robots
     for host in (robot.host, world.server):
         host.session = msgspec.structs.replace(host.session, profile=profile)
-    linked: list[int] = []
 
     async def live() -> None:
         await asyncio.sleep(20.0)
@@ -35,7 +32,6 @@ def test_a_gap(profile: ProfileName | None, connections: int, play: Play) -> Non
             await asyncio.sleep(_GAP)
             world.network.heal(robot.host.machine, world.server.machine)
             await asyncio.sleep(20.0)
-        linked.append(world.log.events[EventCode.LINK_UP])
+        assert world.log.events[EventCode.LINK_UP] == 2 * connections
 
-    play(world, 60.0, live())
-    assert linked == [2 * connections]
+    world.play(life=live())

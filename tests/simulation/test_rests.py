@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 import pytest
+from tests.simulation.mutations import nothing
 from tests.simulation.ros import Writer, hash_of
 from tests.simulation.test_take_over import Drivers
 from tests.simulation.world import Violation
@@ -25,7 +26,6 @@ from rsb_bridge.route.rest_message import RestMessage
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tests.simulation.conftest import Play
     from tests.simulation.engine_host import Run
     from tests.simulation.test_take_over import Driver
 
@@ -103,7 +103,6 @@ class Motors(Drivers):
             await asyncio.sleep(3.0 if stops else 1 / _RATE)
 
     async def keep_armed(self, driver: Driver) -> None:
-        """Arm it whenever it is not armed."""
         while True:
             await asyncio.sleep(0.5)
             if driver.stands_still:
@@ -115,7 +114,6 @@ class Motors(Drivers):
                 await self._do(driver, lambda route: ArmTopic(route.key))
 
     async def change(self, driver: Driver) -> None:
-        """Disarm it, or pause and resume it, now and then."""
         while True:
             await asyncio.sleep(self.random.uniform(4.0, 15.0))
             if self.random.random() < 0.5:
@@ -150,17 +148,13 @@ class Motors(Drivers):
 
 
 @pytest.mark.parametrize(("seed", "protocol"), [(1, "tcp"), (2, "udp"), *long_cases((3, "tcp"), (4, "udp"))])
-def test_the_last_thing_that_motors_hear_is_a_rest(seed: int, protocol: Protocol, play: Play) -> None:
+def test_the_last_thing_that_motors_hear_is_a_rest(seed: int, protocol: Protocol) -> None:
     motors = Motors(seed, protocol)
-    motors.play(play)
+    motors.play()
     assert motors.ends >= _ENDS
 
 
 # --- each rule is needed
-
-
-def _nothing(*_: object) -> None:
-    """Do nothing, in place of the work that a mutation leaves out."""
 
 
 _MISTAKES: tuple[tuple[str, type, str], ...] = (
@@ -171,7 +165,7 @@ _MISTAKES: tuple[tuple[str, type, str], ...] = (
 
 
 @pytest.mark.parametrize(("owner", "name"), [each[1:] for each in _MISTAKES], ids=[each[0] for each in _MISTAKES])
-def test_a_mistake_is_found(owner: type, name: str, play: Play) -> None:
+def test_a_mistake_is_found(owner: type, name: str) -> None:
     motors = Motors(1, "tcp")
-    with patch.object(owner, name, _nothing), pytest.raises(Violation, match="the robot"):
-        motors.play(play)
+    with patch.object(owner, name, nothing), pytest.raises(Violation, match="the robot"):
+        motors.play()

@@ -18,6 +18,7 @@ from unittest.mock import patch
 import msgspec
 import pytest
 from tests.simulation.conditions import STILL
+from tests.simulation.mutations import nothing
 from tests.simulation.ros import Reader, Writer, hash_of
 from tests.simulation.world import Violation, World
 from tests.support.long import long_cases
@@ -42,7 +43,6 @@ from rsb_bridge.route.rest_message import RestMessage
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Sequence
 
-    from tests.simulation.conftest import Play
     from tests.simulation.engine_host import EngineHost, Run
 
     from rsb_bridge.model.calls import Fields
@@ -68,14 +68,7 @@ def _written(fields: Fields) -> bytes:
 
 @dataclass(eq=False)
 class Driver:
-    """An operator at a console.
-
-    Attributes:
-        name: of both.
-        host: to whose bridge the console is attached.
-        speed: m/s that only this driver asks for.
-        stands_still: whether the console does.
-    """
+    """An operator at a console."""
 
     name: str
     host: EngineHost
@@ -87,12 +80,7 @@ class Drivers:
     """A robot, a server, and their operators.
 
     Attributes:
-        world: all of it.
-        heard: messages that the motors heard, by driver.
         changes: how often the motors heard another driver than before.
-        robot: where the robot's bridge runs.
-        server: where the control PC's does.
-        drivers: all of them.
     """
 
     def __init__(self, seed: int, protocol: Protocol) -> None:
@@ -189,7 +177,6 @@ class Drivers:
         return published.ticket if published is not None else ticket
 
     async def want(self, driver: Driver) -> None:
-        """Arm the topic, ask for it, take it or disarm it, again and again."""
         random = self.random
         while True:
             await asyncio.sleep(random.uniform(2.0, 20.0))
@@ -199,11 +186,9 @@ class Drivers:
             await self.command(driver, random.choice(wants))
 
     async def command(self, driver: Driver, command: Callable[[str], Command[Any]]) -> None:
-        """Have a driver arm the topic, ask for it, take it or disarm it."""
         await self._do(driver, lambda route: command(route.key))
 
     def local_name(self, host: EngineHost) -> str:
-        """Return the topic's name in a domain."""
         route = self._route(host)
         assert route is not None
         return route.local_topic
@@ -211,7 +196,6 @@ class Drivers:
     # --- what befalls them
 
     async def befall(self) -> None:
-        """Stall a console, a bridge's process or the network, one at a time."""
         random, loop = self.random, self.world.loop
         ends = self.server.machine, self.robot.machine
         while True:
@@ -249,13 +233,15 @@ class Drivers:
 
     # --- lives
 
-    def play(self, play: Play, life: Callable[[Drivers], Coroutine[Any, Any, None]] | None = None) -> None:
+    def play(self, life: Callable[[Drivers], Coroutine[Any, Any, None]] | None = None) -> None:
         """Have all of them do what they do, or something else."""
         with self.world.trouble("operators", *self.world.robots):
-            play(self.world, _SECONDS if life is None else 30.0, self.live() if life is None else life(self))
+            if life is None:
+                self.world.play(_SECONDS, self.live())
+            else:
+                self.world.play(life=life(self))
 
     async def live(self) -> None:
-        """Have anything happen, in any order."""
         works: list[Coroutine[Any, Any, None]] = [self.befall()]
         for driver in self.drivers:
             works += (self.sit(driver), self.drive(driver), self.want(driver))
@@ -263,9 +249,9 @@ class Drivers:
 
 
 @pytest.mark.parametrize(("seed", "protocol"), [(7, "tcp"), (2, "udp"), *long_cases((3, "tcp"), (4, "udp"))])
-def test_one_person_drives_at_a_time_and_the_robot_rests_in_between(seed: int, protocol: Protocol, play: Play) -> None:
+def test_one_person_drives_at_a_time_and_the_robot_rests_in_between(seed: int, protocol: Protocol) -> None:
     drivers = Drivers(seed, protocol)
-    drivers.play(play)
+    drivers.play()
     assert drivers.changes >= _CHANGES
     assert all(drivers.heard[each.name] > 10 for each in drivers.drivers), drivers.heard
 
@@ -299,10 +285,10 @@ _FROM_THE_ROBOT_S_SIDE = partial(goes_over, first=2, second=0)
 
 
 @pytest.mark.parametrize("life", [_BESIDE_EACH_OTHER, _FROM_THE_ROBOT_S_SIDE], ids=["beside", "from the robot's side"])
-def test_it_goes_over_through_a_rest(life: Any, play: Play) -> None:
+def test_it_goes_over_through_a_rest(life: Any) -> None:
     """With any QoS, and whichever publisher the robot's own topic has meanwhile."""
     drivers = Drivers(1, "tcp")
-    drivers.play(play, life)
+    drivers.play(life)
     assert drivers.changes == 1
 
 
@@ -324,22 +310,18 @@ async def _handed_over(self: ArmingCommands, command: Any, opening: int) -> None
         route.arming.by, route.arming.console = operator(), console()
 
 
-def _nothing(*_: object) -> None:
-    """Do nothing, in place of the work that a mutation leaves out."""
-
-
 _MISTAKES: tuple[tuple[str, type, str, object, Any], ...] = (
     ("any console's messages pass", Arming, "is_held_by", _anybody, None),
     ("it is handed over without a disarm", ArmingCommands, "_take", _handed_over, _AT_ONCE),
-    ("no rest follows an arming", RestMessage, "begin", _nothing, _FROM_THE_ROBOT_S_SIDE),
-    ("a motion is forgotten with a publisher", RestMessage, "replaces", _nothing, _FROM_THE_ROBOT_S_SIDE),
+    ("no rest follows an arming", RestMessage, "begin", nothing, _FROM_THE_ROBOT_S_SIDE),
+    ("a motion is forgotten with a publisher", RestMessage, "replaces", nothing, _FROM_THE_ROBOT_S_SIDE),
 )
 
 
 @pytest.mark.parametrize(
     ("owner", "name", "mistake", "life"), [each[1:] for each in _MISTAKES], ids=[each[0] for each in _MISTAKES]
 )
-def test_a_mistake_is_found(owner: type, name: str, mistake: object, life: Any, play: Play) -> None:
+def test_a_mistake_is_found(owner: type, name: str, mistake: object, life: Any) -> None:
     drivers = Drivers(1, "tcp")
     with patch.object(owner, name, mistake), pytest.raises(Violation, match="no rest in between"):
-        drivers.play(play, life)
+        drivers.play(life)

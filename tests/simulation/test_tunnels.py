@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.simulation.conditions import STILL
@@ -12,13 +11,10 @@ from tests.simulation.invariants import route_of
 from tests.simulation.world import World
 from tests.support.long import long
 
-if TYPE_CHECKING:
-    from tests.simulation.conftest import Play
-
 
 @pytest.mark.parametrize("topics", [3, *long(1)])
 @pytest.mark.parametrize("speed", [2_000.0, 5_000.0, *long(50_000.0)])
-def test_messages_stay_fresh(topics: int, speed: float, play: Play) -> None:
+def test_messages_stay_fresh(topics: int, speed: float) -> None:
     """Several topics and the link's own stream share the tunnel's one queue; the link stays up all the time."""
     world = World(1, replace(STILL, topics=(topics,)))
     (robot,) = world.robots
@@ -36,4 +32,4 @@ def test_messages_stay_fresh(topics: int, speed: float, play: Play) -> None:
             assert ledger.offered == parts
             assert ledger.throttled or ledger.delivered * flow.size > 0.5 * 120.0 * speed / topics
 
-    play(world, 200.0, live())
+    world.play(life=live())

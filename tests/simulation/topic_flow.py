@@ -27,12 +27,7 @@ CLOCKS = 0.005
 
 
 class Label(NamedTuple):
-    """The numbers that a message carries.
-
-    Attributes:
-        life: of its publisher, from 1.
-        number: in that life, from 1.
-    """
+    """The numbers that a message carries."""
 
     flow: int
     life: int
@@ -40,7 +35,6 @@ class Label(NamedTuple):
 
 
 def label_of(payload: bytes) -> Label | None:
-    """Return the label of a message, or None if it has none."""
     if len(payload) < _HEAD.size or payload[:4] != CDR:
         return None
     return Label(*_HEAD.unpack_from(payload)[1:])
@@ -55,7 +49,6 @@ class Account:
         unreported: how many of these the sender may never learn of, because their publisher's process is gone.
         removed: how many of these the sender may hold for lost, because the receiving half was removed.
         forgotten: whether the publishing process was ever gone.
-        last_offered: s, when it took the last one.
     """
 
     __slots__ = ("forgotten", "last_offered", "offered", "published", "removed", "unreported")
@@ -84,13 +77,8 @@ class TopicFlow(Flow):
     """A topic, with its publisher and its listener.
 
     Attributes:
-        size: bytes of a message, on average.
         life: number of the present publisher, from 1, or 0 before the first.
-        sent: messages of the present publisher.
-        last_sent: s, when the last message was published.
-        last_heard: s, when the last message arrived.
         oldest: s, the greatest age of a message on arrival.
-        newest: the highest number that arrived, by publisher.
         fresh_within: s, the greatest age on arrival that is allowed.
         max_age: s, the greatest age that is allowed when the receiving engine publishes, by true time.
         late: late messages in a row, up to now.
@@ -133,13 +121,11 @@ class TopicFlow(Flow):
 
     @property
     def latched(self) -> bool:
-        """Whether late joiners get the last messages."""
         return self.qos.durability == "transient_local"
 
     # --- the nodes at its ends
 
     def appear(self) -> None:
-        """A new publisher is there, and publishes."""
         if self.writer is None:
             self.life += 1
             self.sent = 0
@@ -151,13 +137,11 @@ class TopicFlow(Flow):
             self._later(first, self._beat, self.life)
 
     def vanish(self) -> None:
-        """The publisher is gone."""
         writer, self.writer = self.writer, None
         if writer is not None:
             writer.close()
 
     def listen(self) -> None:
-        """Start a new listener in place of the previous one."""
         self.deafen()
         type_hash = self.far.installed[self.type_name]
         self.reader = Reader(
@@ -165,7 +149,6 @@ class TopicFlow(Flow):
         )
 
     def deafen(self) -> None:
-        """Nobody subscribes any more."""
         reader, self.reader = self.reader, None
         if reader is not None:
             reader.close()
@@ -173,13 +156,11 @@ class TopicFlow(Flow):
         self._seen.clear()
 
     def update_listener(self, version: int) -> None:
-        """Another version of the type is installed where the messages come out."""
         self.deafen()
         self.far.installed[self.type_name] = hash_of(self.type_name, version)
         self.listen()
 
     def publish(self) -> None:
-        """Send one message."""
         if self.writer is not None:
             self.sent += 1
             self.last_sent = self._loop.time()
@@ -235,7 +216,6 @@ class TopicFlow(Flow):
     # --- what the bridge does, as the domains at both ends see it
 
     def took(self, account: Account, batch: Sequence[RawMessage]) -> None:
-        """A route's sending half took messages."""
         account.offered += len(batch)
         account.last_offered = self._loop.time()
         for message in batch:

@@ -49,6 +49,9 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.route import Route
 
+_LONGEST = 10_000.0
+"""s that a life may take."""
+
 
 class Violation(AssertionError):  # noqa: N818 — it is a finding, not an error of this code
     """Something happened in a world that must never happen."""
@@ -61,8 +64,6 @@ class Robot:
     Attributes:
         name: the client's, unless somebody has started it with a wrong one.
         troubles: reasons why it may be unlinked, with how often each applies.
-        clear_since: s, when the last of these ended.
-        commanded: s, when an operator last changed something.
         has_twin: whether another computer runs the same session.
     """
 
@@ -81,19 +82,11 @@ class World:
     """Everything, from a seed.
 
     Attributes:
-        seed: of all that is left to chance.
-        loop: whose time it is.
-        server: the PC that the robots call.
         accounts: what each route's sending half did, by the route.
     """
 
     def __init__(self, seed: int, conditions: Conditions | None = None) -> None:
-        """Make it.
-
-        Args:
-            seed: of all that is left to chance.
-            conditions: of the world, or None to draw them from the seed, too.
-        """
+        """Make it."""
         self.seed = seed
         self.conditions = conditions or draw_conditions(self.random("climate"))
         self.loop = SimulatedLoop(self.random("executor"))  # type: ignore[abstract]  # what is not simulated raises
@@ -142,7 +135,6 @@ class World:
         return robot
 
     def add_action_flow(self, robot: Robot, action: Topic, period: float) -> ActionFlow:
-        """Add clients of an action, with a goal every `period` s (0: none), and its server."""
         number = len(self.action_flows) + 1
         flow = ActionFlow(
             number, action, robot.name, *self._ends(robot, action), **self._chance(f"errand {number}"), period=period
@@ -153,7 +145,6 @@ class World:
         return flow
 
     def _add_service_flow(self, robot: Robot, service: Topic, random: Random) -> None:
-        """Add callers of a service, and its server."""
         number, period = len(self.service_flows) + 1, self._period(random)
         flow = ServiceFlow(
             number,
@@ -167,7 +158,6 @@ class World:
         robot.service_flows.append(flow)
 
     def add_topic_flow(self, robot: Robot, topic: Topic, random: Random) -> TopicFlow:
-        """Add a publisher and a listener of a topic."""
         number = len(self.topic_flows) + 1
         latched = topic.qos == "auto" and random.random() < self.conditions.latched
         flow = TopicFlow(
@@ -201,7 +191,6 @@ class World:
 
     @contextlib.contextmanager
     def twin(self, robot: Robot) -> Iterator[EngineHost]:
-        """Another computer that runs the same session, in a ROS domain of its own where nobody publishes."""
         original = robot.host
         address = f"10.254.0.{original.machine.address.rpartition('.')[2]}"
         host = self._host(f"{robot.name}'s twin", address, original.session, original.keys)
@@ -225,24 +214,30 @@ class World:
 
     # --- what happens
 
-    def play(self, seconds: float, *doings: Coroutine[None, None, None]) -> None:
+    def play(
+        self,
+        seconds: float = _LONGEST,
+        *doings: Coroutine[None, None, None],
+        life: Coroutine[None, None, None] | None = None,
+    ) -> None:
         """Let it live, with all the faults and commands of its conditions.
 
         Args:
             doings: what else happens in it.
+            life: what happens in it until it ends, within `seconds`, or None if only time ends it.
 
         Raises:
             Violation: something happened that must not.
+            TimeoutError: the life has not come to its end.
         """
         with simulated(), self.invariants.actions.tapped():
             try:
-                self.loop.run_until_complete(self._play(seconds, doings))
+                self.loop.run_until_complete(self._play(seconds, doings, life))
             finally:
                 self._clean_up()
                 self.loop.close()
 
     def _clean_up(self) -> None:
-        """End everything that still runs, for example after a failure."""
         self.loop.on_error = lambda _: None
         for host in self.hosts:
             host.kill()
@@ -252,7 +247,9 @@ class World:
         if tasks:
             self.loop.run_until_complete(asyncio.wait(tasks, timeout=60.0))
 
-    async def _play(self, seconds: float, doings: Sequence[Coroutine[None, None, None]]) -> None:
+    async def _play(
+        self, seconds: float, doings: Sequence[Coroutine[None, None, None]], life: Coroutine[None, None, None] | None
+    ) -> None:
         doings = (*doings, self.invariants.watch(), *faults.of(self), *operators.of(self))
         tasks = [self.loop.create_task(doing) for doing in doings]
         self.server.start()
@@ -267,7 +264,12 @@ class World:
             for action in robot.action_flows:
                 action.appear()
                 action.call()
-        await asyncio.sleep(seconds)
+        if life is None:
+            await asyncio.sleep(seconds)
+        else:
+            async with asyncio.timeout(seconds):
+                await life
+            self.invariants.check()
         for task in tasks:
             task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
@@ -276,7 +278,6 @@ class World:
             await host.stop()
 
     def wrong(self, what: str) -> None:
-        """Something is as it must not be: the world ends."""
         if self._violation is None:
             self._violation = Violation(f"{self.log.stamp()} {what}")
             self.loop.fail(self._violation)
@@ -286,7 +287,6 @@ class World:
         return f"python -m tests.simulation {self.seed} --days {self.loop.time() / 86_400 + 0.001:.3f}"
 
     def summary(self) -> str:
-        """Return a description in a few lines."""
         messages = sum(flow.heard for flow in self.topic_flows.values())
         answers = sum(service.answered for service in self.service_flows.values())
         answers += sum(action.answered for action in self.action_flows.values())
@@ -319,7 +319,6 @@ class World:
 
     @contextlib.contextmanager
     def flow_trouble(self, flow: TopicFlow | ServiceFlow | ActionFlow, what: str) -> Iterator[None]:
-        """Allow a flow to be interrupted meanwhile."""
         self.log.fault(what)
         self.log.tell(f"{flow}: {what}")
         flow.troubles[what] += 1
@@ -346,11 +345,9 @@ class World:
     # --- queries
 
     def runs(self) -> list[Run]:
-        """The engines that run."""
         return [host.run for host in self.hosts if host.run is not None]
 
     def robot(self, name: str) -> Robot:
-        """A robot by its name."""
         return next((robot for robot in self.robots if robot.name == name), self.robots[0])
 
     def link_ends(self, robot: Robot) -> tuple[Link, Link] | None:

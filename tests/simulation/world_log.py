@@ -18,9 +18,6 @@ class WorldLog:
     """Lines and counts.
 
     Attributes:
-        faults: how often each was injected, by name.
-        commands: how often operators gave each, by name.
-        events: how often engines told each, by code.
         digest: of all lines, so that two runs can be compared.
     """
 
@@ -33,23 +30,19 @@ class WorldLog:
         self._loop = loop
 
     def tell(self, what: str) -> None:
-        """Add a line."""
         line = f"{self.stamp()} {what}"
         self.lines.append(line)
         self.digest = zlib.crc32(line.encode(), self.digest)
 
     def stamp(self) -> str:
-        """The time, as days and time of day."""
         minutes, seconds = divmod(self._loop.time(), 60)
         hours, minutes = divmod(int(minutes), 60)
         return f"day {hours // 24} {hours % 24:02}:{minutes:02}:{seconds:06.3f}"
 
     def fault(self, name: str) -> None:
-        """Count a fault."""
         self.faults[name] += 1
 
     def summary(self) -> str:
-        """The counts, in two lines."""
         return "\n".join(
             f"{counts.total():,} {what}: {', '.join(f'{count} {name}' for name, count in sorted(counts.items()))}"
             for what, counts in (("faults", self.faults), ("commands", self.commands))

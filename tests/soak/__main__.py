@@ -31,7 +31,6 @@ _DOMAINS = range(60, 80, CLIENTS + 1)
 
 
 def main() -> int:
-    """Run both parts, print the figures, and say whether a bound is broken."""
     parser = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
     parser.add_argument("--seconds", type=float, default=1800.0, help="how long (default: 1800)")
     parser.add_argument("--seed", type=int, default=None, help="of the faults (default: a new one)")
@@ -57,7 +56,6 @@ def main() -> int:
 
 
 def tell(line: str) -> None:
-    """Print a line at once."""
     sys.stdout.write(f"{line}\n")
     sys.stdout.flush()
 
@@ -77,7 +75,6 @@ def _processes(folder: Path, seed: int, seconds: float) -> Outcome:
 
 
 def _faults(chance: random.Random, seconds: float) -> Iterator[Fault]:
-    """Until time is up."""
     from tests.soak.faults import draw
 
     began = time.monotonic()

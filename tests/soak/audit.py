@@ -19,15 +19,7 @@ _ANSWERS_WITHIN = 30.0
 
 @dataclass(frozen=True, slots=True)
 class _Counts:
-    """Counts of one topic while nobody talks.
-
-    Attributes:
-        said: messages published by the talker.
-        heard: messages that came out at the far end.
-        newest: the number of the last of them.
-        row: the sending side's route.
-        kind: the topic's.
-    """
+    """Counts of one topic while nobody talks."""
 
     said: int
     heard: int
@@ -137,7 +129,6 @@ def _open(stage: Stage, listener: TopicListener, hushed: float) -> str:
 
 
 def _rows(stage: Stage, listener: TopicListener) -> tuple[Row | None, Row | None]:
-    """A topic's routes on its sending and its receiving side."""
     robot = listener.name.split("/")[1]
     client = next(each for each in stage.clients if each.name == robot)
     rows = {

@@ -23,7 +23,6 @@ class Fault:
     Attributes:
         kind: of `ACTS`.
         place: 0: the server, or the PC; else the client's number.
-        seconds: how long it lasts.
     """
 
     kind: str
@@ -34,7 +33,6 @@ class Fault:
         return f"{self.kind}, {f'robot{self.place}' if self.place else 'server'}, {self.seconds:.1f} s"
 
     def strike(self, stage: Stage) -> None:
-        """Let it happen, and put it right."""
         ACTS[self.kind](stage, self.place, self.seconds)
 
 
@@ -45,7 +43,6 @@ def _gone(stage: Stage, process: Process, seconds: float) -> None:
 
 
 def _killed(stage: Stage, place: int, seconds: float) -> None:
-    """kill -9; started again after a while."""
     _gone(stage, stage.programs[place], seconds)
 
 
@@ -54,7 +51,6 @@ def _talkers_killed(stage: Stage, place: int, seconds: float) -> None:
 
 
 def _frozen(stage: Stage, place: int, seconds: float) -> None:
-    """SIGSTOP and SIGCONT."""
     stage.programs[place].freeze()
     stage.live(seconds)
     stage.programs[place].thaw()
@@ -111,7 +107,6 @@ def draw(random: Random, clients: int, share: float) -> Fault:
     """The next fault.
 
     Args:
-        clients: how many there are.
         share: of the run that is over, 0 to 1.
     """
     kind = random.choices(tuple(ACTS), (4, 2, 2, 4, 1, 2, 1))[0]

@@ -15,12 +15,7 @@ _MOST_MISTAKES = 20
 
 
 class Book:
-    """Ledgers of one process.
-
-    Attributes:
-        checked: rows that were looked at.
-        wrong: their errors, in words.
-    """
+    """Ledgers of one process."""
 
     def __init__(self, process: str) -> None:
         self.newest: dict[Key, Row] = {}

@@ -22,7 +22,6 @@ class TopicListener:
 
     Attributes:
         name: the topic's name on the server, in either direction, such as ``robot1/scan``.
-        wrong: errors of some of them.
         flowed_at: s since the epoch, when the first message came that was published after `expect`'s moment.
     """
 
@@ -40,7 +39,6 @@ class TopicListener:
 
     @property
     def newest(self) -> int:
-        """The highest number of the talker's present life."""
         return self._newest[max(self._newest)] if self._newest else 0
 
     def expect(self, moment: float) -> None:
@@ -49,7 +47,6 @@ class TopicListener:
         self.flowed_at = None
 
     def close(self) -> None:
-        """Stop listening."""
         self._domain.node.destroy_subscription(self._subscription)
 
     def take(self, clock: Callable[[], float]) -> None:

@@ -17,7 +17,6 @@ class Sample(NamedTuple):
     """At one moment.
 
     Attributes:
-        time: s.
         resident: kB of memory.
     """
 
@@ -28,7 +27,6 @@ class Sample(NamedTuple):
 
 
 def sample(pid: int, now: float) -> Sample | None:
-    """Return a sample of a process at a time (s), or None if it has ended."""
     folder = Path(f"/proc/{pid}")
     try:
         pages = int((folder / "statm").read_text().split()[1])
@@ -43,7 +41,6 @@ class Life:
     """One process from its start to its end.
 
     Attributes:
-        samples: about one a second, oldest first.
         calm: those taken while all was well.
     """
 
@@ -53,14 +50,12 @@ class Life:
     calm: list[Sample] = field(default_factory=list)
 
     def measure(self, now: float, *, calm: bool) -> None:
-        """Take a sample at `now` (s)."""
         taken = sample(self.pid, now)
         if taken is not None:
             (self.calm if calm else self.samples).append(taken)
 
     @property
     def seconds(self) -> float:
-        """Return for how long (s) it was watched."""
         return self.samples[-1].time - self.samples[0].time if self.samples else 0.0
 
     @property
@@ -79,7 +74,6 @@ class Life:
 
     @property
     def slope(self) -> float:
-        """kB of memory a minute, fitted to the warm part."""
         return 60 * slope([(each.time, each.resident) for each in self.warm])
 
     def growth(self, what: str) -> int:
@@ -93,7 +87,6 @@ class Life:
 
 
 def slope(points: list[tuple[float, float]]) -> float:
-    """Return the slope of the least-squares line through some points."""
     if not points:
         return 0.0
     mean_x, mean_y = (sum(values) / len(points) for values in zip(*points, strict=True))

@@ -14,15 +14,7 @@ _WORDS_BEGIN = 8
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A topic that every client has.
-
-    Attributes:
-        topic: its name on the client.
-        direction: as in a session.
-        protocol: as in a session.
-        rate: Hz.
-        size: bytes of a message, about.
-    """
+    """A topic that every client has."""
 
     topic: str
     direction: Literal["transmit", "receive"]
@@ -39,7 +31,6 @@ class Kind:
 
     @property
     def spec(self) -> dict[str, Any]:
-        """Return its entry of a session file."""
         return {"topic": self.topic, "direction": self.direction, "protocol": self.protocol}
 
 
@@ -60,7 +51,6 @@ class Message(NamedTuple):
         life: of the talker; a restarted one begins another.
         number: counts up from 1 in that life.
         sent: when it was published, s since the epoch.
-        whole: whether its checksum is right.
     """
 
     life: int
@@ -70,14 +60,12 @@ class Message(NamedTuple):
 
 
 def encode(life: int, number: int, sent_ns: int, filler: bytes) -> bytes:
-    """A serialized std_msgs/String."""
     head = b"%d %d %d " % (life, number, sent_ns)
     words = b"%s%d %s" % (head, zlib.crc32(filler, zlib.crc32(head)), filler)
     return _CDR_HEADER + struct.pack("<I", len(words) + 1) + words + b"\0"
 
 
 def decode(payload: bytes) -> Message:
-    """The message in a serialized std_msgs/String."""
     try:
         life, number, sent_ns, checksum, filler = payload[_WORDS_BEGIN:].rstrip(b"\0").split(b" ", 4)
         head = b"%s %s %s " % (life, number, sent_ns)

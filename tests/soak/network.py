@@ -16,18 +16,12 @@ SERVER = "127.0.0.2"
 
 
 class ClientNetwork(Relay):
-    """The network of one client.
-
-    Args:
-        number: of the client, from 1.
-        port: of the server, and of the relay.
-    """
+    """The network of one client."""
 
     def __init__(self, number: int, port: int) -> None:
         super().__init__((SERVER, port), f"127.0.1.{number}", port, room=128 * 1024)
 
     def become(self, condition: Condition) -> None:
-        """Change which packets are carried."""
         carries_datagrams = condition in ("whole", "stalled")
         self.to_server = self.to_client = lambda datagram: [datagram] if carries_datagrams else []
         if condition in ("cut", "stalled"):

@@ -27,12 +27,7 @@ _KEPT_LINES = 400
 
 
 def spawn(command: tuple[str, ...], output: int = subprocess.STDOUT) -> subprocess.Popen[str]:
-    """Start a Python program of this project with its standard input and output here.
-
-    Args:
-        command: arguments for the interpreter.
-        output: where its standard error goes.
-    """
+    """Start a Python program of this project with its standard input and output here."""
     setpriv = shutil.which("setpriv")
     dies_with_us = (setpriv, "--pdeathsig", "KILL") if setpriv else ()
     return subprocess.Popen(
@@ -51,7 +46,6 @@ class Process:
 
     Attributes:
         ready: whether the present process has printed something.
-        frozen: whether it is stopped by a signal.
     """
 
     def __init__(self, name: str, *command: str) -> None:
@@ -64,17 +58,14 @@ class Process:
 
     @property
     def pid(self) -> int:
-        """The id of the present process."""
         assert self._child is not None
         return self._child.pid
 
     @property
     def running(self) -> bool:
-        """Whether there is a process that has not ended."""
         return self._child is not None and self._child.poll() is None
 
     def start(self) -> None:
-        """Begin a new life."""
         assert not self.running
         self.ready = False
         self._child = spawn(self._command)
@@ -82,28 +73,23 @@ class Process:
         self._reader.start()
 
     def kill(self) -> None:
-        """kill -9."""
         assert self._child is not None
         self._child.kill()
         self._wait(10)
 
     def freeze(self) -> None:
-        """Stop it as a debugger or a full machine does."""
         self.frozen = True
         os.kill(self.pid, signal.SIGSTOP)
 
     def thaw(self) -> None:
-        """Let it go on."""
         os.kill(self.pid, signal.SIGCONT)
         self.frozen = False
 
     def close(self) -> None:
-        """Kill it if it runs."""
         if self.running:
             self.kill()
 
     def tell(self, words: str) -> None:
-        """Write a line to its standard input."""
         assert self._child is not None
         assert self._child.stdin is not None
         self._child.stdin.write(f"{words}\n")
@@ -135,9 +121,6 @@ class Program(Process):
     """`rsb-console run SESSION --no-ui`.
 
     Attributes:
-        lives: what each process held.
-        books: the ledgers of each.
-        wrong: what it said or did that it must not.
         lines: the last lines of its output, without status lines.
     """
 
@@ -161,13 +144,11 @@ class Program(Process):
 
     @property
     def routes(self) -> list[dict[str, Any]]:
-        """Return the routes of the newest status line."""
         rows: list[dict[str, Any]] = self._status["status"]["routes"]
         return rows
 
     @property
     def told_at(self) -> float:
-        """When (s since the epoch) the newest status line was written."""
         told: float = self._status["time"]
         return told
 
@@ -216,8 +197,6 @@ class Program(Process):
 
 
 class Talkers(Process):
-    """All talkers of a domain, in one process (`tests.soak.talker`)."""
-
     def __init__(self, name: str, domain_id: int, topics: list[tuple[str, str]]) -> None:
         """Prepare.
 

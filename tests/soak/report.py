@@ -30,7 +30,6 @@ def broken(outcome: Outcome, recovery: float) -> list[str]:
     """The bounds that do not hold, in words.
 
     Args:
-        outcome: of the real processes.
         recovery: s from the end of a fault until all topics flow.
     """
     reasons = list(outcome.wrong)
@@ -60,7 +59,6 @@ def leaks(life: Life) -> bool:
 
 
 def write_samples(lives: Iterable[Life], path: Path) -> None:
-    """Save all samples, one a line."""
     with path.open("w") as file:
         file.write("program,pid,time_s,resident_kb,descriptors,threads\n")
         for life in lives:
@@ -68,18 +66,13 @@ def write_samples(lives: Iterable[Life], path: Path) -> None:
 
 
 def of_processes(outcome: Outcome) -> str:
-    """The tables of the real processes."""
     return "\n\n".join((_lives(outcome.lives), _recoveries(outcome), _ledgers(outcome)))
 
 
 def of_worlds(worlds: Worlds) -> str:
-    """The figures of the simulation."""
-    faults = worlds.faults
-    kinds = ", ".join(f"{count:,} {what}" for what, count in faults.most_common())
     return (
-        f"simulation: {worlds.days:.1f} simulated days in {worlds.played} whole worlds and a part of one"
-        f" ({worlds.days_per_hour:.1f} days an hour), {len(worlds.failures)} failed\n"
-        f"{faults.total():,} faults and commands: {kinds}"
+        f"simulation: {worlds.days:.1f} simulated days in {worlds.played} worlds"
+        f" ({worlds.days_per_hour:.1f} days an hour), {len(worlds.failures)} failed"
     )
 
 
@@ -142,7 +135,6 @@ def _ledgers(outcome: Outcome) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Columns under a head."""
     lines = [tuple(head), *map(tuple, rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join(

@@ -30,7 +30,6 @@ class Recovery:
     """After a fault.
 
     Attributes:
-        fault: the last one before it.
         seconds: from its end until the last topic flowed, or None if that never happened.
         slowest: the last topic, and why it was slow; or what did not flow and why.
     """
@@ -46,11 +45,6 @@ class Outcome:
 
     Attributes:
         recoveries: after faults, except those with another fault close behind.
-        faults: how many there were.
-        lives: of all processes of the bridge.
-        ledger: the sums of what all of them sent.
-        checked: ledgers that were looked at.
-        heard: messages at the far ends.
     """
 
     wrong: list[str] = field(default_factory=list)
@@ -78,7 +72,6 @@ def play(
         random: decides how long it is calm between them.
         calm: s, at least, before each fault, and three times that at most.
         audited: s for which messages are counted at the end.
-        tell: takes a line for each fault.
     """
     outcome = Outcome()
     began = time.monotonic()

@@ -29,19 +29,11 @@ class Stage:
     """All of it.
 
     Attributes:
-        network: a path for each client, in order.
-        server: the PC's program.
         talkers: the PC's first, then each robot's.
-        listeners: of every topic, at its far end.
     """
 
     def __init__(self, folder: Path, domains: Iterable[int]) -> None:
-        """Prepare everything; nothing runs yet.
-
-        Args:
-            folder: for sessions, keys and logs.
-            domains: of the server, then of each client.
-        """
+        """Prepare everything; nothing runs yet."""
         server_domain, *client_domains = domains
         names = [f"robot{number}" for number in range(1, len(client_domains) + 1)]
         port = free_port(SERVER)
@@ -75,7 +67,6 @@ class Stage:
 
     @property
     def programs(self) -> list[Program]:
-        """Server and clients."""
         return [self.server, *self.clients]
 
     @property
@@ -94,7 +85,6 @@ class Stage:
         return TopicListener(on_server, self._domains[where], topic, kind)
 
     def late_listeners(self) -> list[TopicListener]:
-        """Add a late listener to each latched topic."""
         return [
             self._listener(listener.name.split("/")[1], listener.kind)
             for listener in self.listeners
@@ -102,7 +92,6 @@ class Stage:
         ]
 
     def start(self) -> None:
-        """Start every process, and wait until each has printed something."""
         processes: list[Process] = [*self.programs, *self.talkers]
         for process in processes:
             process.start()
@@ -117,7 +106,6 @@ class Stage:
             raise TimeoutError(f"{process.name} has not started within {_STARTS_WITHIN:g} s")
 
     def live(self, seconds: float) -> None:
-        """Let time go by."""
         self.live_until(lambda: False, seconds)
 
     def live_until(self, condition: Callable[[], bool], within: float) -> bool:
@@ -145,12 +133,10 @@ class Stage:
         return now
 
     def calm(self) -> None:
-        """Note what each process holds now that all is well."""
         for program in self.programs:
             program.measure(calm=True)
 
     def missing(self) -> str:
-        """Return the silent topics, with both sides' states."""
         told = []
         for listener in self.listeners:
             if listener.flowed_at:
@@ -167,12 +153,10 @@ class Stage:
         return ", ".join(told)
 
     def stop(self) -> None:
-        """End the programs as an operator does, clients first."""
         for program in reversed(self.programs):
             program.stop()
 
     def close(self) -> None:
-        """End everything, in any state."""
         for process in (*self.programs, *self.talkers):
             process.close()
         for path in self.network:

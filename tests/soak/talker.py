@@ -18,8 +18,6 @@ _LONGEST_WAIT = 0.1
 
 
 class _Talker:
-    """Publishes on one topic, at its rate."""
-
     def __init__(self, domain: Domain, topic: str, kind: Kind, life: int) -> None:
         self.topic = topic
         self.number = 0
@@ -31,7 +29,6 @@ class _Talker:
         self._publisher = domain.publisher(topic, qos=qos)
 
     def work(self, now: float) -> None:
-        """Publish if it is time."""
         if now < self.due:
             return
         self.due = now + self._interval if now - self.due > self._interval else self.due + self._interval

@@ -34,7 +34,6 @@ DESCRIPTION = read_description(_EVERYTHING, hash_of_text(_EVERYTHING))
 
 
 def _values(value: Value) -> int:
-    """Return the number of values in a result."""
     match value:
         case Items(_, total, shown):
             assert len(shown) <= min(_ITEMS, total)
@@ -94,7 +93,6 @@ def _read_description(data: bytes) -> None:
 
 
 def _read_answer(data: bytes) -> None:
-    """The peer's answer to a question for a description."""
     text = description_in(data)
     assert text is None or len(text) <= DESCRIPTION_LIMIT
 
