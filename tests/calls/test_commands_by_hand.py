@@ -124,9 +124,8 @@ def test_parameters_are_listed_read_set_and_dumped_on_either_side(
     ):
         done = run("param", "set", node, name, value, *(("--type", kind) if kind else ()))
         assert (done.code, done.err) == (0, "")
-        assert list(camera.node.get_parameter(name).value or []) == is_now if isinstance(is_now, list) else True
-        if not isinstance(is_now, list):
-            assert camera.node.get_parameter(name).value == is_now
+        found = camera.node.get_parameter(name).value
+        assert (list(found or []) if isinstance(is_now, list) else found) == is_now
 
 
 def test_what_a_node_refuses_is_told_in_its_own_words(

@@ -324,7 +324,7 @@ def test_killed_and_started_again(tmp_path: Path) -> None:
     root = Path(__file__).parents[2]
     environ = os.environ | {"PYTHONPATH": os.pathsep.join(str(root / name) for name in ("", "bridge", "console"))}
     kept = tmp_path / "robot1.history", tmp_path / "robot1.jsonl"
-    for number in range(2):
+    for number in range(3):
         with subprocess.Popen(
             [sys.executable, "-c", RUNS, str(tmp_path), str(1e4 * number)],
             stdout=subprocess.PIPE,

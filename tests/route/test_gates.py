@@ -69,10 +69,12 @@ __all__ = ["world"]
 A_SECOND = 10**9
 
 
-def leased(arming: Arming, context: Context) -> LeaseHalf:
-    """Give an arming a lease that both sides have answered."""
+def armed(arming: Arming, context: Context) -> LeaseHalf:
+    """Arm by the other side; return the lease, which both sides have answered."""
     lease = arming.lease = LeaseHalf(context.clock.steady, RosTurns(), lambda: None)
+    arming.demand(required=True, deadman=0.0)
     lease.begin()
+    arming.take("anna", context.now())
     for newest in range(1, 3):  # the second shows that the other side knows that it is heard
         lease.hear(newest, lease.beat()[0])
     return lease
@@ -470,10 +472,7 @@ def test_a_message_of_an_arming_that_this_side_does_not_know_is_not_published(
     ros = OnePublisher()
     route = opened(make_context(ros=ros), FakePeer(), "/cmd")
     route.deliver([(with_number(1, b"moves"), 0, LEASED), (b"1", 0, LEASED)])
-    arming = route.arming
-    arming.demand(required=True, deadman=0.0)
-    leased(arming, route.context)
-    arming.take("anna", route.context.now())
+    armed(route.arming, route.context)
     route.deliver([(b"moves", 0, 0), (b"1", 0, LEASED)])
     assert not ros.published.sizes
     report = route.news()

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.route.calls.test_held import GOAL, providing
+from tests.route.test_gates import armed
 from tests.route.test_unpacking import OnePublisher, Published, opened
 from tests.route.test_volatile import unwanted
 from tests.support.inside import outputs_of, provide, refusal_of
 from tests.support.offline import FakePeer
 
 from rsb_bridge.model.calls import SEND_GOAL, Refused
-from rsb_bridge.ros.ros_thread import RosTurns
-from rsb_bridge.route.lease import LASTS, LeaseHalf
+from rsb_bridge.route.lease import LASTS
 from rsb_bridge.route.source_publishers import FREE, VolatileTopic
 from rsb_bridge.wire.framing import LEASED, Budget
 from rsb_bridge.wire.headers import CallFrame, What, with_number
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.route.incoming import IncomingRoute
-    from rsb_bridge.route.route import Route
 
 LONG = bytes(4) + bytes(FREE)
 """A message before which DDS is asked what it still holds."""
@@ -60,17 +59,6 @@ class _Asked(Published):
         return True
 
 
-def _arm(route: Route, context: Context) -> int:
-    """Arm a route by the other side; return the newest number of this side."""
-    lease = route.arming.lease = LeaseHalf(context.clock.steady, RosTurns(), lambda: None)
-    route.arming.demand(required=True, deadman=0.0)
-    lease.begin()
-    route.arming.take("anna", context.now())
-    for newest in range(1, 3):  # the second shows that the other side knows that it is heard
-        lease.hear(newest, lease.beat()[0])
-    return lease.number
-
-
 def _stands_in_the_check(route: IncomingRoute, _: OnePublisher, loop: VirtualLoop, seconds: float) -> None:
     route.check.checker = _Waits(loop, seconds)  # type: ignore[assignment]
 
@@ -93,7 +81,7 @@ def test_nothing_is_published_that_became_old_on_the_way_to_dds(
     ros = OnePublisher()
     context = make_context(ros=ros)
     route = opened(context, FakePeer(), "/cmd")
-    number = _arm(route, context)
+    number = armed(route.arming, context).number
     stand(route, ros, loop, seconds)
     route.deliver([(with_number(number, LONG), context.stamps.now(), LEASED)])
     assert len(ros.published.sizes) == count
@@ -109,7 +97,7 @@ def test_no_goal_begins_that_became_old_on_the_way_to_dds(
     context = make_context()
     route = providing(context)
     provide(route, Provide(route=1, lanes=(LaneEntry("a/action/B_SendGoal", "h", 1),)))
-    number = _arm(route, context)
+    number = armed(route.arming, context).number
 
     def slow(frame: CallFrame, part: str) -> Refused | None:
         loop.jump(seconds)

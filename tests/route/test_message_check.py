@@ -88,21 +88,18 @@ def run(work: Callable[[], Any]) -> None:
 
 
 def test_an_installed_type_is_checked_from_the_first_message() -> None:
-    async def work() -> None:
-        bed = Bed({NAMES: TEXT})
-        bed.check.begin(NAMES)
-        bed.check.check(names(3))
-        with pytest.raises(MalformedError):
-            bed.check.check(names(3)[:-1])
-        bed.context.session = msgspec.structs.replace(SESSION, check_messages=False)
-        bed.check.set()
+    bed = Bed({NAMES: TEXT})
+    bed.check.begin(NAMES)
+    bed.check.check(names(3))
+    with pytest.raises(MalformedError):
         bed.check.check(names(3)[:-1])
-        assert bed.check.checker is None
-        bed.context.session = SESSION
-        bed.check.set()
-        assert bed.check.checker is not None
-
-    run(work)
+    bed.context.session = msgspec.structs.replace(SESSION, check_messages=False)
+    bed.check.set()
+    bed.check.check(names(3)[:-1])
+    assert bed.check.checker is None
+    bed.context.session = SESSION
+    bed.check.set()
+    assert bed.check.checker is not None
 
 
 async def looked(bed: Bed) -> bool:
@@ -148,53 +145,42 @@ def test_nodes_that_describe_nothing_are_asked_again_only_later() -> None:
 
 
 def test_a_link_s_messages_take_a_bounded_part_of_the_time() -> None:
-    async def work() -> None:
-        bed = Bed({NAMES: TEXT})
-        bed.check.begin(NAMES)
-        for _ in range(CHECKED_AT_ONCE // STEPS):
-            bed.check.check(names(STEPS))
-        with pytest.raises(TooComplexError):
-            bed.check.check(names(STEPS))
-        with pytest.raises(TooComplexError):
-            bed.check.check(names(100))
-        bed.time += 200 / CHECKED_A_SECOND
+    bed = Bed({NAMES: TEXT})
+    bed.check.begin(NAMES)
+    for _ in range(CHECKED_AT_ONCE // STEPS):
+        bed.check.check(names(STEPS))
+    with pytest.raises(TooComplexError):
+        bed.check.check(names(STEPS))
+    with pytest.raises(TooComplexError):
         bed.check.check(names(100))
-        bed.time += 10.0
-        for _ in range(CHECKED_AT_ONCE // STEPS // 2):  # malformed ones are read again for the field, and cost more
-            with pytest.raises(MalformedError):
-                bed.check.check(names(STEPS)[:-4] + struct.pack("<I", 5))
-        with pytest.raises(TooComplexError):
-            bed.check.check(names(STEPS))
-
-    run(work)
+    bed.time += 200 / CHECKED_A_SECOND
+    bed.check.check(names(100))
+    bed.time += 10.0
+    for _ in range(CHECKED_AT_ONCE // STEPS // 2):  # malformed ones are read again for the field, and cost more
+        with pytest.raises(MalformedError):
+            bed.check.check(names(STEPS)[:-4] + struct.pack("<I", 5))
+    with pytest.raises(TooComplexError):
+        bed.check.check(names(STEPS))
 
 
 def test_a_length_that_is_only_claimed_costs_nothing_of_the_links_budget() -> None:
     """Eight bytes of one message do not have the messages that come with it dropped."""
-
-    async def run() -> None:
-        bed = Bed({NAMES: TEXT})
-        bed.check.begin(NAMES)
-        with pytest.raises(MalformedError):
-            bed.check.check(b"\0\1\0\0" + struct.pack("<I", 1 << 28))
-        bed.check.check(names(1000))
-
-    asyncio.run(run())
+    bed = Bed({NAMES: TEXT})
+    bed.check.begin(NAMES)
+    with pytest.raises(MalformedError):
+        bed.check.check(b"\0\1\0\0" + struct.pack("<I", 1 << 28))
+    bed.check.check(names(1000))
 
 
 def test_checkers_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     constants.CHECKERS_KEPT.set(monkeypatch, 2)
-
-    async def work() -> None:
-        texts = {f"t/msg/T{n}": text_of(_described(f"t/msg/T{n}")) for n in range(4)}
-        bed = Bed(texts)
-        kept = [bed.context.checkers.installed(name) for name in texts]
-        assert all(kept)
-        assert bed.context.checkers.installed("t/msg/T3") is kept[3]
-        assert bed.context.checkers.installed("t/msg/T0") is not kept[0]
-        assert held_by(bed.context.checkers) == 2
-
-    run(work)
+    texts = {f"t/msg/T{n}": text_of(_described(f"t/msg/T{n}")) for n in range(4)}
+    bed = Bed(texts)
+    kept = [bed.context.checkers.installed(name) for name in texts]
+    assert all(kept)
+    assert bed.context.checkers.installed("t/msg/T3") is kept[3]
+    assert bed.context.checkers.installed("t/msg/T0") is not kept[0]
+    assert held_by(bed.context.checkers) == 2
 
 
 def _described(name: str) -> TypeDescription:

@@ -22,24 +22,18 @@ if TYPE_CHECKING:
 
 
 class FakeChannel:
-    """Takes so many messages before it is congested."""
+    """Takes everything."""
 
     batch_bytes = 1 << 16
+    congested = False
 
-    def __init__(self, takes: int = 1000) -> None:
-        self.takes = takes
+    def __init__(self) -> None:
         self.sent: list[Message] = []
-        self.asked = False
-
-    @property
-    def congested(self) -> bool:
-        return len(self.sent) >= self.takes
 
     def send(self, batch: Sequence[Message]) -> None:
         self.sent.extend(batch)
 
-    def ask(self) -> None:
-        self.asked = True
+    def ask(self) -> None: ...
 
     def frames(self) -> list[CallFrame]:
         return [unpack_call(payload) for payload, _, _ in self.sent]
@@ -61,6 +55,12 @@ def make(ended: set[int], **proposed: Any) -> CallsOutbox:
     return CallsOutbox(transport, proposal, LANES["action"], lambda frame: frame.call not in ended, lambda: 7)
 
 
+def flushed(outbox: CallsOutbox) -> FakeChannel:
+    channel = FakeChannel()
+    outbox.flush(channel)  # type: ignore[arg-type]
+    return channel
+
+
 def call(number: int) -> CallFrame:
     return CallFrame(What.CALL, SEND_GOAL, number, 0, b"request %d" % number)
 
@@ -74,9 +74,13 @@ def test_frames_leave_in_order_and_calls_that_are_over_do_not(outbox: CallsOutbo
     for frame in frames:
         outbox.put(frame)
     ended.add(2)
-    channel = FakeChannel()
-    outbox.flush(channel)  # type: ignore[arg-type]
-    assert channel.frames() == [frames[0], frames[1], frames[3], frames[4]]
+    assert flushed(outbox).frames() == [frames[0], frames[1], frames[3], frames[4]]
+
+
+def test_what_is_over_while_it_waits_is_not_sent(outbox: CallsOutbox, ended: set[int]) -> None:
+    outbox.put(call(1))
+    ended.add(1)
+    assert not flushed(outbox).sent
 
 
 def test_nothing_waits_of_a_call_that_is_over(outbox: CallsOutbox) -> None:
@@ -86,18 +90,14 @@ def test_nothing_waits_of_a_call_that_is_over(outbox: CallsOutbox) -> None:
         outbox.put(message(FEEDBACK, b"%d" % number))
     for number in (1, 3, 9):
         outbox.forget(number)
-    channel = FakeChannel()
-    outbox.flush(channel)  # type: ignore[arg-type]
-    assert [each.content for each in channel.frames()] == [b"1", b"request 2", b"2", b"3"]
+    assert [each.content for each in flushed(outbox).frames()] == [b"1", b"request 2", b"2", b"3"]
 
 
 def test_a_lane_keeps_as_many_messages_as_its_depth_and_the_oldest_go(outbox: CallsOutbox) -> None:
     for number in range(25):
         outbox.put(message(FEEDBACK, b"%d" % number))
         outbox.put(message(STATUS, b"status %d" % number))
-    channel = FakeChannel()
-    outbox.flush(channel)  # type: ignore[arg-type]
-    contents = [frame.content for frame in channel.frames()]
+    contents = [frame.content for frame in flushed(outbox).frames()]
     assert [each for each in contents if b"status" not in each] == [b"%d" % number for number in range(15, 25)]
     assert [each for each in contents if b"status" in each] == [b"status 24"]
 
@@ -106,39 +106,30 @@ def test_messages_that_wait_are_bounded_in_bytes(outbox: CallsOutbox, monkeypatc
     constants.OUTBOX_MESSAGE_BYTES.set(monkeypatch, 100)
     for _ in range(10):
         outbox.put(message(FEEDBACK, bytes(40)))
-    channel = FakeChannel()
-    outbox.flush(channel)  # type: ignore[arg-type]
-    assert len(channel.sent) == 2
+    assert len(flushed(outbox).sent) == 2
 
 
 def test_a_large_message_has_as_many_go_as_it_takes(outbox: CallsOutbox, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.OUTBOX_MESSAGE_BYTES.set(monkeypatch, 100)
     for size in (10, 10, 10, 90):
         outbox.put(message(FEEDBACK, bytes(size)))
-    channel = FakeChannel()
-    outbox.flush(channel)  # type: ignore[arg-type]
-    assert [len(each.content) for each in channel.frames()] == [10, 90]
+    assert [len(each.content) for each in flushed(outbox).frames()] == [10, 90]
 
 
 def test_refusals_that_wait_are_bounded(outbox: CallsOutbox, monkeypatch: pytest.MonkeyPatch) -> None:
     constants.OUTBOX_MOST_REFUSALS.set(monkeypatch, 5)
     for number in range(1, 20):
         outbox.put(CallFrame(What.REFUSED, SEND_GOAL, number, 0, b"paused"))
-    channel = FakeChannel()
-    outbox.flush(channel)  # type: ignore[arg-type]
-    assert [frame.call for frame in channel.frames()] == [1, 2, 3, 4, 5]
+    assert [frame.call for frame in flushed(outbox).frames()] == [1, 2, 3, 4, 5]
     outbox.put(CallFrame(What.REFUSED, SEND_GOAL, 20, 0, b"paused"))
-    outbox.flush(channel)  # type: ignore[arg-type]
-    assert channel.frames()[-1].call == 20
+    assert flushed(outbox).frames()[-1].call == 20
 
 
 def test_a_new_opening_begins_with_nothing(outbox: CallsOutbox) -> None:
     outbox.put(call(1))
     outbox.put(message(FEEDBACK, b"one"))
     outbox.clear()
-    channel = FakeChannel()
-    outbox.flush(channel)  # type: ignore[arg-type]
-    assert not channel.sent
+    assert not flushed(outbox).sent
 
 
 def test_contents_are_compressed_and_headers_are_not() -> None:

@@ -111,6 +111,11 @@ def test_a_goal_whose_call_was_given_up_is_unknown_until_its_server_lists_it() -
     assert states(goals) == {1: "executing", 2: "executing"}
 
 
+def test_those_that_are_not_over_come_first_and_the_newest_of_them() -> None:
+    goals = made((1, "succeeded"), (2, "executing"), (3, "aborted"), (4, "executing"))
+    assert list(states(goals)) == [4, 2, 3, 1]
+
+
 def test_those_that_are_over_are_forgotten_first() -> None:
     goals = made((1, "executing"), (2, "succeeded"), (3, "succeeded"))
     for number in range(4, MOST_GOALS + 2):
