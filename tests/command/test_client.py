@@ -125,11 +125,14 @@ def test_nothing_is_closed_of_a_client_that_was_not_linked(path: Path, run: Run,
         assert not says(said, ClientEffect.REMOVED_LINK_CLOSED)
 
 
-def test_a_server_of_one_client_keeps_letting_it_in(tmp_path: Path, run: Run) -> None:
+def test_a_server_of_one_client_renews_its_key_in_place_and_keeps_letting_it_in(tmp_path: Path, run: Run) -> None:
     """It has no list: its client has its own name and key."""
     path = tmp_path / "robot1.yaml"
-    write_key(tmp_path / "robot1.key")
+    before = write_key(tmp_path / "robot1.key")
     save(replace(SERVER, name="robot1", key_file="robot1.key", clients=None), path)
+    assert run("rekey", "robot1", str(path)).code == 0
+    assert read_key(tmp_path / "robot1.key") != before
+    assert load(path).clients is None
     assert run("add", "robot2", str(path)).code == 0
     assert load(path).clients == (Client("robot1"), ROBOT2)
 
@@ -318,15 +321,6 @@ def test_the_keys_that_root_makes_belong_to_whoever_runs_the_server(path: Path, 
         status = path.with_name(name).stat()
         assert (name, status.st_uid, status.st_gid) == (name, 1234, 5678)
     assert path.with_name("robot1.key").stat().st_mode & 0o777 == 0o600
-
-
-def test_the_key_of_a_server_of_one_client_is_renewed_in_place(tmp_path: Path, run: Run) -> None:
-    path = tmp_path / "robot1.yaml"
-    before = write_key(tmp_path / "robot1.key")
-    save(replace(SERVER, name="robot1", key_file="robot1.key", clients=None), path)
-    assert run("rekey", "robot1", str(path)).code == 0
-    assert read_key(tmp_path / "robot1.key") != before
-    assert load(path).clients is None
 
 
 def test_a_client_that_shares_a_key_gets_one_of_its_own(path: Path, run: Run) -> None:

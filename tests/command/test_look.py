@@ -224,25 +224,20 @@ def test_any_terminal_has_a_picture(
     assert ran("/scan", "--once").code == 0
 
 
+@pytest.mark.parametrize(
+    ("answers", "row"),
+    [
+        ([viewed(), Viewed(Picture()), viewed(Cells(("both",)))], "both"),
+        ([viewed(None, problem="no transform yet"), viewed(None, problem="no transform yet"), viewed()], "a row"),
+        ([viewed(), viewed(None, problem="no transform any more")], "a row"),
+    ],
+)
 def test_of_several_topics_it_prints_the_last_picture(
-    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
+    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch, answers: list[Viewed], row: str
 ) -> None:
     constants.LOOK_SETTLES_IN.set(monkeypatch, 1.0)
-    engine.viewed = [viewed(), Viewed(Picture()), viewed(Cells(("both",)))]
-    assert ran("/map", "/scan", "--once").out.startswith("both\n")
-
-
-def test_several_topics_wait_for_the_one_without_which_nothing_can_be_drawn(ran: Any, engine: ScriptedEngine) -> None:
-    engine.viewed = [viewed(None, problem="no transform yet"), viewed(None, problem="no transform yet"), viewed()]
-    assert ran("/scan", "/tf", "--once").out.startswith("a row\n")
-
-
-def test_a_problem_does_not_replace_a_picture_of_several_topics(
-    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    constants.LOOK_SETTLES_IN.set(monkeypatch, 1.0)
-    engine.viewed = [viewed(), viewed(None, problem="no transform any more")]
-    assert ran("/map", "/tf", "--once").out.startswith("a row\n")
+    engine.viewed = [*answers]
+    assert ran("/map", "/scan", "--once").out.startswith(f"{row}\n")
 
 
 @pytest.mark.parametrize("answer", [viewed(), viewed(None, problem="numpy is missing there")])

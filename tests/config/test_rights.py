@@ -33,6 +33,8 @@ from rsb_bridge.model.session import Client, Grant, Session, Topic
 from rsb_bridge.wire.messages import Propose
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rsb_bridge.model.wording import Wording
 
 CLIENT: dict[str, Any] = {
@@ -42,6 +44,7 @@ SERVER: dict[str, Any] = CLIENT | {"name": "pc", "role": "server"}
 HEAD = "name: robot1\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 7060\nkey_file: k\n"
 ON_CLIENT, ON_SERVER = Place.ON_CLIENT(client="robot1"), Place.ON_SERVER(client="robot1", server="pc")
 DRIVE = Grant("/cmd_vel", may="publish", protocol="udp", max_rate=10.0)
+CALL_ENTRY = "{services: /dock, may: call}"
 CALL, SERVE = Grant(services="/dock", may="call"), Grant(services="/dock", may="serve")
 DOCK = Topic("/dock", "receive", kind="service")  # the robot's own node docks it
 MAP = Topic("/get_map", "transmit", kind="service")
@@ -56,12 +59,14 @@ def serve(name: str, kind: Any = "service", protocol: str = "tcp") -> Use:
     return Use(name, "serve", protocol, kind)
 
 
-def client_allows(use: Use, **session: Any) -> bool:
-    return rights_of_server(Session(**{**CLIENT, **session})).refusal(use) is None
+def on_client(**session: Any) -> Rights:
+    """What the server may do on a client."""
+    return rights_of_server(Session(**CLIENT, **session))
 
 
-def server_allows(use: Use, **client: Any) -> bool:
-    return rights_of_client(Client("robot1", **client), "pc").refusal(use) is None
+def on_server(**client: Any) -> Rights:
+    """What a client may do on the server."""
+    return rights_of_client(Client("robot1", **client), "pc")
 
 
 @pytest.mark.parametrize(
@@ -97,7 +102,7 @@ def server_allows(use: Use, **client: Any) -> bool:
     ],
 )
 def test_what_a_server_may_do_on_a_client(session: dict[str, Any], use: Use, may: bool) -> None:
-    assert client_allows(use, **session) is may
+    assert (on_client(**session).refusal(use) is None) is may
 
 
 @pytest.mark.parametrize(
@@ -134,111 +139,71 @@ def test_what_a_server_may_do_on_a_client(session: dict[str, Any], use: Use, may
     ],
 )
 def test_what_a_client_may_do_on_a_server(client: dict[str, Any], use: Use, may: bool) -> None:
-    assert server_allows(use, **client) is may
+    assert (on_server(**client).refusal(use) is None) is may
 
 
 def test_of_several_rates_the_lowest_counts() -> None:
     grants = ("/*", Grant("/cmd_*", max_rate=20.0), Grant("/cmd_vel", may="publish", max_rate=10.0))
-    rights = rights_of_server(Session(**CLIENT, allow=grants))
+    rights = on_client(allow=grants)
     assert rights.max_rate(Use("/cmd_vel", "publish", "tcp")) == 10.0
     assert rights.max_rate(Use("/cmd_vel", "read", "tcp")) == 20.0
     assert rights.max_rate(Use("/scan", "read", "tcp")) == 0.0
 
 
 def test_a_peer_is_shown_what_it_may_read_or_publish() -> None:
-    rights = rights_of_server(Session(**CLIENT, allow=(DRIVE,), deny=("/secret",)))
+    rights = on_client(allow=(DRIVE,), deny=("/secret",))
     assert rights.shows("/cmd_vel")
     assert not rights.shows("/scan")
-    assert not rights_of_server(Session(**CLIENT, deny=("/secret",))).shows("/secret")
+    assert not on_client(deny=("/secret",)).shows("/secret")
+
+
+REASONS = {DeniedRemedy.CHANGE_DENY: DeniedText.DENIED, DeniedRemedy.CHANGE_ALLOW: DeniedText.OTHER_PROTOCOL}
+"""The reasons of remedies, except where something is not allowed."""
 
 
 @pytest.mark.parametrize(
-    ("rights", "use", "reason", "remedy", "parameters"),
+    ("make", "given", "use", "remedy", "parameters"),
     [
+        (on_client, {}, Use("/cmd_vel", "publish"), DeniedRemedy.LIST, {"direction": "direction: receive"}),
+        (on_client, {}, call("/navigate", "action"), DeniedRemedy.LIST, {"direction": "provider: client"}),
         (
-            rights_of_server(Session(**CLIENT)),
+            on_client,
+            {"allow": ("/a",)},
             Use("/cmd_vel", "publish"),
-            DeniedText.NOT_ALLOWED,
-            DeniedRemedy.LIST,
-            {"list": "topics", "place": ON_CLIENT, "direction": "direction: receive"},
-        ),
-        (
-            rights_of_server(Session(**CLIENT, allow=("/a",))),
-            Use("/cmd_vel", "publish"),
-            DeniedText.NOT_ALLOWED,
             DeniedRemedy.LIST_OR_ALLOW,
-            {"list": "topics", "place": ON_CLIENT, "entry": "{topics: /cmd_vel, may: publish}"},
+            {"direction": "direction: receive", "entry": "{topics: /cmd_vel, may: publish}"},
         ),
         (
-            rights_of_client(Client("robot1", allow=("/a",)), "pc"),
-            Use("/b", "read"),
-            DeniedText.NOT_ALLOWED,
-            DeniedRemedy.ADD_ALLOW,
-            {"entry": "{topics: /b, may: read}", "place": ON_SERVER},
-        ),
-        (
-            rights_of_server(Session(**CLIENT, deny=("/cmd*",))),
-            Use("/cmd_vel", "publish"),
-            DeniedText.DENIED,
-            DeniedRemedy.CHANGE_DENY,
-            {"place": ON_CLIENT, "entry": "/cmd*"},
-        ),
-        (
-            rights_of_server(Session(**CLIENT, allow=(DRIVE,))),
-            Use("/cmd_vel", "publish", "tcp"),
-            DeniedText.OTHER_PROTOCOL,
-            DeniedRemedy.CHANGE_ALLOW,
-            {"place": ON_CLIENT},
-        ),
-        (
-            rights_of_server(Session(**CLIENT)),
-            call("/navigate", "action"),
-            DeniedText.NOT_ALLOWED,
-            DeniedRemedy.LIST,
-            {"list": "actions", "place": ON_CLIENT, "direction": "provider: client"},
-        ),
-        (
-            rights_of_server(Session(**CLIENT, allow=("/a",))),
+            on_client,
+            {"allow": ("/a",)},
             serve("/n", "parameters"),
-            DeniedText.NOT_ALLOWED,
             DeniedRemedy.LIST_OR_ALLOW,
-            {
-                "list": "parameters",
-                "place": ON_CLIENT,
-                "direction": "provider: server",
-                "entry": "{services: /n, may: serve}",
-            },
+            {"direction": "provider: server", "entry": "{services: /n, may: serve}"},
         ),
+        (on_client, {"deny": ("/cmd*",)}, Use("/cmd_vel", "publish"), DeniedRemedy.CHANGE_DENY, {"entry": "/cmd*"}),
+        (on_client, {"allow": (DRIVE,)}, Use("/cmd_vel", "publish", "tcp"), DeniedRemedy.CHANGE_ALLOW, {}),
         (
-            rights_of_client(Client("robot1", allow=("/dock",)), "pc"),
-            call("/dock"),
-            DeniedText.NOT_ALLOWED,
+            on_server,
+            {"allow": ("/a",)},
+            Use("/b", "read"),
             DeniedRemedy.ADD_ALLOW,
-            {"entry": "{services: /dock, may: call}", "place": ON_SERVER},
+            {"entry": "{topics: /b, may: read}"},
         ),
-        (
-            rights_of_client(Client("robot1", deny=("/d*",)), "pc"),
-            call("/dock"),
-            DeniedText.DENIED,
-            DeniedRemedy.CHANGE_DENY,
-            {"place": ON_SERVER, "entry": "/d*"},
-        ),
-        (
-            rights_of_client(Client("robot1", deny=(CALL,)), "pc"),
-            call("/dock"),
-            DeniedText.DENIED,
-            DeniedRemedy.CHANGE_DENY,
-            {"place": ON_SERVER, "entry": "{services: /dock, may: call}"},
-        ),
+        (on_server, {"allow": ("/dock",)}, call("/dock"), DeniedRemedy.ADD_ALLOW, {"entry": CALL_ENTRY}),
+        (on_server, {"deny": ("/d*",)}, call("/dock"), DeniedRemedy.CHANGE_DENY, {"entry": "/d*"}),
+        (on_server, {"deny": (CALL,)}, call("/dock"), DeniedRemedy.CHANGE_DENY, {"entry": CALL_ENTRY}),
     ],
 )
 def test_a_refusal_names_the_use_and_the_remedy(
-    rights: Rights, use: Use, reason: Wording, remedy: Wording, parameters: dict[str, str]
+    make: Callable[..., Rights], given: dict[str, Any], use: Use, remedy: DeniedRemedy, parameters: dict[str, str]
 ) -> None:
+    rights = make(**given)
     refusal = rights.refusal(use)
     assert refusal is not None
-    assert says(refusal.reason, reason, peer=rights.peer, use=use)
-    assert says(refusal.remedy, remedy, **parameters)
+    assert says(refusal.reason, REASONS.get(remedy, DeniedText.NOT_ALLOWED), peer=rights.peer, use=use)
+    if remedy in (DeniedRemedy.LIST, DeniedRemedy.LIST_OR_ALLOW):
+        parameters = {"list": {"topic": "topics", "action": "actions"}.get(use.kind, use.kind), **parameters}
+    assert says(refusal.remedy, remedy, place=ON_CLIENT if make is on_client else ON_SERVER, **parameters)
 
 
 def test_grants_are_read_and_written() -> None:
@@ -307,7 +272,7 @@ def test_what_is_typed_in_one_line() -> None:
     ],
 )
 def test_a_view_needs_the_right_to_look_at_something(rights: dict[str, Any], remedy: Wording | None) -> None:
-    refusal = rights_of_client(Client("robot1", **rights), "pc").purpose_refusal(VIEW, sends=False)
+    refusal = on_server(**rights).purpose_refusal(VIEW, sends=False)
     if remedy is None:
         assert refusal is None
     else:
@@ -317,13 +282,13 @@ def test_a_view_needs_the_right_to_look_at_something(rights: dict[str, Any], rem
 
 
 def test_nobody_sends_pictures_unasked() -> None:
-    refusal = rights_of_client(Client("robot1", bench=BenchmarkLimits()), "pc").purpose_refusal(VIEW, sends=True)
+    refusal = on_server(bench=BenchmarkLimits()).purpose_refusal(VIEW, sends=True)
     assert refusal is not None
     assert says(refusal.reason, DeniedText.NO_SENDING, right="look", peer="robot1")
 
 
 def test_a_benchmark_without_permission_has_its_own_remedy() -> None:
-    refusal = rights_of_client(Client("robot1"), "pc").purpose_refusal(BENCH, sends=True)
+    refusal = on_server().purpose_refusal(BENCH, sends=True)
     assert refusal is not None
     assert says(refusal.remedy, DeniedRemedy.ADD_BENCH)
 
@@ -342,7 +307,7 @@ def test_a_benchmark_without_permission_has_its_own_remedy() -> None:
 )
 def test_who_is_denied_a_part_has_no_way_around_by_the_whole(denied: str, use: Use) -> None:
     for rights in (
-        rights_of_client(Client("robot1", deny=(denied,)), "pc"),
+        on_server(deny=(denied,)),
         rights_of_server(
             Session(**CLIENT, deny=(Grant(services=denied),), topics=(Topic(use.topic, "receive", kind=use.kind),))
         ),
@@ -361,7 +326,7 @@ def test_calls_have_a_rate_of_their_own() -> None:
 
 
 def test_names_that_nothing_may_be_done_with_are_not_shown() -> None:
-    rights = rights_of_server(Session(**CLIENT, topics=(DOCK, NAVIGATE), deny=("/navigate",)))
+    rights = on_client(topics=(DOCK, NAVIGATE), deny=("/navigate",))
     assert rights.shows("/dock", "service")
     assert not rights.shows("/dock", "action")
     assert not rights.shows("/navigate", "action")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import tracemalloc
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support.offline import loop
@@ -52,13 +53,6 @@ class Publisher:
         pass
 
 
-class Subscription:
-    lost = 0
-
-    def close(self) -> None:
-        pass
-
-
 class FakeRos(NoRos):
     """A domain whose publishers a test sets.
 
@@ -89,10 +83,10 @@ class FakeRos(NoRos):
         sink: Sink,
         origin: Hashable,
         on_failure: OnFailure | None = None,
-    ) -> Subscription:
+    ) -> Any:
         self.sink, self.fail = sink, on_failure
         self.subscribed += 1
-        return Subscription()
+        return SimpleNamespace(lost=0, close=lambda: None)
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
         return self.publisher
