@@ -89,6 +89,12 @@ def test_graph_shows_others_and_not_ourselves(open_node: Callable[..., RosNode],
     assert rclpy_node.get_service_names_and_types_by_node(seen, "/") == []
 
 
+def test_two_bridges_of_one_name_are_two_nodes(open_node: Callable[..., RosNode]) -> None:
+    one, other = open_node(), open_node()
+    one.advertise("/chat", STRING, "", DEEP, "link")
+    assert len(eventually(lambda: other.publishers("/chat"))) == 1
+
+
 def test_nothing_of_the_same_origin_comes_back_under_two_way_traffic(open_node: Callable[..., RosNode]) -> None:
     """A foreign publisher and one of another origin shout at once on the same topic: all of theirs, none of ours."""
     ours, foreign = open_node(), open_node(name="foreign")
