@@ -13,7 +13,6 @@ from tests.support.long import long_cases
 pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
 
 from tests.support.bridge import feedback_listeners, linked, route
-from tests.support.consoles import Consoles
 from tests.support.fibonacci import ACTION, FibonacciClient, FibonacciServer, id_of
 from tests.support.waiting import eventually
 
@@ -21,9 +20,8 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from tests.support.bridge import Bridge
+    from tests.support.consoles import Consoles
     from tests.support.domain import Domain
     from tests.support.relay import Relay
 
@@ -31,13 +29,6 @@ if TYPE_CHECKING:
 
 FIBONACCI = Topic(ACTION, "receive", kind="action")
 ARMED = msgspec.structs.replace(FIBONACCI, arm=True, deadman=0.0)
-
-
-@pytest.fixture
-def consoles() -> Iterator[Consoles]:
-    made = Consoles()
-    yield made
-    made.close()
 
 
 @pytest.mark.parametrize(("how", "who"), [("paused", 0), ("disarmed", 1), *long_cases(("paused", 1), ("disarmed", 0))])
@@ -79,8 +70,9 @@ def test_goals_are_cancelled_and_end_while_no_new_one_may_begin(
     assert client.send(3).handle().accepted
 
 
-@pytest.mark.parametrize("shared", [False, True])
-@pytest.mark.parametrize("how", ["paused", "disarmed"])
+@pytest.mark.parametrize(
+    ("how", "shared"), [("paused", False), ("disarmed", True), *long_cases(("paused", True), ("disarmed", False))]
+)
 def test_a_goal_that_runs_is_cancelled_by_hand_where_nobody_was_ever_let_send_one(
     how: str, shared: bool, bridge: Bridge, server: FibonacciServer, robot: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
