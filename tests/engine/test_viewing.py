@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import os
 import signal
 import time
@@ -302,6 +303,22 @@ def test_a_view_that_cannot_be_opened_leaves_no_route(
                 server.look("me", ("/pose",), WISH, "robot1").result(30)
     assert views(server) == []
     looked_while(talker, server, "/pose")
+
+
+def test_a_viewer_that_finds_the_route_open_before_the_sender_has_subscribed_gets_a_picture(
+    pair: tuple[Engine, Engine], robot: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was refused: this route carries no pictures."""
+    server, client = pair
+    ends, looks = inside(client).context.internal[VIEW.name], itertools.count()
+
+    class Late(dict[Any, Any]):
+        def get(self, key: Any, default: Any = None) -> Any:
+            return super().get(key, default) if next(looks) > 2 else default
+
+    monkeypatch.setattr(ends, "sources", Late(ends.sources))
+    assert looked_while(Talker(robot, "/pose"), server, "/pose").where
+    assert next(looks) > 3
 
 
 def test_a_view_that_is_ended_makes_room_for_the_next_one(pair: tuple[Engine, Engine], robot: Domain) -> None:
