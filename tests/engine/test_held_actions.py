@@ -106,40 +106,26 @@ def test_a_goal_that_runs_is_cancelled_by_hand_where_nobody_was_ever_let_send_on
     local.close()
 
 
-def test_a_goal_that_waits_for_its_server_when_it_is_paused_is_accepted(
-    bridge: Bridge, client: FibonacciClient, robot: Domain
+@pytest.mark.parametrize("how", ["paused", "disarmed"])
+def test_a_goal_that_waits_for_its_server_is_accepted(
+    how: str, bridge: Bridge, client: FibonacciClient, robot: Domain, consoles: Consoles
 ) -> None:
     server = FibonacciServer(robot.id, hesitates=True)
-    engines = bridge.both(FIBONACCI)
+    engines = bridge.both(ARMED if how == "disarmed" else FIBONACCI)
+    if how == "disarmed":
+        eventually(lambda: states(*engines) == {"disarmed"})
+        consoles.arm(engines[1], ACTION)
     goal = client.send(5)
     eventually(lambda: server.orders == [5])
-    hold(engines[0], "paused")
-    eventually(lambda: states(*engines) == {"paused"})
-    late = client.send(6)
-    assert not late.handle().accepted
+    hold(engines[0], how)
+    if how == "paused":
+        eventually(lambda: states(*engines) == {"paused"})
+        assert not client.send(6).handle().accepted
     server.hesitates.clear()
     assert goal.handle().accepted
-    eventually(lambda: not client.ready, what="no goal can be sent")
+    eventually(lambda: states(*engines) == {how} and not client.ready, what="no goal can be sent")
     eventually(goal.cancel().done)
     assert server.orders == [5]
-    server.finish(state="canceled")
-    server.close()
-
-
-def test_a_goal_that_waits_for_its_server_when_it_is_disarmed_is_accepted(
-    bridge: Bridge, client: FibonacciClient, robot: Domain, consoles: Consoles
-) -> None:
-    server = FibonacciServer(robot.id, hesitates=True)
-    engines = bridge.both(ARMED)
-    eventually(lambda: states(*engines) == {"disarmed"})
-    consoles.arm(engines[1], ACTION)
-    goal = client.send(5)
-    eventually(lambda: server.orders == [5])
-    hold(engines[0], "disarmed")
-    server.hesitates.clear()
-    assert goal.handle().accepted
-    eventually(lambda: states(*engines) == {"disarmed"})
-    eventually(goal.cancel().done)
     server.finish(state="canceled")
     server.close()
 
