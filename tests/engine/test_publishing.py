@@ -156,7 +156,7 @@ def test_a_publisher_that_is_not_used_is_closed(bridge: Bridge, robot: Domain, m
     publish(client, "data: b", "/text")
     eventually(lambda: listener.matched == 1)
     eventually(lambda: listener.matched == 0)
-    assert [new for *_, new in of(client, EventCode.OPERATOR_PUBLISH_ENDED)] == ["2"]
+    eventually(lambda: [new for *_, new in of(client, EventCode.OPERATOR_PUBLISH_ENDED)] == ["2"])
 
 
 # --- what is refused

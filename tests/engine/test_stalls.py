@@ -23,7 +23,7 @@ RATE = 100  # Hz
 STALL = 3.0  # s
 
 
-@pytest.mark.parametrize("size", [50_000, *long(2_000)])
+@pytest.mark.parametrize("size", [2_000, *long(50_000)])
 def test_an_auto_topic_loses_nothing(
     size: int, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
