@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 
 import msgspec
 import pytest
-from tests.support.commands import parser_and_commands, rsb_console
+from tests.support.commands import rsb_console
 from tests.support.waiting import eventually
 from tests.support.wording import says
 
@@ -75,13 +75,6 @@ def test_values(parse: Callable[[str], Any], text: str, parsed: object) -> None:
 def test_values_that_are_refused(parse: Callable[[str], Any], text: str) -> None:
     with pytest.raises(argparse.ArgumentTypeError):
         parse(text)
-
-
-def test_the_command_is_known() -> None:
-    parser, names = parser_and_commands()
-    assert "bench" in names
-    given = parser.parse_args(["bench", "robot1", "--quick", "--plot", "x.svg"])
-    assert (given.bridge, given.quick, given.direction) == ("robot1", True, "transmit")
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,8 @@
-"""Both ends of an action, in the domains of a bridge's two sides, and fixtures of tests on virtual time."""
+"""Surroundings of engines: both ends of an action, consoles, a Zenoh router; and fixtures of tests on virtual time."""
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
 import pytest
@@ -11,8 +12,11 @@ from tests.support.offline import loop, make_context
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from tests.support.bridge import Bridge
+    from tests.support.consoles import Consoles
     from tests.support.domain import Domain
     from tests.support.fibonacci import FibonacciClient, FibonacciServer
+    from tests.support.zenoh_router import Router
 
 __all__ = ["loop", "make_context"]
 
@@ -25,6 +29,52 @@ def _answers_take_their_time() -> Iterator[None]:
         constants.QUESTION_ANSWERED_WITHIN.set(patch, 60.0)
         constants.ARMING_ANSWERED_WITHIN.set(patch, 25.0)
         yield
+
+
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A first message by hand waits for nodes and routes as long as a busy machine takes, not 3 s."""
+    constants.PUBLISHING_MATCHED_WITHIN.set(monkeypatch, 100.0)
+    constants.LINK_ARMING_ANSWERED_WITHIN.set(monkeypatch, 25.0)
+
+
+@pytest.fixture
+def threads_change_often() -> Iterator[None]:
+    """At nearly every bytecode."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+@pytest.fixture
+def consoles() -> Iterator[Consoles]:
+    """Consoles that give signs of life."""
+    from tests.support.consoles import Consoles
+
+    made = Consoles()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def router() -> Iterator[Router]:
+    """A Zenoh router."""
+    from tests.support.zenoh_router import Router
+
+    made = Router()
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory, _robot_domain: Domain, _pc_domain: Domain) -> Iterator[Bridge]:
+    """Makes engines that serve all tests of a file."""
+    from tests.support.bridge import Bridge
+
+    made = Bridge(tmp_path_factory.mktemp("shared"), _robot_domain, _pc_domain)
+    yield made
+    made.close()
 
 
 @pytest.fixture

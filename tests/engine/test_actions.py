@@ -19,7 +19,6 @@ from tests.support.inside import inside
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import State
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -184,39 +183,6 @@ def test_a_server_that_was_killed_and_started_again_serves_at_once(
 # --- the link drops
 
 
-def test_a_goal_outlives_a_silent_cut_and_its_result_comes_though_its_server_has_forgotten_it(
-    bridge: Bridge, relay: Relay, client: FibonacciClient, robot: Domain, pc: Domain
-) -> None:
-    server = FibonacciServer(robot.id, result_timeout=0.2)
-    engines = bridge.both(FIBONACCI)
-    goal = client.send(5).ask()
-    eventually(lambda: server.is_heard and feedback_listeners(engines[0]))
-    server.feedback(0)
-    eventually(lambda: goal.feedbacks)
-    relay.stall(new=True)
-    eventually(lambda: not any(linked(engine) for engine in engines))
-    eventually(lambda: not client.ready, what="no server while the link is down")
-    server.feedback(0, 1)
-    server.finish(0, 1, 1)
-    eventually(lambda: server.forgot, what="the server has forgotten the goal")
-    assert not goal.has_result
-    relay.stall(False)
-    assert goal.result() == ("succeeded", [0, 1, 1])
-    assert goal.feedbacks == [[0]]
-    for engine in engines:
-        eventually(lambda engine=engine: states(engine) == ["succeeded"])
-        calls = route(engine, ACTION).calls
-        assert calls is not None
-        assert (calls.in_flight, calls.expired, calls.refused) == (0, 0, {})
-        eventually(lambda engine=engine: route(engine, ACTION).state == State.OK, what="it is called")
-    late = pc.listener(f"{ACTION}/_action/status", GoalStatusArray, qos_profile_action_status_default)
-    second = client.send(2).ask()
-    server.finish(2, number=1)
-    assert second.result() == ("succeeded", [2])
-    eventually(lambda: newest_status(late))
-    server.close()
-
-
 def test_a_result_that_was_on_its_way_when_the_link_went_comes(
     bridge: Bridge, relay: Relay, client: FibonacciClient, robot: Domain
 ) -> None:
@@ -232,41 +198,6 @@ def test_a_result_that_was_on_its_way_when_the_link_went_comes(
     relay.stall(False)
     assert goal.result() == ("succeeded", [0, 1, 1])
     server.close()
-
-
-def test_who_asks_for_a_result_first_after_the_server_has_forgotten_it_gets_it(
-    bridge: Bridge, relay: Relay, client: FibonacciClient, robot: Domain
-) -> None:
-    server = FibonacciServer(robot.id, result_timeout=0.2)
-    engines = bridge.both(FIBONACCI)
-    goal = client.send(5)
-    assert goal.handle().accepted
-    down(relay, *engines)
-    server.finish(0, 1, 1)
-    eventually(lambda: server.forgot)
-    goal.ask()
-    relay.stall(False)
-    assert goal.result() == ("succeeded", [0, 1, 1])
-    server.close()
-
-
-def test_a_cancel_while_the_link_is_down_is_delivered_when_it_is_up(
-    bridge: Bridge, relay: Relay, server: FibonacciServer, client: FibonacciClient
-) -> None:
-    """Ahead of all else, which only simulated worlds can tell: a node takes from its services in its own order."""
-    engines = bridge.both(FIBONACCI)
-    goal = client.send(5).ask()
-    goal.handle()
-    down(relay, *engines)
-    eventually(lambda: not client.ready)
-    answer = goal.cancel()
-    relay.stall(False)
-    eventually(answer.done)
-    assert [id_of(each) for each in answer.result().goals_canceling] == [id_of(goal.handle())]
-    client.send(6).handle()
-    assert server.log == ["goal 5", f"cancel {id_of(goal.handle())}", "goal 6"]
-    server.finish(1, state="canceled")
-    assert goal.result() == ("canceled", [1])
 
 
 def test_a_cancel_that_the_cut_has_swallowed_is_delivered(
@@ -285,40 +216,6 @@ def test_a_cancel_that_the_cut_has_swallowed_is_delivered(
     server.finish(state="canceled")
 
 
-def test_a_goal_that_the_cut_has_swallowed_is_rejected_and_never_begins(
-    bridge: Bridge, relay: Relay, server: FibonacciServer, client: FibonacciClient
-) -> None:
-    engines = bridge.both(FIBONACCI)
-    eventually(lambda: client.ready)
-    relay.stall(new=True)
-    goal = client.send(5)
-    eventually(lambda: states(engines[0]), what="the bridge has taken the goal")
-    down(relay, *engines)
-    relay.stall(False)
-    assert not goal.handle().accepted
-    assert states(engines[0]) == ["rejected"]
-    assert client.send(6).handle().accepted
-    assert server.orders == [6]
-
-
-def test_a_goal_that_is_accepted_while_the_link_is_down_is_known_to_its_client_afterwards(
-    bridge: Bridge, relay: Relay, client: FibonacciClient, robot: Domain
-) -> None:
-    server = FibonacciServer(robot.id, result_timeout=0.2, hesitates=True)
-    engines = bridge.both(FIBONACCI)
-    goal = client.send(5)
-    eventually(lambda: server.orders == [5])
-    down(relay, *engines)
-    server.hesitates.clear()
-    server.finish(0, 1)
-    eventually(lambda: server.forgot)
-    assert not goal.answered
-    relay.stall(False)
-    assert goal.handle().accepted
-    assert goal.ask().result() == ("succeeded", [0, 1])
-    server.close()
-
-
 def states(engine: Engine) -> list[str]:
     """Return the states of an engine's goals, in the order of its snapshot."""
     return [goal.state for goal in route(engine, ACTION).goals]
@@ -334,10 +231,3 @@ def newest_status(listener: Listener) -> Any:
     """The goals of the last status message."""
     payloads = listener.payloads
     return deserialize_message(payloads[-1], GoalStatusArray).status_list if payloads else ()
-
-
-def down(relay: Relay, *engines: Engine) -> None:
-    """End the link, and let none come."""
-    relay.stall(new=True)
-    relay.cut()
-    eventually(lambda: not any(linked(engine) for engine in engines))

@@ -11,9 +11,9 @@ from std_srvs.srv import SetBool
 from tests.engine.test_publishing import publish
 from tests.support import constants
 from tests.support.bridge import balance, carries, happened, heard, linked, route
-from tests.support.consoles import Consoles
 from tests.support.domain import LATCHED, RELIABLE, text
 from tests.support.inside import inside
+from tests.support.long import long_cases
 from tests.support.relay import TCP
 from tests.support.waiting import eventually, holds
 from tests.support.wording import says
@@ -29,10 +29,11 @@ from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.lease import LASTS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from rclpy.publisher import Publisher
     from tests.support.bridge import Bridge
+    from tests.support.consoles import Consoles
     from tests.support.domain import Domain, Listener
     from tests.support.relay import Relay
 
@@ -44,13 +45,6 @@ COMMANDS = Topic("/cmd", "receive", arm=True, deadman=0.0)
 def armed(*engines: Engine) -> list[bool]:
     found = [route(engine, "/cmd").arming for engine in engines]
     return [each is not None and each.armed for each in found]
-
-
-@pytest.fixture
-def consoles() -> Iterator[Consoles]:
-    made = Consoles()
-    yield made
-    made.close()
 
 
 def disarmings(engine: Engine) -> int:
@@ -84,8 +78,9 @@ def publish_until_heard(out: Publisher, words: str, listener: Listener) -> None:
     publish_for(out, words, lambda: words in listener.texts(100))
 
 
-@pytest.mark.parametrize("operator", ["client", "server"])
-@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+@pytest.mark.parametrize(
+    ("protocol", "operator"), [("tcp", "server"), ("udp", "client"), *long_cases(("tcp", "client"), ("udp", "server"))]
+)
 def test_nothing_crosses_until_it_is_armed_nor_after(
     protocol: str, operator: str, bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:
@@ -114,8 +109,9 @@ def test_nothing_crosses_until_it_is_armed_nor_after(
     assert balance(ledger) == ledger.offered
 
 
-@pytest.mark.parametrize("compression", ["none", "zstd"])
-@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+@pytest.mark.parametrize(
+    ("protocol", "compression"), [("tcp", "none"), ("udp", "zstd"), *long_cases(("tcp", "zstd"), ("udp", "none"))]
+)
 def test_what_is_armed_crosses_unchanged(
     protocol: str, compression: str, bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:

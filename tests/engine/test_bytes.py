@@ -12,7 +12,7 @@ from tests.support import replaced
 from tests.support.bridge import carries, happened, heard, link, protocol_of, route, settled
 from tests.support.domain import text
 from tests.support.filled import filled
-from tests.support.long import long
+from tests.support.long import long, long_cases
 from tests.support.participants import KnownNode
 from tests.support.waiting import eventually
 
@@ -72,10 +72,9 @@ def sizes(limit: int) -> list[int]:
 @pytest.mark.parametrize(
     ("type_name", "protocol", "limit"),
     [
-        ("tf2_msgs/msg/TFMessage", "tcp", 8 * MEGABYTE),
         ("made_up_msgs/msg/Blob", "tcp", 8 * MEGABYTE),
         ("tf2_msgs/msg/TFMessage", "udp", MEGABYTE),
-        ("made_up_msgs/msg/Blob", "udp", MEGABYTE),
+        *long_cases(("tf2_msgs/msg/TFMessage", "tcp", 8 * MEGABYTE), ("made_up_msgs/msg/Blob", "udp", MEGABYTE)),
     ],
 )
 def test_a_type_that_neither_side_has_in_every_size(
@@ -134,7 +133,7 @@ def test_both_ways_over(address: str, changes: dict[str, Any], bridge: Bridge, r
         assert (happened(engine, EventCode.KEY_UNENCRYPTED) is None) is encrypted
 
 
-@pytest.mark.parametrize("slow_side", ["server", "client"])
+@pytest.mark.parametrize("slow_side", ["server", *long("client")])
 def test_chacha_where_one_side_has_no_aes(
     slow_side: str, bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 from collections import defaultdict
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,6 @@ from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
 from rsb_bridge.ros.stand_in import NoRos
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
 _TYPE, _HASH, _GID = "std_msgs/msg/String", "RIHS01_" + "1" * 64, b"talker".ljust(16, b"\0")
@@ -74,14 +72,6 @@ class Ros(NoRos):
     def advertise(self, topic: str, *_: Any, **__: Any) -> Any:
         self._made += 1
         return Publisher(b"%016d" % self._made, self.taken[topic])
-
-
-@pytest.fixture
-def threads_change_often() -> Iterator[None]:
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(1e-6)
-    yield
-    sys.setswitchinterval(before)
 
 
 def talk(ros: Ros, topic: str, ends: threading.Event) -> None:

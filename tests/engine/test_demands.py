@@ -417,13 +417,17 @@ def test_a_second_route_of_a_name_has_to_be_armed_too(bridge: Bridge, robot: Dom
     holds(nothing, 1.0)
 
 
-@pytest.mark.parametrize("kind", ["service", "action", "parameters"])
-def test_what_is_called_has_to_be_armed_by_its_name(kind: Kind, bridge: Bridge) -> None:
+def test_what_is_called_has_to_be_armed_by_its_name(bridge: Bridge) -> None:
+    kinds: tuple[Kind, ...] = ("service", "action", "parameters")
     server = bridge.server(armed=("/arm/**",))
-    client = bridge.client(Topic("/arm/one", "receive", kind=kind), Topic("/two", "receive", kind=kind))
+    client = bridge.client(
+        *(Topic(f"/{name}/{kind}", "receive", kind=kind) for kind in kinds for name in ("arm", "two"))
+    )
     eventually(lambda: linked(client) and linked(server))
-    eventually(lambda: required(client, "/arm/one") and required(server, "/arm/one"))
-    assert not required(client, "/two")
+    for kind in kinds:
+        names = f"/arm/{kind}", f"/two/{kind}"
+        eventually(lambda name=names[0]: required(client, name) and required(server, name))
+        assert not required(client, names[1])
 
 
 def test_a_removal_that_drops_the_demand_is_told_on_both_sides(bridge: Bridge, yard: Yard) -> None:

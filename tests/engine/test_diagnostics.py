@@ -13,7 +13,6 @@ from std_msgs.msg import String
 from tests.engine.test_reloading import Edited
 from tests.support import constants
 from tests.support.bridge import carries, find, happened, link, linked, route
-from tests.support.consoles import Consoles
 from tests.support.domain import LATCHED
 from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
@@ -26,21 +25,14 @@ from rsb_bridge.model.command_origin import acting
 from rsb_bridge.model.session import Client, Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from tests.support.bridge import Bridge
+    from tests.support.consoles import Consoles
     from tests.support.domain import Domain, Listener
 
 LINK, SENT, TAKEN = "rsb robot1: link robot1", "rsb robot1: /chat to robot1", "rsb robot1: /chat from robot1"
 OK, ERROR = DiagnosticStatus.OK, DiagnosticStatus.ERROR
-
-
-@pytest.fixture
-def consoles() -> Iterator[Consoles]:
-    made = Consoles()
-    yield made
-    made.close()
 
 
 def _status(listener: Listener, name: str) -> DiagnosticStatus | None:

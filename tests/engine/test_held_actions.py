@@ -13,7 +13,6 @@ from tests.support.long import long_cases
 pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
 
 from tests.support.bridge import feedback_listeners, linked, route
-from tests.support.consoles import Consoles
 from tests.support.fibonacci import ACTION, FibonacciClient, FibonacciServer, id_of
 from tests.support.waiting import eventually
 
@@ -21,9 +20,8 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from tests.support.bridge import Bridge
+    from tests.support.consoles import Consoles
     from tests.support.domain import Domain
     from tests.support.relay import Relay
 
@@ -31,13 +29,6 @@ if TYPE_CHECKING:
 
 FIBONACCI = Topic(ACTION, "receive", kind="action")
 ARMED = msgspec.structs.replace(FIBONACCI, arm=True, deadman=0.0)
-
-
-@pytest.fixture
-def consoles() -> Iterator[Consoles]:
-    made = Consoles()
-    yield made
-    made.close()
 
 
 @pytest.mark.parametrize(("how", "who"), [("paused", 0), ("disarmed", 1), *long_cases(("paused", 1), ("disarmed", 0))])
@@ -79,8 +70,9 @@ def test_goals_are_cancelled_and_end_while_no_new_one_may_begin(
     assert client.send(3).handle().accepted
 
 
-@pytest.mark.parametrize("shared", [False, True])
-@pytest.mark.parametrize("how", ["paused", "disarmed"])
+@pytest.mark.parametrize(
+    ("how", "shared"), [("paused", False), ("disarmed", True), *long_cases(("paused", True), ("disarmed", False))]
+)
 def test_a_goal_that_runs_is_cancelled_by_hand_where_nobody_was_ever_let_send_one(
     how: str, shared: bool, bridge: Bridge, server: FibonacciServer, robot: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,40 +106,26 @@ def test_a_goal_that_runs_is_cancelled_by_hand_where_nobody_was_ever_let_send_on
     local.close()
 
 
-def test_a_goal_that_waits_for_its_server_when_it_is_paused_is_accepted(
-    bridge: Bridge, client: FibonacciClient, robot: Domain
+@pytest.mark.parametrize("how", ["paused", "disarmed"])
+def test_a_goal_that_waits_for_its_server_is_accepted(
+    how: str, bridge: Bridge, client: FibonacciClient, robot: Domain, consoles: Consoles
 ) -> None:
     server = FibonacciServer(robot.id, hesitates=True)
-    engines = bridge.both(FIBONACCI)
+    engines = bridge.both(ARMED if how == "disarmed" else FIBONACCI)
+    if how == "disarmed":
+        eventually(lambda: states(*engines) == {"disarmed"})
+        consoles.arm(engines[1], ACTION)
     goal = client.send(5)
     eventually(lambda: server.orders == [5])
-    hold(engines[0], "paused")
-    eventually(lambda: states(*engines) == {"paused"})
-    late = client.send(6)
-    assert not late.handle().accepted
+    hold(engines[0], how)
+    if how == "paused":
+        eventually(lambda: states(*engines) == {"paused"})
+        assert not client.send(6).handle().accepted
     server.hesitates.clear()
     assert goal.handle().accepted
-    eventually(lambda: not client.ready, what="no goal can be sent")
+    eventually(lambda: states(*engines) == {how} and not client.ready, what="no goal can be sent")
     eventually(goal.cancel().done)
     assert server.orders == [5]
-    server.finish(state="canceled")
-    server.close()
-
-
-def test_a_goal_that_waits_for_its_server_when_it_is_disarmed_is_accepted(
-    bridge: Bridge, client: FibonacciClient, robot: Domain, consoles: Consoles
-) -> None:
-    server = FibonacciServer(robot.id, hesitates=True)
-    engines = bridge.both(ARMED)
-    eventually(lambda: states(*engines) == {"disarmed"})
-    consoles.arm(engines[1], ACTION)
-    goal = client.send(5)
-    eventually(lambda: server.orders == [5])
-    hold(engines[0], "disarmed")
-    server.hesitates.clear()
-    assert goal.handle().accepted
-    eventually(lambda: states(*engines) == {"disarmed"})
-    eventually(goal.cancel().done)
     server.finish(state="canceled")
     server.close()
 

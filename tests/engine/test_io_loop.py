@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import os
 import socket
-import sys
 import threading
 import time
 from functools import partial
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
 
-_OFTEN = 1e-6  # s: threads change at nearly every bytecode
-
 
 def wants_its_turn(loop: IoLoop) -> bool:
     return loop._waits.over
@@ -47,14 +44,6 @@ def loop() -> Iterator[IoLoop]:
     thread.join(60.0)
     assert not thread.is_alive()
     made.close()
-
-
-@pytest.fixture
-def threads_change_often() -> Iterator[None]:
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(_OFTEN)
-    yield
-    sys.setswitchinterval(before)
 
 
 def visit(loop: IoLoop, work: Callable[[], object]) -> None:

@@ -20,6 +20,7 @@ from rclpy.serialization import serialize_message
 from tests.support.bridge import carries, feedback_listeners, happened, heard, linked, listeners, route, settled
 from tests.support.domain import LATCHED
 from tests.support.fibonacci import ACTION
+from tests.support.participants import KnownNode
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
@@ -29,7 +30,6 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class
-from rsb_bridge.ros.node import RosNode
 from rsb_bridge.route.calls.goals import accepted_by
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from tests.support.fibonacci import FibonacciServer
 
     from rsb_bridge.api import EngineApi
+    from rsb_bridge.ros.node import RosNode
     from rsb_bridge.ros.ros_interface import Request, ServiceServer
 
 EIGHT = bytes.fromhex("00 01 00 00 00 00 00 10")
@@ -124,7 +125,7 @@ def victim(pc: Domain) -> Iterator[Victim]:
 @pytest.fixture
 def caller(robot: Domain) -> Iterator[RosNode]:
     """Makes raw calls in the client's domain."""
-    made = RosNode(robot.id, "caller")
+    made = KnownNode(robot.id, "caller")
     made.start()
     yield made
     made.stop()
@@ -219,7 +220,7 @@ def test_latched_and_compressed_messages_are_checked_too(
 def test_eight_bytes_of_a_response_do_not_reach_a_caller(
     bridge: Bridge, caller: RosNode, pc: Domain, request: pytest.FixtureRequest
 ) -> None:
-    far = RosNode(pc.id, "server")
+    far = KnownNode(pc.id, "server")
     far.start()
     request.addfinalizer(far.stop)
     hash_ = far.installed_service_hash(PARAMETERS) or ""
@@ -244,7 +245,7 @@ def test_eight_bytes_of_a_response_do_not_reach_a_caller(
 def test_a_malformed_goal_is_rejected_at_once(
     bridge: Bridge, server: FibonacciServer, pc: Domain, request: pytest.FixtureRequest
 ) -> None:
-    near = RosNode(pc.id, "near")
+    near = KnownNode(pc.id, "near")
     near.start()
     request.addfinalizer(near.stop)
     pc_engine, robot_engine = bridge.both(Topic(ACTION, "receive", kind="action"))

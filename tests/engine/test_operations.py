@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, get_args
 
-import msgspec
 import pytest
 from std_msgs.msg import String
-from tests.support.bridge import carries, find, happened, heard, link, linked, protocol_of, route
+from tests.support.bridge import carries, find, happened, heard, linked, protocol_of, route
 from tests.support.domain import LATCHED, text
 from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
 
-from rsb_bridge.api import EngineError, Unable
+from rsb_bridge.api import EngineError
 from rsb_bridge.link.errors import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting
@@ -25,7 +24,6 @@ from rsb_bridge.model.verdict import LinkCause
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
-    from tests.support.relay import Relay
 
     from rsb_bridge.engine import Engine
 
@@ -67,33 +65,6 @@ def test_topics_are_added_edited_paused_and_removed(operator: str, bridge: Bridg
     eventually(lambda: not out.get_subscription_count() and not there.matched)
     with pytest.raises(EngineError, match=pattern(Denied.NO_ROUTE)):
         engine.remove_topic(key).result(60)
-
-
-@pytest.mark.parametrize("operator", ["client", "server"])
-def test_a_change_of_the_rate_limit_keeps_counts_and_connections(
-    operator: str, bridge: Bridge, robot: Domain, pc: Domain
-) -> None:
-    there, out = pc.listener("/chat"), robot.publisher("/chat")
-    server, client = bridge.both(Topic("/chat", "transmit"))
-    engine = client if operator == "client" else server
-    carries([out], server, ["/chat"])
-    out.publish(text("before"))
-    heard(there, 1)
-    before = [link(side) for side in (client, server)]
-    counted = eventually(lambda: ledger if (ledger := route(client, "/chat").ledger).delivered == 1 else None)
-    limited = msgspec.structs.replace(route(engine, "/chat").spec, max_rate=0.01)
-    key = engine.edit_topic(route(engine, "/chat").key, limited).result(60)
-    assert key == route(engine, "/chat").key
-    eventually(lambda: client.session.topics[0].max_rate == 0.01)
-    for number in range(5):
-        out.publish(text(str(number)))
-    ledger = eventually(lambda: found if (found := route(client, "/chat").ledger).offered == 6 else None)
-    assert (counted.offered, ledger.throttled) == (1, 4), "one passes, the others are left out"
-    assert heard(there, 2) == [text("before"), text("0")]
-    assert [link(side).since for side in (client, server)] == [each.since for each in before]
-    for side in (client, server):
-        assert len([e for e in side.events() if e.code == EventCode.ROUTE_CONNECTED]) == 1
-        eventually(lambda side=side: happened(side, EventCode.ROUTE_AMENDED, "max_rate none → 0.01 Hz"))
 
 
 def test_a_topic_that_one_side_opened_the_other_may_remove(bridge: Bridge, robot: Domain) -> None:
@@ -253,60 +224,6 @@ def test_a_topic_both_ways_does_not_loop(bridge: Bridge, robot: Domain, pc: Doma
     assert all(each.ledger.offered <= 1 for engine in (server, client) for each in engine.snapshot().routes)
 
 
-def test_latched_topics_reach_those_who_come_late(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
-    """A late subscriber, a late server, and both again after the link was cut."""
-    map_, goal = robot.publisher("/map", qos=LATCHED), pc.publisher("/goal", qos=LATCHED)
-    map_.publish(text("map 1"))
-    goal.publish(text("goal 1"))
-    client = bridge.client(Topic("/map", "transmit"), Topic("/goal", "receive", protocol="udp"))
-    server = bridge.server()
-    assert heard(pc.listener("/map", qos=LATCHED), 1) == [text("map 1")]
-    assert heard(robot.listener("/goal", qos=LATCHED), 1) == [text("goal 1")]
-    here, there = robot.listener("/goal", qos=LATCHED), pc.listener("/map", qos=LATCHED)
-    heard(here, 1), heard(there, 1)
-    relay.stall(new=True)
-    relay.cut()
-    eventually(lambda: not linked(client) and not linked(server))
-    map_.publish(text("map 2"))
-    goal.publish(text("goal 2"))
-    relay.stall(False)
-    eventually(lambda: there.payloads[-1] == text("map 2") and here.payloads[-1] == text("goal 2"))
-    assert heard(pc.listener("/map", qos=LATCHED), 1) == [text("map 2")]
-
-
-def test_silence_is_warned_of_so_many_times(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """Thesis: every `stale_after` s, `stale_warnings` times, then silence; "reinitialized" when data returns."""
-    there, out = pc.listener("/chat"), robot.publisher("/chat")
-    latched = robot.publisher("/map", qos=LATCHED)
-    server, client = bridge.both(
-        Topic("/chat", "transmit", stale_after=0.5), Topic("/map", "transmit"), stale_after=0.2, stale_warnings=2
-    )
-    carries([out, latched], server, ["/chat"])
-    out.publish(text("now"))
-    heard(there, 1)
-
-    def warnings(engine: Engine) -> list[str]:
-        of_silence = (EventCode.ROUTE_STALE, EventCode.ROUTE_DATA_AGAIN)
-        return [event.text for event in engine.events() if event.code in of_silence]
-
-    expected = [
-        "/chat: nothing for 0.5 s (warning 1 of 2)",
-        "/chat: nothing for 1 s (warning 2 of 2); no further warnings until data returns",
-    ]
-    for engine in (client, server):
-        eventually(lambda engine=engine: warnings(engine)[-2:] == expected)  # there may be some of before the message
-        assert route(engine, "/chat").state == "stale"
-        assert route(engine, "/map").state != "stale"
-    said = [len(warnings(engine)) for engine in (client, server)]
-    holds(lambda: [len(warnings(engine)) for engine in (client, server)] == said, 1.5)
-    out.publish(text("again"))
-    for engine, before in zip((client, server), said, strict=True):
-        eventually(lambda engine=engine, before=before: len(warnings(engine)) == before + 3)
-        assert warnings(engine)[before].startswith("/chat: reinitialized: data again after")
-        assert warnings(engine)[before + 1 :] == expected
-        eventually(lambda engine=engine: route(engine, "/chat").state == "stale")
-
-
 def shut_down_there(client: Engine, server: Engine) -> None:
     """Both sides say that an operator of the server has shut the link down, and that the client asks again."""
 
@@ -388,14 +305,6 @@ def test_restarting(operator: str, bridge: Bridge, robot: Domain, pc: Domain) ->
     carries([out], server, ["/chat"])
     out.publish(text("again"))
     assert heard(there, 1) == [text("again")]
-
-
-def test_commands_after_the_end(bridge: Bridge) -> None:
-    client = bridge.client()
-    client.stop()
-    assert not client.snapshot().running
-    with pytest.raises(EngineError, match=pattern(Unable.NOT_RUNNING)):
-        client.retry().result(60)
 
 
 def test_every_command_has_a_handler(bridge: Bridge) -> None:

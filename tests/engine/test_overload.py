@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
-from tests.engine.test_slow_tunnel import TUNNEL, Publishing, ages
+from tests.engine.test_slow_tunnel import TUNNEL, ages, publishing
 from tests.support.bridge import carries, linked, outgoing
 from tests.support.domain import BEST_EFFORT
 from tests.support.inside import inside
@@ -84,9 +84,9 @@ def test_nothing_wrong_is_said_of_an_overload(
         carries([out], server, ["/camera"])
         relay.rate = TUNNEL
         began = time.time_ns()
-        with Publishing(out, rate, 1000):
+        with publishing(out, rate, 1000):
             overload = _record((client, server), 12.0, lambda: False)
-        with Publishing(out, 2.0, 1000):
+        with publishing(out, 2.0, 1000):
             recovery = _record((client, server), _OVER_WITHIN, lambda: _is_over(client, server))
             assert max((each.at for each in recovery[0]), default=0.0) < _OVER_WITHIN - 1.0, [
                 seen[-1] for seen in recovery
@@ -126,10 +126,10 @@ def test_a_path_that_takes_seconds_is_not_full(bridge: Bridge, robot: Domain, pc
         client = bridge.client(Topic("/camera", "transmit"), server_port=relay.port)
         eventually(lambda: linked(client) and linked(server), 180.0, what="linked")
         carries([out], server, ["/camera"])
-        with Publishing(out, 20.0, 1000) as publishing:
+        with publishing(out, 20.0, 1000) as published:
             seen = _record((client, server), 20.0, lambda: False)
             found = ages(there)
-            count, ledger = publishing.count, outgoing(client, "/camera").ledger()
+            count, ledger = published.count, outgoing(client, "/camera").ledger()
         relay.delay = lambda: 0.0
         bridge.close()
     assert ledger.dropped == {}

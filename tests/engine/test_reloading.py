@@ -131,33 +131,35 @@ def test_what_operators_changed_and_did_not_save_becomes_what_the_file_says(brid
     assert client.session.topics == (Topic("/chat", "transmit"),)
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("name: robot1\nrole: client\ntopics: {", "robot1.yaml:3"),
-        ("name: robot1\nrole: client\nserver_ip: 127.0.0.1\nserver_port: 5\nkey_file: none.key\n", "no such key file"),
-        ("name: robot1\nrole: client\nserver_ip: 127.0.0.1\nserver_port: 0\nkey_file: robot1.key\n", "server_port"),
-        ("name: robot2\nrole: client\nserver_ip: 127.0.0.1\nserver_port: 5\nkey_file: robot1.key\n",
-         "name robot1 → robot2: that is another session; restart"),
-        (None, "no such file"),
-    ],
-    ids=["no YAML", "no key", "mistake", "another", "gone"],
-)  # fmt: skip
-def test_a_bad_file_changes_nothing(bridge: Bridge, tmp_path: Path, text: str | None, said: str) -> None:
+BAD_FILES = (
+    ("name: robot1\nrole: client\ntopics: {", "robot1.yaml:3"),
+    ("name: robot1\nrole: client\nserver_ip: 127.0.0.1\nserver_port: 5\nkey_file: none.key\n", "no such key file"),
+    ("name: robot1\nrole: client\nserver_ip: 127.0.0.1\nserver_port: 0\nkey_file: robot1.key\n", "server_port"),
+    (
+        "name: robot2\nrole: client\nserver_ip: 127.0.0.1\nserver_port: 5\nkey_file: robot1.key\n",
+        "name robot1 → robot2: that is another session; restart",
+    ),
+    ("", "no such file"),
+)
+
+
+def test_a_bad_file_changes_nothing(bridge: Bridge, tmp_path: Path) -> None:
     _, client = bridge.both(Topic("/chat", "transmit"))
     file = Edited(client, tmp_path / "robot1.yaml")
     before = client.session
-    if text is None:
-        file.path.unlink()
-    else:
-        file.path.write_text(text)
-    with pytest.raises(EngineError, match=said):
-        client.reload().result(60)
-    assert client.session == before
-    (failed,) = [event for event in client.events() if event.code == EventCode.ENGINE_RELOAD_FAILED]
-    assert failed.level is Level.ERROR
-    assert failed.text.startswith("not reloaded, nothing is changed: ")
-    assert "\n" not in failed.text
+    for number, (content, said) in enumerate(BAD_FILES, 1):
+        if content:
+            file.path.write_text(content)
+        else:
+            file.path.unlink()
+        with pytest.raises(EngineError, match=said):
+            client.reload().result(60)
+        assert client.session == before
+        failed = [event for event in client.events() if event.code == EventCode.ENGINE_RELOAD_FAILED]
+        assert len(failed) == number
+        assert failed[-1].level is Level.ERROR
+        assert failed[-1].text.startswith("not reloaded, nothing is changed: ")
+        assert "\n" not in failed[-1].text
     assert link(client).state == "ok"
 
 

@@ -98,14 +98,14 @@ def test_no_client_links_while_a_port_is_missing(bridge: Bridge, monkeypatch: py
     bind = Udp.listen
 
     async def bind_late(self: Udp, host: str, port: int, acceptor: Acceptor) -> Listener:
-        await asyncio.sleep(3.0)
+        await asyncio.sleep(1.5)
         return await bind(self, host, port, acceptor)
 
     server, client = bridge.both()
     thief = UdpThief(bridge.port)
     replaced.UDP_LISTEN.set(monkeypatch, bind_late)
     restart_in_vain(server, thief)
-    holds(lambda: not linked(client) and not linked(server), 5.0)
+    holds(lambda: not linked(client) and not linked(server), 3.0)
     thief.give_back()
     eventually(lambda: linked(client) and linked(server))
 

@@ -9,6 +9,7 @@ import pytest
 from tests.support import constants
 from tests.support.bridge import balance, carries, linked, settled
 from tests.support.domain import text
+from tests.support.long import long
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
@@ -22,7 +23,7 @@ RATE = 100  # Hz
 STALL = 3.0  # s
 
 
-@pytest.mark.parametrize("size", [2_000, 50_000])
+@pytest.mark.parametrize("size", [2_000, *long(50_000)])
 def test_an_auto_topic_loses_nothing(
     size: int, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -163,7 +163,7 @@ def test_a_restart_that_waits_fails(bridge: Bridge) -> None:
 
 
 def test_nothing_is_left(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """Threads and descriptors after five more bridges are what they were after the first; ports are free at once."""
+    """Threads and descriptors after three more bridges are what they were after the first; ports are free at once."""
     port = bridge.port
     topics = (
         Topic("/tcp", "transmit", type="String", qos="default"),
@@ -184,7 +184,7 @@ def test_nothing_is_left(bridge: Bridge, robot: Domain, pc: Domain) -> None:
 
     once()
     before = resources()
-    for _ in range(5):
+    for _ in range(3):
         once()
     gc.collect()
     eventually(lambda: resources()[:2] <= before[:2], what=f"threads and descriptors {resources()} as {before}")

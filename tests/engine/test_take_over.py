@@ -11,6 +11,7 @@ from rclpy.serialization import deserialize_message
 from tests.engine.test_publishing import can_be_armed, publish
 from tests.support import constants
 from tests.support.bridge import route
+from tests.support.long import long_cases
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain, Listener
 
     from rsb_bridge.engine import Engine
+
+pytestmark = pytest.mark.usefixtures("patient")
 
 DRIVEN = Topic("/cmd", "receive", arm=True, deadman=0.0, type="geometry_msgs/msg/Twist")
 ANNA, BERT = "anna", "bert"
@@ -67,13 +70,6 @@ def drivers() -> Iterator[Drivers]:
     made.close()
 
 
-@pytest.fixture(autouse=True)
-def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A first message waits for nodes and routes as long as a busy machine takes, not 3 s."""
-    constants.PUBLISHING_MATCHED_WITHIN.set(monkeypatch, 100.0)
-    constants.LINK_ARMING_ANSWERED_WITHIN.set(monkeypatch, 25.0)
-
-
 def speeds(listener: Listener) -> list[float]:
     found = [deserialize_message(each, Twist).linear.x for each in listener.payloads]
     return [each for each, before in zip(found, [None, *found], strict=False) if each != before]
@@ -104,8 +100,17 @@ def driven_by_anna(bridge: Bridge, robot: Domain, pc: Domain, drivers: Drivers) 
     return server, client, motors
 
 
-@pytest.mark.parametrize("how", ["given", "not answered", "taken"])
-@pytest.mark.parametrize("side", ["beside the holder", "on the robot's side"])
+@pytest.mark.parametrize(
+    ("side", "how"),
+    [
+        ("beside the holder", "given"),
+        ("on the robot's side", "not answered"),
+        ("on the robot's side", "taken"),
+        *long_cases(
+            ("on the robot's side", "given"), ("beside the holder", "not answered"), ("beside the holder", "taken")
+        ),
+    ],
+)
 def test_it_goes_over_through_a_rest(
     bridge: Bridge,
     robot: Domain,

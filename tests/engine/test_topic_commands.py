@@ -1,4 +1,4 @@
-"""An operator's command finds its topic once, and again only if time has passed meanwhile."""
+"""An operator's command acts on the topic as it is once a robot has come to rest."""
 
 from __future__ import annotations
 
@@ -30,12 +30,10 @@ class Role:
     """A role with one link and one route.
 
     Attributes:
-        lookups: how often somebody has looked for a route.
         paused: the routes that were paused, by name.
     """
 
     def __init__(self) -> None:
-        self.lookups = 0
         self.paused: list[str] = []
         self.link = SimpleNamespace(
             name="robot1",
@@ -45,7 +43,6 @@ class Role:
         )
 
     def links(self) -> list[Link]:
-        self.lookups += 1
         return [cast("Link", self.link)]
 
 
@@ -56,24 +53,17 @@ def route(name: str) -> Any:
     return SimpleNamespace(local_topic=name, spec=None, paused=False, settling=SimpleNamespace(wait=wait))
 
 
-def pause(role: Role, context: Context, meanwhile: Callable[[], None] | None = None) -> None:
-    """Pause the route, and do something while its robot comes to rest, if there is anything that moves."""
+def pause(role: Role, context: Context, meanwhile: Callable[[], None]) -> None:
+    """Pause the route, and do something while its robot comes to rest."""
 
     async def end_motions(_: set[str]) -> bool:
-        if meanwhile is not None:
-            await asyncio.sleep(0.2)
-            meanwhile()
-        return meanwhile is not None
+        await asyncio.sleep(0.2)
+        meanwhile()
+        return True
 
     log = CommandLog(EventLog(context.clock))
     commands = TopicCommands(cast("BridgeRole", role), log, context.demands, end_motions)
     cast("VirtualLoop", context.loop).run_until_complete(commands.pause(PauseTopics(KEY, True)))
-
-
-def test_where_nothing_moves_the_route_is_looked_up_once(make_context: Callable[..., Context]) -> None:
-    role = Role()
-    pause(role, make_context())
-    assert (role.paused, role.lookups) == (["old"], 1)
 
 
 def test_what_took_its_place_meanwhile_is_paused(make_context: Callable[..., Context]) -> None:

@@ -8,9 +8,7 @@ import pytest
 from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.serialization import deserialize_message
 from tests.engine.test_publishing import can_be_armed, publish
-from tests.support import constants
 from tests.support.bridge import route
-from tests.support.consoles import Consoles
 from tests.support.waiting import eventually, holds
 from tests.support.wording import pattern
 
@@ -20,29 +18,17 @@ from rsb_bridge.model.session import ArmedName, Topic
 from rsb_bridge.model.velocity_limits import VelocityLimits
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from tests.support.bridge import Bridge
+    from tests.support.consoles import Consoles
     from tests.support.domain import Domain, Listener
 
     from rsb_bridge.engine import Engine
 
+pytestmark = pytest.mark.usefixtures("patient")
+
 LIMITS = VelocityLimits(0.5, 1.0)
 LIMITED = Topic("/cmd", "receive", arm=True, deadman=0.0, limits=LIMITS)
 DRIVEN = Topic("/cmd", "receive", arm=True, deadman=0.0)
-
-
-@pytest.fixture
-def consoles() -> Iterator[Consoles]:
-    made = Consoles()
-    yield made
-    made.close()
-
-
-@pytest.fixture(autouse=True)
-def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A first message waits for nodes and routes as long as a busy machine takes, not 3 s."""
-    constants.PUBLISHING_MATCHED_WITHIN.set(monkeypatch, 100.0)
 
 
 def twists(listener: Listener) -> list[tuple[float, float]]:

@@ -28,22 +28,13 @@ from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.zenoh.endpoint import ROOT
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
 
     from rsb_bridge.engine import Engine
 
-SECONDS = 6.0
+SECONDS = 4.0
 LOST = (EventCode.LINK_LOST, EventCode.LINK_CLOSED, EventCode.LINK_CLOSED_BY_PEER, EventCode.ROUTE_CHANNEL_LOST)
-
-
-@pytest.fixture
-def router() -> Iterator[Router]:
-    made = Router()
-    yield made
-    made.close()
 
 
 def over(router: Router) -> dict[str, Any]:
@@ -93,7 +84,7 @@ def test_a_link_comes_up_though_each_of_its_streams_is_answered_by_a_stranger(
     assert connections(server) == 1
 
 
-@pytest.mark.parametrize("count", [1, 30, *long(1000)])
+@pytest.mark.parametrize("count", [30, *long(1, 1000)])
 def test_false_servers_cost_seconds_and_no_link(bridge: Bridge, router: Router, count: int) -> None:
     stranger = Stranger(router.endpoint, "fleet")
     tokens = [stranger.declare(f"{ROOT}/fleet/here/server/{number:016x}/fake") for number in range(count)]
@@ -130,13 +121,6 @@ def test_tokens_that_come_and_go_all_the_time_keep_no_client_out(bridge: Bridge,
         assert len(engine.events()) < 40
 
 
-def test_a_second_client_of_a_name_hears_so_from_the_server(bridge: Bridge, router: Router) -> None:
-    _, client = bridge.both(**over(router))
-    second = bridge.client(**over(router))
-    eventually(lambda: link(second).cause == LinkCause.NAME_TAKEN)
-    assert linked(client)
-
-
 def test_a_stranger_who_passes_on_what_a_server_says_is_not_taken_for_it(bridge: Bridge, router: Router) -> None:
     """It could hold up or drop what it likes, and the client could not tell it from a second server."""
     relay = Relay(router.endpoint)
@@ -149,7 +133,7 @@ def test_a_stranger_who_passes_on_what_a_server_says_is_not_taken_for_it(bridge:
         assert link(client).peer == f"zenoh ({router.endpoint})"
         assert connections(server) == 1
         relay.drop()
-        time.sleep(8.0)
+        time.sleep(6.0)  # a client gives a silent server up after five
         assert linked(client)
         assert connections(server) == 1
     finally:

@@ -62,6 +62,7 @@ class Bridge:
         self._addresses = {"server": "127.0.0.1", "client": "127.0.0.1"}
         self._engines: list[Engine] = []
         self.expected: set[Engine] = set()
+        self._present = {*threading.enumerate()}
 
     def move(self) -> None:
         """Have sessions from now on use another port."""
@@ -130,7 +131,7 @@ class Bridge:
             began = time.monotonic()
             engine.stop()
             assert time.monotonic() - began < STOPS_WITHIN
-        eventually(lambda: all(each.name not in THREADS for each in threading.enumerate()), what="no thread of theirs")
+        eventually(lambda: not _threads() - self._present, what="no thread of theirs")
         assert [
             event.text
             for engine in engines
@@ -138,6 +139,11 @@ class Bridge:
             for event in engine.events()
             if event.code == EventCode.ENGINE_ERROR
         ] == []
+
+
+def _threads() -> set[threading.Thread]:
+    """Return the threads of all engines."""
+    return {each for each in threading.enumerate() if each.name in THREADS}
 
 
 def protocol_of(topic: str) -> Protocol:

@@ -27,6 +27,7 @@ FAULT_COMMAND_ENDS_WITHIN = Place("rsb_bridge.engine.fault_hook", "_ENDS_WITHIN"
 PUBLISHING_ENDS_AFTER = Place("rsb_bridge.engine.publishing", "ENDS_AFTER")
 PUBLISHING_MATCHED_WITHIN = Place("rsb_bridge.engine.publishing", "MATCHED_WITHIN")
 PUBLISHING_RESOLVE_EVERY = Place("rsb_bridge.engine.publishing", "_RESOLVE_EVERY")
+LOOK_WAITS_AT_MOST = Place("rsb_bridge.engine.viewing", "WAITS_AT_MOST")
 HISTORY_FILE_BYTES = Place("rsb_bridge.history.history_files", "FILE_BYTES")
 SERVICES_STATE = Place("rsb_bridge.history.state_folder", "SERVICES")
 MOST_TRACKS = Place("rsb_bridge.history.timeline", "MOST_TRACKS")

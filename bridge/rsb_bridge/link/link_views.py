@@ -49,6 +49,8 @@ OPENED_WITHIN = 10.0
 _ANSWERED_WITHIN = 15.0
 """s: the other side may have to ask several nodes for a type."""
 _LOOK_EVERY = 0.05
+_SUBSCRIBED_WITHIN = 5.0
+"""s until this side has a source for the pictures of a route that the peer has found open: the peer may ask before."""
 _ENDED = "the view is closed"
 
 
@@ -137,9 +139,7 @@ class LinkViews(Extension):
             drawing[0].change(look.topics, wish)
             return
         context = self._context
-        source = self._ends.sources.get((route.local_topic, self._link.name))
-        if source is None:
-            raise LinkError(ViewRefused.NO_VIEW())
+        source = await self._source(route, look.route)
         view = TopicView(
             context, context.renderer, context.renderer.next_view(), look.topics, wish, partial(_send, context, source)
         )
@@ -149,6 +149,19 @@ class LinkViews(Extension):
             raise LinkError(ViewRefused.NO_VIEW())
         self._drawing[look.route] = view, view.start(self._link.spawn)
         self._log(look.topics[0], begins=True)
+
+    async def _source(self, route: Route, opening: int) -> PictureSource:
+        """Return where a route's pictures go, once there is one.
+
+        Raises:
+            LinkError: the opening is over, or nothing subscribes.
+        """
+        deadline = self._context.now() + _SUBSCRIBED_WITHIN
+        while self._link.ids.open_route(opening) is route and self._context.now() < deadline:
+            if (source := self._ends.sources.get((route.local_topic, self._link.name))) is not None:
+                return source
+            await asyncio.sleep(_LOOK_EVERY)
+        raise LinkError(ViewRefused.NO_VIEW())
 
     def _refusal(self, topics: tuple[str, ...], route: Route) -> str:
         """Return why the peer may not look at topics, or an empty string."""
