@@ -49,7 +49,6 @@ class Plan(NamedTuple):
 
 
 def names(action: str) -> list[str]:
-    """Return the names of an action's services and topics, by lane."""
     return [name_of(lane, action) for lane in LANES["action"]]
 
 
@@ -84,7 +83,6 @@ class ActionServer:
         }
 
     def close(self, *, killed: bool = False) -> None:
-        """It ends; if it is killed, others see it for a while."""
         self.closed = True
         ends: list[Server | Writer] = [*self._servers.values(), *self._writers.values()]
         for end in ends:

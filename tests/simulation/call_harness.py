@@ -48,7 +48,6 @@ class ScriptedServer:
             self.answer()
 
     def answer(self, order: Callable[[list[Request]], object] = lambda _: None) -> None:
-        """Answer all waiting requests, in the order that a function gives them."""
         waiting, self._waiting = self._waiting, []
         order(waiting)
         for request in waiting:
@@ -60,8 +59,6 @@ class ScriptedServer:
 
 
 class ScriptedClient:
-    """A client that keeps its requests and answers."""
-
     def __init__(self, domain: Domain, service: str, node: str, type_name: str, type_hash: str) -> None:
         self.node = node
         self.requests: dict[int, bytes] = {}
@@ -142,7 +139,6 @@ class CallHarness(Bed):
         return _half(self.near), _half(self.far)
 
     def shown(self) -> tuple[RouteSnapshot, RouteSnapshot]:
-        """Return both sides' snapshots of the route, the callers' first."""
         near, far = self.halves()
         return near.snapshot(), far.snapshot()
 

@@ -137,8 +137,6 @@ class EngineHost:
 
 
 class Run:
-    """One engine process."""
-
     def __init__(self, host: EngineHost) -> None:
         self.host = host
         self.process = Process(host.machine)

@@ -252,7 +252,6 @@ async def type_differs(world: World, flow: TopicFlow, random: Random) -> None:
 
 
 async def take_fails(world: World, flow: TopicFlow, random: Random) -> None:
-    """The middleware fails to take from the bridge's subscription."""
     with world.flow_trouble(flow, "take fails"):
         for reader in tuple(flow.near.readers(flow.near_name)):
             reader.fail()
@@ -334,7 +333,6 @@ _FLOW = {publisher_gone: 4, listener_gone: 2, type_differs: 1, take_fails: 1, bu
 
 
 def of(world: World) -> Iterator[Coroutine[None, None, None]]:
-    """All that goes wrong in a world, as its conditions have it."""
     pause = world.conditions.faults
     if pause:
         yield _befall_server(world, 5 * pause)

@@ -76,8 +76,6 @@ class Flow:
 
 
 class CallFlow(Flow, Generic[S]):
-    """A service or an action, with its clients and its server."""
-
     near_services: list[str]
     far_services: list[str]
 
@@ -119,6 +117,5 @@ class CallFlow(Flow, Generic[S]):
 
 
 def bound(table: OrderedDict[Any, Any]) -> None:
-    """Drop the oldest entries of a table of messages or calls."""
     while len(table) > _REMEMBERED:
         table.popitem(last=False)

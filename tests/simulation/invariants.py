@@ -91,7 +91,6 @@ class Invariants:
             self.check()
 
     def check(self) -> None:
-        """Check everything once."""
         self.checks += 1
         world = self._world
         for robot in world.robots:

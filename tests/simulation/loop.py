@@ -109,7 +109,6 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
     """
 
     def __init__(self, random: Random) -> None:
-        """Begin at time 0 s."""
         self.on_error: Callable[[dict[str, Any]], None] = self._fail
         self.callbacks = 0
         self._random = random
@@ -350,7 +349,6 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
     async def connect_accepted_socket(
         self, protocol_factory: Callable[[], Any], sock: Any, **_: Any
     ) -> tuple[Any, Any]:
-        """Attach a protocol to an accepted socket, like `create_connection`."""
         return await self.create_connection(protocol_factory, sock=sock)
 
     def add_reader(self, fd: Any, callback: Callable[[*Ts], Any], *args: *Ts) -> None:

@@ -106,7 +106,6 @@ class Process:
         machine.processes.append(self)
 
     def kill(self) -> None:
-        """End at once, as by kill -9: the kernel closes what is open."""
         self.end(lambda descriptor: descriptor.killed())
 
     def exit(self) -> list[Descriptor]:

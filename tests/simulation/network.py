@@ -42,7 +42,6 @@ class Path:
     _when_healed: dict[Callable[[], None], None] = field(default_factory=dict)
 
     def delay(self, size: int, now: float, random: Random) -> float:
-        """Return the delay (s) of a packet of `size` bytes that is sent at `now` (s)."""
         latency = random.uniform(*self.latency)
         if self.bandwidth is None:
             return latency
@@ -50,11 +49,9 @@ class Path:
         return self._busy_until - now + latency
 
     def on_healed(self, call: Callable[[], None]) -> None:
-        """Call something once the path is no longer cut."""
         self._when_healed[call] = None
 
     def forget(self, call: Callable[[], None]) -> None:
-        """Do not call it any more."""
         self._when_healed.pop(call, None)
 
     def mend(self) -> None:
@@ -62,7 +59,6 @@ class Path:
         self.latency, self.loss, self.duplicates, self.bandwidth, self.mtu = _GOOD, 0.0, 0.0, None, 1500
 
     def healed(self) -> None:
-        """Tell those who wait that packets may arrive again."""
         waiting, self._when_healed = self._when_healed, {}
         for call in waiting:
             call()
@@ -84,16 +80,13 @@ class Network:
         self._paths: dict[tuple[Machine, Machine], Path] = {}
 
     def join(self, machine: Machine, address: str) -> None:
-        """Give a machine an address."""
         assert address not in self._machines, f"{address} is {self._machines[address].name}'s"
         self._machines[address] = machine
 
     def leave(self, address: str) -> None:
-        """Take an address away."""
         del self._machines[address]
 
     def machine_at(self, address: str) -> Machine | None:
-        """Return the machine that has an address."""
         return self._machines.get(address)
 
     def look_up(self, host: str) -> list[str] | None:
@@ -109,33 +102,27 @@ class Network:
         return self.names[host]
 
     def path(self, source: Machine, destination: Machine) -> Path:
-        """One direction between two machines."""
         path = self._paths.get((source, destination))
         if path is None:
             path = self._paths[source, destination] = Path()
         return path
 
     def both_ways(self, one: Machine, other: Machine) -> tuple[Path, Path]:
-        """Both directions between two machines."""
         return self.path(one, other), self.path(other, one)
 
     def cut(self, one: Machine, other: Machine) -> None:
-        """Let nothing through between two machines."""
         self.cut_one_way(one, other)
         self.cut_one_way(other, one)
 
     def cut_one_way(self, source: Machine, destination: Machine) -> None:
-        """Let nothing through in one direction."""
         self.path(source, destination).cut_at = self.loop.time()
 
     def heal(self, one: Machine, other: Machine) -> None:
-        """Let everything through again."""
         for path in self.both_ways(one, other):
             path.cut_at = None
             path.healed()
 
     def passes(self, source: Machine, destination: Machine) -> bool:
-        """Whether a packet gets from one machine to another now."""
         return source.up and destination.up and self.path(source, destination).cut_at is None
 
     def woke(self, machine: Machine) -> None:
@@ -146,5 +133,4 @@ class Network:
 
 
 def is_numeric(host: str) -> bool:
-    """Whether a host is an address in numbers."""
     return host.replace(".", "").isdecimal()

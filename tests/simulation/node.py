@@ -61,7 +61,6 @@ class Node:
             reader.stalled = True
 
     def go_on(self) -> None:
-        """End `stall`."""
         self._stalled = False
         for reader in self.readers:
             reader.go_on()

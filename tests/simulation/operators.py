@@ -70,7 +70,6 @@ class Operator:
     # --- what they do
 
     async def _add(self) -> None:
-        """Bridge one more topic, from either side."""
         run = self._some_run()
         if run is None or len(self._routes(run)) >= _MOST_TOPICS:
             return
@@ -185,12 +184,10 @@ class Operator:
 
 
 def is_shut_down(link: Link) -> bool:
-    """Whether an operator of the side that has the link has shut it down."""
     return link.shut_down or (isinstance(link, ServerLink) and link.shut_down_by is not None)
 
 
 def of(world: World) -> Iterator[Coroutine[None, None, None]]:
-    """All that operators do in a world, as its conditions have it."""
     pause = world.conditions.commands
     if pause:
         for robot in world.robots:

@@ -43,7 +43,6 @@ _OF_NOBODY = contextvars.Context()
 
 
 def hash_of(type_name: str, version: int = 0) -> str:
-    """The hash of a version of a type."""
     number = version
     for letter in type_name:
         number = number * 131 + ord(letter)
@@ -61,7 +60,6 @@ class Domain:
     """
 
     def __init__(self, loop: SimulatedLoop, random: Random, wall_ns: Callable[[], int]) -> None:
-        """Make an empty one."""
         self.loop = loop
         self.random = random
         self.wall_ns = wall_ns
@@ -77,11 +75,9 @@ class Domain:
         self.services = Services(self)
 
     def new_gid(self) -> bytes:
-        """An id for an endpoint."""
         return next(self._gids).to_bytes(16, "big")
 
     def topics(self) -> dict[str, set[str]]:
-        """Types by topic."""
         found: dict[str, set[str]] = {}
         for writer in (each for writers in self._writers.values() for each in writers):
             found.setdefault(writer.topic, set()).add(writer.type_name)
@@ -90,35 +86,29 @@ class Domain:
         return found
 
     def writers(self, topic: str) -> list[Writer]:
-        """A topic's publishers."""
         return self._writers.get(topic, [])
 
     def readers(self, topic: str) -> list[Reader]:
-        """A topic's subscriptions."""
         return self._readers.get(topic, [])
 
     def add_writer(self, writer: Writer) -> None:
-        """A publisher is there."""
         self._writers[writer.topic].append(writer)
         self.changed()
         for reader in self.readers(writer.topic):
             self._match_soon(writer, reader)
 
     def add_reader(self, reader: Reader) -> None:
-        """A subscription is there."""
         self._readers[reader.topic].append(reader)
         self.changed()
         for writer in self.writers(reader.topic):
             self._match_soon(writer, reader)
 
     def remove_writer(self, writer: Writer) -> None:
-        """A publisher is gone."""
         if writer in self.writers(writer.topic):
             self._writers[writer.topic].remove(writer)
             self.changed()
 
     def remove_reader(self, reader: Reader) -> None:
-        """A subscription is gone."""
         if reader in self.readers(reader.topic):
             self._readers[reader.topic].remove(reader)
             self.changed()
@@ -130,7 +120,6 @@ class Domain:
         self._watchers[node] = on_change
 
     def unwatch(self, node: Node) -> None:
-        """Tell it no more."""
         self._watchers.pop(node, None)
 
     def changed(self) -> None:
@@ -273,7 +262,6 @@ class Reader:
         domain.add_reader(self)
 
     def put(self, writer: Writer, sample: RawMessage) -> None:
-        """A message came."""
         if writer.origin == self._origin:
             return
         if len(self._pending) >= self._depth:

@@ -37,8 +37,6 @@ class Label(NamedTuple):
 
 
 class ServiceFlow(CallFlow[Server]):
-    """A service, with its callers and its server."""
-
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.near_services, self.far_services = [self.near_name], [self.far_name]

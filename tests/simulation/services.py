@@ -36,8 +36,6 @@ T = TypeVar("T")
 
 
 class Services:
-    """The services of one domain."""
-
     def __init__(self, domain: Domain) -> None:
         self.domain = domain
         self.servers: defaultdict[str, list[Server]] = defaultdict(list)
@@ -45,7 +43,6 @@ class Services:
         self._by_gid: dict[bytes, Client] = {}
 
     def names(self) -> dict[str, set[str]]:
-        """Types by service."""
         found: dict[str, set[str]] = {}
         ends: list[Server | Client] = [end for servers in self.servers.values() for end in servers]
         ends += [end for clients in self.clients.values() for end in clients]
@@ -54,7 +51,6 @@ class Services:
         return found
 
     def add(self, end: Server | Client) -> None:
-        """A server or a client is there."""
         if isinstance(end, Server):
             self.servers[end.service].append(end)
             pairs = [(client, end) for client in self.clients[end.service]]
@@ -73,7 +69,6 @@ class Services:
             client.matched[server] = None
 
     def remove(self, end: Server | Client) -> None:
-        """It is gone, for everybody."""
         if isinstance(end, Client):
             if self._by_gid.pop(end.gid, None) is None:
                 return
@@ -129,7 +124,6 @@ class _End(Generic[T]):
         services.add(self)  # type: ignore[arg-type]
 
     def put(self, each: T) -> None:
-        """A request or a response came."""
         self._pending.append(each)
         self._drain_soon()
 
@@ -171,7 +165,6 @@ class Server(_End[Request]):
 
     @property
     def seen(self) -> bool:
-        """Whether other nodes see it."""
         return self in self._services.servers[self.service]
 
     def answer(self, caller: bytes, payload: bytes) -> None:

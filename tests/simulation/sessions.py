@@ -17,7 +17,6 @@ SERVER_ADDRESS = "10.0.0.1"
 
 
 def server_session(clients: Sequence[str], random: Random, *, encrypted: bool) -> Session:
-    """The server's, for clients of those names."""
     alone = len(clients) == 1 and random.random() < 0.5
     return Session(
         name=clients[0] if alone else "pc",
@@ -32,7 +31,6 @@ def server_session(clients: Sequence[str], random: Random, *, encrypted: bool) -
 
 
 def client_session(name: str, domain_id: int, topics: tuple[Topic, ...], random: Random, *, encrypted: bool) -> Session:
-    """A robot's."""
     return Session(
         name=name,
         role="client",
@@ -47,7 +45,6 @@ def client_session(name: str, domain_id: int, topics: tuple[Topic, ...], random:
 
 
 def some_service(robot: str, number: int, random: Random) -> Topic:
-    """A service of a robot's session, of that number."""
     return Topic(
         topic=f"/service{number}",
         direction=random.choice(("transmit", "receive")),
@@ -62,7 +59,6 @@ def some_service(robot: str, number: int, random: Random) -> Topic:
 
 
 def some_action(robot: str, number: int, random: Random) -> Topic:
-    """An action of a robot's session, of that number."""
     return Topic(
         topic=f"/action{number}",
         direction=random.choice(("transmit", "receive")),
@@ -74,7 +70,6 @@ def some_action(robot: str, number: int, random: Random) -> Topic:
 
 
 def some_topic(robot: str, number: int, random: Random) -> Topic:
-    """A robot's topic of that number, of any kind."""
     protocols: tuple[Protocol | None, ...] = ("tcp", "tcp", "udp", None)
     return Topic(
         topic=f"/topic{number}",

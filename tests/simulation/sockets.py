@@ -108,7 +108,6 @@ class Socket:
         return int(self.options.get((level, option), 0))
 
     def getsockname(self) -> Address:
-        """Its own address and port."""
         return self.own
 
     def fileno(self) -> int:
@@ -121,12 +120,10 @@ class Socket:
             transport.abort()
 
     def killed(self) -> None:
-        """Its process was killed."""
         for transport in self._free():
             transport.killed()
 
     def vanished(self) -> None:
-        """Its machine lost its power."""
         for transport in self._free():
             transport.vanished()
 
@@ -217,7 +214,6 @@ class Socket:
         return True
 
     def listen(self, backlog: int) -> None:
-        """Accept streams from now on."""
         self.backlog = deque()
         self.most_waiting = backlog
 
@@ -246,13 +242,11 @@ class Socket:
     # --- datagrams
 
     def connect(self, address: Address) -> None:
-        """Send to one address from now on."""
         self.remote = address
         self.own = (self._machine.address, self.own[1] or self._machine.free_port(self.type))
         self._machine.bound[self.type, self.own[1]] = self
 
     def send(self, data: bytes) -> int:
-        """Send a datagram to the address that it is connected to."""
         assert self.remote is not None
         return self._send(data, self.own[0], self.remote)
 
@@ -281,7 +275,6 @@ class Socket:
         return len(data)
 
     def arrived(self, data: bytes, sender: Address) -> None:
-        """A datagram came."""
         if self.remote is not None and sender != self.remote:
             return  # it is connected to somebody else
         if self._queued_bytes + len(data) <= self._machine.receive_buffer:
@@ -313,7 +306,6 @@ _OF_NOBODY = contextvars.Context()
 
 
 def current_process() -> Process:
-    """Return the process whose code runs."""
     process = PROGRAM.get()
     assert isinstance(process, Process)
     return process
@@ -333,7 +325,6 @@ class _SocketModule:
 
     @staticmethod
     def getaddrinfo(host: str, port: int, *, type: int, flags: int = 0) -> list[tuple[Any, ...]]:  # noqa: A002 — the module's
-        """Look a name up."""
         if flags & real.AI_NUMERICHOST and not is_numeric(host):
             raise real.gaierror(real.EAI_NONAME, "Name or service not known")
         addresses = current_process().network.look_up(host)
@@ -352,7 +343,6 @@ class _ThreadingModule:
             self._target = target
 
         def start(self) -> None:
-            """Run it soon."""
             process = current_process()
             process.loop.call_later(process.network.random.uniform(*_LOOK_UP), self._run)
 

@@ -88,7 +88,6 @@ class StreamTransport(asyncio.Transport):
         return one, other
 
     def begin(self, sock: Socket, protocol: asyncio.Protocol) -> None:
-        """Attach a protocol to the connection."""
         self.sock = sock
         self._context = contextvars.copy_context()
         self._protocol = protocol
@@ -339,7 +338,6 @@ class StreamTransport(asyncio.Transport):
             self._close_descriptor(error)
 
     def killed(self) -> None:
-        """The program was killed while it was writing: its last words may be cut off anywhere."""
         if self.gone:
             return
         self.gone = self._closing = True

@@ -73,7 +73,6 @@ class Court(Bed):
                     self.world.wrong(f"at rest, {half.key} still has {left}; {said(self.world, self.action)}")
 
     async def goal(self, **plan: Any) -> Goal:
-        """Send a goal that is accepted."""
         goal = self.action.send(Plan(**plan))
         assert goal is not None
         await until(lambda: goal.told, 5.0)
@@ -81,7 +80,6 @@ class Court(Bed):
 
     @contextlib.contextmanager
     def cut(self) -> Iterator[None]:
-        """Cut the network between both hosts."""
         ends = self.near.machine, self.far.machine
         with self.world.trouble("cut", self.robot):
             self.world.network.cut(*ends)
@@ -89,7 +87,6 @@ class Court(Bed):
             self.world.network.heal(*ends)
 
     async def restart(self, host: EngineHost) -> None:
-        """A bridge is killed and started again."""
         with self.world.trouble("killed", self.robot):
             host.kill()
             await asyncio.sleep(2.0)

@@ -34,7 +34,6 @@ _WITHDRAWN_WITHIN = 1.0
 
 
 def under_way(route: CallsRoute) -> list[PendingCall]:
-    """The calls of a half."""
     return [call for _, call in pending_calls(route).items()]
 
 
@@ -465,16 +464,3 @@ def test_over_one_stream_that_all_routes_share(provider: str, harness: CallHarne
 
     with replaced.TCP_MULTIPLEXED.during(True):
         harness.world.play(life=harness.live(live()))
-
-
-@pytest.mark.bed(compression="zstd")
-async def test_compression(harness: CallHarness) -> None:
-    harness.server()
-    client = harness.client()
-    await harness.ready(client)
-    for size in (0, 10, 100_000, 3_000_000):
-        client.ask(bytes(size))
-    await until(lambda: client.right == 4, 5.0)
-    near, _ = harness.halves()
-    assert near.channel is not None
-    assert near.channel.carrier.sent_bytes < 100_000

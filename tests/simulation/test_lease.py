@@ -133,7 +133,6 @@ class Armed:
         return host.run
 
     def runs(self) -> list[Run]:
-        """The engines that are not frozen."""
         runs = [run for run in (self.source.run, self.sink.run) if run is not None]
         return [run for run in runs if not self.world.loop.is_frozen(run.process)]
 
@@ -146,7 +145,6 @@ class Armed:
 
     @property
     def stands(self) -> bool:
-        """Whether both sides hold it for armed."""
         halves = [self.half(run) for run in self.runs()]
         return len(halves) == 2 and all(half is not None and half.arming.armed for half in halves)
 
@@ -317,7 +315,6 @@ class Armed:
             task.cancel()
 
     async def anything(self) -> None:
-        """Have anything happen, in any order."""
         random, loop = self.random, self.world.loop
         while loop.time() < SECONDS:
             await asyncio.sleep(random.uniform(0.5, 6.0))

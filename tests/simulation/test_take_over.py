@@ -68,8 +68,6 @@ def _written(fields: Fields) -> bytes:
 
 @dataclass(eq=False)
 class Driver:
-    """An operator at a console."""
-
     name: str
     host: EngineHost
     speed: float
@@ -234,7 +232,6 @@ class Drivers:
     # --- lives
 
     def play(self, life: Callable[[Drivers], Coroutine[Any, Any, None]] | None = None) -> None:
-        """Have all of them do what they do, or something else."""
         with self.world.trouble("operators", *self.world.robots):
             if life is None:
                 self.world.play(_SECONDS, self.live())

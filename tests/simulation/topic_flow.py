@@ -27,8 +27,6 @@ CLOCKS = 0.005
 
 
 class Label(NamedTuple):
-    """The numbers that a message carries."""
-
     flow: int
     life: int
     number: int

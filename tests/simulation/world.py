@@ -86,7 +86,6 @@ class World:
     """
 
     def __init__(self, seed: int, conditions: Conditions | None = None) -> None:
-        """Make it."""
         self.seed = seed
         self.conditions = conditions or draw_conditions(self.random("climate"))
         self.loop = SimulatedLoop(self.random("executor"))  # type: ignore[abstract]  # what is not simulated raises
@@ -283,7 +282,6 @@ class World:
             self.loop.fail(self._violation)
 
     def command(self) -> str:
-        """Return the command that plays it again, up to now."""
         return f"python -m tests.simulation {self.seed} --days {self.loop.time() / 86_400 + 0.001:.3f}"
 
     def summary(self) -> str:
@@ -371,7 +369,6 @@ class World:
         return max(robot.clear_since, *began)
 
     def state(self, flow: TopicFlow) -> str:
-        """Return both sides' states of a topic, its robot's first."""
         told = []
         for link in self.link_ends(self.robot(flow.robot)) or ():
             route = route_of(link, flow)
@@ -380,7 +377,6 @@ class World:
         return "; ".join(told)
 
     def said(self, service: ServiceFlow) -> str:
-        """Return both sides' states of a service, its robot's first."""
         halves = [half_of(link, service) for link in self.link_ends(self.robot(service.robot)) or ()]
         shown = [half.snapshot() for half in halves if half is not None]
         return "; ".join(f"{each.state} {each.reason!r} {each.calls} {each.stages}" for each in shown)
