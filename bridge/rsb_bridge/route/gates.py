@@ -8,7 +8,8 @@ requests to DDS take long.
 These are no gates:
 
 - the check of contents (`message_check`), which follows the first gates and precedes the last ones. It stops at the
-  wrong field, and operators read the field's name: so it raises an error with that text, as unpacking does.
+  wrong field, and operators read the field's name: so it raises an error with that text, as unpacking does. A gate
+  around it would make the way of a received message 8 % longer (of 16 that come together, 0.49 µs each).
 - `throttle.LatestLater`, the rate limit of a latched topic: it sends the newest message later instead of dropping it.
 - a full queue and a lost link: no rule keeps these messages back.
 """

@@ -92,7 +92,8 @@ class LatestLater:
         for sample in samples:
             publisher, stamp = sample.header.publisher, sample.message.stamp
             passes = sample.replayed or self._throttle.passes(stamp, publisher)
-            left_out += self._forget(publisher)
+            if publisher in self._waiting:
+                left_out += self._forget(publisher)
             if passes:
                 admitted.append(sample)
             elif len(self._waiting) < _MOST_PUBLISHERS:
