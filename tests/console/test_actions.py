@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
-from tests.console.driving import drive, engine_of, gone, scripted_app, shown, text, until
+from tests.console.driving import drive, engine_of, gone, on_main, scripted_app, shown, text, until
 from tests.support.wording import pattern
 from textual.binding import Binding
 from textual.pilot import Pilot
@@ -135,39 +135,29 @@ def screens(app: ConsoleApp) -> dict[str, Callable[[], Screen[Any]]]:
 
 @pytest.mark.parametrize("key", ["question_mark", "f1"])
 @pytest.mark.parametrize("name", screens(cast("ConsoleApp", None)))
-def test_every_screen_shows_the_keys(name: str, key: str) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        app.push_screen(screens(app)[name]())
-        await pilot.pause()
-        below = app.screen
-        await pilot.press(key)
-        await until(pilot, lambda: isinstance(app.screen, HelpScreen), "the keys")
-        await pilot.press(key)
-        await until(pilot, lambda: app.screen is below, "the screen below")
-
-    drive(app, steps)
+@on_main()
+async def test_every_screen_shows_the_keys(app: ConsoleApp, pilot: Pilot[None], name: str, key: str) -> None:
+    app.push_screen(screens(app)[name]())
+    await pilot.pause()
+    below = app.screen
+    await pilot.press(key)
+    await until(pilot, lambda: isinstance(app.screen, HelpScreen), "the keys")
+    await pilot.press(key)
+    await until(pilot, lambda: app.screen is below, "the screen below")
 
 
 @pytest.mark.parametrize("name", ["pictures", "welcome"])
-def test_a_new_session_from_other_screens(name: str) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        if name == "welcome":
-            await pilot.press("f5")
-            await until(pilot, lambda: isinstance(app.screen, WelcomeScreen), "the welcome")
-        else:
-            app.push_screen(screens(app)[name]())
-            await pilot.pause()
-        await pilot.press("f2")
-        await shown(pilot, "New session")
-        await until(pilot, lambda: isinstance(app.screen, FormScreen), "the form")
-
-    drive(app, steps)
+@on_main()
+async def test_a_new_session_from_other_screens(app: ConsoleApp, pilot: Pilot[None], name: str) -> None:
+    if name == "welcome":
+        await pilot.press("f5")
+        await until(pilot, lambda: isinstance(app.screen, WelcomeScreen), "the welcome")
+    else:
+        app.push_screen(screens(app)[name]())
+        await pilot.pause()
+    await pilot.press("f2")
+    await shown(pilot, "New session")
+    await until(pilot, lambda: isinstance(app.screen, FormScreen), "the form")
 
 
 def test_the_keys_of_pictures_goals_and_driving_are_listed() -> None:
@@ -184,40 +174,25 @@ def test_the_keys_of_pictures_goals_and_driving_are_listed() -> None:
     assert all({"comma": ",", "full_stop": "."}.get(key, labels.get(key, key)) in steering for key in _WAYS)
 
 
-def test_the_palette_finds_an_action_by_its_words_and_does_it() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("colon", *"faults only")
-        await shown(pilot, "Show faults only")
-        await pilot.press("enter", "enter")
-        await until(pilot, lambda: app.main.topics.faults_only, "faults only")
-
-    drive(app, steps)
+@on_main()
+async def test_the_palette_finds_an_action_by_its_words_and_does_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("colon", *"faults only")
+    await shown(pilot, "Show faults only")
+    await pilot.press("enter", "enter")
+    await until(pilot, lambda: app.main.topics.faults_only, "faults only")
 
 
-def test_readonly_takes_away_whatever_changes_something() -> None:
-    app = scripted_app(readonly=True)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "read-only")
-        await gone(pilot, "p pause")
-        await pilot.press("p", "r")
-        await shown(pilot, MainText.READ_ONLY)
-        await pilot.press("question_mark")
-        await shown(pilot, "Next line")
-        assert not any(action.help in text(app) for action in ACTIONS if action.changes)
-        assert engine_of(app).commands == []
-
-    drive(app, steps, size=(120, 80))
+@on_main((120, 80), landmark="read-only", readonly=True)
+async def test_readonly_takes_away_whatever_changes_something(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await gone(pilot, "p pause")
+    await pilot.press("p", "r")
+    await shown(pilot, MainText.READ_ONLY)
+    await pilot.press("question_mark")
+    await shown(pilot, "Next line")
+    assert not any(action.help in text(app) for action in ACTIONS if action.changes)
+    assert engine_of(app).commands == []
 
 
-@pytest.mark.parametrize("size", [(120, 36), (40, 15)])
-def test_the_footer_always_ends_with_help_and_quit(size: tuple[int, int]) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "? help  q quit")
-
-    drive(app, steps, size=size)
+@on_main((120, 36), (40, 15), landmark="? help  q quit")
+async def test_the_footer_always_ends_with_help_and_quit(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    assert text(app).splitlines()[-1].rstrip().endswith("? help  q quit")

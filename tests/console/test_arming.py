@@ -222,17 +222,12 @@ async def test_what_need_not_be_armed_has_no_key(app: ConsoleApp, pilot: Pilot[N
     assert engine_of(app).kept == []
 
 
-def test_a_console_that_only_watches_arms_nothing() -> None:
-    app = scripted_app(readonly=True)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        put(app, DISARMED)
-        await pilot.press("A")
-        await shown(pilot, MainText.READ_ONLY)
-        assert engine_of(app).commands == []
-
-    drive(app, steps)
+@on_main(readonly=True)
+async def test_a_console_that_only_watches_arms_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, DISARMED)
+    await pilot.press("A")
+    await shown(pilot, MainText.READ_ONLY)
+    assert engine_of(app).commands == []
 
 
 # --- with real processes

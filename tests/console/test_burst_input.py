@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from tests.console.driving import drive, engine_of, form_of, on_main, scripted_app, send, shown, until
+from tests.console.driving import drive, engine_of, form_of, on_main, on_welcome, scripted_app, send, shown, until
 from tests.console.scripted import SESSION
 from tests.console.tmux import Tmux
 from tests.support.long import long
@@ -133,21 +133,18 @@ WITH_ENTER = ("\tcart3\r10.0.0.20\t7070\t12", FIELDS_TYPED)  # enter goes to wha
         *(pytest.param("pasted", *FILLED[at], marks=pytest.mark.long) for at in (2, 3)),
     ],
 )
-def test_a_new_session_is_filled_in_at_once(how: str, typed: str, expected: dict[str, str]) -> None:
-    app = scripted_app(session=None, path=None)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "New session")
-        burst(app, "n" if how == "pasted" else f"n{typed}")
-        await until(pilot, lambda: isinstance(app.screen, NewSessionScreen), "the form")
-        if how == "pasted":
-            send(app, Paste(typed))
-        form = form_of(app)
-        await until(pilot, lambda: form.values.items() >= expected.items(), "all values")
-        await until(pilot, lambda: not app.input_queue.delivers, "all of it")
-        assert form.values.items() >= expected.items()
-
-    drive(app, steps)
+@on_welcome()
+async def test_a_new_session_is_filled_in_at_once(
+    app: ConsoleApp, pilot: Pilot[None], how: str, typed: str, expected: dict[str, str]
+) -> None:
+    burst(app, "n" if how == "pasted" else f"n{typed}")
+    await until(pilot, lambda: isinstance(app.screen, NewSessionScreen), "the form")
+    if how == "pasted":
+        send(app, Paste(typed))
+    form = form_of(app)
+    await until(pilot, lambda: form.values.items() >= expected.items(), "all values")
+    await until(pilot, lambda: not app.input_queue.delivers, "all of it")
+    assert form.values.items() >= expected.items()
 
 
 def in_tmux(tmux: Tmux, how: str, text: str, folder: Path) -> None:
@@ -215,17 +212,13 @@ async def test_the_palette_runs_what_was_typed(app: ConsoleApp, pilot: Pilot[Non
     await shown(pilot, "PgDn")
 
 
-def test_what_is_typed_while_the_app_ends_goes_nowhere() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await app._close_all()  # the first thing that Textual does then; the app's messages are handled a while longer
-        app.post_message(Key("j", "j"))
-        while app.message_queue_size:  # noqa: ASYNC110  # `until` would ask the app for its screen
-            await asyncio.sleep(0.01)
-
-    drive(app, steps)  # raises what the app raised
+@on_main()
+async def test_what_is_typed_while_the_app_ends_goes_nowhere(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """The app would raise its failure at its end."""
+    await app._close_all()  # the first thing that Textual does then; the app's messages are handled a while longer
+    app.post_message(Key("j", "j"))
+    while app.message_queue_size:  # noqa: ASYNC110  # `until` would ask the app for its screen
+        await asyncio.sleep(0.01)
 
 
 def test_escape_and_a_key_in_one_read_are_two_keys() -> None:

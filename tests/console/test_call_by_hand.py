@@ -15,6 +15,7 @@ from tests.console.driving import (
     form_of,
     gone,
     notices,
+    on_main,
     put,
     scripted_app,
     settled,
@@ -370,25 +371,22 @@ async def test_read_only_calls_nothing(app: ConsoleApp, pilot: Pilot[None]) -> N
     assert calls(app) == []
 
 
-def test_the_key_stands_in_the_footer_only_where_there_is_something_to_call() -> None:
-    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, (*ROUTES, MODE)))
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await shown(pilot, "q quit")
-        await gone(pilot, "C call")
-        await pilot.press("C")
-        await settled(pilot)
-        assert app.screen is app.main
-        await pilot.press("slash", *"set_mode", "enter")
-        await shown(pilot, "C call")
-        assert BY_ID["call"].changes
-        await pilot.press("question_mark")
-        await shown(pilot, BY_ID["move_down"].help)
-        await pilot.press("pagedown")
-        await shown(pilot, BY_ID["call"].help)
-
-    drive(app, steps)
+@on_main(routes=(*ROUTES, MODE))
+async def test_the_key_stands_in_the_footer_only_where_there_is_something_to_call(
+    app: ConsoleApp, pilot: Pilot[None]
+) -> None:
+    await shown(pilot, "q quit")
+    await gone(pilot, "C call")
+    await pilot.press("C")
+    await settled(pilot)
+    assert app.screen is app.main
+    await pilot.press("slash", *"set_mode", "enter")
+    await shown(pilot, "C call")
+    assert BY_ID["call"].changes
+    await pilot.press("question_mark")
+    await shown(pilot, BY_ID["move_down"].help)
+    await pilot.press("pagedown")
+    await shown(pilot, BY_ID["call"].help)
 
 
 @on(MODE)

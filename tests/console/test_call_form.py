@@ -16,6 +16,7 @@ from tests.console.driving import (
     fill,
     form_of,
     gone,
+    on_main,
     scripted_app,
     shown,
     told_to_add,
@@ -162,7 +163,7 @@ async def test_what_only_a_topic_has_is_not_sent_with_a_service(app: ConsoleApp,
 def test_an_edit_begins_with_what_is_and_sends_what_became() -> None:
     spec = Topic("/set_mode", "receive", "std_srvs/srv/SetBool", timeout=5.0, kind="service")
     routes = (call_route("service", "/set_mode", spec=spec, outgoing=False),)
-    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, routes))
+    app = scripted_app(routes=routes)
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/set_mode")
@@ -184,30 +185,20 @@ def test_an_edit_begins_with_what_is_and_sends_what_became() -> None:
     drive(app, steps)
 
 
-def test_a_service_is_paused_and_removed_like_a_topic() -> None:
-    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, CALL_ROUTES[:1]))
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot1/set_mode")
-        await pilot.press("p")
-        await until(pilot, lambda: ("pause", "service /robot1/set_mode", True) in engine_of(app).commands, "a pause")
-        await pilot.press("d", "y")
-        await until(pilot, lambda: ("remove", "service /robot1/set_mode") in engine_of(app).commands, "gone")
-
-    drive(app, steps)
+@on_main(landmark="/robot1/set_mode", routes=CALL_ROUTES[:1])
+async def test_a_service_is_paused_and_removed_like_a_topic(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("p")
+    await until(pilot, lambda: ("pause", "service /robot1/set_mode", True) in engine_of(app).commands, "a pause")
+    await pilot.press("d", "y")
+    await until(pilot, lambda: ("remove", "service /robot1/set_mode") in engine_of(app).commands, "gone")
 
 
-def test_on_a_server_the_provider_is_seen_from_there() -> None:
-    app = scripted_app(session=SERVER, make_engine=Graphs)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a")
-        await shown(pilot, "/map_server/load_map")
-        await pilot.press(*"load", "enter")
-        await shown(pilot, "○ the server (here)   ◉ the client (there)")
-
-    drive(app, steps)
+@on_main(session=SERVER, make_engine=Graphs)
+async def test_on_a_server_the_provider_is_seen_from_there(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("a")
+    await shown(pilot, "/map_server/load_map")
+    await pilot.press(*"load", "enter")
+    await shown(pilot, "○ the server (here)   ◉ the client (there)")
 
 
 # -- what the form is made of ----------------------------------------------------------------------------------------

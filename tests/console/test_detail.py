@@ -8,6 +8,7 @@ from tests.console.driving import (
     drive,
     engine_of,
     gone,
+    on_main,
     scripted_app,
     selected_topic,
     settled,
@@ -21,6 +22,7 @@ from textual.pilot import Pilot
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
+from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
 from rsb_console.widgets.detail import detail_lines
 from rsb_console.widgets.detail_parts import DetailText
@@ -30,44 +32,34 @@ def said(about: RouteSnapshot, width: int = 60) -> str:
     return "\n".join("".join(piece for piece, _ in line) for line in detail_lines(about, "10.0.0.20:49152", width))
 
 
-def test_another_topic_is_shown_from_its_beginning() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.resize_terminal(120, 20)
-        await pilot.press("enter", "end")
-        await until(pilot, lambda: app.main.detail.scroll_offset.y > 0, "the pane's end")
-        await settled(pilot)
-        app.pull()
-        assert app.main.detail.scroll_offset.y > 0, "the same topic stays where it was"
-        await pilot.press("escape", "j")
-        await until(pilot, lambda: app.main.detail.scroll_offset.y == 0, "the pane's beginning")
-
-    drive(app, steps)
+@on_main()
+async def test_another_topic_is_shown_from_its_beginning(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.resize_terminal(120, 20)
+    await pilot.press("enter", "end")
+    await until(pilot, lambda: app.main.detail.scroll_offset.y > 0, "the pane's end")
+    await settled(pilot)
+    app.pull()
+    assert app.main.detail.scroll_offset.y > 0, "the same topic stays where it was"
+    await pilot.press("escape", "j")
+    await until(pilot, lambda: app.main.detail.scroll_offset.y == 0, "the pane's beginning")
 
 
-def test_the_keys_of_a_list_scroll_it() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.resize_terminal(120, 20)
-        await pilot.press("enter")
-        pane = app.main.detail
-        await until(pilot, lambda: pane.has_focus and pane.max_scroll_y > 3, "more than fits")
-        await settled(pilot)
-        for key, y in [
-            ("j", 1), ("down", 2), ("k", 1), ("up", 0), ("G", pane.max_scroll_y), ("g", 0),
-            ("end", pane.max_scroll_y), ("home", 0),
-        ]:  # fmt: skip
-            await pilot.press(key)
-            await until(pilot, lambda y=y: pane.scroll_offset.y == y, f"{key}: line {y} at the top")
-        await pilot.press("pagedown")
-        await until(pilot, lambda: pane.scroll_offset.y > 1, "a page on")
-        assert selected_topic(app) == "/robot2/scan", "the table's cursor stays"
-
-    drive(app, steps)
+@on_main()
+async def test_the_keys_of_a_list_scroll_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.resize_terminal(120, 20)
+    await pilot.press("enter")
+    pane = app.main.detail
+    await until(pilot, lambda: pane.has_focus and pane.max_scroll_y > 3, "more than fits")
+    await settled(pilot)
+    for key, y in [
+        ("j", 1), ("down", 2), ("k", 1), ("up", 0), ("G", pane.max_scroll_y), ("g", 0),
+        ("end", pane.max_scroll_y), ("home", 0),
+    ]:  # fmt: skip
+        await pilot.press(key)
+        await until(pilot, lambda y=y: pane.scroll_offset.y == y, f"{key}: line {y} at the top")
+    await pilot.press("pagedown")
+    await until(pilot, lambda: pane.scroll_offset.y > 1, "a page on")
+    assert selected_topic(app) == "/robot2/scan", "the table's cursor stays"
 
 
 def test_a_type_that_was_asked_for_is_named_before_it_is_found() -> None:
@@ -76,19 +68,14 @@ def test_a_type_that_was_asked_for_is_named_before_it_is_found() -> None:
     assert DetailText.UNKNOWN_TYPE() in said(replace(waiting, spec=Topic("/scan", "receive")))
 
 
-def test_a_client_calls_its_peer_by_its_address() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "← from 10.0.0.20:49152")
-        await pilot.press("d")
-        await shown(pilot, "10.0.0.20:49152.")
-        await pilot.press("escape")
-        engine_of(app).now = replace(engine_of(app).now, role="server")
-        app.pull()
-        await shown(pilot, "← from robot1")
-
-    drive(app, steps)
+@on_main(landmark="← from 10.0.0.20:49152")
+async def test_a_client_calls_its_peer_by_its_address(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("d")
+    await shown(pilot, "10.0.0.20:49152.")
+    await pilot.press("escape")
+    engine_of(app).now = replace(engine_of(app).now, role="server")
+    app.pull()
+    await shown(pilot, "← from robot1")
 
 
 def test_where_peer_and_carrier_have_no_room_beside_each_other_both_are_whole() -> None:
@@ -133,21 +120,15 @@ def test_the_scrollbar_hides_nothing() -> None:
     drive(app, steps)
 
 
-def test_no_latency_is_below_zero() -> None:
-    app = scripted_app(
-        make_engine=lambda session, base: ScriptedEngine(
-            session, base, (route("/scan", latency_p50=-0.0031, latency_p99=-0.0002, latency_uncertainty=0.004),)
-        )
-    )
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "10.0/10   41.2   0.0")
-        await pilot.press("enter", "end")
-        await shown(pilot, "p50 <4.0 ms")
-        await shown(pilot, "p99 <4.0 ms")
-        await gone(pilot, "-3.1")
-
-    drive(app, steps)
+@on_main(
+    landmark="10.0/10   41.2   0.0",
+    routes=(route("/scan", latency_p50=-0.0031, latency_p99=-0.0002, latency_uncertainty=0.004),),
+)
+async def test_no_latency_is_below_zero(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("enter", "end")
+    await shown(pilot, "p50 <4.0 ms")
+    await shown(pilot, "p99 <4.0 ms")
+    await gone(pilot, "-3.1")
     assert formats.latency(-1.0, None) == "0 µs"
 
 
@@ -190,11 +171,7 @@ def test_only_what_flows_has_a_rate(about: RouteSnapshot) -> None:
 
 def test_control_characters_never_go_out() -> None:
     evil = "/ev\x1b[2Jil\x9b\n\x07\u202e"
-    app = scripted_app(
-        make_engine=lambda session, base: ScriptedEngine(
-            session, base, (route(evil, State.DOWN, reason=f"because {evil}", type_name=evil),)
-        )
-    )
+    app = scripted_app(routes=(route(evil, State.DOWN, reason=f"because {evil}", type_name=evil),))
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/ev[2Jil")

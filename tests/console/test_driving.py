@@ -16,6 +16,7 @@ from tests.console.driving import (
     gone,
     is_shown,
     notified,
+    on_main,
     put,
     scripted_app,
     shown,
@@ -461,23 +462,22 @@ def test_no_velocity_is_shown_while_disarmed(clock: Clock) -> None:
     driving(DISARMED, steps)
 
 
-def test_other_robots_that_a_topic_moves_are_named_and_asked_for(clock: Clock) -> None:
-    other = replace(ARMED, key="other", link="robot2")
-    app = scripted_app(make_engine=lambda session, base: Robot(session, base, (ARMED, other)))
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/cmd_vel")
-        await pilot.press("D")
-        await shown(pilot, DriveText.SEVERAL(topic="/cmd_vel", count=2))
-        await shown(pilot, "robot1 and robot2")
-        await pilot.press("n")
-        await until(pilot, lambda: app.screen is app.main, "the list")
-        await pilot.press("D")
-        await shown(pilot, DriveText.SEVERAL(topic="/cmd_vel", count=2))
-        await pilot.press("y")
-        await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
-
-    drive(app, steps)
+@on_main(
+    landmark="/cmd_vel",
+    make_engine=lambda session, base: Robot(session, base, (ARMED, replace(ARMED, key="other", link="robot2"))),
+)
+async def test_other_robots_that_a_topic_moves_are_named_and_asked_for(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock
+) -> None:
+    await pilot.press("D")
+    await shown(pilot, DriveText.SEVERAL(topic="/cmd_vel", count=2))
+    await shown(pilot, "robot1 and robot2")
+    await pilot.press("n")
+    await until(pilot, lambda: app.screen is app.main, "the list")
+    await pilot.press("D")
+    await shown(pilot, DriveText.SEVERAL(topic="/cmd_vel", count=2))
+    await pilot.press("y")
+    await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
 
 
 def test_only_keys_on_the_screen_that_armed_a_topic_keep_it_armed(clock: Clock) -> None:

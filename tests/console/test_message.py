@@ -13,6 +13,7 @@ from tests.console.driving import (
     drive,
     engine_of,
     gone,
+    on_main,
     put,
     scripted_app,
     shown,
@@ -66,10 +67,6 @@ class TextEngine(ScriptedEngine):
         self.now = replace(self.now, routes=tuple(replace(each, type_name=TEXT) for each in self.now.routes))
 
 
-def text_app(**options: Any) -> ConsoleApp:
-    return scripted_app(make_engine=TextEngine, **options)
-
-
 def peeked(message: Any, **changes: Any) -> PeekedMessage:
     kind = f"{type(message).__module__.split('.')[0]}/msg/{type(message).__name__}"
     payload = serialize_message(message)
@@ -92,36 +89,33 @@ async def answered(pilot: Pilot[None], message: PeekedMessage | None) -> None:
 
 
 @pytest.mark.parametrize("keys", [["v"], ["enter", "enter"]])
-def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(keys: list[str]) -> None:
-    app = text_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine = engine_of(app)
-        engine.described = installed_description("nav_msgs/msg/Odometry")
-        engine.peeked.append(peeked(odometry()))
-        await pilot.press(*keys)
-        await shown(pilot, 'child_frame_id: "base"')
-        screen = text(app)
-        assert says(screen, ArrivalText.OVER_LINK, size="nav_msgs/msg/Odometry  716 B", took=" in 3.1 ms")
-        assert says(screen, StampText.AGE, stamp="header.stamp", span="5.0 ms", clocks=StampText.CLOCKS_OF_PUBLISHER())
-        assert engine.commands[:2] == [("peek", "/robot2/scan", True), ("describe", "/robot2/scan")]
-        await answered(pilot, peeked(odometry("other")))
-        await shown(pilot, 'child_frame_id: "other"')
-        assert engine.commands.count(("describe", "/robot2/scan")) == 1, "the type is described"
-        await answered(pilot, None)
-        await shown(pilot, MessageText.WAITING)
-        await shown(pilot, 'child_frame_id: "other"')  # the last one stays
-        await until(pilot, lambda: not engine.looking.done(), "a look at the next message")
-        await pilot.press("escape")
-        await gone(pilot, "child_frame_id")
-        await until(pilot, engine.looking.cancelled, "nobody looks any more")
-
-    drive(app, steps)
+@on_main(make_engine=TextEngine)
+async def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(
+    app: ConsoleApp, pilot: Pilot[None], keys: list[str]
+) -> None:
+    engine = engine_of(app)
+    engine.described = installed_description("nav_msgs/msg/Odometry")
+    engine.peeked.append(peeked(odometry()))
+    await pilot.press(*keys)
+    await shown(pilot, 'child_frame_id: "base"')
+    screen = text(app)
+    assert says(screen, ArrivalText.OVER_LINK, size="nav_msgs/msg/Odometry  716 B", took=" in 3.1 ms")
+    assert says(screen, StampText.AGE, stamp="header.stamp", span="5.0 ms", clocks=StampText.CLOCKS_OF_PUBLISHER())
+    assert engine.commands[:2] == [("peek", "/robot2/scan", True), ("describe", "/robot2/scan")]
+    await answered(pilot, peeked(odometry("other")))
+    await shown(pilot, 'child_frame_id: "other"')
+    assert engine.commands.count(("describe", "/robot2/scan")) == 1, "the type is described"
+    await answered(pilot, None)
+    await shown(pilot, MessageText.WAITING)
+    await shown(pilot, 'child_frame_id: "other"')  # the last one stays
+    await until(pilot, lambda: not engine.looking.done(), "a look at the next message")
+    await pilot.press("escape")
+    await gone(pilot, "child_frame_id")
+    await until(pilot, engine.looking.cancelled, "nobody looks any more")
 
 
 def test_keys_do_something_while_a_message_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    app = text_app()
+    app = scripted_app(make_engine=TextEngine)
     began, may_go_on = threading.Event(), threading.Event()
 
     def slow(*arguments: Any, **limits: Any) -> ReadMessage:
@@ -145,79 +139,54 @@ def test_keys_do_something_while_a_message_is_read(monkeypatch: pytest.MonkeyPat
     drive(app, steps)
 
 
-def test_a_message_can_be_held() -> None:
-    app = text_app(readonly=True)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine = engine_of(app)
-        engine.described = installed_description("std_msgs/msg/String")
-        engine.peeked.append(peeked(String(data="first")))
-        await pilot.press("v")
-        await shown(pilot, 'data: "first"')
-        await pilot.press("space")
-        await shown(pilot, "HELD")
-        await answered(pilot, peeked(String(data="second")))
-        await pilot.press("space")
-        await shown(pilot, 'data: "second"')
-
-    drive(app, steps)
+@on_main(make_engine=TextEngine, readonly=True)
+async def test_a_message_can_be_held(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine = engine_of(app)
+    engine.described = installed_description("std_msgs/msg/String")
+    engine.peeked.append(peeked(String(data="first")))
+    await pilot.press("v")
+    await shown(pilot, 'data: "first"')
+    await pilot.press("space")
+    await shown(pilot, "HELD")
+    await answered(pilot, peeked(String(data="second")))
+    await pilot.press("space")
+    await shown(pilot, 'data: "second"')
 
 
-def test_why_no_message_comes_is_said() -> None:
-    app = text_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        put(app, route("/quiet", State.WAITING, type_name=TEXT, reason="no publisher of /quiet in domain 4"))
-        await shown(pilot, "/quiet")
-        await pilot.press("v")
-        await shown(pilot, MessageText.WAITING)
-        await shown(pilot, "WAIT no publisher of /quiet in domain 4")
-
-    drive(app, steps, NARROW)
+@on_main(NARROW, make_engine=TextEngine)
+async def test_why_no_message_comes_is_said(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, route("/quiet", State.WAITING, type_name=TEXT, reason="no publisher of /quiet in domain 4"))
+    await shown(pilot, "/quiet")
+    await pilot.press("v")
+    await shown(pilot, MessageText.WAITING)
+    await shown(pilot, "WAIT no publisher of /quiet in domain 4")
 
 
-def test_what_nobody_describes_is_shown_as_hex() -> None:
-    app = text_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine_of(app).peeked.append(peeked(odometry(), payload=bytes(range(64)) * 100))
-        await pilot.press("v")
-        await shown(pilot, "00000010  10 11 12 13")
-        await shown(pilot, "nav_msgs/msg/Odometry")
-        await shown_at_the_end(pilot, "neither side knows it")
-
-    drive(app, steps, NARROW)
+@on_main(NARROW, make_engine=TextEngine)
+async def test_what_nobody_describes_is_shown_as_hex(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine_of(app).peeked.append(peeked(odometry(), payload=bytes(range(64)) * 100))
+    await pilot.press("v")
+    await shown(pilot, "00000010  10 11 12 13")
+    await shown(pilot, "nav_msgs/msg/Odometry")
+    await shown_at_the_end(pilot, "neither side knows it")
 
 
-def test_nothing_in_a_message_is_obeyed_by_the_screen() -> None:
-    app = text_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine_of(app).described = installed_description("std_msgs/msg/String")
-        engine_of(app).peeked.append(peeked(String(data="\x1b[2J [red]markup[/] \u202e\u200b")))
-        await pilot.press("v")
-        await shown(pilot, 'data: "\\x1b[2J [red]markup[/] \\u202e\\u200b"')
-
-    drive(app, steps)
+@on_main(make_engine=TextEngine)
+async def test_nothing_in_a_message_is_obeyed_by_the_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine_of(app).described = installed_description("std_msgs/msg/String")
+    engine_of(app).peeked.append(peeked(String(data="\x1b[2J [red]markup[/] \u202e\u200b")))
+    await pilot.press("v")
+    await shown(pilot, 'data: "\\x1b[2J [red]markup[/] \\u202e\\u200b"')
 
 
-def test_a_message_of_many_lines_shows_the_first() -> None:
-    app = text_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        markers = MarkerArray(markers=[Marker(points=[Point()] * 100)] * 300)
-        engine_of(app).described = installed_description("visualization_msgs/msg/MarkerArray")
-        engine_of(app).peeked.append(peeked(markers))
-        await pilot.press("v")
-        await shown(pilot, " of 300 visualization_msgs/msg/Marker")
-        await shown_at_the_end(pilot, "only the first 2 000 lines are shown")
-
-    drive(app, steps)
+@on_main(make_engine=TextEngine)
+async def test_a_message_of_many_lines_shows_the_first(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    markers = MarkerArray(markers=[Marker(points=[Point()] * 100)] * 300)
+    engine_of(app).described = installed_description("visualization_msgs/msg/MarkerArray")
+    engine_of(app).peeked.append(peeked(markers))
+    await pilot.press("v")
+    await shown(pilot, " of 300 visualization_msgs/msg/Marker")
+    await shown_at_the_end(pilot, "only the first 2 000 lines are shown")
 
 
 def test_arrays_are_wrapped_and_shortened() -> None:

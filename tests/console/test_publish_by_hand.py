@@ -14,6 +14,7 @@ from tests.console.driving import (
     form_of,
     gone,
     notified,
+    on_main,
     put,
     scripted_app,
     settled,
@@ -310,18 +311,13 @@ async def test_a_bridge_that_answers_too_slowly_publishes_nothing(app: ConsoleAp
 # -- where nothing is published
 
 
-def test_a_read_only_console_has_no_key() -> None:
-    app = scripted_app(readonly=True)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        for key in ("S", "D"):
-            await pilot.press(key)
-            await notified(pilot, MainText.READ_ONLY)
-            assert app.screen is app.main
-            app.clear_notifications()
-
-    drive(app, steps)
+@on_main(readonly=True)
+async def test_a_read_only_console_has_no_key(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    for key in ("S", "D"):
+        await pilot.press(key)
+        await notified(pilot, MainText.READ_ONLY)
+        assert app.screen is app.main
+        app.clear_notifications()
 
 
 @on()

@@ -52,21 +52,16 @@ def test_what_is_chosen_and_what_is_not_differ_in_ascii() -> None:
     assert chosen != other
 
 
-def test_a_refused_topic_comes_back_with_its_values_and_the_reason() -> None:
-    app = scripted_app(make_engine=RefusingEngine)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a")
-        await shown(pilot, "Add a topic")
-        await fill(pilot, topic="/added", max_rate="7")
-        form_of(app).fields["max_rate"].control.focus()
-        await pilot.press("enter")
-        await shown(pilot, "robot1 does not allow /added")
-        values = form_of(app).values
-        assert (values["topic"], values["max_rate"]) == ("/added", "7")
-
-    drive(app, steps)
+@on_main(make_engine=RefusingEngine)
+async def test_a_refused_topic_comes_back_with_its_values_and_the_reason(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("a")
+    await shown(pilot, "Add a topic")
+    await fill(pilot, topic="/added", max_rate="7")
+    form_of(app).fields["max_rate"].control.focus()
+    await pilot.press("enter")
+    await shown(pilot, "robot1 does not allow /added")
+    values = form_of(app).values
+    assert (values["topic"], values["max_rate"]) == ("/added", "7")
 
 
 @pytest.mark.usefixtures("folder")
@@ -98,34 +93,25 @@ def test_no_leads_back_to_the_dialog_that_asked(dialog: str) -> None:
     drive(app, steps)
 
 
-def test_an_empty_port_is_missing() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("f2")
-        await shown(pilot, "New session")
-        assert form_of(app).values["server_port"] == "7060"
-        await fill(pilot, server_port="")
-        form_of(app).fields["server_port"].touched = True
-        await fill(pilot, name="robot1")
-        await shown(pilot, MissingField.PORT)
-
-    drive(app, steps)
+@on_main()
+async def test_an_empty_port_is_missing(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("f2")
+    await shown(pilot, "New session")
+    assert form_of(app).values["server_port"] == "7060"
+    await fill(pilot, server_port="")
+    form_of(app).fields["server_port"].touched = True
+    await fill(pilot, name="robot1")
+    await shown(pilot, MissingField.PORT)
 
 
-def test_on_the_server_a_name_with_a_prefix_is_not_said_to_be_the_same() -> None:
-    session = msgspec.structs.replace(SESSION, use_name=True)
-    app = scripted_app(session=session)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine_of(app).now = replace(engine_of(app).now, links=(replace(LINK, use_name=True),))
-        await pilot.press("a", "f8")  # the name there is among the further fields
-        await shown(pilot, "/robot1 and its name")
-        await gone(pilot, "same name")
-
-    drive(app, steps)
+@on_main(session=msgspec.structs.replace(SESSION, use_name=True))
+async def test_on_the_server_a_name_with_a_prefix_is_not_said_to_be_the_same(
+    app: ConsoleApp, pilot: Pilot[None]
+) -> None:
+    engine_of(app).now = replace(engine_of(app).now, links=(replace(LINK, use_name=True),))
+    await pilot.press("a", "f8")  # the name there is among the further fields
+    await shown(pilot, "/robot1 and its name")
+    await gone(pilot, "same name")
 
 
 COLUMNS = {"topic": "/robot1/scan", "robot": "robot1", "state": "DOWN", "type": "sensor_msgs/msg/LaserScan", "why": ""}
@@ -200,15 +186,10 @@ async def test_enter_on_a_link_shows_it_with_its_topics(app: ConsoleApp, pilot: 
 
 
 @pytest.mark.parametrize("words", ["limit", "bandwidth"])
-def test_the_palette_finds_how_to_limit_a_topic(words: str) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("colon", *words)
-        await shown(pilot, "Edit the topic")
-
-    drive(app, steps)
+@on_main()
+async def test_the_palette_finds_how_to_limit_a_topic(app: ConsoleApp, pilot: Pilot[None], words: str) -> None:
+    await pilot.press("colon", *words)
+    await shown(pilot, "Edit the topic")
 
 
 def wide_screen(size: tuple[int, int]) -> AppSteps:

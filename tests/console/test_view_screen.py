@@ -20,6 +20,7 @@ from tests.console.driving import (
     engine_of,
     form_of,
     notified,
+    on_main,
     put,
     scripted_app,
     selected_topic,
@@ -218,23 +219,18 @@ async def test_the_view_ends_with_the_screen(app: ConsoleApp, pilot: Pilot[None]
         ("nav_msgs/msg/OccupancyGrid", ("l layers",), ("[] tilt",)),
     ],
 )
-def test_the_keys_of_a_picture_have_room_on_a_narrow_screen(
-    type_name: str, keys: tuple[str, ...], others: tuple[str, ...]
+@on_main(NARROW, landmark=SCAN)
+async def test_the_keys_of_a_picture_have_room_on_a_narrow_screen(
+    app: ConsoleApp, pilot: Pilot[None], type_name: str, keys: tuple[str, ...], others: tuple[str, ...]
 ) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, SCAN)
-        put(app, route("/first", type_name=type_name), route("/path", type_name="nav_msgs/msg/Path"))
-        await until(pilot, lambda: selected_topic(app) == "/first", "the topic under the cursor")
-        await pilot.press("v")
-        await until(pilot, lambda: looks(engine_of(app)), "a question for a picture")
-        await shown(pilot, "space hold")
-        assert all(key in text(app) for key in (*keys, "+- zoom"))
-        assert not any(key in text(app) for key in others)
-        assert keys or "p file" in text(app)
-
-    drive(app, steps, NARROW)
+    put(app, route("/first", type_name=type_name), route("/path", type_name="nav_msgs/msg/Path"))
+    await until(pilot, lambda: selected_topic(app) == "/first", "the topic under the cursor")
+    await pilot.press("v")
+    await until(pilot, lambda: looks(engine_of(app)), "a question for a picture")
+    await shown(pilot, "space hold")
+    assert all(key in text(app) for key in (*keys, "+- zoom"))
+    assert not any(key in text(app) for key in others)
+    assert keys or "p file" in text(app)
 
 
 WISHES: list[tuple[list[str], dict[str, Any]]] = [
@@ -263,25 +259,20 @@ WISHES: list[tuple[list[str], dict[str, Any]]] = [
 ]
 
 
-def test_a_key_changes_the_wish() -> None:
+@on_main(landmark=SCAN)
+async def test_a_key_changes_the_wish(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """Each time the view is opened anew."""
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, SCAN)
-        for keys, changes in WISHES:
-            engine_of(app).commands.clear()
-            await opened(pilot)
-            before = looks(engine_of(app))[-1][1]
-            await pilot.press(*keys)
-            after = await comes(pilot, viewed())
-            assert {name: getattr(after, name) for name in changes} == changes, keys
-            others = {name: getattr(before, name) for name in changes}
-            assert msgspec.structs.replace(after, **others) == before, keys
-            await pilot.press("escape")
-            await until(pilot, lambda: app.screen is app.main, "the main screen")
-
-    drive(app, steps)
+    for keys, changes in WISHES:
+        engine_of(app).commands.clear()
+        await opened(pilot)
+        before = looks(engine_of(app))[-1][1]
+        await pilot.press(*keys)
+        after = await comes(pilot, viewed())
+        assert {name: getattr(after, name) for name in changes} == changes, keys
+        others = {name: getattr(before, name) for name in changes}
+        assert msgspec.structs.replace(after, **others) == before, keys
+        await pilot.press("escape")
+        await until(pilot, lambda: app.screen is app.main, "the main screen")
 
 
 @looking()
@@ -311,47 +302,37 @@ async def test_text_and_back(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await shown(pilot, "the picture")
 
 
-def test_topics_of_the_robot_can_be_laid_over_a_map() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, SCAN)
-        put(
-            app,
-            route("/map", type_name="nav_msgs/msg/OccupancyGrid"),
-            route("/scan"),
-            route("/text", type_name="std_msgs/msg/String"),
-        )
-        await until(pilot, lambda: selected_topic(app) == "/map", "the map under the cursor")
-        await pilot.press("v")
-        await until(pilot, lambda: looks(engine_of(app)), "a question for a picture")
-        assert looks(engine_of(app))[-1][0] == ("/map", "/scan")
-        await pilot.press("l")
-        await comes(pilot, viewed())
-        assert looks(engine_of(app))[-1][0] == ("/map",)
-        await pilot.press("l", "h")  # a plot is of one topic
-        await comes(pilot, viewed())
-        assert looks(engine_of(app))[-1][0] == ("/map",)
-
-    drive(app, steps)
+@on_main(landmark=SCAN)
+async def test_topics_of_the_robot_can_be_laid_over_a_map(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(
+        app,
+        route("/map", type_name="nav_msgs/msg/OccupancyGrid"),
+        route("/scan"),
+        route("/text", type_name="std_msgs/msg/String"),
+    )
+    await until(pilot, lambda: selected_topic(app) == "/map", "the map under the cursor")
+    await pilot.press("v")
+    await until(pilot, lambda: looks(engine_of(app)), "a question for a picture")
+    assert looks(engine_of(app))[-1][0] == ("/map", "/scan")
+    await pilot.press("l")
+    await comes(pilot, viewed())
+    assert looks(engine_of(app))[-1][0] == ("/map",)
+    await pilot.press("l", "h")  # a plot is of one topic
+    await comes(pilot, viewed())
+    assert looks(engine_of(app))[-1][0] == ("/map",)
 
 
-def test_a_topic_that_is_not_bridged_can_be_chosen() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, SCAN)
-        await pilot.press("V")
-        await shown(pilot, SUGGESTION.topic)
-        await shown(pilot, "the server")  # a client's link has the client's own name
-        await pilot.press("enter")
-        await until(pilot, lambda: looks(engine_of(app)), "a question for a picture")
-        ((topics, _, _), *_) = looks(engine_of(app))
-        assert topics == (SUGGESTION.topic,)
-        await comes(pilot, viewed())
-        await shown(pilot, "the picture")
-
-    drive(app, steps)
+@on_main(landmark=SCAN)
+async def test_a_topic_that_is_not_bridged_can_be_chosen(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("V")
+    await shown(pilot, SUGGESTION.topic)
+    await shown(pilot, "the server")  # a client's link has the client's own name
+    await pilot.press("enter")
+    await until(pilot, lambda: looks(engine_of(app)), "a question for a picture")
+    ((topics, _, _), *_) = looks(engine_of(app))
+    assert topics == (SUGGESTION.topic,)
+    await comes(pilot, viewed())
+    await shown(pilot, "the picture")
 
 
 # -- goals
