@@ -254,32 +254,49 @@ def put(app: ConsoleApp, *routes: RouteSnapshot, **changes: Any) -> None:
     app.pull()
 
 
+Test = Callable[..., None]
+Decorator = Callable[[Callable[..., Awaitable[None]]], Test]
+Opening = Callable[[Pilot[None]], Awaitable[dict[str, Any] | None]]
+
+
+def as_test(test: Test, steps: Callable[..., Awaitable[None]], *makes: str, sizes: tuple[Any, ...] = ()) -> Test:
+    """Return a test that is named as its steps are, with their parameters but those that it makes."""
+    signature = inspect.signature(steps)
+    parameters = [each for name, each in signature.parameters.items() if name not in makes]
+    if len(sizes) > 1:
+        parameters.append(inspect.Parameter("size", inspect.Parameter.KEYWORD_ONLY))
+    functools.update_wrapper(test, steps)
+    vars(test)["__signature__"] = signature.replace(parameters=parameters)
+    return pytest.mark.parametrize("size", sizes)(test) if len(sizes) > 1 else test
+
+
 def on_main(
-    *sizes: Any, landmark: str | Wording = "/robot2/scan", given: tuple[str, ...] = (), **options: Any
-) -> Callable[[Callable[..., Awaitable[None]]], Callable[..., None]]:
+    *sizes: Any,
+    landmark: str | Wording = "/robot2/scan",
+    opening: Opening | None = None,
+    given: tuple[str, ...] = (),
+    makes: tuple[str, ...] = (),
+    **options: Any,
+) -> Decorator:
     """A test's steps run on the scripted app, once it shows the landmark.
 
     They get `app` and `pilot`, besides the test's fixtures and parameters, of which `given` go to the app, too. With
-    several sizes of the terminal they run once in each.
+    several sizes of the terminal they run once in each. `opening` runs before them, and returns what they get by the
+    names in `makes`.
     """
 
-    def decorate(steps: Callable[..., Awaitable[None]]) -> Callable[..., None]:
+    def decorate(steps: Callable[..., Awaitable[None]]) -> Test:
         def test(size: tuple[int, int] = sizes[0] if sizes else WIDE, **fixtures: Any) -> None:
             app = scripted_app(**options, **{name: fixtures[name] for name in given})
 
             async def run(pilot: Pilot[None]) -> None:
                 await shown(pilot, landmark)
-                await steps(app, pilot, **fixtures)
+                made = await opening(pilot) if opening is not None else None
+                await steps(app=app, pilot=pilot, **(made or {}), **fixtures)
 
             drive(app, run, size)
 
-        signature = inspect.signature(steps)
-        parameters = [each for name, each in signature.parameters.items() if name not in ("app", "pilot")]
-        if len(sizes) > 1:
-            parameters.append(inspect.Parameter("size", inspect.Parameter.KEYWORD_ONLY))
-        functools.update_wrapper(test, steps)
-        vars(test)["__signature__"] = signature.replace(parameters=parameters, return_annotation=None)
-        return pytest.mark.parametrize("size", sizes)(test) if len(sizes) > 1 else test
+        return as_test(test, steps, "app", "pilot", *makes, sizes=sizes)
 
     return decorate
 

@@ -1,6 +1,6 @@
 """Services, actions and parameters added and edited by keyboard: found in both graphs, with their own fields."""
 
-from collections.abc import Callable
+import functools
 from dataclasses import replace
 from typing import Any
 
@@ -8,8 +8,6 @@ import msgspec
 import pytest
 from tests.console.driving import (
     NARROW,
-    WIDE,
-    AppSteps,
     choose,
     drive,
     engine_of,
@@ -50,24 +48,13 @@ class Graphs(ScriptedEngine):
         return self._done((*here, LOAD, MODE, NAVIGATE, CONTROLLER) if link else here, "topics", link)
 
 
-def form(size: tuple[int, int] = (120, 36)) -> Callable[[AppSteps], Callable[[], None]]:
-    """A test's steps run with the form open, on a client."""
+async def opened(pilot: Pilot[None]) -> None:
+    await pilot.press("a")
+    await shown(pilot, "/map_server/load_map")
 
-    def decorate(steps: AppSteps) -> Callable[[], None]:
-        def test() -> None:
-            app = scripted_app(make_engine=Graphs)
 
-            async def run(pilot: Pilot[None]) -> None:
-                await shown(pilot, "/robot2/scan")
-                await pilot.press("a")
-                await shown(pilot, "/map_server/load_map")
-                await steps(app, pilot)
-
-            drive(app, run, size)
-
-        return test
-
-    return decorate
+form = functools.partial(on_main, make_engine=Graphs, opening=opened)
+"""A test's steps run with the form open, on a client."""
 
 
 async def added(app: ConsoleApp, pilot: Pilot[None]) -> Topic:
@@ -78,28 +65,25 @@ async def added(app: ConsoleApp, pilot: Pilot[None]) -> Topic:
 
 
 @pytest.mark.parametrize(
-    ("letters", "expected", "size"),
+    ("letters", "expected"),
     [
-        ("load", Topic("/map_server/load_map", "transmit", "nav_msgs/srv/LoadMap", kind="service"), WIDE),
-        ("mode", Topic("/set_mode", "receive", "std_srvs/srv/SetBool", kind="service"), NARROW),
-        ("navi", Topic("/navigate_to_pose", "transmit", "nav2_msgs/action/NavigateToPose", kind="action"), NARROW),
-        ("contr", Topic("/controller_server", "transmit", kind="parameters"), WIDE),
+        ("load", Topic("/map_server/load_map", "transmit", "nav_msgs/srv/LoadMap", kind="service")),
+        ("mode", Topic("/set_mode", "receive", "std_srvs/srv/SetBool", kind="service")),
+        ("navi", Topic("/navigate_to_pose", "transmit", "nav2_msgs/action/NavigateToPose", kind="action")),
+        ("contr", Topic("/controller_server", "transmit", kind="parameters")),
     ],
 )
-def test_it_is_found_by_a_few_letters_and_comes_with_kind_provider_and_type(
-    letters: str, expected: Topic, size: tuple[int, int]
+@form(NARROW)
+async def test_it_is_found_by_a_few_letters_and_comes_with_kind_provider_and_type(
+    app: ConsoleApp, pilot: Pilot[None], letters: str, expected: Topic
 ) -> None:
-    @form(size)
-    async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        await pilot.press(*letters)
-        await shown(pilot, f"▌{'←' if expected.direction == 'receive' else '→'} {expected.topic}")
-        await pilot.press("enter")
-        await shown(pilot, f"◉ {expected.kind}")
-        await until(pilot, lambda: form_of(app).fields["provider"].control.has_focus, "the next field")
-        await pilot.press("enter")
-        assert await added(app, pilot) == expected
-
-    test()
+    await pilot.press(*letters)
+    await shown(pilot, f"▌{'←' if expected.direction == 'receive' else '→'} {expected.topic}")
+    await pilot.press("enter")
+    await shown(pilot, f"◉ {expected.kind}")
+    await until(pilot, lambda: form_of(app).fields["provider"].control.has_focus, "the next field")
+    await pilot.press("enter")
+    assert await added(app, pilot) == expected
 
 
 @form()

@@ -1,14 +1,12 @@
 """Publishing a message by hand in the console, on an engine that plays a script."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import pytest
 from tests.console.driving import (
     NARROW,
-    AppSteps,
-    drive,
+    Decorator,
     engine_of,
     fill,
     form_of,
@@ -16,7 +14,6 @@ from tests.console.driving import (
     notified,
     on_main,
     put,
-    scripted_app,
     settled,
     shown,
     text,
@@ -48,30 +45,20 @@ OLD = Published(is_done=False, ticket=7)
 
 
 def on(
-    *routes: RouteSnapshot, drafts: dict[str, Draft] | None = None, size: tuple[int, int] = (120, 36), **options: Any
-) -> Callable[[AppSteps], Callable[[], None]]:
+    *sizes: tuple[int, int], routes: tuple[RouteSnapshot, ...] = (WORDS,), drafts: dict[str, Draft] | None = None
+) -> Decorator:
     """A test's steps run once the form is open, for the topic under the cursor."""
 
-    def decorate(steps: AppSteps) -> Callable[[], None]:
-        def test() -> None:
-            def make(session: Any, base: Any) -> ScriptedEngine:
-                engine = ScriptedEngine(session, base, routes or (WORDS,))
-                engine.drafts = {"/words": DRAFT} if drafts is None else drafts
-                return engine
+    def make(session: Any, base: Any) -> ScriptedEngine:
+        engine = ScriptedEngine(session, base, routes)
+        engine.drafts = {"/words": DRAFT} if drafts is None else drafts
+        return engine
 
-            app = scripted_app(make_engine=make, **options)
+    async def opened(pilot: Pilot[None]) -> None:
+        await pilot.press("S")
+        await until(pilot, lambda: isinstance(pilot.app.screen, PublishScreen), "the form")
 
-            async def run(pilot: Pilot[None]) -> None:
-                await shown(pilot, (routes or (WORDS,))[0].topic)
-                await pilot.press("S")
-                await until(pilot, lambda: isinstance(app.screen, PublishScreen), "the form")
-                await steps(app, pilot)
-
-            drive(app, run, size)
-
-        return test
-
-    return decorate
+    return on_main(*sizes, landmark=routes[0].topic, opening=opened, make_engine=make)
 
 
 def sent(app: ConsoleApp) -> list[Publish]:
@@ -159,7 +146,7 @@ async def test_a_type_helps_where_nobody_has_the_topic(app: ConsoleApp, pilot: P
     await gone(pilot, PublishText.FIELDS_UNKNOWN)
 
 
-@on(call_route("service", "/dock"))
+@on(routes=(call_route("service", "/dock"),))
 async def test_a_service_is_no_topic(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await settled(pilot)
     assert form_of(app).values["topic"] == ""
@@ -190,33 +177,29 @@ async def test_mistakes_are_shown_and_nothing_is_asked(app: ConsoleApp, pilot: P
 # -- the question
 
 
-@pytest.mark.parametrize("size", [(120, 36), NARROW])
-def test_a_message_is_published_after_a_question(size: tuple[int, int]) -> None:
-    @on(size=size)
-    async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        await until(pilot, lambda: message(app), "the message")
-        await fill(pilot, message="data: hello")
-        await pilot.press("f9")
-        await shown(pilot, PublishText.QUESTION, topic="/words")
-        await shown(pilot, "10.0.0.20:49152:")
-        await shown(pilot, "data: hello")
-        await until(pilot, lambda: app.focused is app.screen.query_one("#no", Button), "No under enter")
-        await pilot.press("enter")
-        await gone(pilot, PublishText.QUESTION)
-        assert not sent(app)
-        engine_of(app).published = [TAKEN, TAKEN]
-        await publish(app, pilot)
-        await shown(pilot, PublishText.PUBLISHED, sign="✓", topic="/words")
-        await shown(pilot, PublishText.OVER_LINKS, links="robot1")
-        assert [(each.topic, each.fields, each.type_name, each.rest) for each in sent(app)] == [
-            ("/words", "data: hello", "", "")
-        ]
-        await publish(app, pilot)  # the form stays open
-        assert len(sent(app)) == 2
-        await pilot.press("escape")
-        await until(pilot, lambda: app.screen is app.main, "the list")
-
-    test()
+@on((120, 36), NARROW)
+async def test_a_message_is_published_after_a_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await until(pilot, lambda: message(app), "the message")
+    await fill(pilot, message="data: hello")
+    await pilot.press("f9")
+    await shown(pilot, PublishText.QUESTION, topic="/words")
+    await shown(pilot, "10.0.0.20:49152:")
+    await shown(pilot, "data: hello")
+    await until(pilot, lambda: app.focused is app.screen.query_one("#no", Button), "No under enter")
+    await pilot.press("enter")
+    await gone(pilot, PublishText.QUESTION)
+    assert not sent(app)
+    engine_of(app).published = [TAKEN, TAKEN]
+    await publish(app, pilot)
+    await shown(pilot, PublishText.PUBLISHED, sign="✓", topic="/words")
+    await shown(pilot, PublishText.OVER_LINKS, links="robot1")
+    assert [(each.topic, each.fields, each.type_name, each.rest) for each in sent(app)] == [
+        ("/words", "data: hello", "", "")
+    ]
+    await publish(app, pilot)  # the form stays open
+    assert len(sent(app)) == 2
+    await pilot.press("escape")
+    await until(pilot, lambda: app.screen is app.main, "the list")
 
 
 @on()
@@ -229,7 +212,7 @@ async def test_an_empty_message_has_all_defaults(app: ConsoleApp, pilot: Pilot[N
     await until(pilot, lambda: [each.fields for each in sent(app)] == [""], "the message")
 
 
-@on(route("/words", State.PAUSED, outgoing=True), route("/words", key="in", link="robot2"))
+@on(routes=(route("/words", State.PAUSED, outgoing=True), route("/words", key="in", link="robot2")))
 async def test_the_question_names_only_links_that_take_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await until(pilot, lambda: message(app), "the message")
     await pilot.press("f9")
@@ -237,7 +220,7 @@ async def test_the_question_names_only_links_that_take_it(app: ConsoleApp, pilot
     await gone(pilot, "10.0.0.20:49152:")
 
 
-@on(size=NARROW)
+@on(NARROW)
 async def test_a_question_that_is_cut_has_a_note(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await until(pilot, lambda: message(app), "the message")
     await fill(pilot, message="data:" + " long" * 2000)
@@ -253,7 +236,7 @@ async def test_a_question_that_is_cut_has_a_note(app: ConsoleApp, pilot: Pilot[N
 # -- the result
 
 
-@on(route("/words", State.DOWN, outgoing=True, reason="no link \x1b[2J"))
+@on(routes=(route("/words", State.DOWN, outgoing=True, reason="no link \x1b[2J"),))
 async def test_nobody_gets_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await until(pilot, lambda: message(app), "the message")
     engine_of(app).published = [ALONE]

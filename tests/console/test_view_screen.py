@@ -2,10 +2,10 @@
 
 import asyncio
 import csv
+import functools
 import math
 import re
 import time
-from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
@@ -80,33 +80,16 @@ async def comes(pilot: Pilot[None], answer: Viewed | Exception | None = None) ->
     return wish
 
 
-def looking(
-    size: tuple[int, int] = (120, 36), **options: Any
-) -> Callable[[Callable[[ConsoleApp, Pilot[None]], Any]], Callable[[], None]]:
-    """A test's steps run once the screen has asked for the first picture."""
-
-    def decorate(steps: Callable[[ConsoleApp, Pilot[None]], Any]) -> Callable[[], None]:
-        def test() -> None:
-            app = scripted_app(**options)
-
-            async def run(pilot: Pilot[None]) -> None:
-                await opened(pilot)
-                await steps(app, pilot)
-
-            drive(app, run, size)
-
-        return test
-
-    return decorate
-
-
 async def opened(pilot: Pilot[None]) -> None:
     app = pilot.app
     assert isinstance(app, ConsoleApp)
-    await shown(pilot, SCAN)
     await until(pilot, lambda: selected_topic(app) == SCAN, "the topic under the cursor")
     await pilot.press("v")
     await until(pilot, lambda: looks(engine_of(app)), "a question for a picture")
+
+
+looking = functools.partial(on_main, landmark=SCAN, opening=opened)
+"""A test's steps run once the screen has asked for the first picture."""
 
 
 def screen_of(app: ConsoleApp) -> ViewScreen:
@@ -447,31 +430,25 @@ async def test_the_form_has_the_goals_pose(app: ConsoleApp, pilot: Pilot[None]) 
         ((replace(POSES, topic="/start_pose", key="2"), POSES), "/robot1/goal_pose"),
     ],
 )
-def test_a_goal_goes_to_the_side_of_the_map(routes: tuple[RouteSnapshot, ...], topic: str) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await opened(pilot)
-        await comes(pilot, viewed(MAP))
-        put(app, route("/robot2/scan"), *routes)
-        await pilot.press("g", "enter", "enter")
-        await until(pilot, lambda: isinstance(app.screen, PublishScreen), "the form")
-        assert form_of(app).values["topic"] == topic
-
-    drive(app, steps)
+@looking()
+async def test_a_goal_goes_to_the_side_of_the_map(
+    app: ConsoleApp, pilot: Pilot[None], routes: tuple[RouteSnapshot, ...], topic: str
+) -> None:
+    await comes(pilot, viewed(MAP))
+    put(app, route("/robot2/scan"), *routes)
+    await pilot.press("g", "enter", "enter")
+    await until(pilot, lambda: isinstance(app.screen, PublishScreen), "the form")
+    assert form_of(app).values["topic"] == topic
 
 
 @pytest.mark.parametrize("content", [None, CHARACTERS, IMAGE, CURVES], ids=["none", "text", "image", "plot"])
-def test_a_goal_needs_a_map(content: Any) -> None:
-    @looking()
-    async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        if content is not None:
-            await comes(pilot, viewed(content))
-        await pilot.press("g")
-        await notified(pilot, ViewText.NO_MAP)
-        assert placing(app) is None
-
-    test()
+@looking()
+async def test_a_goal_needs_a_map(app: ConsoleApp, pilot: Pilot[None], content: Any) -> None:
+    if content is not None:
+        await comes(pilot, viewed(content))
+    await pilot.press("g")
+    await notified(pilot, ViewText.NO_MAP)
+    assert placing(app) is None
 
 
 @looking()
@@ -526,25 +503,22 @@ ARMED = replace(ELSEWHERE, topic="/robot3/cmd_vel", key="3", link="robot1", armi
         ((DRIVEN, replace(DRIVEN, key="4")), ViewText.SEVERAL_DRIVEN),
     ],
 )
-def test_the_robot_of_the_picture_is_driven(routes: tuple[RouteSnapshot, ...], topic: str | ViewText) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await opened(pilot)
-        await comes(pilot, viewed())
-        put(app, route(SCAN), *routes)
-        await pilot.press("d")
-        if isinstance(topic, ViewText):
-            await notified(pilot, topic)
-            assert isinstance(app.screen, ViewScreen)
-            return
-        await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
-        assert isinstance(app.screen, DriveScreen)
-        await shown(pilot, topic)
-        await pilot.press("escape")
-        await until(pilot, lambda: isinstance(app.screen, ViewScreen), "the picture")
-
-    drive(app, steps)
+@looking()
+async def test_the_robot_of_the_picture_is_driven(
+    app: ConsoleApp, pilot: Pilot[None], routes: tuple[RouteSnapshot, ...], topic: str | ViewText
+) -> None:
+    await comes(pilot, viewed())
+    put(app, route(SCAN), *routes)
+    await pilot.press("d")
+    if isinstance(topic, ViewText):
+        await notified(pilot, topic)
+        assert isinstance(app.screen, ViewScreen)
+        return
+    await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
+    assert isinstance(app.screen, DriveScreen)
+    await shown(pilot, topic)
+    await pilot.press("escape")
+    await until(pilot, lambda: isinstance(app.screen, ViewScreen), "the picture")
 
 
 # -- the cursor of a plot
@@ -633,23 +607,20 @@ def test_a_file_that_cannot_be_written_is_reported(folder: Path, monkeypatch: py
 # -- ages
 
 
-def test_the_age_of_an_old_picture_grows(monkeypatch: pytest.MonkeyPatch) -> None:
-    app = scripted_app()
+@looking()
+async def test_the_age_of_an_old_picture_grows(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     late = [0.0]
     replaced.VIEW_TIME.set(monkeypatch, _Clock(late))
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await opened(pilot)
-        await comes(pilot, viewed(age=0.5))
-        await until(pilot, lambda: screen_of(app).has_content, "the picture")
-        late[0] = 3600.0
-        await shown(pilot, ViewText.OLD, age=formats.age(3600.0))
-        await comes(pilot, viewed(age=0.5))
-        late[0] = 0.0
-        await comes(pilot, viewed(age=None))
-        assert ViewText.OLD(age="") not in title(app)
-
-    drive(app, steps)
+    await comes(pilot, viewed(age=0.5))
+    await until(pilot, lambda: screen_of(app).has_content, "the picture")
+    late[0] = 3600.0
+    await shown(pilot, ViewText.OLD, age=formats.age(3600.0))
+    await comes(pilot, viewed(age=0.5))
+    late[0] = 0.0
+    await comes(pilot, viewed(age=None))
+    assert ViewText.OLD(age="") not in title(app)
 
 
 class _Clock:
@@ -678,20 +649,17 @@ async def test_a_problem_instead_of_a_picture(app: ConsoleApp, pilot: Pilot[None
     assert "the picture" in text(app), "the last picture stays next to the problem"
 
 
-def test_a_refusal_is_shown_and_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+@looking()
+async def test_a_refusal_is_shown_and_asked_again(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     constants.VIEW_TRIED_AGAIN_AFTER.set(monkeypatch, 0.0)
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await opened(pilot)
-        for _ in range(2):
-            await comes(pilot, EngineError("no side publishes it \x1b[2J"))
-            await shown(pilot, "no side publishes it \\x1b[2J")
-        await comes(pilot, viewed())
-        await shown(pilot, "the picture")
-        assert "no side" not in title(app)
-
-    drive(app, steps)
+    for _ in range(2):
+        await comes(pilot, EngineError("no side publishes it \x1b[2J"))
+        await shown(pilot, "no side publishes it \\x1b[2J")
+    await comes(pilot, viewed())
+    await shown(pilot, "the picture")
+    assert "no side" not in title(app)
 
 
 @pytest.mark.parametrize(
@@ -709,21 +677,16 @@ def test_a_refusal_is_shown_and_asked_again(monkeypatch: pytest.MonkeyPatch) -> 
         "{x}",
     ],
 )
-def test_no_text_of_a_picture_is_markup(wild: str) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await opened(pilot)
-        await comes(pilot, viewed(None, problem=f"{wild} first"))
-        await until(pilot, lambda: " first" in title(app), "the problem")
-        await comes(pilot, viewed(Cells((f"{wild} picture",)), notes=(f"{wild} note",), type_name=f"{wild} type"))
-        await until(pilot, lambda: " note" in title(app), "the notes")
-        escaped = wild.replace("\\", "\\\\").replace('"', '\\"')
-        assert f"{escaped} note" in title(app)
-        assert f"{escaped} type" in title(app)
-        assert f"{wild} picture" in text(app)
-
-    drive(app, steps)
+@looking()
+async def test_no_text_of_a_picture_is_markup(app: ConsoleApp, pilot: Pilot[None], wild: str) -> None:
+    await comes(pilot, viewed(None, problem=f"{wild} first"))
+    await until(pilot, lambda: " first" in title(app), "the problem")
+    await comes(pilot, viewed(Cells((f"{wild} picture",)), notes=(f"{wild} note",), type_name=f"{wild} type"))
+    await until(pilot, lambda: " note" in title(app), "the notes")
+    escaped = wild.replace("\\", "\\\\").replace('"', '\\"')
+    assert f"{escaped} note" in title(app)
+    assert f"{escaped} type" in title(app)
+    assert f"{wild} picture" in text(app)
 
 
 @looking()
