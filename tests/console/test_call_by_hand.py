@@ -6,6 +6,7 @@ import pytest
 from rich.cells import cell_len
 from tests.console.driving import (
     NARROW,
+    WIDE,
     Decorator,
     choose,
     engine_of,
@@ -58,7 +59,7 @@ def calls(app: ConsoleApp) -> list[tuple[object, ...]]:
     return [command for command in engine_of(app).commands if command[0] == "call"]
 
 
-@on(MODE, (120, 36), NARROW)
+@on(MODE, *long(WIDE), NARROW)
 async def test_a_service_is_called_once_it_is_confirmed_and_answers(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("C")
     await shown(pilot, "data: false")
@@ -186,7 +187,7 @@ async def test_of_an_action_each_service_can_be_called(app: ConsoleApp, pilot: P
     await gone(pilot, CallText.WAITING_UNTIL)  # a result may take as long as it likes
 
 
-@on(PARAMETERS, (120, 36), NARROW)
+@on(PARAMETERS, *long(WIDE), NARROW)
 async def test_a_parameter_is_set_by_its_name_and_value(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("C")
     await shown(pilot, "set one parameter")
@@ -256,7 +257,7 @@ async def test_a_long_answer_scrolls_and_is_cut_with_a_note(app: ConsoleApp, pil
     ],
     ids=["a long line", "many lines", "too much"],
 )
-@on(MODE, *long((120, 36)), NARROW, (80, 12))
+@on(MODE, *long((120, 36), NARROW), (80, 12))
 async def test_the_buttons_stay_in_sight_below_a_long_request(
     app: ConsoleApp, pilot: Pilot[None], request_: str, last: str
 ) -> None:

@@ -22,6 +22,7 @@ from tests.console.driving import (
 )
 from tests.console.scripted import NOW, REMEMBERED, ScriptedEngine
 from tests.support.control import Machine
+from tests.support.long import long
 from textual.pilot import Pilot
 
 from rsb_bridge.api import EngineError
@@ -43,7 +44,7 @@ def spans(engine: ScriptedEngine) -> list[object]:
     return list(dict.fromkeys(asked))
 
 
-@on_main(WIDE, NARROW)
+@on_main(*long(WIDE), NARROW)
 async def test_it_shows_outages_and_actions_with_cause_and_length(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("h")
     await shown(pilot, "linked 93.6 % of the time; 1 outage, 3 min 50 s in all")

@@ -8,6 +8,7 @@ import msgspec
 import pytest
 from tests.console.driving import (
     NARROW,
+    WIDE,
     drive,
     engine_of,
     fill,
@@ -21,6 +22,7 @@ from tests.console.driving import (
 )
 from tests.console.scripted import LINK, SESSION
 from tests.support import replaced
+from tests.support.long import long
 from textual.pilot import Pilot
 
 from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Adapter, ChannelUse, Device, Scan, scan
@@ -150,7 +152,7 @@ def test_two_keys_of_a_client_are_listed() -> None:
 # -- links -----------------------------------------------------------------------------------------------------------
 
 
-@on_main((120, 36), NARROW)
+@on_main(*long(WIDE), NARROW)
 async def test_one_row_a_robot_the_worst_first_and_why(app: ConsoleApp, pilot: Pilot[None]) -> None:
     down = replace(LINK, name="robot2", state=State.DOWN, reason="no answer", rtt=None, retry_in=3.0, attempts=3)
     engine_of(app).now = replace(engine_of(app).now, links=(LINK, down))
@@ -245,7 +247,7 @@ def test_without_bluetooth_the_screen_says_what_is_missing() -> None:
     drive(app, steps)
 
 
-@on_main((120, 36), NARROW)
+@on_main(*long(WIDE), NARROW)
 async def test_adapters_devices_and_channels_at_a_glance(
     app: ConsoleApp, pilot: Pilot[None], radio: list[object]
 ) -> None:

@@ -48,7 +48,9 @@ def flows(now: Snapshot, topic: str = CHATTER) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("domain", "sign", "direction"), [(HERE, "→", "transmit"), (THERE, "←", "receive")], ids=["here", "there"]
+    ("domain", "sign", "direction"),
+    [pytest.param(HERE, "→", "transmit", marks=pytest.mark.long), (THERE, "←", "receive")],
+    ids=["here", "there"],
 )
 def test_a_topic_of_either_sides_graph_is_added_flows_and_is_saved(
     tmp_path: Path, domain: int, sign: str, direction: str

@@ -1,10 +1,8 @@
 """Looking at a topic's messages in the console."""
 
 import os
-import shutil
 import threading
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,15 +19,11 @@ from tests.console.driving import (
     text,
     until,
 )
-from tests.console.live import COMMAND, Pair, bridging, talker
 from tests.console.scripted import NOW, ScriptedEngine, route
-from tests.console.tmux import Tmux
 from tests.support import replaced
-from tests.support.control import Machine
 from tests.support.wording import says
 from textual.pilot import Pilot
 
-from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PeekedMessage, State
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.message_screen import MessageText
@@ -226,25 +220,3 @@ def test_hex_shows_sixteen_bytes_a_line() -> None:
         "00000000  00 01 00 00 61 62 1b                              ....ab."
     ]
     assert plain([*hex_lines(bytes(100), 32)][-1]) == "… 68 bytes more"
-
-
-@pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
-def test_in_a_terminal_attached_and_read_only(
-    tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
-    pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
-    with pair.server(), bridging(pair.client_path), talker(CHATTER):
-        socket = machine.folder / "robot1.sock"
-        with Tmux(tmp_path, "sh") as tmux:
-            tmux("send-keys", f"until {COMMAND} attach --readonly --control {socket}; do sleep 0.2; done", "Enter")
-            tmux.wait_for("UNHEARD")
-            tmux("send-keys", "v")
-            first = tmux.wait_for("data: ")
-            came = next(line for line in first.splitlines() if "std_msgs/msg/String" in line)
-            # both sides are robot1
-            assert says(came, ArrivalText.FROM_ROS) or says(came, ArrivalText.OVER_LINK)
-            tmux.wait_for(came, there=False)
-            tmux("send-keys", "Escape")
-            tmux.wait_for("data: ", there=False)
-            tmux.wait_for("UNHEARD")

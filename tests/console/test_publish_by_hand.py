@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from tests.console.driving import (
     NARROW,
+    WIDE,
     Decorator,
     engine_of,
     fill,
@@ -20,6 +21,7 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import ScriptedEngine, call_route, route
+from tests.support.long import long
 from tests.support.wording import says
 from textual.events import Paste
 from textual.pilot import Pilot
@@ -177,7 +179,7 @@ async def test_mistakes_are_shown_and_nothing_is_asked(app: ConsoleApp, pilot: P
 # -- the question
 
 
-@on((120, 36), NARROW)
+@on(*long(WIDE), NARROW)
 async def test_a_message_is_published_after_a_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await until(pilot, lambda: message(app), "the message")
     await fill(pilot, message="data: hello")

@@ -28,6 +28,7 @@ from tests.console.driving import (
 )
 from tests.console.scripted import LINK, NOW, ScriptedEngine, route
 from tests.console.tmux import Tmux
+from tests.support.long import long
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.codes import EventCode
@@ -99,7 +100,7 @@ async def test_nothing_to_undo(app: ConsoleApp, engine: ChangingEngine, pilot: P
     assert not app.changes.dropped
 
 
-@on_scan(WIDE, NARROW)
+@on_scan(*long(WIDE), NARROW)
 async def test_a_removed_topic_comes_back_with_all_its_fields(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
