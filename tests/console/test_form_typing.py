@@ -11,24 +11,24 @@ from rsb_console.widgets.form_inputs import FieldInput
 pytestmark = pytest.mark.usefixtures("folder")
 
 
-@pytest.mark.parametrize(("key", "typed"), [("server_port", "3"), ("path", "robot.yaml3"), ("name", "3")])
 @on_welcome()
 async def test_what_is_typed_on_coming_to_a_field_replaces_what_is_there_but_lengthens_a_path(
-    app: ConsoleApp, pilot: Pilot[None], key: str, typed: str
+    app: ConsoleApp, pilot: Pilot[None]
 ) -> None:
     await pilot.press("n")
     await shown(pilot, "Session file")
-    await fill(pilot, name="robot", path="robot.yaml")
     form = form_of(app)
-    control = form.fields[key].control
-    assert isinstance(control, FieldInput)
-    control.cursor_position = 1  # where it was left
-    for each in (form.fields["role"].control, control):
-        each.focus()
-        await until(pilot, lambda e=each: e.has_focus, "the focus")
-    assert control.selection.is_empty is (key == "path")
-    await pilot.press("3")
-    assert control.value == typed
+    for key, typed in (("server_port", "3"), ("path", "robot.yaml3"), ("name", "3")):
+        await fill(pilot, name="robot", path="robot.yaml")
+        control = form.fields[key].control
+        assert isinstance(control, FieldInput)
+        control.cursor_position = 1  # where it was left
+        for each in (form.fields["role"].control, control):
+            each.focus()
+            await until(pilot, lambda e=each: e.has_focus, "the focus")
+        assert control.selection.is_empty is (key == "path")
+        await pilot.press("3")
+        assert control.value == typed
 
 
 def type_at_once(app: ConsoleApp, *keys: str) -> None:

@@ -299,30 +299,19 @@ async def test_a_file_that_is_there_is_not_said_to_be_missing_and_names_the_sess
     await shown(pilot, "Imported. Run robot1.yaml?")
 
 
-@pytest.mark.parametrize(
-    ("key", "field"),
-    [pytest.param("i", "bringup", marks=pytest.mark.long), ("o", "path"), ("n", "path"), ("n", "key_file")],
-)
-def test_a_path_to_nowhere_is_said_to_be_one(robots: Path, key: str, field: str) -> None:
-    app = empty_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
+@on_welcome()
+async def test_a_path_to_nowhere_is_said_to_be_one(app: ConsoleApp, pilot: Pilot[None], robots: Path) -> None:
+    for key, fields in (("o", ("path",)), ("n", ("path", "key_file"))):
         for typed in ("nowhere/a.yaml", "~nobody_is_called_so/a", f"{'long' * 100}.yaml"):
             await shown(pilot, "Open a session")
             await pilot.press(key)
             await until(pilot, lambda: hasattr(app.screen, "form"), "a form")
-            if key == "n":
-                await fill(pilot, name="robot1", **{field: typed})
-            else:
-                await fill(pilot, **{field: typed})
-                await shown(pilot, "no such file")
+            await fill(pilot, **({"name": "robot1"} if key == "n" else {}), **dict.fromkeys(fields, typed))
             await pilot.press("enter")
-            problem = form_of(app).fields[field].problem
-            await until(pilot, lambda shown=problem: shown.display or key == "i", "what is wrong")
+            problems = [form_of(app).fields[each].problem for each in fields]
+            await until(pilot, lambda shown=problems: all(each.display for each in shown), "what is wrong")
             await pilot.press("escape")
             await until(pilot, lambda: not hasattr(app.screen, "form"), "the form gone")
-
-    drive(app, steps)
 
 
 @on_welcome()

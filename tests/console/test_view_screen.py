@@ -24,6 +24,7 @@ from tests.console.driving import (
     put,
     scripted_app,
     selected_topic,
+    send,
     shown,
     text,
     until,
@@ -32,6 +33,7 @@ from tests.console.scripted import SUGGESTION, ScriptedEngine, answered, route
 from tests.support import constants, replaced
 from tests.support.control import Machine
 from tests.support.wording import says
+from textual.events import Key
 from textual.pilot import Pilot
 
 from rsb_bridge.api import EngineError
@@ -220,8 +222,8 @@ WISHES: list[tuple[list[str], dict[str, Any]]] = [
     (["plus"], {"zoom": 1.5}),
     (["equals_sign"], {"zoom": 1.5}),
     (["minus"], {"zoom": pytest.approx(1 / 1.5)}),
-    (["plus"] * 40, {"zoom": 200.0}),
-    (["minus"] * 40, {"zoom": 0.05}),
+    (["plus"] * 14, {"zoom": 200.0}),
+    (["minus"] * 9, {"zoom": 0.05}),
     (["left"], {"x": -0.1}),
     (["right", "right"], {"x": pytest.approx(0.2)}),
     (["up"], {"y": 0.1}),
@@ -418,37 +420,38 @@ async def test_the_form_has_the_goals_pose(app: ConsoleApp, pilot: Pilot[None]) 
     assert placing(app) is None
 
 
-@pytest.mark.parametrize(
-    ("routes", "topic"),
-    [
-        ((), "/goal_pose"),
-        ((POSES,), "/robot1/goal_pose"),
-        ((replace(POSES, outgoing=False),), "/goal_pose"),
-        ((replace(POSES, type_name="std_msgs/msg/String"),), "/goal_pose"),
-        ((replace(POSES, topic="/robot2/goal_pose", key="2", link="robot2"), POSES), "/robot1/goal_pose"),
-        ((replace(POSES, topic="/robot2/goal_pose", key="2", link="robot2"),), "/robot2/goal_pose"),
-        ((replace(POSES, topic="/start_pose", key="2"), POSES), "/robot1/goal_pose"),
-    ],
-)
-@looking()
-async def test_a_goal_goes_to_the_side_of_the_map(
-    app: ConsoleApp, pilot: Pilot[None], routes: tuple[RouteSnapshot, ...], topic: str
-) -> None:
-    await comes(pilot, viewed(MAP))
-    put(app, route("/robot2/scan"), *routes)
-    await pilot.press("g", "enter", "enter")
-    await until(pilot, lambda: isinstance(app.screen, PublishScreen), "the form")
-    assert form_of(app).values["topic"] == topic
+SIDES: list[tuple[tuple[RouteSnapshot, ...], str]] = [
+    ((), "/goal_pose"),
+    ((POSES,), "/robot1/goal_pose"),
+    ((replace(POSES, outgoing=False),), "/goal_pose"),
+    ((replace(POSES, type_name="std_msgs/msg/String"),), "/goal_pose"),
+    ((replace(POSES, topic="/robot2/goal_pose", key="2", link="robot2"), POSES), "/robot1/goal_pose"),
+    ((replace(POSES, topic="/robot2/goal_pose", key="2", link="robot2"),), "/robot2/goal_pose"),
+    ((replace(POSES, topic="/start_pose", key="2"), POSES), "/robot1/goal_pose"),
+]
 
 
-@pytest.mark.parametrize("content", [None, CHARACTERS, IMAGE, CURVES], ids=["none", "text", "image", "plot"])
 @looking()
-async def test_a_goal_needs_a_map(app: ConsoleApp, pilot: Pilot[None], content: Any) -> None:
-    if content is not None:
-        await comes(pilot, viewed(content))
-    await pilot.press("g")
-    await notified(pilot, ViewText.NO_MAP)
-    assert placing(app) is None
+async def test_a_goal_goes_to_the_side_of_the_map(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    for routes, topic in SIDES:
+        await comes(pilot, viewed(MAP))
+        put(app, route("/robot2/scan"), *routes)
+        await pilot.press("g", "enter", "enter")
+        await until(pilot, lambda: isinstance(app.screen, PublishScreen), "the form")
+        assert form_of(app).values["topic"] == topic
+        await pilot.press("escape")
+        await until(pilot, lambda: isinstance(app.screen, ViewScreen), "the picture")
+
+
+@looking()
+async def test_a_goal_needs_a_map(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    for content in (None, CHARACTERS, IMAGE, CURVES):
+        if content is not None:
+            await comes(pilot, viewed(content))
+        await pilot.press("g")
+        await notified(pilot, ViewText.NO_MAP)
+        assert placing(app) is None
+        app.clear_notifications()
 
 
 @looking()
@@ -491,34 +494,32 @@ ELSEWHERE = replace(DRIVEN, topic="/robot2/cmd_vel", key="2", link="robot2")
 ARMED = replace(ELSEWHERE, topic="/robot3/cmd_vel", key="3", link="robot1", arming=ArmingSnapshot(armed=True))
 
 
-@pytest.mark.parametrize(
-    ("routes", "topic"),
-    [
-        ((DRIVEN,), "/cmd_vel"),
-        ((ELSEWHERE,), "/robot2/cmd_vel"),
-        ((ELSEWHERE, DRIVEN), "/cmd_vel"),
-        ((DRIVEN, ARMED), "/robot3/cmd_vel"),
-        ((), ViewText.NOT_DRIVEN),
-        ((replace(DRIVEN, max_age=0.0),), ViewText.NOT_DRIVEN),
-        ((DRIVEN, replace(DRIVEN, key="4")), ViewText.SEVERAL_DRIVEN),
-    ],
-)
+DRIVES: list[tuple[tuple[RouteSnapshot, ...], str | ViewText]] = [
+    ((DRIVEN,), "/cmd_vel"),
+    ((ELSEWHERE,), "/robot2/cmd_vel"),
+    ((ELSEWHERE, DRIVEN), "/cmd_vel"),
+    ((DRIVEN, ARMED), "/robot3/cmd_vel"),
+    ((), ViewText.NOT_DRIVEN),
+    ((replace(DRIVEN, max_age=0.0),), ViewText.NOT_DRIVEN),
+    ((DRIVEN, replace(DRIVEN, key="4")), ViewText.SEVERAL_DRIVEN),
+]
+
+
 @looking()
-async def test_the_robot_of_the_picture_is_driven(
-    app: ConsoleApp, pilot: Pilot[None], routes: tuple[RouteSnapshot, ...], topic: str | ViewText
-) -> None:
-    await comes(pilot, viewed())
-    put(app, route(SCAN), *routes)
-    await pilot.press("d")
-    if isinstance(topic, ViewText):
-        await notified(pilot, topic)
-        assert isinstance(app.screen, ViewScreen)
-        return
-    await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
-    assert isinstance(app.screen, DriveScreen)
-    await shown(pilot, topic)
-    await pilot.press("escape")
-    await until(pilot, lambda: isinstance(app.screen, ViewScreen), "the picture")
+async def test_the_robot_of_the_picture_is_driven(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    for routes, topic in DRIVES:
+        await comes(pilot, viewed())
+        put(app, route(SCAN), *routes)
+        await pilot.press("d")
+        if isinstance(topic, ViewText):
+            await notified(pilot, topic)
+            assert isinstance(app.screen, ViewScreen)
+            app.clear_notifications()
+            continue
+        await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
+        await shown(pilot, topic)
+        await pilot.press("escape")
+        await until(pilot, lambda: isinstance(app.screen, ViewScreen), "the picture")
 
 
 # -- the cursor of a plot
@@ -549,9 +550,8 @@ async def test_the_cursor_of_a_plot_shows_values(app: ConsoleApp, pilot: Pilot[N
     await pilot.press("left", "left")
     assert cursor() == across - 3
     assert f"{(across - 3) * 100 // across}" in legend().split("x", 1)[1]
-    for _ in range(across):
-        await pilot.press("left")
-    assert cursor() == 0
+    send(app, *(Key("left", None) for _ in range(across)))
+    await until(pilot, lambda: cursor() == 0, "the first column")
     await pilot.press("0")
     after = await comes(pilot, viewed(PLOT))
     assert (after.x, after.y) == (before.x, before.y), "the view itself stays"
@@ -662,31 +662,22 @@ async def test_a_refusal_is_shown_and_asked_again(
     assert "no side" not in title(app)
 
 
-@pytest.mark.parametrize(
-    "wild",
-    [
-        "[/]",
-        "[red]x[/red]",
-        "[@click=app.quit]x[/]",
-        "[",
-        "]",
-        "[link='https://x']a",
-        "\\[b]",
-        '"\\',
-        "[$error]",
-        "{x}",
-    ],
-)
+WILD = (
+    "[/]", "[red]x[/red]", "[@click=app.quit]x[/]", "[", "]", "[link='https://x']a", "\\[b]", '"\\', "[$error]", "{x}",
+)  # fmt: skip
+
+
 @looking()
-async def test_no_text_of_a_picture_is_markup(app: ConsoleApp, pilot: Pilot[None], wild: str) -> None:
-    await comes(pilot, viewed(None, problem=f"{wild} first"))
-    await until(pilot, lambda: " first" in title(app), "the problem")
-    await comes(pilot, viewed(Cells((f"{wild} picture",)), notes=(f"{wild} note",), type_name=f"{wild} type"))
-    await until(pilot, lambda: " note" in title(app), "the notes")
-    escaped = wild.replace("\\", "\\\\").replace('"', '\\"')
-    assert f"{escaped} note" in title(app)
-    assert f"{escaped} type" in title(app)
-    assert f"{wild} picture" in text(app)
+async def test_no_text_of_a_picture_is_markup(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    for wild in WILD:
+        await comes(pilot, viewed(None, problem=f"{wild} first"))
+        await until(pilot, lambda: " first" in title(app), "the problem")
+        await comes(pilot, viewed(Cells((f"{wild} picture",)), notes=(f"{wild} note",), type_name=f"{wild} type"))
+        await until(pilot, lambda: " first" not in title(app), "the notes")
+        escaped = wild.replace("\\", "\\\\").replace('"', '\\"')
+        assert f"{escaped} note" in title(app)
+        assert f"{escaped} type" in title(app)
+        assert f"{wild} picture" in text(app)
 
 
 @looking()
@@ -701,24 +692,13 @@ async def test_a_damaged_image_is_refused_in_words(app: ConsoleApp, pilot: Pilot
     assert "an image cannot be read" not in title(app)
 
 
-def _unfit() -> list[Picture]:
-    return [
-        Picture(Cells(("ab",), b"\5\5", ("",))),
-        Picture(Cells(("ab",), b"\0", ("",))),
-        Picture(Cells(("ab",), b"\0\0", ("blink",))),
-        Picture(Pixels(40, 40, b"abc")),
-        Picture(Series(0.0, 1.0, (Curve("x", (1.0,), ()), Curve("y")))),
-    ]
-
-
-@pytest.mark.parametrize("picture", _unfit(), ids=["style", "styles", "palette", "pixels", "curves"])
-def test_a_hostile_bridge_s_picture_is_refused(machine: Machine, picture: Picture) -> None:
+def test_a_hostile_bridge_s_picture_is_refused(machine: Machine) -> None:
     """Any holder of the bridge's socket, or a robot of a fleet, may send anything."""
 
     class Hostile(ScriptedEngine):
         def _execute(self, command: Any, step: Any) -> Future[Any]:
             return (
-                answered(Viewed(picture))
+                answered(Viewed(Picture(Pixels(40, 40, b"abc"))))
                 if type(command).__name__ == "LookAtTopics"
                 else super()._execute(command, step)
             )
