@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pytest
 from tests.console.driving import drive, engine_of, gone, on_main, scripted_app, shown, text, until
@@ -133,17 +133,18 @@ def screens(app: ConsoleApp) -> dict[str, Callable[[], Screen[Any]]]:
     }
 
 
-@pytest.mark.parametrize("key", ["question_mark", "f1"])
-@pytest.mark.parametrize("name", screens(cast("ConsoleApp", None)))
 @on_main()
-async def test_every_screen_shows_the_keys(app: ConsoleApp, pilot: Pilot[None], name: str, key: str) -> None:
-    app.push_screen(screens(app)[name]())
-    await pilot.pause()
-    below = app.screen
-    await pilot.press(key)
-    await until(pilot, lambda: isinstance(app.screen, HelpScreen), "the keys")
-    await pilot.press(key)
-    await until(pilot, lambda: app.screen is below, "the screen below")
+async def test_every_screen_shows_the_keys(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    for make in screens(app).values():
+        app.push_screen(make())
+        await pilot.pause()
+        below = app.screen
+        for key in ("question_mark", "f1"):
+            await pilot.press(key)
+            await until(pilot, lambda: isinstance(app.screen, HelpScreen), "the keys")
+            await pilot.press(key)
+            await until(pilot, lambda below=below: app.screen is below, "the screen below")
+        app.pop_screen()
 
 
 @pytest.mark.parametrize("name", ["pictures", "welcome"])
@@ -185,8 +186,9 @@ async def test_the_palette_finds_an_action_by_its_words_and_does_it(app: Console
 @on_main((120, 80), landmark="read-only", readonly=True)
 async def test_readonly_takes_away_whatever_changes_something(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await gone(pilot, "p pause")
-    await pilot.press("p", "r")
+    await pilot.press("p", "r", "a", "e", "d", "R", "w", "o")
     await shown(pilot, MainText.READ_ONLY)
+    assert app.screen is app.main
     await pilot.press("question_mark")
     await shown(pilot, "Next line")
     assert not any(action.help in text(app) for action in ACTIONS if action.changes)

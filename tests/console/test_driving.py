@@ -94,12 +94,6 @@ def test_a_key_that_repeats_goes_on() -> None:
         assert steering.at(10.0 + number / 30) == (SPEED, 0.0)
 
 
-def test_a_stop_ends_both_directions_at_once() -> None:
-    steering = steered("u")
-    steering.press("space", 10.1)
-    assert steering.at(10.1) == (0.0, 0.0)
-
-
 def test_the_speed_has_limits() -> None:
     steering = steered("u")
     steering.change_speed(1.25)
@@ -358,14 +352,6 @@ async def test_closing_the_screen_ends_the_sending(app: ConsoleApp, pilot: Pilot
 
 
 @driven()
-async def test_without_a_session_it_says_so(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
-    engine, app.engine = app.engine, None
-    await pressed(pilot, clock, "up")
-    await shown(pilot, ByHandText.NO_SESSION)
-    app.engine = engine
-
-
-@driven()
 async def test_it_shows_whether_the_topic_is_armed(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     await shown(pilot, DriveText.LEFT, seconds=42.0)
     put(app, DISARMED)
@@ -505,20 +491,11 @@ def test_the_type_may_have_a_short_name_or_be_known_to_the_bridge_only(clock: Cl
     drive(app, steps)
 
 
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [({"type_name": "std_msgs/msg/String"}, DriveText.OTHER_TYPE), ({"max_age": 0.0}, DriveText.NOT_DRIVEN)],
-)
-def test_a_topic_that_cannot_be_driven_is_named(changes: dict[str, Any], reason: DriveText) -> None:
-    app = scripted_app(make_engine=robot_of(replace(ARMED, **changes)))
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/cmd_vel")
-        await pilot.press("D")
-        await notified(pilot, reason, topic="/cmd_vel")
-        assert app.screen is app.main
-
-    drive(app, steps)
+@on_main(landmark="/cmd_vel", make_engine=robot_of(replace(ARMED, max_age=0.0)))
+async def test_a_topic_that_cannot_be_driven_is_named(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("D")
+    await notified(pilot, DriveText.NOT_DRIVEN, topic="/cmd_vel")
+    assert app.screen is app.main
 
 
 @driven()

@@ -82,23 +82,6 @@ def test_a_topics_life(tmp_path: Path) -> None:
         watch(pair, steps)
 
 
-def test_the_peer_dies_and_comes_back(tmp_path: Path) -> None:
-    pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
-
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        with talker(CHATTER):
-            with pair.server() as server:
-                await flowing(app, pilot)
-                server.kill()
-            await shown(pilot, "✗ DOWN")
-            await until(pilot, lambda: state(app) is State.DOWN, "the topic down")
-            with pair.server():
-                await shown(pilot, "● LINKED")
-                await flowing(app, pilot)
-
-    watch(pair, steps)
-
-
 def test_a_wrong_key_is_said_with_its_fingerprint_and_nothing_flows(tmp_path: Path) -> None:
     pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
     with pair.server() as server, talker(CHATTER):

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.console.driving import NOWHERE, AppSteps, choose, drive, fill, form_of, gone, shown, until
+from tests.console.driving import NOWHERE, AppSteps, choose, drive, fill, shown, until
 from tests.console.live import THERE, Pair, running
 from textual.pilot import Pilot
 
 from rsb_bridge.config.session_file import load
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import RouteSnapshot, State
+from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.call_screen import CallText
 
@@ -99,31 +99,4 @@ def test_a_service_and_a_parameter_of_a_far_node(tmp_path: Path) -> None:
         await shown(pilot, "double_value: 0.9")
 
     with pair.server(), answerer():
-        watch(pair, steps)
-
-
-def test_a_service_is_picked_from_the_far_graph_and_told_of_when_it_goes(tmp_path: Path) -> None:
-    pair = Pair(tmp_path)
-
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        await shown(pilot, "● LINKED")
-        with answerer():
-            await pilot.press("a")
-            await shown(pilot, "type to look for")
-            await fill(pilot, topic=NODE)
-            await shown(pilot, "1 server there")
-            await shown(pilot, "parameters there")
-            await choose(pilot, "kind", "service")
-            await gone(pilot, "parameters there")
-            form_of(app).fields["topic"].control.focus()
-            await pilot.press("enter")
-            await shown(pilot, "std_srvs/srv/SetBool")
-            await pilot.press("enter")
-            await usable(app, pilot, MODE)
-            assert app.engine is not None
-            assert app.engine.session.topics == (Topic(MODE, "transmit", "std_srvs/srv/SetBool", kind="service"),)
-        await until(pilot, lambda: (route := found(app, MODE)) and route.state is State.DOWN, "nobody answers")
-        await shown(pilot, "✗ server seen")
-
-    with pair.server():
         watch(pair, steps)

@@ -21,7 +21,6 @@ from tests.console.driving import (
     put,
     scripted_app,
     shown,
-    shown_at_the_end,
     text,
     until,
 )
@@ -38,7 +37,6 @@ from rsb_console.look import formats
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.main import EmptyTable
 from rsb_console.session.history_report import export_topics
-from rsb_console.widgets.detail_parts import DetailText
 
 if TYPE_CHECKING:
     from rsb_bridge.control.control_server import ControlServer
@@ -75,16 +73,6 @@ def test_over_ssh_it_begins_at_two_hertz(monkeypatch: pytest.MonkeyPatch) -> Non
         await shown(pilot, "LIVE 2 Hz")
 
     drive(app, steps)
-
-
-@on_main()
-async def test_detail_says_why(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await shown(pilot, DetailText.WHY_NOT_FLOWING)
-    await shown(pilot, "✗ publisher seen")
-    await shown(pilot, "no publisher of /scan in domain 4")
-    await shown_at_the_end(pilot, "all 10 passed")
-    await gone(pilot, DetailText.WHY_NOT_FLOWING)
-    await pilot.press("z")
 
 
 @on_main(NARROW)

@@ -36,7 +36,6 @@ from rsb_console.app import ConsoleApp
 from rsb_console.screens.main import MainText
 from rsb_console.screens.publish_screen import PublishScreen, PublishText
 from rsb_console.session.landing import LandingText
-from rsb_console.session.manual_messages import ByHandText
 
 STRING = "std_msgs/msg/String"
 WORDS = route("/words", outgoing=True, spec=Topic("/words", "transmit"), type_name=STRING)
@@ -272,27 +271,6 @@ async def test_the_next_message_waits_for_the_one_before(app: ConsoleApp, pilot:
     await publish(app, pilot)
 
 
-# -- tickets
-
-
-@on()
-async def test_a_topic_that_has_to_be_armed_needs_a_ticket(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await until(pilot, lambda: message(app), "the message")
-    engine_of(app).published = [OLD, TAKEN]
-    await publish(app, pilot)
-    await shown(pilot, PublishText.PUBLISHED, sign="✓")
-    assert [each.ticket for each in sent(app)] == [0, 7]
-
-
-@on()
-async def test_a_bridge_that_answers_too_slowly_publishes_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await until(pilot, lambda: message(app), "the message")
-    engine_of(app).published = [OLD, OLD, OLD, TAKEN]
-    await publish(app, pilot)
-    await shown(pilot, ByHandText.TOO_SLOW, topic="/words")
-    assert len(sent(app)) == 3
-
-
 # -- where nothing is published
 
 
@@ -303,18 +281,6 @@ async def test_a_read_only_console_has_no_key(app: ConsoleApp, pilot: Pilot[None
         await notified(pilot, MainText.READ_ONLY)
         assert app.screen is app.main
         app.clear_notifications()
-
-
-@on()
-async def test_without_a_session_nothing_is_published(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await until(pilot, lambda: message(app), "the message")
-    await pilot.press("f9")
-    await shown(pilot, PublishText.QUESTION)
-    engine, app.engine = app.engine, None
-    await pilot.press("y")
-    await shown(pilot, ByHandText.NO_SESSION)
-    app.engine = engine
-    assert not sent(app)
 
 
 @on()

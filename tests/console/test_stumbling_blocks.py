@@ -21,7 +21,7 @@ from tests.console.driving import (
     text,
     until,
 )
-from tests.console.scripted import LINK, ROUTES, SESSION, ScriptedEngine, route
+from tests.console.scripted import LINK, SESSION, ScriptedEngine, route
 from textual.pilot import Pilot
 
 from rsb_bridge.api import EngineError
@@ -151,12 +151,6 @@ def test_a_filter_looks_in_the_column_that_it_names_or_in_all(typed: str, found:
 
 
 @on_main()
-async def test_the_topics_are_filtered_by_a_column(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press(*"/state:stale", "enter")
-    await until(pilot, lambda: listed(app) == ["/robot1/map"], "the stale one")
-
-
-@on_main()
 async def test_the_topics_of_a_robot_stand_together(app: ConsoleApp, pilot: Pilot[None]) -> None:
     topics = [(link, number, state) for number, state in ((1, State.OK), (2, State.DOWN)) for link in "ba"]
     put(
@@ -209,20 +203,6 @@ def wide_screen(size: tuple[int, int]) -> AppSteps:
 
 test_a_wide_screen_gives_the_details_room = on_main((200, 50))(wide_screen((200, 50)))
 test_messages_cover_no_topic = on_main((120, 36))(wide_screen((120, 36)))
-
-
-@on_main()
-async def test_dialogs_have_names_of_their_own(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("question_mark")
-    await shown(pilot, "─ Help")
-    await pilot.press("escape", "K")
-    await shown(pilot, "─ Key files")
-
-
-@on_main()
-async def test_one_topic_is_one_topic(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    put(app, ROUTES[0])
-    await shown(pilot, " 1 topic ")
 
 
 @pytest.mark.parametrize(
