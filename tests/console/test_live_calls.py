@@ -6,11 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.console.driving import NOWHERE, AppSteps, choose, drive, fill, shown, until
-from tests.console.live import THERE, Pair, running
+from tests.console.driving import choose, fill, shown, until
+from tests.console.live import THERE, Pair, console, running, watch
 from textual.pilot import Pilot
 
-from rsb_bridge.config.session_file import load
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_console.app import ConsoleApp
@@ -22,31 +21,11 @@ NODE = f"console_{os.getpid()}"
 MODE = f"/{NODE}/set_mode"
 
 
-@pytest.fixture(autouse=True)
-def _on_this_machine_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-
-
 @contextlib.contextmanager
 def answerer() -> Iterator[None]:
     """The node, on the other side."""
     with running("tests.console.answerer", str(THERE), NODE, MODE):
         yield
-
-
-def watch(pair: Pair, steps: AppSteps) -> None:
-    """Open the console on the pair's client, run `steps`, stop its engine."""
-    app = ConsoleApp(load(pair.client_path), pair.client_path, config=NOWHERE, theme="dark")
-
-    async def run(pilot: Pilot[None]) -> None:
-        await until(pilot, lambda: app.engine is not None, "an engine")
-        await steps(app, pilot)
-
-    try:
-        drive(app, run)
-    finally:
-        if app.engine is not None:
-            app.engine.stop()
 
 
 def found(app: ConsoleApp, name: str) -> RouteSnapshot | None:
@@ -69,8 +48,9 @@ async def usable(app: ConsoleApp, pilot: Pilot[None], name: str) -> None:
 
 def test_a_service_and_a_parameter_of_a_far_node(tmp_path: Path) -> None:
     pair = Pair(tmp_path, Topic(MODE, "transmit", kind="service"), Topic(f"/{NODE}", "transmit", kind="parameters"))
+    app = console(pair.client_path)
 
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "● LINKED")
         await shown(pilot, "1 service, parameters of 1 node")
         await usable(app, pilot, MODE)
@@ -99,4 +79,4 @@ def test_a_service_and_a_parameter_of_a_far_node(tmp_path: Path) -> None:
         await shown(pilot, "double_value: 0.9")
 
     with pair.server(), answerer():
-        watch(pair, steps)
+        watch(app, steps)
