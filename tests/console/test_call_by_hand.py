@@ -159,17 +159,6 @@ async def test_without_the_type_the_form_says_why_and_can_be_filled_in(app: Cons
     await until(pilot, lambda: calls(app), "the call")
 
 
-@on(MODE)
-async def test_what_the_operator_has_written_is_not_replaced(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    engine_of(app).templates = {}
-    await pilot.press("C")
-    await shown(pilot, "not installed")
-    await fill(pilot, request="data: true")
-    engine_of(app).templates = dict(TEMPLATES)
-    form = form_of(app)
-    assert form.values["request"] == "data: true"
-
-
 @on(NAVIGATE)
 async def test_of_an_action_each_service_can_be_called(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("C")

@@ -9,13 +9,11 @@ import pytest
 from tests.console.driving import (
     NARROW,
     choose,
-    drive,
     engine_of,
     fill,
     form_of,
     gone,
     on_main,
-    scripted_app,
     shown,
     told_to_add,
     until,
@@ -144,29 +142,25 @@ async def test_what_only_a_topic_has_is_not_sent_with_a_service(app: ConsoleApp,
     assert await added(app, pilot) == Topic("/reset", "transmit", kind="service")
 
 
-def test_an_edit_begins_with_what_is_and_sends_what_became() -> None:
-    spec = Topic("/set_mode", "receive", "std_srvs/srv/SetBool", timeout=5.0, kind="service")
-    routes = (call_route("service", "/set_mode", spec=spec, outgoing=False),)
-    app = scripted_app(routes=routes)
+EDITED = Topic("/set_mode", "receive", "std_srvs/srv/SetBool", timeout=5.0, kind="service")
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/set_mode")
-        await pilot.press("e")
-        await shown(pilot, "◉ the client (here)")
-        await gone(pilot, "Kind  ")
-        await gone(pilot, "QoS")
-        await pilot.press("enter")
-        await gone(pilot, "Edit /set_mode")
-        assert engine_of(app).commands == [], "nothing was changed"
-        await pilot.press("e")
-        await shown(pilot, "Edit /set_mode")
-        await fill(pilot, timeout="8")
-        await pilot.press("enter")
-        await until(pilot, lambda: engine_of(app).commands, "the command")
-        became = msgspec.structs.replace(spec, timeout=8)
-        assert engine_of(app).commands == [("edit", "service /set_mode", became)]
 
-    drive(app, steps)
+@on_main(landmark="/set_mode", routes=(call_route("service", "/set_mode", spec=EDITED, outgoing=False),))
+async def test_an_edit_begins_with_what_is_and_sends_what_became(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("e")
+    await shown(pilot, "◉ the client (here)")
+    await gone(pilot, "Kind  ")
+    await gone(pilot, "QoS")
+    await pilot.press("enter")
+    await gone(pilot, "Edit /set_mode")
+    assert engine_of(app).commands == [], "nothing was changed"
+    await pilot.press("e")
+    await shown(pilot, "Edit /set_mode")
+    await fill(pilot, timeout="8")
+    await pilot.press("enter")
+    await until(pilot, lambda: engine_of(app).commands, "the command")
+    became = msgspec.structs.replace(EDITED, timeout=8)
+    assert engine_of(app).commands == [("edit", "service /set_mode", became)]
 
 
 @on_main(landmark="/robot1/set_mode", routes=CALL_ROUTES[:1])

@@ -5,18 +5,17 @@ from dataclasses import replace
 import pytest
 from tests.console.driving import (
     NARROW,
-    drive,
     engine_of,
     gone,
     on_main,
-    scripted_app,
+    put,
     selected_topic,
     settled,
     shown,
     text,
     until,
 )
-from tests.console.scripted import ROUTES, ScriptedEngine, route
+from tests.console.scripted import ROUTES, route
 from textual.pilot import Pilot
 
 from rsb_bridge.model.qos import Qos
@@ -84,40 +83,28 @@ def test_where_peer_and_carrier_have_no_room_beside_each_other_both_are_whole() 
     assert "BLUETOOTH channel 3" in said(bluetooth, 36)
 
 
-def test_what_has_no_room_on_one_line_goes_on_on_the_next() -> None:
-    qos = Qos(reliability="best_effort", durability="transient_local", depth=5, deadline=0.5)
-    error = "No route to host, again and again"
-    wordy = route("/scan", qos=qos, latency_p99=0.0123, last_error=error, last_error_at=1e9)
-    engine = ScriptedEngine(routes=(wordy,))
-    app = scripted_app(make_engine=lambda _session, _base: engine)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/scan")
-        await pilot.press("enter", "G")
-        for words in (
-            "best effort,  ",
-            "transient local,  ",
-            "deadline 500.0 ms",
-            "± 400 µs",
-            "No route to host,",
-            "  and again",
-        ):
-            await shown(pilot, words)
-
-    drive(app, steps)
+WORDY = route(
+    "/scan",
+    qos=Qos(reliability="best_effort", durability="transient_local", depth=5, deadline=0.5),
+    latency_p99=0.0123, last_error="No route to host, again and again", last_error_at=1e9,
+)  # fmt: skip
 
 
-def test_the_scrollbar_hides_nothing() -> None:
-    just_too_wide = route("/scan", outgoing=True, transport="tcp", port=54757)  # with the pane's edge to spare by one
-    engine = ScriptedEngine(routes=(just_too_wide,))
-    engine.now = replace(engine.now, address="127.0.0.1:54757")
-    app = scripted_app(make_engine=lambda _session, _base: engine)
+@on_main(landmark="/scan", routes=(WORDY,))
+async def test_what_has_no_room_on_one_line_goes_on_on_the_next(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("enter", "G")
+    for words in (
+        "best effort,  ", "transient local,  ", "deadline 500.0 ms", "± 400 µs", "No route to host,", "  and again",
+    ):  # fmt: skip
+        await shown(pilot, words)
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "→ to 127.0.0.1:54757")
-        await shown(pilot, "TCP port 54757")
 
-    drive(app, steps)
+@on_main(landmark="/scan", routes=(route("/scan", outgoing=True, transport="tcp", port=54757),))
+async def test_the_scrollbar_hides_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """The line is too wide by one cell."""
+    put(app, address="127.0.0.1:54757")
+    await shown(pilot, "→ to 127.0.0.1:54757")
+    await shown(pilot, "TCP port 54757")
 
 
 @on_main(
@@ -169,21 +156,22 @@ def test_only_what_flows_has_a_rate(about: RouteSnapshot) -> None:
     assert ("Rate  - Hz" in said(about)) is (about.state not in {State.OK, State.STALE})
 
 
-def test_control_characters_never_go_out() -> None:
-    evil = "/ev\x1b[2Jil\x9b\n\x07\u202e"
-    app = scripted_app(routes=(route(evil, State.DOWN, reason=f"because {evil}", type_name=evil),))
+EVIL = "/ev\x1b[2Jil\x9b\n\x07\u202e"
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/ev[2Jil")
-        await settled(pilot)
-        assert all(line.isprintable() for line in text(app).split("\n"))
-        await pilot.press("d")
-        await shown(pilot, "Remove /ev")
-        app.notify(evil, markup=False)
-        await settled(pilot)
-        assert all(line.isprintable() for line in text(app).split("\n"))
 
-    drive(app, steps, NARROW)
+@on_main(
+    NARROW,
+    landmark="/ev[2Jil",
+    routes=(route(EVIL, State.DOWN, reason=f"because {EVIL}", type_name=EVIL),),
+)
+async def test_control_characters_never_go_out(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await settled(pilot)
+    assert all(line.isprintable() for line in text(app).split("\n"))
+    await pilot.press("d")
+    await shown(pilot, "Remove /ev")
+    app.notify(EVIL, markup=False)
+    await settled(pilot)
+    assert all(line.isprintable() for line in text(app).split("\n"))
 
 
 def test_the_qos_of_both_ends_and_of_the_bridge() -> None:

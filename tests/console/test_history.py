@@ -1,9 +1,9 @@
 """The time line: what happened, how long, why and who; filtered, ordered, exported, attached and read-only."""
 
 import csv
-from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from tests.console.driving import (
@@ -20,17 +20,19 @@ from tests.console.driving import (
     text,
     until,
 )
-from tests.console.scripted import NOW, REMEMBERED, ScriptedEngine
+from tests.console.scripted import NOW, REMEMBERED, ScriptedEngine, refused
 from tests.support.control import Machine
 from tests.support.long import long
 from textual.pilot import Pilot
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.model.history import Gap, HistoryReport
 from rsb_bridge.model.session import Session
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.history_screen import HELP, HistoryText
 from rsb_console.session.history_report import ReportText
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
 
 @pytest.fixture(autouse=True)
@@ -99,9 +101,7 @@ class Silent(ScriptedEngine):
     """Does not answer any more."""
 
     def history(self, seconds: float) -> "Future[HistoryReport]":
-        failed: Future[HistoryReport] = Future()
-        failed.set_exception(EngineError("no bridge"))
-        return failed
+        return refused("no bridge")
 
 
 @on_main(make_engine=Silent)

@@ -1,6 +1,7 @@
 """The main screen, key by key, on an engine that plays a script."""
 
 import csv
+from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +25,7 @@ from tests.console.driving import (
     text,
     until,
 )
-from tests.console.scripted import CALL_ROUTES, FAULTY, LINK, NOW, ROUTES, ScriptedEngine, route
+from tests.console.scripted import CALL_ROUTES, FAULTY, LINK, NOW, ROUTES, ScriptedEngine, refused, route
 from tests.support.long import long
 from textual.pilot import Pilot
 from textual.widgets import Button
@@ -424,25 +425,17 @@ def test_an_engine_that_cannot_start_says_why_and_the_console_stays() -> None:
     drive(app, steps)
 
 
-def test_a_refused_command_is_said_in_words() -> None:
-    from concurrent.futures import Future
+class Refusing(ScriptedEngine):
+    """An engine that pauses nothing."""
 
-    from rsb_bridge.api import EngineError
+    def pause(self, key: str, paused: bool) -> Future[None]:
+        return refused("route gone")
 
-    class Refusing(ScriptedEngine):
-        def pause(self, key: str, paused: bool) -> Future[None]:
-            future: Future[None] = Future()
-            future.set_exception(EngineError("route gone"))
-            return future
 
-    app = scripted_app(make_engine=Refusing)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "p pause")
-        await pilot.press("p")
-        await shown(pilot, "route gone")
-
-    drive(app, steps)
+@on_main(landmark="p pause", make_engine=Refusing)
+async def test_a_refused_command_is_said_in_words(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("p")
+    await shown(pilot, "route gone")
 
 
 @pytest.mark.parametrize("temporary", [False, True])

@@ -221,19 +221,6 @@ async def test_the_question_names_only_links_that_take_it(app: ConsoleApp, pilot
     await gone(pilot, "10.0.0.20:49152:")
 
 
-@on(NARROW)
-async def test_a_question_that_is_cut_has_a_note(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await until(pilot, lambda: message(app), "the message")
-    await fill(pilot, message="data:" + " long" * 2000)
-    await pilot.press("f9")
-    await shown(pilot, PublishText.QUESTION)
-    await pilot.press("G")
-    await shown(pilot, "characters more)")
-    await pilot.press("y")
-    await until(pilot, lambda: sent(app), "the message")
-    assert len(sent(app)[0].fields) > 10_000
-
-
 # -- the result
 
 

@@ -1,8 +1,8 @@
 """Operators' difficulties: lost forms, misleading figures, and functions that were hard to find."""
 
-from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
@@ -21,10 +21,9 @@ from tests.console.driving import (
     text,
     until,
 )
-from tests.console.scripted import LINK, SESSION, ScriptedEngine, route
+from tests.console.scripted import LINK, SESSION, ScriptedEngine, refused, route
 from textual.pilot import Pilot
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
@@ -36,14 +35,15 @@ from rsb_console.widgets.filter import RowFilter
 from rsb_console.widgets.form_inputs import Choice
 from rsb_console.widgets.topics import TopicsTable
 
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
 
 class RefusingEngine(ScriptedEngine):
     """An engine that refuses every topic."""
 
     def add_topic(self, topic: Topic, link: str = "") -> "Future[str]":
-        refused: Future[str] = Future()
-        refused.set_exception(EngineError("robot1 does not allow /added"))
-        return refused
+        return refused("robot1 does not allow /added")
 
 
 def test_what_is_chosen_and_what_is_not_differ_in_ascii() -> None:

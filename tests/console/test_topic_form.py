@@ -217,28 +217,24 @@ async def test_without_a_bluetooth_address_bluetooth_is_not_offered(app: Console
     await gone(pilot, "○ bluetooth")
 
 
-def test_an_edit_begins_with_what_is_and_sends_what_became() -> None:
-    spec = Topic("/scan", "receive", qos={"reliability": "best_effort", "depth": 3}, max_rate=2.5, port=5000)
-    routes = (route("/scan", spec=spec),)
-    app = scripted_app(routes=routes)
+EDITED = Topic("/scan", "receive", qos={"reliability": "best_effort", "depth": 3}, max_rate=2.5, port=5000)
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/scan")
-        await pilot.press("e")
-        await shown(pilot, "{reliability: best_effort, depth: 3}")
-        await pilot.press("enter")
-        await gone(pilot, "Edit /scan")
-        assert engine_of(app).commands == [], "nothing was changed"
-        await pilot.press("e")
-        await shown(pilot, "Edit /scan")
-        await fill(pilot, max_rate="5")
-        await choose(pilot, "compression", "zstd")
-        await pilot.press("enter")
-        await until(pilot, lambda: engine_of(app).commands, "the command")
-        became = msgspec.structs.replace(spec, max_rate=5, compression="zstd")
-        assert engine_of(app).commands == [("edit", "/scan", became)]
 
-    drive(app, steps)
+@on_main(landmark="/scan", routes=(route("/scan", spec=EDITED),))
+async def test_an_edit_begins_with_what_is_and_sends_what_became(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("e")
+    await shown(pilot, "{reliability: best_effort, depth: 3}")
+    await pilot.press("enter")
+    await gone(pilot, "Edit /scan")
+    assert engine_of(app).commands == [], "nothing was changed"
+    await pilot.press("e")
+    await shown(pilot, "Edit /scan")
+    await fill(pilot, max_rate="5")
+    await choose(pilot, "compression", "zstd")
+    await pilot.press("enter")
+    await until(pilot, lambda: engine_of(app).commands, "the command")
+    became = msgspec.structs.replace(EDITED, max_rate=5, compression="zstd")
+    assert engine_of(app).commands == [("edit", "/scan", became)]
 
 
 @on_main()
@@ -253,29 +249,25 @@ async def test_removing_asks_with_the_focus_on_no(app: ConsoleApp, pilot: Pilot[
     assert engine_of(app).commands == [("remove", "/robot2/scan")]
 
 
-def test_on_a_server_the_form_asks_which_client() -> None:
-    links = ("robot1", "robot2")
+class Server(ScriptedEngine):
+    """An engine with two clients."""
 
-    class Server(ScriptedEngine):
-        def __init__(self, *args: Any) -> None:
-            super().__init__(*args)
-            (link,) = self.now.links
-            self.now = replace(self.now, links=tuple(replace(link, name=name) for name in links))
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        (link,) = self.now.links
+        self.now = replace(self.now, links=tuple(replace(link, name=name) for name in ("robot1", "robot2")))
 
-    app = scripted_app(session=SERVER, make_engine=Server)
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a")
-        await shown(pilot, "◉ robot1   ○ robot2")
-        await shown(pilot, "transmit ←")
-        await choose(pilot, "link", "robot2")
-        await until(pilot, lambda: ("topics", "robot2") in engine_of(app).commands, "a look at robot2's graph")
-        await fill(pilot, topic="/scan")
-        await pilot.press("enter", "enter")
-        assert await told_to_add(pilot, app) == ("add", Topic("/scan", "transmit"), "robot2")
-
-    drive(app, steps)
+@on_main(session=SERVER, make_engine=Server)
+async def test_on_a_server_the_form_asks_which_client(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("a")
+    await shown(pilot, "◉ robot1   ○ robot2")
+    await shown(pilot, "transmit ←")
+    await choose(pilot, "link", "robot2")
+    await until(pilot, lambda: ("topics", "robot2") in engine_of(app).commands, "a look at robot2's graph")
+    await fill(pilot, topic="/scan")
+    await pilot.press("enter", "enter")
+    assert await told_to_add(pilot, app) == ("add", Topic("/scan", "transmit"), "robot2")
 
 
 @on_main()

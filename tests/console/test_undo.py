@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from concurrent.futures import Future
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -27,10 +26,10 @@ from tests.console.driving import (
     until,
 )
 from tests.console.scripted import LINK, NOW, ScriptedEngine, route
+from tests.console.scripted import refused as refused_by
 from tests.console.tmux import Tmux
 from tests.support.long import long
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, PatternSnapshot, Snapshot, State
@@ -272,14 +271,9 @@ async def test_what_is_bridged_again_is_not_added_twice(
 async def test_what_the_bridge_refuses_can_be_tried_again(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*_: object) -> Future[str]:
-        failed: Future[str] = Future()
-        failed.set_exception(EngineError("not now"))
-        return failed
-
     await removed(pilot, "/scan")
     with monkeypatch.context() as patched:
-        patched.setattr(engine, "add_topic", refuse)
+        patched.setattr(engine, "add_topic", lambda *_: refused_by("not now"))
         await question(app, pilot)
         await pilot.press("y")
         await shown(pilot, "not now")
