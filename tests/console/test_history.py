@@ -35,11 +35,6 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
 
-@pytest.fixture(autouse=True)
-def _utc(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TZ", "UTC")
-
-
 def spans(engine: ScriptedEngine) -> list[object]:
     """The spans that were asked for, without repetitions."""
     asked = [command[1] for command in engine.commands if command[0] == "history"]

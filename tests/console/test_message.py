@@ -1,6 +1,5 @@
 """Looking at a topic's messages in the console."""
 
-import os
 import threading
 from dataclasses import replace
 from typing import Any
@@ -49,7 +48,6 @@ from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_bridge.ros.native.typesupport import hash_of
 
-CHATTER = f"/console_{os.getpid()}/message"
 TEXT = "std_msgs/msg/String"
 
 

@@ -42,7 +42,6 @@ WORDS = route("/words", outgoing=True, spec=Topic("/words", "transmit"), type_na
 DRAFT = Draft(STRING, "data: ''\n")
 TAKEN = Published(is_done=True, ticket=5, type_name=STRING, nodes=2, links=("robot1",))
 ALONE = Published(is_done=True, ticket=5, type_name=STRING)
-OLD = Published(is_done=False, ticket=7)
 
 
 def on(
