@@ -44,9 +44,7 @@ TAKEN = Published(is_done=True, ticket=5, type_name=STRING, nodes=2, links=("rob
 ALONE = Published(is_done=True, ticket=5, type_name=STRING)
 
 
-def on(
-    *sizes: tuple[int, int], routes: tuple[RouteSnapshot, ...] = (WORDS,), drafts: dict[str, Draft] | None = None
-) -> Decorator:
+def on(*sizes: Any, routes: tuple[RouteSnapshot, ...] = (WORDS,), drafts: dict[str, Draft] | None = None) -> Decorator:
     """A test's steps run once the form is open, for the topic under the cursor."""
 
     def make(session: Any, base: Any) -> ScriptedEngine:

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from rsb_console.app import ConsoleApp
 
 
-def on_scan(*sizes: tuple[int, int], select: str = "/scan", **options: Any) -> Decorator:
+def on_scan(*sizes: Any, select: str = "/scan", **options: Any) -> Decorator:
     """A test's steps run with the cursor on a topic; they get the engine, too."""
 
     async def selected(pilot: Pilot[None]) -> dict[str, Any]:
