@@ -1,12 +1,15 @@
 """Driving the app in a test: keys in, the screen's text out, conditions with deadlines."""
 
 import asyncio
+import functools
+import inspect
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+import pytest
 from tests.console.scripted import SESSION, ScriptedEngine
 from tests.support.waiting import pauses
 from tests.support.wording import says
@@ -30,7 +33,9 @@ WIDE, NARROW = (120, 36), (80, 24)
 
 
 def scripted_app(**options: Any) -> ConsoleApp:
-    """The app on an engine that plays a script, with nothing of the user's."""
+    """The app on an engine that plays a script, whose snapshot has `routes`; with nothing of the user's."""
+    if (routes := options.pop("routes", None)) is not None:
+        options["make_engine"] = lambda session, base: ScriptedEngine(session, base, routes)
     options = {"config": NOWHERE, "theme": "dark", "make_engine": ScriptedEngine, **options}
     return ConsoleApp(options.pop("session", SESSION), options.pop("path", Path("nav2.yaml")), **options)
 
@@ -249,19 +254,52 @@ def put(app: ConsoleApp, *routes: RouteSnapshot, **changes: Any) -> None:
     app.pull()
 
 
-def on_main(size: tuple[int, int] = (120, 36), **options: Any) -> Callable[[AppSteps], Callable[[], None]]:
-    """A test's steps run once the topics are there."""
+Test = Callable[..., None]
+Decorator = Callable[[Callable[..., Awaitable[None]]], Test]
+Opening = Callable[[Pilot[None]], Awaitable[dict[str, Any] | None]]
 
-    def decorate(steps: AppSteps) -> Callable[[], None]:
-        def test() -> None:
-            app = scripted_app(**options)
+
+def as_test(test: Test, steps: Callable[..., Awaitable[None]], *makes: str, sizes: tuple[Any, ...] = ()) -> Test:
+    """Return a test that is named as its steps are, with their parameters but those that it makes."""
+    signature = inspect.signature(steps)
+    parameters = [each for name, each in signature.parameters.items() if name not in makes]
+    if len(sizes) > 1:
+        parameters.append(inspect.Parameter("size", inspect.Parameter.KEYWORD_ONLY))
+    functools.update_wrapper(test, steps)
+    vars(test)["__signature__"] = signature.replace(parameters=parameters)
+    return pytest.mark.parametrize("size", sizes)(test) if len(sizes) > 1 else test
+
+
+def on_main(
+    *sizes: Any,
+    landmark: str | Wording = "/robot2/scan",
+    opening: Opening | None = None,
+    given: tuple[str, ...] = (),
+    makes: tuple[str, ...] = (),
+    **options: Any,
+) -> Decorator:
+    """A test's steps run on the scripted app, once it shows the landmark.
+
+    They get `app` and `pilot`, besides the test's fixtures and parameters, of which `given` go to the app, too. With
+    several sizes of the terminal they run once in each. `opening` runs before them, and returns what they get by the
+    names in `makes`.
+    """
+
+    def decorate(steps: Callable[..., Awaitable[None]]) -> Test:
+        def test(size: tuple[int, int] = sizes[0] if sizes else WIDE, **fixtures: Any) -> None:
+            app = scripted_app(**options, **{name: fixtures[name] for name in given})
 
             async def run(pilot: Pilot[None]) -> None:
-                await shown(pilot, "/robot2/scan")
-                await steps(app, pilot)
+                await shown(pilot, landmark)
+                made = await opening(pilot) if opening is not None else None
+                await steps(app=app, pilot=pilot, **(made or {}), **fixtures)
 
             drive(app, run, size)
 
-        return test
+        return as_test(test, steps, "app", "pilot", *makes, sizes=sizes)
 
     return decorate
+
+
+on_welcome = functools.partial(on_main, landmark="New session", session=None, path=None)
+"""A test's steps run once the console without a session shows how to begin."""

@@ -8,13 +8,16 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+from tests.console.driving import NOWHERE, Steps, drive
 from tests.support.forker import Forked
 from tests.support.locks import domains_of
 from tests.support.ports import free_port
 
 from rsb_bridge.config.keys import write_key
-from rsb_bridge.config.session_file import save
+from rsb_bridge.config.session_file import load, save
 from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.snapshot import Snapshot
+from rsb_console.app import ConsoleApp
 
 HERE = domains_of("nodes")
 THERE = HERE + 1
@@ -55,6 +58,24 @@ def bridging(path: Path, *options: str) -> AbstractContextManager[Forked]:
 def talker(topic: str, rate: float = 20.0, domain: int = HERE) -> AbstractContextManager[Forked]:
     """Publishes `topic` on this side."""
     return running("tests.console.talker", str(domain), topic, str(rate))
+
+
+def console(path: Path) -> ConsoleApp:
+    """The console on a session file."""
+    return ConsoleApp(load(path), path, config=NOWHERE, theme="dark")
+
+
+def watch(app: ConsoleApp, steps: Steps) -> None:
+    """Run `steps` on the console; stop its engine."""
+    try:
+        drive(app, steps)
+    finally:
+        app.stop()
+
+
+def flows(now: Snapshot, topic: str) -> bool:
+    """Whether a topic carries about what its talker says."""
+    return any(route.topic == topic and route.rate > 0 for route in now.routes)
 
 
 @contextlib.contextmanager

@@ -14,8 +14,8 @@ from tests.support.waiting import eventually
 if TYPE_CHECKING:
     from pathlib import Path
 
-_LOOK_EVERY = 0.1
-"""s between two questions to a bridge."""
+_LOOK_EVERY = 0.25
+"""s between two looks, each of which starts a process."""
 _WITHIN = 60.0
 """s."""
 _ROOMY = (160, 56)
@@ -74,7 +74,7 @@ class Side:
         deadline = time.monotonic() + _WITHIN
         while not in_order(self.detail(), words):
             assert time.monotonic() < deadline, f"{words} not in\n{self.screen.picture}"
-            time.sleep(0.1)
+            time.sleep(_LOOK_EVERY)
 
 
 def every_so_often(look: Any, what: str, within: float = _WITHIN) -> Any:

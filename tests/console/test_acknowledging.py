@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tests.console.driving import drive, engine_of, listed, on_main, put, scripted_app, shown, until
+from tests.console.driving import engine_of, listed, on_main, put, until
 from tests.console.live import COMMAND, HERE, bridging
 from tests.console.scripted import LINK, NOW, ROUTES
 from tests.console.tmux import Tmux
@@ -101,17 +101,12 @@ async def test_a_link_is_acknowledged_among_the_links(app: ConsoleApp, pilot: Pi
     await until(pilot, lambda: engine_of(app).commands == expected, "the commands")
 
 
-def test_who_only_looks_may_not() -> None:
-    app = scripted_app(readonly=True)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, FIRST.topic)
-        await pilot.press("i")
-        await pilot.press("c", "i")
-        await pilot.pause(0.1)
-        assert engine_of(app).commands == []
-
-    drive(app, steps)
+@on_main(landmark=FIRST.topic, readonly=True)
+async def test_who_only_looks_may_not(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("i")
+    await pilot.press("c", "i")
+    await pilot.pause(0.1)
+    assert engine_of(app).commands == []
 
 
 @pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")

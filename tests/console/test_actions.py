@@ -2,16 +2,16 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pytest
-from tests.console.driving import drive, engine_of, gone, scripted_app, shown, text, until
+from tests.console.driving import drive, engine_of, gone, on_main, scripted_app, shown, text, until
 from tests.support.wording import pattern
 from textual.binding import Binding
 from textual.pilot import Pilot
 from textual.screen import Screen
 
-from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS, KEYS_ON_SCREENS, Action, Group
+from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS, KEYS_ON_SCREENS, Group
 from rsb_console.app import ConsoleApp
 from rsb_console.preferences import KeymapError, PreferenceProblem, load_keymap, split_keys
 from rsb_console.screens.dialog import ConfirmScreen
@@ -28,11 +28,11 @@ from rsb_console.screens.view_screen import ViewScreen
 EATEN = {"ctrl+s", "ctrl+q", "ctrl+a", "ctrl+b", "ctrl+j", "ctrl+enter"}
 
 
-@pytest.mark.parametrize("action", ACTIONS, ids=lambda action: action.id)
-def test_every_action_has_its_handler(action: Action) -> None:
+def test_every_action_has_its_handler() -> None:
     app = scripted_app()
-    owner = {Group.MOVE: app.main.topics, Group.CONSOLE: app}.get(action.group, app.main)
-    assert callable(getattr(owner, f"action_{action.id}"))
+    for action in ACTIONS:
+        owner = {Group.MOVE: app.main.topics, Group.CONSOLE: app}.get(action.group, app.main)
+        assert callable(getattr(owner, f"action_{action.id}"))
 
 
 def test_no_id_and_no_key_twice() -> None:
@@ -42,9 +42,9 @@ def test_no_id_and_no_key_twice() -> None:
     assert set(BY_ID) == {action.id for action in (*ACTIONS, *FLEET_ACTIONS)}
 
 
-@pytest.mark.parametrize("action", ACTIONS, ids=lambda action: action.id)
-def test_no_action_hangs_on_a_key_that_terminals_eat(action: Action) -> None:
-    assert any(key not in EATEN and not key.startswith("alt+") for key in split_keys(action.keys))
+def test_no_action_hangs_on_a_key_that_terminals_eat() -> None:
+    for action in ACTIONS:
+        assert any(key not in EATEN and not key.startswith("alt+") for key in split_keys(action.keys)), action.id
 
 
 @pytest.mark.parametrize(
@@ -133,41 +133,32 @@ def screens(app: ConsoleApp) -> dict[str, Callable[[], Screen[Any]]]:
     }
 
 
-@pytest.mark.parametrize("key", ["question_mark", "f1"])
-@pytest.mark.parametrize("name", screens(cast("ConsoleApp", None)))
-def test_every_screen_shows_the_keys(name: str, key: str) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        app.push_screen(screens(app)[name]())
+@on_main()
+async def test_every_screen_shows_the_keys(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    for make in screens(app).values():
+        app.push_screen(make())
         await pilot.pause()
         below = app.screen
-        await pilot.press(key)
-        await until(pilot, lambda: isinstance(app.screen, HelpScreen), "the keys")
-        await pilot.press(key)
-        await until(pilot, lambda: app.screen is below, "the screen below")
-
-    drive(app, steps)
+        for key in ("question_mark", "f1"):
+            await pilot.press(key)
+            await until(pilot, lambda: isinstance(app.screen, HelpScreen), "the keys")
+            await pilot.press(key)
+            await until(pilot, lambda below=below: app.screen is below, "the screen below")
+        app.pop_screen()
 
 
 @pytest.mark.parametrize("name", ["pictures", "welcome"])
-def test_a_new_session_from_other_screens(name: str) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        if name == "welcome":
-            await pilot.press("f5")
-            await until(pilot, lambda: isinstance(app.screen, WelcomeScreen), "the welcome")
-        else:
-            app.push_screen(screens(app)[name]())
-            await pilot.pause()
-        await pilot.press("f2")
-        await shown(pilot, "New session")
-        await until(pilot, lambda: isinstance(app.screen, FormScreen), "the form")
-
-    drive(app, steps)
+@on_main()
+async def test_a_new_session_from_other_screens(app: ConsoleApp, pilot: Pilot[None], name: str) -> None:
+    if name == "welcome":
+        await pilot.press("f5")
+        await until(pilot, lambda: isinstance(app.screen, WelcomeScreen), "the welcome")
+    else:
+        app.push_screen(screens(app)[name]())
+        await pilot.pause()
+    await pilot.press("f2")
+    await shown(pilot, "New session")
+    await until(pilot, lambda: isinstance(app.screen, FormScreen), "the form")
 
 
 def test_the_keys_of_pictures_goals_and_driving_are_listed() -> None:
@@ -184,40 +175,26 @@ def test_the_keys_of_pictures_goals_and_driving_are_listed() -> None:
     assert all({"comma": ",", "full_stop": "."}.get(key, labels.get(key, key)) in steering for key in _WAYS)
 
 
-def test_the_palette_finds_an_action_by_its_words_and_does_it() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("colon", *"faults only")
-        await shown(pilot, "Show faults only")
-        await pilot.press("enter", "enter")
-        await until(pilot, lambda: app.main.topics.faults_only, "faults only")
-
-    drive(app, steps)
+@on_main()
+async def test_the_palette_finds_an_action_by_its_words_and_does_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("colon", *"faults only")
+    await shown(pilot, "Show faults only")
+    await pilot.press("enter", "enter")
+    await until(pilot, lambda: app.main.topics.faults_only, "faults only")
 
 
-def test_readonly_takes_away_whatever_changes_something() -> None:
-    app = scripted_app(readonly=True)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "read-only")
-        await gone(pilot, "p pause")
-        await pilot.press("p", "r")
-        await shown(pilot, MainText.READ_ONLY)
-        await pilot.press("question_mark")
-        await shown(pilot, "Next line")
-        assert not any(action.help in text(app) for action in ACTIONS if action.changes)
-        assert engine_of(app).commands == []
-
-    drive(app, steps, size=(120, 80))
+@on_main((120, 80), landmark="read-only", readonly=True)
+async def test_readonly_takes_away_whatever_changes_something(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await gone(pilot, "p pause")
+    await pilot.press("p", "r", "a", "e", "d", "R", "w", "o")
+    await shown(pilot, MainText.READ_ONLY)
+    assert app.screen is app.main
+    await pilot.press("question_mark")
+    await shown(pilot, "Next line")
+    assert not any(action.help in text(app) for action in ACTIONS if action.changes)
+    assert engine_of(app).commands == []
 
 
-@pytest.mark.parametrize("size", [(120, 36), (40, 15)])
-def test_the_footer_always_ends_with_help_and_quit(size: tuple[int, int]) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "? help  q quit")
-
-    drive(app, steps, size=size)
+@on_main((120, 36), (40, 15), landmark="? help  q quit")
+async def test_the_footer_always_ends_with_help_and_quit(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    assert text(app).splitlines()[-1].rstrip().endswith("? help  q quit")

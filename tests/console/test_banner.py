@@ -27,8 +27,8 @@ RATES = {"/front": 20.0, "/rear": 20.0, "/left": 10.0, "/right": 10.0}
 SECONDS = 10
 HEAD = " TOPIC "
 """Of the table."""
-LOOKS = 20
-"""Looks at the screen in a second."""
+LOOKS = 8
+"""Looks at the screen in a second, each of which starts a process."""
 
 
 def banner(picture: str) -> list[str]:

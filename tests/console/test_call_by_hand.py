@@ -1,22 +1,21 @@
 """Calling a service by hand, sending a goal and setting a parameter, on an engine that plays a script."""
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 from rich.cells import cell_len
 from tests.console.driving import (
     NARROW,
-    AppSteps,
+    WIDE,
+    Decorator,
     choose,
-    drive,
     engine_of,
     fill,
     form_of,
     gone,
     notices,
+    on_main,
     put,
-    scripted_app,
     settled,
     shown,
     text,
@@ -45,55 +44,39 @@ MODE, MAP, NAVIGATE, PARAMETERS = CALL_ROUTES
 TEMPLATES = {"": "data: false\n", "send_goal": "pose:\n  x: 0.0\n", "get_parameters": "names: []\n"}
 
 
-def on(route: Any, size: tuple[int, int] = (120, 36), **options: Any) -> Callable[[AppSteps], Callable[[], None]]:
+def on(route: Any, *sizes: Any, **options: Any) -> Decorator:
     """A test's steps run with one thing bridged, whose requests' fields are known."""
 
-    def decorate(steps: AppSteps) -> Callable[[], None]:
-        def test() -> None:
-            def make(session: Any, base: Any) -> ScriptedEngine:
-                engine = ScriptedEngine(session, base, (route,))
-                engine.templates = dict(TEMPLATES)
-                return engine
+    def make(session: Any, base: Any) -> ScriptedEngine:
+        engine = ScriptedEngine(session, base, (route,))
+        engine.templates = dict(TEMPLATES)
+        return engine
 
-            app = scripted_app(make_engine=make, **options)
-
-            async def run(pilot: Pilot[None]) -> None:
-                await shown(pilot, route.topic)
-                await steps(app, pilot)
-
-            drive(app, run, size)
-
-        return test
-
-    return decorate
+    return on_main(*sizes, landmark=route.topic, make_engine=make, **options)
 
 
 def calls(app: ConsoleApp) -> list[tuple[object, ...]]:
     return [command for command in engine_of(app).commands if command[0] == "call"]
 
 
-@pytest.mark.parametrize("size", [(120, 36), NARROW])
-def test_a_service_is_called_once_it_is_confirmed_and_answers(size: tuple[int, int]) -> None:
-    @on(MODE, size=size)
-    async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        await pilot.press("C")
-        await shown(pilot, "data: false")
-        await shown(pilot, CallText.NOTHING_CALLED)
-        await fill(pilot, request="data: true")
-        await pilot.press("f9")
-        await shown(pilot, "Call /robot1/set_mode?")
-        await until(pilot, lambda: app.focused is app.screen.query_one("#no", Button), "No is what enter gives")
-        await shown(pilot, CallText.REQUEST_SENT, where="to the node behind 10.0.0.20:49152")
-        assert calls(app) == []
-        await pilot.press("y")
-        await until(pilot, lambda: calls(app) == [("call", MODE.key, "data: true", "")], "the call")
-        await shown(pilot, CallText.WAITING_UNTIL, sign="▸", limit=30)
-        engine_of(app).called.set_result("success: true\nmessage: moved\n")
-        await shown(pilot, "message: moved")
-        await shown(pilot, LandingText.ANSWERED, link="robot1", nodes="a node", where="there")
-        await gone(pilot, CallText.WAITING)
-
-    test()
+@on(MODE, *long(WIDE), NARROW)
+async def test_a_service_is_called_once_it_is_confirmed_and_answers(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("C")
+    await shown(pilot, "data: false")
+    await shown(pilot, CallText.NOTHING_CALLED)
+    await fill(pilot, request="data: true")
+    await pilot.press("f9")
+    await shown(pilot, "Call /robot1/set_mode?")
+    await until(pilot, lambda: app.focused is app.screen.query_one("#no", Button), "No is what enter gives")
+    await shown(pilot, CallText.REQUEST_SENT, where="to the node behind 10.0.0.20:49152")
+    assert calls(app) == []
+    await pilot.press("y")
+    await until(pilot, lambda: calls(app) == [("call", MODE.key, "data: true", "")], "the call")
+    await shown(pilot, CallText.WAITING_UNTIL, sign="▸", limit=30)
+    engine_of(app).called.set_result("success: true\nmessage: moved\n")
+    await shown(pilot, "message: moved")
+    await shown(pilot, LandingText.ANSWERED, link="robot1", nodes="a node", where="there")
+    await gone(pilot, CallText.WAITING)
 
 
 @on(MODE)
@@ -176,17 +159,6 @@ async def test_without_the_type_the_form_says_why_and_can_be_filled_in(app: Cons
     await until(pilot, lambda: calls(app), "the call")
 
 
-@on(MODE)
-async def test_what_the_operator_has_written_is_not_replaced(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    engine_of(app).templates = {}
-    await pilot.press("C")
-    await shown(pilot, "not installed")
-    await fill(pilot, request="data: true")
-    engine_of(app).templates = dict(TEMPLATES)
-    form = form_of(app)
-    assert form.values["request"] == "data: true"
-
-
 @on(NAVIGATE)
 async def test_of_an_action_each_service_can_be_called(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("C")
@@ -204,30 +176,26 @@ async def test_of_an_action_each_service_can_be_called(app: ConsoleApp, pilot: P
     await gone(pilot, CallText.WAITING_UNTIL)  # a result may take as long as it likes
 
 
-@pytest.mark.parametrize("size", [(120, 36), NARROW])
-def test_a_parameter_is_set_by_its_name_and_value(size: tuple[int, int]) -> None:
-    @on(PARAMETERS, size=size)
-    async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        await pilot.press("C")
-        await shown(pilot, "set one parameter")
-        await pilot.press("f9")
-        await shown(pilot, CallText.NAME_MISSING)
-        await shown(pilot, "missing: 5, 5.0, true")
-        await fill(pilot, name="max_vel_x", value="0.5")
-        await pilot.press("enter")
-        await shown(pilot, "Set max_vel_x of /controller_server?")
-        await shown(pilot, "0.5 (double)")
-        await pilot.press("y")
-        await until(pilot, lambda: calls(app), "the call")
-        _, key, request, lane = calls(app)[0]
-        assert (key, lane) == (PARAMETERS.key, "set_parameters")
-        assert read_fields(str(request)) == {
-            "parameters": [{"name": "max_vel_x", "value": {"type": "3", "double_value": "0.5"}}]
-        }
-        engine_of(app).called.set_result("results:\n- successful: true\n  reason: ''\n")
-        await shown(pilot, CallText.VALUE_SET)
-
-    test()
+@on(PARAMETERS, *long(WIDE), NARROW)
+async def test_a_parameter_is_set_by_its_name_and_value(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("C")
+    await shown(pilot, "set one parameter")
+    await pilot.press("f9")
+    await shown(pilot, CallText.NAME_MISSING)
+    await shown(pilot, "missing: 5, 5.0, true")
+    await fill(pilot, name="max_vel_x", value="0.5")
+    await pilot.press("enter")
+    await shown(pilot, "Set max_vel_x of /controller_server?")
+    await shown(pilot, "0.5 (double)")
+    await pilot.press("y")
+    await until(pilot, lambda: calls(app), "the call")
+    _, key, request, lane = calls(app)[0]
+    assert (key, lane) == (PARAMETERS.key, "set_parameters")
+    assert read_fields(str(request)) == {
+        "parameters": [{"name": "max_vel_x", "value": {"type": "3", "double_value": "0.5"}}]
+    }
+    engine_of(app).called.set_result("results:\n- successful: true\n  reason: ''\n")
+    await shown(pilot, CallText.VALUE_SET)
 
 
 @on(PARAMETERS)
@@ -253,7 +221,7 @@ async def test_parameters_have_their_other_services_too(app: ConsoleApp, pilot: 
     assert calls(app) == [("call", PARAMETERS.key, "names: [max_vel_x]", "get_parameters")]
 
 
-@on(MODE, size=NARROW)
+@on(MODE, NARROW)
 async def test_a_long_answer_scrolls_and_is_cut_with_a_note(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("C")
     await shown(pilot, "data: false")
@@ -269,7 +237,6 @@ async def test_a_long_answer_scrolls_and_is_cut_with_a_note(app: ConsoleApp, pil
     await until(pilot, lambda: app.clipboard == answer, "all of it, copied")
 
 
-@pytest.mark.parametrize("size", [*long((120, 36)), NARROW, (80, 12)])
 @pytest.mark.parametrize(
     ("request_", "last"),
     [
@@ -279,24 +246,23 @@ async def test_a_long_answer_scrolls_and_is_cut_with_a_note(app: ConsoleApp, pil
     ],
     ids=["a long line", "many lines", "too much"],
 )
-def test_the_buttons_stay_in_sight_below_a_long_request(size: tuple[int, int], request_: str, last: str) -> None:
-    @on(MODE, size=size)
-    async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        await pilot.press("C")
-        await until(pilot, lambda: form_of(app).values["request"], "the template")
-        await fill(pilot, request=request_)
-        await pilot.press("f9")
-        await shown(pilot, "Call        No")
-        await shown(pilot, "↑ ↓ scroll")
-        await gone(pilot, last)
-        await pilot.press("G")
-        await shown(pilot, last)
-        await shown(pilot, "Call        No")
-        assert calls(app) == []
-        await pilot.press("y")
-        await until(pilot, lambda: calls(app) == [("call", MODE.key, request_, "")], "all of it")
-
-    test()
+@on(MODE, *long((120, 36), NARROW), (80, 12))
+async def test_the_buttons_stay_in_sight_below_a_long_request(
+    app: ConsoleApp, pilot: Pilot[None], request_: str, last: str
+) -> None:
+    await pilot.press("C")
+    await until(pilot, lambda: form_of(app).values["request"], "the template")
+    await fill(pilot, request=request_)
+    await pilot.press("f9")
+    await shown(pilot, "Call        No")
+    await shown(pilot, "↑ ↓ scroll")
+    await gone(pilot, last)
+    await pilot.press("G")
+    await shown(pilot, last)
+    await shown(pilot, "Call        No")
+    assert calls(app) == []
+    await pilot.press("y")
+    await until(pilot, lambda: calls(app) == [("call", MODE.key, request_, "")], "all of it")
 
 
 @on(MODE)
@@ -370,25 +336,22 @@ async def test_read_only_calls_nothing(app: ConsoleApp, pilot: Pilot[None]) -> N
     assert calls(app) == []
 
 
-def test_the_key_stands_in_the_footer_only_where_there_is_something_to_call() -> None:
-    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, (*ROUTES, MODE)))
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await shown(pilot, "q quit")
-        await gone(pilot, "C call")
-        await pilot.press("C")
-        await settled(pilot)
-        assert app.screen is app.main
-        await pilot.press("slash", *"set_mode", "enter")
-        await shown(pilot, "C call")
-        assert BY_ID["call"].changes
-        await pilot.press("question_mark")
-        await shown(pilot, BY_ID["move_down"].help)
-        await pilot.press("pagedown")
-        await shown(pilot, BY_ID["call"].help)
-
-    drive(app, steps)
+@on_main(routes=(*ROUTES, MODE))
+async def test_the_key_stands_in_the_footer_only_where_there_is_something_to_call(
+    app: ConsoleApp, pilot: Pilot[None]
+) -> None:
+    await shown(pilot, "q quit")
+    await gone(pilot, "C call")
+    await pilot.press("C")
+    await settled(pilot)
+    assert app.screen is app.main
+    await pilot.press("slash", *"set_mode", "enter")
+    await shown(pilot, "C call")
+    assert BY_ID["call"].changes
+    await pilot.press("question_mark")
+    await shown(pilot, BY_ID["move_down"].help)
+    await pilot.press("pagedown")
+    await shown(pilot, BY_ID["call"].help)
 
 
 @on(MODE)

@@ -1,6 +1,6 @@
 """Services, actions and parameters added and edited by keyboard: found in both graphs, with their own fields."""
 
-from collections.abc import Callable
+import functools
 from dataclasses import replace
 from typing import Any
 
@@ -8,15 +8,12 @@ import msgspec
 import pytest
 from tests.console.driving import (
     NARROW,
-    WIDE,
-    AppSteps,
     choose,
-    drive,
     engine_of,
     fill,
     form_of,
     gone,
-    scripted_app,
+    on_main,
     shown,
     told_to_add,
     until,
@@ -49,24 +46,13 @@ class Graphs(ScriptedEngine):
         return self._done((*here, LOAD, MODE, NAVIGATE, CONTROLLER) if link else here, "topics", link)
 
 
-def form(size: tuple[int, int] = (120, 36)) -> Callable[[AppSteps], Callable[[], None]]:
-    """A test's steps run with the form open, on a client."""
+async def opened(pilot: Pilot[None]) -> None:
+    await pilot.press("a")
+    await shown(pilot, "/map_server/load_map")
 
-    def decorate(steps: AppSteps) -> Callable[[], None]:
-        def test() -> None:
-            app = scripted_app(make_engine=Graphs)
 
-            async def run(pilot: Pilot[None]) -> None:
-                await shown(pilot, "/robot2/scan")
-                await pilot.press("a")
-                await shown(pilot, "/map_server/load_map")
-                await steps(app, pilot)
-
-            drive(app, run, size)
-
-        return test
-
-    return decorate
+form = functools.partial(on_main, make_engine=Graphs, opening=opened)
+"""A test's steps run with the form open, on a client."""
 
 
 async def added(app: ConsoleApp, pilot: Pilot[None]) -> Topic:
@@ -77,28 +63,25 @@ async def added(app: ConsoleApp, pilot: Pilot[None]) -> Topic:
 
 
 @pytest.mark.parametrize(
-    ("letters", "expected", "size"),
+    ("letters", "expected"),
     [
-        ("load", Topic("/map_server/load_map", "transmit", "nav_msgs/srv/LoadMap", kind="service"), WIDE),
-        ("mode", Topic("/set_mode", "receive", "std_srvs/srv/SetBool", kind="service"), NARROW),
-        ("navi", Topic("/navigate_to_pose", "transmit", "nav2_msgs/action/NavigateToPose", kind="action"), NARROW),
-        ("contr", Topic("/controller_server", "transmit", kind="parameters"), WIDE),
+        ("load", Topic("/map_server/load_map", "transmit", "nav_msgs/srv/LoadMap", kind="service")),
+        ("mode", Topic("/set_mode", "receive", "std_srvs/srv/SetBool", kind="service")),
+        ("navi", Topic("/navigate_to_pose", "transmit", "nav2_msgs/action/NavigateToPose", kind="action")),
+        ("contr", Topic("/controller_server", "transmit", kind="parameters")),
     ],
 )
-def test_it_is_found_by_a_few_letters_and_comes_with_kind_provider_and_type(
-    letters: str, expected: Topic, size: tuple[int, int]
+@form(NARROW)
+async def test_it_is_found_by_a_few_letters_and_comes_with_kind_provider_and_type(
+    app: ConsoleApp, pilot: Pilot[None], letters: str, expected: Topic
 ) -> None:
-    @form(size)
-    async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        await pilot.press(*letters)
-        await shown(pilot, f"▌{'←' if expected.direction == 'receive' else '→'} {expected.topic}")
-        await pilot.press("enter")
-        await shown(pilot, f"◉ {expected.kind}")
-        await until(pilot, lambda: form_of(app).fields["provider"].control.has_focus, "the next field")
-        await pilot.press("enter")
-        assert await added(app, pilot) == expected
-
-    test()
+    await pilot.press(*letters)
+    await shown(pilot, f"▌{'←' if expected.direction == 'receive' else '→'} {expected.topic}")
+    await pilot.press("enter")
+    await shown(pilot, f"◉ {expected.kind}")
+    await until(pilot, lambda: form_of(app).fields["provider"].control.has_focus, "the next field")
+    await pilot.press("enter")
+    assert await added(app, pilot) == expected
 
 
 @form()
@@ -159,55 +142,41 @@ async def test_what_only_a_topic_has_is_not_sent_with_a_service(app: ConsoleApp,
     assert await added(app, pilot) == Topic("/reset", "transmit", kind="service")
 
 
-def test_an_edit_begins_with_what_is_and_sends_what_became() -> None:
-    spec = Topic("/set_mode", "receive", "std_srvs/srv/SetBool", timeout=5.0, kind="service")
-    routes = (call_route("service", "/set_mode", spec=spec, outgoing=False),)
-    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, routes))
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/set_mode")
-        await pilot.press("e")
-        await shown(pilot, "◉ the client (here)")
-        await gone(pilot, "Kind  ")
-        await gone(pilot, "QoS")
-        await pilot.press("enter")
-        await gone(pilot, "Edit /set_mode")
-        assert engine_of(app).commands == [], "nothing was changed"
-        await pilot.press("e")
-        await shown(pilot, "Edit /set_mode")
-        await fill(pilot, timeout="8")
-        await pilot.press("enter")
-        await until(pilot, lambda: engine_of(app).commands, "the command")
-        became = msgspec.structs.replace(spec, timeout=8)
-        assert engine_of(app).commands == [("edit", "service /set_mode", became)]
-
-    drive(app, steps)
+EDITED = Topic("/set_mode", "receive", "std_srvs/srv/SetBool", timeout=5.0, kind="service")
 
 
-def test_a_service_is_paused_and_removed_like_a_topic() -> None:
-    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, CALL_ROUTES[:1]))
+@on_main(landmark="/set_mode", routes=(call_route("service", "/set_mode", spec=EDITED, outgoing=False),))
+async def test_an_edit_begins_with_what_is_and_sends_what_became(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("e")
+    await shown(pilot, "◉ the client (here)")
+    await gone(pilot, "Kind  ")
+    await gone(pilot, "QoS")
+    await pilot.press("enter")
+    await gone(pilot, "Edit /set_mode")
+    assert engine_of(app).commands == [], "nothing was changed"
+    await pilot.press("e")
+    await shown(pilot, "Edit /set_mode")
+    await fill(pilot, timeout="8")
+    await pilot.press("enter")
+    await until(pilot, lambda: engine_of(app).commands, "the command")
+    became = msgspec.structs.replace(EDITED, timeout=8)
+    assert engine_of(app).commands == [("edit", "service /set_mode", became)]
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot1/set_mode")
-        await pilot.press("p")
-        await until(pilot, lambda: ("pause", "service /robot1/set_mode", True) in engine_of(app).commands, "a pause")
-        await pilot.press("d", "y")
-        await until(pilot, lambda: ("remove", "service /robot1/set_mode") in engine_of(app).commands, "gone")
 
-    drive(app, steps)
+@on_main(landmark="/robot1/set_mode", routes=CALL_ROUTES[:1])
+async def test_a_service_is_paused_and_removed_like_a_topic(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("p")
+    await until(pilot, lambda: ("pause", "service /robot1/set_mode", True) in engine_of(app).commands, "a pause")
+    await pilot.press("d", "y")
+    await until(pilot, lambda: ("remove", "service /robot1/set_mode") in engine_of(app).commands, "gone")
 
 
-def test_on_a_server_the_provider_is_seen_from_there() -> None:
-    app = scripted_app(session=SERVER, make_engine=Graphs)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a")
-        await shown(pilot, "/map_server/load_map")
-        await pilot.press(*"load", "enter")
-        await shown(pilot, "○ the server (here)   ◉ the client (there)")
-
-    drive(app, steps)
+@on_main(session=SERVER, make_engine=Graphs)
+async def test_on_a_server_the_provider_is_seen_from_there(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("a")
+    await shown(pilot, "/map_server/load_map")
+    await pilot.press(*"load", "enter")
+    await shown(pilot, "○ the server (here)   ◉ the client (there)")
 
 
 # -- what the form is made of ----------------------------------------------------------------------------------------

@@ -3,12 +3,11 @@
 from dataclasses import replace
 
 import pytest
-from tests.console.driving import NARROW, drive, gone, listed, on_main, put, scripted_app, shown, text, until
+from tests.console.driving import NARROW, gone, listed, on_main, put, shown, text, until
 from tests.console.scripted import (
     CALL_ROUTES,
     CALLS,
     ROUTES,
-    ScriptedEngine,
     call_route,
     call_stages,
     route,
@@ -91,7 +90,7 @@ def test_the_columns_fit_and_leave_room_for_names(width: int, calls: bool, group
     assert ("NODE" in titles) is (calls and width >= 100)
 
 
-@on_main(size=(200, 40))
+@on_main((200, 40))
 async def test_a_wide_table_has_the_last_failure_and_the_nodes_time(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, *ALL)
     await pilot.press("z")
@@ -108,7 +107,7 @@ async def test_what_failed_is_found_by_its_cause(app: ConsoleApp, pilot: Pilot[N
     await until(pilot, lambda: len(listed(app)) == 3, "those whose last failure it was")
 
 
-@on_main(size=NARROW)
+@on_main(NARROW)
 async def test_a_long_name_keeps_its_beginning_and_its_end(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, *(call_route("service", f"/controller_server/{what}_state") for what in ("change", "get")))
     await shown(pilot, "e_state")
@@ -140,7 +139,7 @@ async def test_both_are_counted_in_the_header(app: ConsoleApp, pilot: Pilot[None
     await shown(pilot, " 1 service  ● 1 ok │ drops 0 │ 1 call under way, 0 failed")
 
 
-@on_main(size=NARROW)
+@on_main(NARROW)
 async def test_the_counts_fit_on_a_narrow_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, *ALL)
     await shown(pilot, "8 topics, 2 services, 1 action, parameters of 1 node ✗2 ▲1 ‖1 ●8")
@@ -227,16 +226,11 @@ def test_parameters_have_no_type_of_their_own() -> None:
     assert "std_srvs/srv/SetBool (as configured)" in said(replace(unknown, spec=asked_for))
 
 
-def test_what_stands_in_a_narrow_detail_is_whole() -> None:
-    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, CALL_ROUTES[2:3]))
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/navigate_to_pose")
-        await pilot.press("enter", "G")
-        await shown(pilot, "given up    after 30 s")
-        await gone(pilot, "Stages")
-
-    drive(app, steps, NARROW)
+@on_main(NARROW, landmark="/navigate_to_pose", routes=CALL_ROUTES[2:3])
+async def test_what_stands_in_a_narrow_detail_is_whole(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("enter", "G")
+    await shown(pilot, "given up    after 30 s")
+    await gone(pilot, "Stages")
 
 
 @on_main()

@@ -19,6 +19,7 @@ from tests.console.driving import (
     shown_at_the_end,
 )
 from tests.console.scripted import SESSION
+from tests.support.long import long
 from textual.pilot import Pilot
 
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
@@ -54,7 +55,7 @@ async def links(pilot: Pilot[None]) -> None:
     await shown(pilot, CLIENT_KEYS)
 
 
-@pytest.mark.parametrize("size", [(120, 36), NARROW])
+@pytest.mark.parametrize("size", [*long((120, 36)), NARROW])
 def test_a_client_is_added_at_once_and_in_the_file(path: Path, size: tuple[int, int]) -> None:
     app = scripted_app(session=load(path), path=path)
 

@@ -5,22 +5,23 @@ from dataclasses import replace
 import pytest
 from tests.console.driving import (
     NARROW,
-    drive,
     engine_of,
     gone,
-    scripted_app,
+    on_main,
+    put,
     selected_topic,
     settled,
     shown,
     text,
     until,
 )
-from tests.console.scripted import ROUTES, ScriptedEngine, route
+from tests.console.scripted import ROUTES, route
 from textual.pilot import Pilot
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
+from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
 from rsb_console.widgets.detail import detail_lines
 from rsb_console.widgets.detail_parts import DetailText
@@ -30,44 +31,34 @@ def said(about: RouteSnapshot, width: int = 60) -> str:
     return "\n".join("".join(piece for piece, _ in line) for line in detail_lines(about, "10.0.0.20:49152", width))
 
 
-def test_another_topic_is_shown_from_its_beginning() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.resize_terminal(120, 20)
-        await pilot.press("enter", "end")
-        await until(pilot, lambda: app.main.detail.scroll_offset.y > 0, "the pane's end")
-        await settled(pilot)
-        app.pull()
-        assert app.main.detail.scroll_offset.y > 0, "the same topic stays where it was"
-        await pilot.press("escape", "j")
-        await until(pilot, lambda: app.main.detail.scroll_offset.y == 0, "the pane's beginning")
-
-    drive(app, steps)
+@on_main()
+async def test_another_topic_is_shown_from_its_beginning(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.resize_terminal(120, 20)
+    await pilot.press("enter", "end")
+    await until(pilot, lambda: app.main.detail.scroll_offset.y > 0, "the pane's end")
+    await settled(pilot)
+    app.pull()
+    assert app.main.detail.scroll_offset.y > 0, "the same topic stays where it was"
+    await pilot.press("escape", "j")
+    await until(pilot, lambda: app.main.detail.scroll_offset.y == 0, "the pane's beginning")
 
 
-def test_the_keys_of_a_list_scroll_it() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.resize_terminal(120, 20)
-        await pilot.press("enter")
-        pane = app.main.detail
-        await until(pilot, lambda: pane.has_focus and pane.max_scroll_y > 3, "more than fits")
-        await settled(pilot)
-        for key, y in [
-            ("j", 1), ("down", 2), ("k", 1), ("up", 0), ("G", pane.max_scroll_y), ("g", 0),
-            ("end", pane.max_scroll_y), ("home", 0),
-        ]:  # fmt: skip
-            await pilot.press(key)
-            await until(pilot, lambda y=y: pane.scroll_offset.y == y, f"{key}: line {y} at the top")
-        await pilot.press("pagedown")
-        await until(pilot, lambda: pane.scroll_offset.y > 1, "a page on")
-        assert selected_topic(app) == "/robot2/scan", "the table's cursor stays"
-
-    drive(app, steps)
+@on_main()
+async def test_the_keys_of_a_list_scroll_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.resize_terminal(120, 20)
+    await pilot.press("enter")
+    pane = app.main.detail
+    await until(pilot, lambda: pane.has_focus and pane.max_scroll_y > 3, "more than fits")
+    await settled(pilot)
+    for key, y in [
+        ("j", 1), ("down", 2), ("k", 1), ("up", 0), ("G", pane.max_scroll_y), ("g", 0),
+        ("end", pane.max_scroll_y), ("home", 0),
+    ]:  # fmt: skip
+        await pilot.press(key)
+        await until(pilot, lambda y=y: pane.scroll_offset.y == y, f"{key}: line {y} at the top")
+    await pilot.press("pagedown")
+    await until(pilot, lambda: pane.scroll_offset.y > 1, "a page on")
+    assert selected_topic(app) == "/robot2/scan", "the table's cursor stays"
 
 
 def test_a_type_that_was_asked_for_is_named_before_it_is_found() -> None:
@@ -76,19 +67,14 @@ def test_a_type_that_was_asked_for_is_named_before_it_is_found() -> None:
     assert DetailText.UNKNOWN_TYPE() in said(replace(waiting, spec=Topic("/scan", "receive")))
 
 
-def test_a_client_calls_its_peer_by_its_address() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "← from 10.0.0.20:49152")
-        await pilot.press("d")
-        await shown(pilot, "10.0.0.20:49152.")
-        await pilot.press("escape")
-        engine_of(app).now = replace(engine_of(app).now, role="server")
-        app.pull()
-        await shown(pilot, "← from robot1")
-
-    drive(app, steps)
+@on_main(landmark="← from 10.0.0.20:49152")
+async def test_a_client_calls_its_peer_by_its_address(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("d")
+    await shown(pilot, "10.0.0.20:49152.")
+    await pilot.press("escape")
+    engine_of(app).now = replace(engine_of(app).now, role="server")
+    app.pull()
+    await shown(pilot, "← from robot1")
 
 
 def test_where_peer_and_carrier_have_no_room_beside_each_other_both_are_whole() -> None:
@@ -97,57 +83,39 @@ def test_where_peer_and_carrier_have_no_room_beside_each_other_both_are_whole() 
     assert "BLUETOOTH channel 3" in said(bluetooth, 36)
 
 
-def test_what_has_no_room_on_one_line_goes_on_on_the_next() -> None:
-    qos = Qos(reliability="best_effort", durability="transient_local", depth=5, deadline=0.5)
-    error = "No route to host, again and again"
-    wordy = route("/scan", qos=qos, latency_p99=0.0123, last_error=error, last_error_at=1e9)
-    engine = ScriptedEngine(routes=(wordy,))
-    app = scripted_app(make_engine=lambda _session, _base: engine)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/scan")
-        await pilot.press("enter", "G")
-        for words in (
-            "best effort,  ",
-            "transient local,  ",
-            "deadline 500.0 ms",
-            "± 400 µs",
-            "No route to host,",
-            "  and again",
-        ):
-            await shown(pilot, words)
-
-    drive(app, steps)
+WORDY = route(
+    "/scan",
+    qos=Qos(reliability="best_effort", durability="transient_local", depth=5, deadline=0.5),
+    latency_p99=0.0123, last_error="No route to host, again and again", last_error_at=1e9,
+)  # fmt: skip
 
 
-def test_the_scrollbar_hides_nothing() -> None:
-    just_too_wide = route("/scan", outgoing=True, transport="tcp", port=54757)  # with the pane's edge to spare by one
-    engine = ScriptedEngine(routes=(just_too_wide,))
-    engine.now = replace(engine.now, address="127.0.0.1:54757")
-    app = scripted_app(make_engine=lambda _session, _base: engine)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "→ to 127.0.0.1:54757")
-        await shown(pilot, "TCP port 54757")
-
-    drive(app, steps)
+@on_main(landmark="/scan", routes=(WORDY,))
+async def test_what_has_no_room_on_one_line_goes_on_on_the_next(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("enter", "G")
+    for words in (
+        "best effort,  ", "transient local,  ", "deadline 500.0 ms", "± 400 µs", "No route to host,", "  and again",
+    ):  # fmt: skip
+        await shown(pilot, words)
 
 
-def test_no_latency_is_below_zero() -> None:
-    app = scripted_app(
-        make_engine=lambda session, base: ScriptedEngine(
-            session, base, (route("/scan", latency_p50=-0.0031, latency_p99=-0.0002, latency_uncertainty=0.004),)
-        )
-    )
+@on_main(landmark="/scan", routes=(route("/scan", outgoing=True, transport="tcp", port=54757),))
+async def test_the_scrollbar_hides_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """The line is too wide by one cell."""
+    put(app, address="127.0.0.1:54757")
+    await shown(pilot, "→ to 127.0.0.1:54757")
+    await shown(pilot, "TCP port 54757")
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "10.0/10   41.2   0.0")
-        await pilot.press("enter", "end")
-        await shown(pilot, "p50 <4.0 ms")
-        await shown(pilot, "p99 <4.0 ms")
-        await gone(pilot, "-3.1")
 
-    drive(app, steps)
+@on_main(
+    landmark="10.0/10   41.2   0.0",
+    routes=(route("/scan", latency_p50=-0.0031, latency_p99=-0.0002, latency_uncertainty=0.004),),
+)
+async def test_no_latency_is_below_zero(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("enter", "end")
+    await shown(pilot, "p50 <4.0 ms")
+    await shown(pilot, "p99 <4.0 ms")
+    await gone(pilot, "-3.1")
     assert formats.latency(-1.0, None) == "0 µs"
 
 
@@ -188,25 +156,22 @@ def test_only_what_flows_has_a_rate(about: RouteSnapshot) -> None:
     assert ("Rate  - Hz" in said(about)) is (about.state not in {State.OK, State.STALE})
 
 
-def test_control_characters_never_go_out() -> None:
-    evil = "/ev\x1b[2Jil\x9b\n\x07\u202e"
-    app = scripted_app(
-        make_engine=lambda session, base: ScriptedEngine(
-            session, base, (route(evil, State.DOWN, reason=f"because {evil}", type_name=evil),)
-        )
-    )
+EVIL = "/ev\x1b[2Jil\x9b\n\x07\u202e"
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/ev[2Jil")
-        await settled(pilot)
-        assert all(line.isprintable() for line in text(app).split("\n"))
-        await pilot.press("d")
-        await shown(pilot, "Remove /ev")
-        app.notify(evil, markup=False)
-        await settled(pilot)
-        assert all(line.isprintable() for line in text(app).split("\n"))
 
-    drive(app, steps, NARROW)
+@on_main(
+    NARROW,
+    landmark="/ev[2Jil",
+    routes=(route(EVIL, State.DOWN, reason=f"because {EVIL}", type_name=EVIL),),
+)
+async def test_control_characters_never_go_out(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await settled(pilot)
+    assert all(line.isprintable() for line in text(app).split("\n"))
+    await pilot.press("d")
+    await shown(pilot, "Remove /ev")
+    app.notify(EVIL, markup=False)
+    await settled(pilot)
+    assert all(line.isprintable() for line in text(app).split("\n"))
 
 
 def test_the_qos_of_both_ends_and_of_the_bridge() -> None:

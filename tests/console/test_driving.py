@@ -9,13 +9,14 @@ from typing import Any
 import pytest
 from tests.console.driving import (
     NOWHERE,
-    AppSteps,
+    Decorator,
     drive,
     engine_as,
     engine_of,
     gone,
     is_shown,
     notified,
+    on_main,
     put,
     scripted_app,
     shown,
@@ -91,12 +92,6 @@ def test_a_key_that_repeats_goes_on() -> None:
     for number in range(50):
         steering.press("up", 10.0 + number / 30)
         assert steering.at(10.0 + number / 30) == (SPEED, 0.0)
-
-
-def test_a_stop_ends_both_directions_at_once() -> None:
-    steering = steered("u")
-    steering.press("space", 10.1)
-    assert steering.at(10.1) == (0.0, 0.0)
 
 
 def test_the_speed_has_limits() -> None:
@@ -199,29 +194,18 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return made
 
 
-def driving(shown_route: RouteSnapshot, steps: AppSteps) -> None:
-    """Run a test's steps once the screen is open on a route."""
-    app = scripted_app(make_engine=lambda session, base: Robot(session, base, (shown_route,)))
+def driven(shown_route: RouteSnapshot = ARMED) -> Decorator:
+    """A test's steps run once the screen is open on a route."""
 
-    async def run(pilot: Pilot[None]) -> None:
-        await shown(pilot, shown_route.topic)
+    async def opened(pilot: Pilot[None]) -> None:
         await pilot.press("D")
-        await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
-        await steps(app, pilot)
+        await until(pilot, lambda: isinstance(pilot.app.screen, DriveScreen), "the screen")
 
-    drive(app, run)
+    return on_main(landmark=shown_route.topic, opening=opened, make_engine=robot_of(shown_route))
 
 
-def driven(steps: Callable[..., Any]) -> Callable[[Clock], None]:
-    """A test's steps run once the screen is open on a topic that is armed."""
-
-    def test(clock: Clock) -> None:
-        async def run(app: ConsoleApp, pilot: Pilot[None]) -> None:
-            await steps(app, pilot, clock)
-
-        driving(ARMED, run)
-
-    return test
+def robot_of(*routes: RouteSnapshot) -> Callable[..., Robot]:
+    return lambda session, base: Robot(session, base, routes)
 
 
 def sent(app: ConsoleApp) -> list[Publish]:
@@ -257,7 +241,7 @@ async def rests(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> int:
 ZERO = velocity(TWIST, 0.0, 0.0)
 
 
-@driven
+@driven()
 async def test_commands_go_out_while_a_key_counts_and_zeros_after_it(
     app: ConsoleApp, pilot: Pilot[None], clock: Clock
 ) -> None:
@@ -274,31 +258,29 @@ async def test_commands_go_out_while_a_key_counts_and_zeros_after_it(
     assert [each.ticket for each in sent(app)] == [*range(count)]
 
 
-@driven
+@driven()
 async def test_while_the_robot_stands_nothing_is_sent(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     await shown(pilot, DriveText.STANDS)
     await pressed(pilot, clock, "space", "k", "plus", "minus")
     assert await rests(app, pilot, clock) == 0
 
 
-def test_a_stamped_velocity(clock: Clock) -> None:
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        await pressed(pilot, clock, "down")
-        await until(pilot, lambda: sent(app), "a command")
-        assert (sent(app)[0].type_name, sent(app)[0].rest) == (TWIST_STAMPED, velocity(TWIST_STAMPED, 0.0, 0.0))
-        assert read_fields(sent(app)[0].fields) == read_fields(velocity(TWIST_STAMPED, -SPEED, 0.0))
-
-    driving(replace(ARMED, type_name=TWIST_STAMPED), steps)
+@driven(replace(ARMED, type_name=TWIST_STAMPED))
+async def test_a_stamped_velocity(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    await pressed(pilot, clock, "down")
+    await until(pilot, lambda: sent(app), "a command")
+    assert (sent(app)[0].type_name, sent(app)[0].rest) == (TWIST_STAMPED, velocity(TWIST_STAMPED, 0.0, 0.0))
+    assert read_fields(sent(app)[0].fields) == read_fields(velocity(TWIST_STAMPED, -SPEED, 0.0))
 
 
-@driven
+@driven()
 async def test_the_speed_of_a_key_is_changed(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     await pressed(pilot, clock, "plus", "up")
     await until(pilot, lambda: sent(app), "a command")
     assert velocities(app)[0] == velocity(TWIST, 1.25 * SPEED, 0.0)
 
 
-@driven
+@driven()
 async def test_a_key_that_was_held_up_moves_nothing(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     """It counts from the time when it came to this process, however long the console was busy."""
     event = Key("up", None)
@@ -308,7 +290,7 @@ async def test_a_key_that_was_held_up_moves_nothing(app: ConsoleApp, pilot: Pilo
     assert await rests(app, pilot, clock) == 0
 
 
-@driven
+@driven()
 async def test_a_burst_of_late_keys_stops(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     assert isinstance(app.screen, DriveScreen)
     steering = app.screen._steering
@@ -320,7 +302,7 @@ async def test_a_burst_of_late_keys_stops(app: ConsoleApp, pilot: Pilot[None], c
     assert steering.at(events[0].time) == (0.0, 0.0)
 
 
-@driven
+@driven()
 async def test_a_refusal_is_shown(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     engine_of(app).published = [EngineError("no luck [red]\x1b[2J")] * 200
     await pressed(pilot, clock, "up")
@@ -331,7 +313,7 @@ async def test_a_refusal_is_shown(app: ConsoleApp, pilot: Pilot[None], clock: Cl
     assert ZERO in velocities(app) or await rests(app, pilot, clock)
 
 
-@driven
+@driven()
 async def test_tickets_that_are_too_old_are_reported(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     engine_of(app).published = [Published(is_done=False, ticket=7)] * 200
     await pressed(pilot, clock, "up")
@@ -343,7 +325,7 @@ async def test_tickets_that_are_too_old_are_reported(app: ConsoleApp, pilot: Pil
     await gone(pilot, ByHandText.TOO_SLOW)
 
 
-@driven
+@driven()
 async def test_after_old_tickets_three_are_tried_again(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     screen = app.screen
     assert isinstance(screen, DriveScreen)
@@ -360,7 +342,7 @@ async def test_after_old_tickets_three_are_tried_again(app: ConsoleApp, pilot: P
 # -- the screen
 
 
-@driven
+@driven()
 async def test_closing_the_screen_ends_the_sending(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     await pressed(pilot, clock, "up")
     await until(pilot, lambda: sent(app), "a command")
@@ -369,15 +351,7 @@ async def test_closing_the_screen_ends_the_sending(app: ConsoleApp, pilot: Pilot
     await until(pilot, lambda: all(each.is_finished for each in app.workers if each.name == "_drive"), "the end")
 
 
-@driven
-async def test_without_a_session_it_says_so(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
-    engine, app.engine = app.engine, None
-    await pressed(pilot, clock, "up")
-    await shown(pilot, ByHandText.NO_SESSION)
-    app.engine = engine
-
-
-@driven
+@driven()
 async def test_it_shows_whether_the_topic_is_armed(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     await shown(pilot, DriveText.LEFT, seconds=42.0)
     put(app, DISARMED)
@@ -388,7 +362,7 @@ async def test_it_shows_whether_the_topic_is_armed(app: ConsoleApp, pilot: Pilot
     assert engine_of(app).commands == []
 
 
-@driven
+@driven()
 async def test_it_is_disarmed_at_once_and_armed_after_a_question(
     app: ConsoleApp, pilot: Pilot[None], clock: Clock
 ) -> None:
@@ -410,20 +384,18 @@ def arming(*, here: bool = True, by: str = "anna") -> ArmingSnapshot:
     return ArmingSnapshot(armed=True, by=by, here=here, deadman=60.0)
 
 
-def test_leaving_the_screen_disarms_what_it_has_armed(clock: Clock) -> None:
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        await pilot.press("A")
-        await shown(pilot, "Arm /cmd_vel of robot1?")
-        await pilot.press("y")
-        await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
-        put(app, ARMED)
-        await pilot.press("escape")
-        await until(pilot, lambda: engine_of(app).commands[1:] == [("disarm", "/cmd_vel", "own")], "disarmed")
-
-    driving(DISARMED, steps)
+@driven(DISARMED)
+async def test_leaving_the_screen_disarms_what_it_has_armed(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    await pilot.press("A")
+    await shown(pilot, "Arm /cmd_vel of robot1?")
+    await pilot.press("y")
+    await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
+    put(app, ARMED)
+    await pilot.press("escape")
+    await until(pilot, lambda: engine_of(app).commands[1:] == [("disarm", "/cmd_vel", "own")], "disarmed")
 
 
-@driven
+@driven()
 async def test_leaving_the_screen_leaves_armed_what_was_before(
     app: ConsoleApp, pilot: Pilot[None], clock: Clock
 ) -> None:
@@ -432,13 +404,13 @@ async def test_leaving_the_screen_leaves_armed_what_was_before(
     assert engine_of(app).commands == []
 
 
-@driven
+@driven()
 async def test_another_driver_is_named(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     put(app, replace(ARMED, arming=arming(here=False, by="robot1 says: bert")))
     await shown(pilot, DriveText.ARMED_BY, who="robot1 says: bert")
 
 
-@driven
+@driven()
 async def test_what_was_armed_before_the_bridge_was_lost_is_not_shown_as_armed(
     app: ConsoleApp, pilot: Pilot[None], clock: Clock
 ) -> None:
@@ -452,53 +424,50 @@ async def test_what_was_armed_before_the_bridge_was_lost_is_not_shown_as_armed(
     await shown(pilot, DriveText.MOVING, forward=0.2)
 
 
-def test_no_velocity_is_shown_while_disarmed(clock: Clock) -> None:
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        await shown(pilot, DriveText.NOT_WHILE_DISARMED)
-        await pressed(pilot, clock, "up")
-        assert f"{SPEED:+.2f}" not in text(app)
-
-    driving(DISARMED, steps)
+@driven(DISARMED)
+async def test_no_velocity_is_shown_while_disarmed(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    await shown(pilot, DriveText.NOT_WHILE_DISARMED)
+    await pressed(pilot, clock, "up")
+    assert f"{SPEED:+.2f}" not in text(app)
 
 
-def test_other_robots_that_a_topic_moves_are_named_and_asked_for(clock: Clock) -> None:
-    other = replace(ARMED, key="other", link="robot2")
-    app = scripted_app(make_engine=lambda session, base: Robot(session, base, (ARMED, other)))
+@on_main(
+    landmark="/cmd_vel",
+    make_engine=robot_of(ARMED, replace(ARMED, key="other", link="robot2")),
+)
+async def test_other_robots_that_a_topic_moves_are_named_and_asked_for(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock
+) -> None:
+    await pilot.press("D")
+    await shown(pilot, DriveText.SEVERAL(topic="/cmd_vel", count=2))
+    await shown(pilot, "robot1 and robot2")
+    await pilot.press("n")
+    await until(pilot, lambda: app.screen is app.main, "the list")
+    await pilot.press("D")
+    await shown(pilot, DriveText.SEVERAL(topic="/cmd_vel", count=2))
+    await pilot.press("y")
+    await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/cmd_vel")
-        await pilot.press("D")
-        await shown(pilot, DriveText.SEVERAL(topic="/cmd_vel", count=2))
-        await shown(pilot, "robot1 and robot2")
-        await pilot.press("n")
-        await until(pilot, lambda: app.screen is app.main, "the list")
-        await pilot.press("D")
-        await shown(pilot, DriveText.SEVERAL(topic="/cmd_vel", count=2))
-        await pilot.press("y")
-        await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
 
-    drive(app, steps)
-
-
-def test_only_keys_on_the_screen_that_armed_a_topic_keep_it_armed(clock: Clock) -> None:
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        kept: list[bool] = []
-        engine_of(app).kept = kept
-        await pilot.press("A", "y")
-        put(app, ARMED)
-        kept.clear()
-        await pilot.press("up")
-        await until(pilot, lambda: any(kept), "a key that counts")
-        await pilot.press("escape")
-        await until(pilot, lambda: app.screen is app.main, "the list")
-        app.pull()
-        kept.clear()
-        await pilot.press("up", "down")
-        app.pull()
-        assert kept
-        assert not any(kept)
-
-    driving(DISARMED, steps)
+@driven(DISARMED)
+async def test_only_keys_on_the_screen_that_armed_a_topic_keep_it_armed(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock
+) -> None:
+    kept: list[bool] = []
+    engine_of(app).kept = kept
+    await pilot.press("A", "y")
+    put(app, ARMED)
+    kept.clear()
+    await pilot.press("up")
+    await until(pilot, lambda: any(kept), "a key that counts")
+    await pilot.press("escape")
+    await until(pilot, lambda: app.screen is app.main, "the list")
+    app.pull()
+    kept.clear()
+    await pilot.press("up", "down")
+    app.pull()
+    assert kept
+    assert not any(kept)
 
 
 @pytest.mark.parametrize(
@@ -507,7 +476,7 @@ def test_only_keys_on_the_screen_that_armed_a_topic_keep_it_armed(clock: Clock) 
 )
 def test_the_type_may_have_a_short_name_or_be_known_to_the_bridge_only(clock: Clock, spec: Topic, known: bool) -> None:
     unknown = replace(ARMED, type_name="", spec=spec)
-    app = scripted_app(make_engine=lambda session, base: Robot(session, base, (unknown,)))
+    app = scripted_app(make_engine=robot_of(unknown))
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/cmd_vel")
@@ -522,23 +491,14 @@ def test_the_type_may_have_a_short_name_or_be_known_to_the_bridge_only(clock: Cl
     drive(app, steps)
 
 
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [({"type_name": "std_msgs/msg/String"}, DriveText.OTHER_TYPE), ({"max_age": 0.0}, DriveText.NOT_DRIVEN)],
-)
-def test_a_topic_that_cannot_be_driven_is_named(changes: dict[str, Any], reason: DriveText) -> None:
-    app = scripted_app(make_engine=lambda session, base: Robot(session, base, (replace(ARMED, **changes),)))
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/cmd_vel")
-        await pilot.press("D")
-        await notified(pilot, reason, topic="/cmd_vel")
-        assert app.screen is app.main
-
-    drive(app, steps)
+@on_main(landmark="/cmd_vel", make_engine=robot_of(replace(ARMED, max_age=0.0)))
+async def test_a_topic_that_cannot_be_driven_is_named(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("D")
+    await notified(pilot, DriveText.NOT_DRIVEN, topic="/cmd_vel")
+    assert app.screen is app.main
 
 
-@driven
+@driven()
 async def test_what_the_robot_has_in_hand_is_shown(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     assert ARMED.arming is not None
     for given, motion in [
@@ -560,98 +520,91 @@ ASKED = replace(ARMED, arming=QUESTION)
 @pytest.mark.parametrize(
     ("key", "command"), [("y", "ask_holder"), ("t", "take_arming"), ("A", "disarm"), ("n", ""), ("escape", "")]
 )
-def test_what_another_console_holds_is_asked_for_taken_or_disarmed(clock: Clock, key: str, command: str) -> None:
+@driven(ELSEWHERE)
+async def test_what_another_console_holds_is_asked_for_taken_or_disarmed(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock, key: str, command: str
+) -> None:
     """Also if it was armed on this side."""
-
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        engine_of(app).holds = ()
-        await shown(pilot, DriveText.ARMED_BY, who="bert on pts/2")
-        await pilot.press("A")
-        await shown(pilot, HandOverText.HELD, topic="/cmd_vel")
-        await shown(pilot, "bert on pts/2 holds it")
-        await pilot.press(key)
-        await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
-        expected = [(command, "/cmd_vel")] if command else []
-        await until(pilot, lambda: engine_of(app).commands == expected, "the command")
-
-    driving(ELSEWHERE, steps)
+    engine_of(app).holds = ()
+    await shown(pilot, DriveText.ARMED_BY, who="bert on pts/2")
+    await pilot.press("A")
+    await shown(pilot, HandOverText.HELD, topic="/cmd_vel")
+    await shown(pilot, "bert on pts/2 holds it")
+    await pilot.press(key)
+    await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
+    expected = [(command, "/cmd_vel")] if command else []
+    await until(pilot, lambda: engine_of(app).commands == expected, "the command")
 
 
-def test_who_may_not_take_is_not_offered_it(clock: Clock) -> None:
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        engine_of(app).holds = ()
-        engine_of(app).may_take = False
-        await shown(pilot, DriveText.ARMED_BY, who="bert on pts/2")
-        await pilot.press("A")
-        await shown(pilot, "A disarm   n no")
-        question = app.screen
-        assert not question.query("#take")
-        assert HandOverText.TAKE_KEY().strip() not in text(app)
-        await pilot.press("t")
-        await pilot.press("n")
-        await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
-        assert engine_of(app).commands == []
-
-    driving(ELSEWHERE, steps)
+@driven(ELSEWHERE)
+async def test_who_may_not_take_is_not_offered_it(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+    engine_of(app).holds = ()
+    engine_of(app).may_take = False
+    await shown(pilot, DriveText.ARMED_BY, who="bert on pts/2")
+    await pilot.press("A")
+    await shown(pilot, "A disarm   n no")
+    question = app.screen
+    assert not question.query("#take")
+    assert HandOverText.TAKE_KEY().strip() not in text(app)
+    await pilot.press("t")
+    await pilot.press("n")
+    await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
+    assert engine_of(app).commands == []
 
 
-def test_leaving_the_screen_asks_no_longer(clock: Clock) -> None:
+@driven(ELSEWHERE)
+async def test_leaving_the_screen_asks_no_longer(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     asking: list[Future[None]] = []
 
     def ask_holder(key: str, *, shared: bool = False) -> Future[None]:
         asking.append(Future())
         return asking[-1]
 
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        engine = engine_of(app)
-        engine.holds = ()
-        engine.ask_holder = ask_holder  # type: ignore[method-assign]
-        await shown(pilot, DriveText.ARMED_BY, who="bert on pts/2")
-        await pilot.press("A")
-        await shown(pilot, HandOverText.HELD, topic="/cmd_vel")
-        await pilot.press("y")
-        await until(pilot, lambda: asking, "the question")
-        engine.kept.clear()
-        put(app, replace(ELSEWHERE, arming=replace(QUESTION, by="bert on pts/2", here=False, asked_by="anna")))
-        await shown(pilot, DriveText.ASKED, who="bert on pts/2", seconds=7.0)
-        await until(pilot, lambda: engine.kept, "a sign of life, without which the question ends")
-        await pilot.press("escape")
-        await until(pilot, asking[0].cancelled, "no question")
-
-    driving(ELSEWHERE, steps)
+    engine = engine_of(app)
+    engine.holds = ()
+    engine.ask_holder = ask_holder  # type: ignore[method-assign]
+    await shown(pilot, DriveText.ARMED_BY, who="bert on pts/2")
+    await pilot.press("A")
+    await shown(pilot, HandOverText.HELD, topic="/cmd_vel")
+    await pilot.press("y")
+    await until(pilot, lambda: asking, "the question")
+    engine.kept.clear()
+    put(app, replace(ELSEWHERE, arming=replace(QUESTION, by="bert on pts/2", here=False, asked_by="anna")))
+    await shown(pilot, DriveText.ASKED, who="bert on pts/2", seconds=7.0)
+    await until(pilot, lambda: engine.kept, "a sign of life, without which the question ends")
+    await pilot.press("escape")
+    await until(pilot, asking[0].cancelled, "no question")
 
 
 @pytest.mark.parametrize(("key", "gives"), [("y", True), ("n", False)])
-def test_the_holder_sees_the_question_while_driving_and_answers(clock: Clock, key: str, gives: bool) -> None:
+@driven()
+async def test_the_holder_sees_the_question_while_driving_and_answers(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock, key: str, gives: bool
+) -> None:
     """The keys that drive and stop do so meanwhile. A key that was on its way when the question came is no answer."""
-
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        put(app, ASKED)
-        await shown(pilot, DriveText.ASKS, who="bert on pts/2", seconds=7.0)
-        await pilot.press(key)
-        await pressed(pilot, clock, "up")
-        await until(pilot, lambda: sent(app), "a command")
-        assert not [command for command in engine_of(app).commands if command[0] == "answer_asker"]
-        clock.now += 1.0
-        await pilot.press(key)
-        await until(pilot, lambda: ("answer_asker", "/cmd_vel", gives) in engine_of(app).commands, "the answer")
-        assert isinstance(app.screen, DriveScreen)
-
-    driving(ARMED, steps)
+    put(app, ASKED)
+    await shown(pilot, DriveText.ASKS, who="bert on pts/2", seconds=7.0)
+    await pilot.press(key)
+    await pressed(pilot, clock, "up")
+    await until(pilot, lambda: sent(app), "a command")
+    assert not [command for command in engine_of(app).commands if command[0] == "answer_asker"]
+    clock.now += 1.0
+    await pilot.press(key)
+    await until(pilot, lambda: ("answer_asker", "/cmd_vel", gives) in engine_of(app).commands, "the answer")
+    assert isinstance(app.screen, DriveScreen)
 
 
-def test_a_refusal_is_gone_once_another_operator_holds_the_topic(clock: Clock) -> None:
+@driven(ELSEWHERE)
+async def test_a_refusal_is_gone_once_another_operator_holds_the_topic(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock
+) -> None:
     """It names the holder of before, and this console may be the holder now."""
-
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        engine_of(app).published = [EngineError("no luck")] * 200
-        await pressed(pilot, clock, "up")
-        await shown(pilot, "no luck")
-        await rests(app, pilot, clock)
-        put(app, ARMED)
-        await gone(pilot, "no luck")
-
-    driving(ELSEWHERE, steps)
+    engine_of(app).published = [EngineError("no luck")] * 200
+    await pressed(pilot, clock, "up")
+    await shown(pilot, "no luck")
+    await rests(app, pilot, clock)
+    put(app, ARMED)
+    await gone(pilot, "no luck")
 
 
 # -- limits
@@ -659,25 +612,24 @@ def test_a_refusal_is_gone_once_another_operator_holds_the_topic(clock: Clock) -
 LIMITED = replace(ARMED, limits=VelocityLimits(0.1, 0.3), limited_by=("robot.yaml:14",))
 
 
-def test_what_is_asked_is_within_the_limits_and_their_line_is_shown(clock: Clock) -> None:
+@driven(LIMITED)
+async def test_what_is_asked_is_within_the_limits_and_their_line_is_shown(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock
+) -> None:
     """The bridge reduces what is beyond limits that this console does not know yet."""
-
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        await shown(pilot, DriveText.LIMITED, limits=VelocityLimits(0.1, 0.3), lines="robot.yaml:14")
+    await shown(pilot, DriveText.LIMITED, limits=VelocityLimits(0.1, 0.3), lines="robot.yaml:14")
+    await pressed(pilot, clock, "o")
+    await until(pilot, lambda: sent(app), "a command")
+    assert velocities(app)[0] == velocity(TWIST, 0.1, -0.3)
+    deadline = time.monotonic() + 60
+    while not is_shown(app, "+0.10"):  # for as long as the key counts, which the commands shorten
+        assert time.monotonic() < deadline
         await pressed(pilot, clock, "o")
-        await until(pilot, lambda: sent(app), "a command")
-        assert velocities(app)[0] == velocity(TWIST, 0.1, -0.3)
-        deadline = time.monotonic() + 60
-        while not is_shown(app, "+0.10"):  # for as long as the key counts, which the commands shorten
-            assert time.monotonic() < deadline
-            await pressed(pilot, clock, "o")
-        assert all(each.reduce for each in sent(app))
-        await pressed(pilot, clock, "minus", "minus", "minus", "minus", "minus", "space")
-        await rests(app, pilot, clock)
-        await pressed(pilot, clock, "i")
-        await until(pilot, lambda: velocity(TWIST, SPEED / 1.25**5, 0.0) in velocities(app), "a slower command")
-
-    driving(LIMITED, steps)
+    assert all(each.reduce for each in sent(app))
+    await pressed(pilot, clock, "minus", "minus", "minus", "minus", "minus", "space")
+    await rests(app, pilot, clock)
+    await pressed(pilot, clock, "i")
+    await until(pilot, lambda: velocity(TWIST, SPEED / 1.25**5, 0.0) in velocities(app), "a slower command")
 
 
 def test_the_smallest_limits_of_all_robots_on_the_topic_count() -> None:

@@ -4,14 +4,15 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
-from tests.console.driving import drive, engine_of, gone, put, scripted_app, shown, text, until
-from tests.console.scripted import LINK, NOW, ROUTES, ScriptedEngine, route
+from tests.console.driving import drive, engine_of, gone, on_main, put, scripted_app, shown, text, until
+from tests.console.scripted import LINK, NOW, ROUTES, route
 from tests.support.long import long
 from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import LinkSnapshot, RefusedClient, RouteSnapshot, Snapshot, State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route.topic_verdict import no_publisher
+from rsb_console.app import ConsoleApp
 from rsb_console.widgets.fault_pane import Heights, MoreKeys, fault_lines, faults_of, link_fault
 
 QOS = "/camera offers best effort, but this topic asks for reliable: its messages are not received; set qos: auto"
@@ -103,7 +104,7 @@ def test_a_long_one_hides_no_short_one() -> None:
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_without_a_key_at_every_width(size: tuple[int, int]) -> None:
     routes = (route("/camera", State.DOWN, reason="refused there"), TYPO, *ROUTES[:3])
-    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, routes))
+    app = scripted_app(routes=routes)
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/camera: refused there")
@@ -116,7 +117,7 @@ def test_without_a_key_at_every_width(size: tuple[int, int]) -> None:
 
 def test_faults_only_gives_them_more_room() -> None:
     many = [route(f"/{n}", State.DOWN, reason=f"reason number {n}") for n in range(10, 30)]
-    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, tuple(many)))
+    app = scripted_app(routes=tuple(many))
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "and 15 more: press f")
@@ -185,16 +186,11 @@ def test_a_fault_gives_its_room_back_in_time() -> None:
     assert taken == [2, 2, 2, 1, 0]
 
 
-def test_a_client_that_is_refused_is_on_the_first_screen() -> None:
+@on_main((80, 24), landmark="/fine", routes=(route("/fine"),))
+async def test_a_client_that_is_refused_is_on_the_first_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
     refused = RefusedClient("robot9", "10.0.0.9", "unknown_name", "unknown: add it", NOW - 5.0, 3)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/fine")
-        put(app, refused=(refused,))
-        await shown(pilot, "robot9 at 10.0.0.9: unknown: add it")
-
-    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, (route("/fine"),)))
-    drive(app, steps, (80, 24))
+    put(app, refused=(refused,))
+    await shown(pilot, "robot9 at 10.0.0.9: unknown: add it")
 
 
 @pytest.mark.parametrize(("cause", "missing"), [("not_yet", False), ("lost", True)])

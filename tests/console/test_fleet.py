@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.console.driving import NARROW, NOWHERE, WIDE, ended, notices, settled, shown, text, until
+from tests.console.driving import NARROW, NOWHERE, WIDE, Decorator, as_test, ended, notices, settled, shown, text, until
 from tests.console.scripted import NOW, SESSION, ScriptedEngine
 from tests.console.tmux import Tmux
 from tests.model.test_robot_summary import a, on_server
 from tests.support import surroundings
 from tests.support.fleet import ScriptedSource, ServerEngine, fleet_of, robot, topics
+from tests.support.long import long
 from textual.pilot import Pilot
 from textual.widgets import Input
 
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
 
     from tests.support.control import Machine
 
-    from rsb_console.actions import Action
     from rsb_console.fleet.rolling import RobotChange
 
 SILENT = robot(
@@ -103,17 +103,26 @@ class Bed:
         asyncio.run(run())
 
 
+def on_fleet(make: Callable[[], Bed] = Bed, size: tuple[int, int] = NARROW) -> Decorator:
+    """A test's steps run once the fleet's screen has its robots."""
+
+    def decorate(steps: Callable[..., Awaitable[None]]) -> Callable[..., None]:
+        return as_test(lambda **fixtures: make().run(lambda bed: steps(bed, **fixtures), size), steps, "bed")
+
+    return decorate
+
+
 @pytest.fixture(autouse=True)
 def _now(monkeypatch: pytest.MonkeyPatch) -> None:
     """The time of the script."""
     surroundings.set_wall_clock(monkeypatch, lambda: NOW)
 
 
-@pytest.mark.parametrize("action", FLEET_ACTIONS, ids=lambda action: action.id)
-def test_every_action_has_its_handler(action: Action) -> None:
+def test_every_action_has_its_handler() -> None:
     app = Bed().app
-    owner: object = {Group.MOVE: app.main.table, Group.CONSOLE: app}.get(action.group, app.main)
-    assert callable(getattr(owner, f"action_{action.id}"))
+    for action in FLEET_ACTIONS:
+        owner: object = {Group.MOVE: app.main.table, Group.CONSOLE: app}.get(action.group, app.main)
+        assert callable(getattr(owner, f"action_{action.id}"))
 
 
 def test_no_key_twice() -> None:
@@ -121,16 +130,14 @@ def test_no_key_twice() -> None:
     assert len(set(keys)) == len(keys)
 
 
-def test_the_worst_first_and_why() -> None:
-    async def steps(bed: Bed) -> None:
-        assert bed.listed == ["robot2", "robot11", "robot3", "robot4", "robot1", "robot12"]
-        await bed.shown("cable pulled")
-        await bed.press("j")
-        await bed.shown("/scan STALE")
-        await bed.shown("lost 12% in 60 s")
-        await bed.shown("battery 14%")
-
-    Bed().run(steps)
+@on_fleet()
+async def test_the_worst_first_and_why(bed: Bed) -> None:
+    assert bed.listed == ["robot2", "robot11", "robot3", "robot4", "robot1", "robot12"]
+    await bed.shown("cable pulled")
+    await bed.press("j")
+    await bed.shown("/scan STALE")
+    await bed.shown("lost 12% in 60 s")
+    await bed.shown("battery 14%")
 
 
 def test_what_crosses_a_link_is_counted_at_one_end() -> None:
@@ -144,7 +151,7 @@ def test_what_crosses_a_link_is_counted_at_one_end() -> None:
     Bed(robot("robot1", role="client"), control).run(steps, WIDE)
 
 
-@pytest.mark.parametrize("size", [(40, 12), NARROW, WIDE, (170, 40)])
+@pytest.mark.parametrize("size", [(40, 12), *long(NARROW, WIDE), (170, 40)])
 def test_every_size(size: tuple[int, int]) -> None:
     async def steps(bed: Bed) -> None:
         lines = text(bed.app).splitlines()
@@ -156,63 +163,55 @@ def test_every_size(size: tuple[int, int]) -> None:
     Bed().run(steps, size)
 
 
-def test_the_cursor_stays_on_its_robot() -> None:
-    async def steps(bed: Bed) -> None:
-        assert bed.cursor == "robot2"  # the worst row, until the operator moves
-        bed.source.put("robot2", state=RobotState.OK, why="")
-        await bed.until(lambda: bed.cursor == "robot11", "the worst under the cursor")
-        await bed.press("j")
-        assert bed.cursor == "robot3"
-        bed.source.put("robot12", state=RobotState.FAULT)
-        await bed.until(lambda: bed.listed[1] == "robot12", "a new fault")
-        assert bed.cursor == "robot3"
-
-    Bed().run(steps)
+@on_fleet()
+async def test_the_cursor_stays_on_its_robot(bed: Bed) -> None:
+    assert bed.cursor == "robot2"  # the worst row, until the operator moves
+    bed.source.put("robot2", state=RobotState.OK, why="")
+    await bed.until(lambda: bed.cursor == "robot11", "the worst under the cursor")
+    await bed.press("j")
+    assert bed.cursor == "robot3"
+    bed.source.put("robot12", state=RobotState.FAULT)
+    await bed.until(lambda: bed.listed[1] == "robot12", "a new fault")
+    assert bed.cursor == "robot3"
 
 
-def test_filter_and_faults_only() -> None:
-    async def steps(bed: Bed) -> None:
-        await bed.press("f")
-        assert bed.listed == ["robot2", "robot11", "robot3"]
-        await bed.press("escape", "slash", *"group:hall", "enter")
-        await bed.until(lambda: bed.listed == ["robot11", "robot3", "robot1"], "the robots of the hall")
-        await bed.shown("3 of 6")
-        await bed.press("escape")
-        assert len(bed.listed) == 6
-        await bed.press("slash", *"why:cable", "enter")
-        await bed.until(lambda: bed.listed == ["robot2"], "the one whose cable was pulled")
-        await bed.press("slash", *"zzz", "enter")
-        await bed.shown("No robot matches")
-
-    Bed().run(steps)
+@on_fleet()
+async def test_filter_and_faults_only(bed: Bed) -> None:
+    await bed.press("f")
+    assert bed.listed == ["robot2", "robot11", "robot3"]
+    await bed.press("escape", "slash", *"group:hall", "enter")
+    await bed.until(lambda: bed.listed == ["robot11", "robot3", "robot1"], "the robots of the hall")
+    await bed.shown("3 of 6")
+    await bed.press("escape")
+    assert len(bed.listed) == 6
+    await bed.press("slash", *"why:cable", "enter")
+    await bed.until(lambda: bed.listed == ["robot2"], "the one whose cable was pulled")
+    await bed.press("slash", *"zzz", "enter")
+    await bed.shown("No robot matches")
 
 
-def test_groups_fold() -> None:
-    async def steps(bed: Bed) -> None:
-        await bed.press("B", "g")
-        everything = ["[hall]", "robot11", "robot3", "robot1", "[yard]", "robot2", "robot12", "[]", "robot4"]
-        assert bed.listed == everything
-        await bed.press("enter")
-        assert bed.listed == ["[hall]", *everything[4:]]
-        await bed.shown("▸ hall  3 robots")
-        await bed.shown("/scan STALE")  # its errors are shown all the same
-        await bed.press("space")
-        assert bed.view.marked == {"control/robot1", "control/robot3", "control/robot11"}
-        await bed.press("space", "enter")
-        assert (bed.view.marked, bed.listed) == (set(), everything)
-        await bed.press("B")
-        assert "[hall]" not in bed.listed
-
-    Bed().run(steps)
+@on_fleet()
+async def test_groups_fold(bed: Bed) -> None:
+    await bed.press("B", "g")
+    everything = ["[hall]", "robot11", "robot3", "robot1", "[yard]", "robot2", "robot12", "[]", "robot4"]
+    assert bed.listed == everything
+    await bed.press("enter")
+    assert bed.listed == ["[hall]", *everything[4:]]
+    await bed.shown("▸ hall  3 robots")
+    await bed.shown("/scan STALE")  # its errors are shown all the same
+    await bed.press("space")
+    assert bed.view.marked == {"control/robot1", "control/robot3", "control/robot11"}
+    await bed.press("space", "enter")
+    assert (bed.view.marked, bed.listed) == (set(), everything)
+    await bed.press("B")
+    assert "[hall]" not in bed.listed
 
 
-def test_of_a_group_that_is_well_it_is_said() -> None:
-    async def steps(bed: Bed) -> None:
-        assert bed.listed == ["[hall]", "robot1", "robot2"]
-        assert bed.cursor == ""
-        await bed.shown("nothing is wrong")
-
-    Bed(robot("robot1", group="hall"), robot("robot2", group="hall"), view=FleetView(grouped=True)).run(steps)
+@on_fleet(lambda: Bed(robot("robot1", group="hall"), robot("robot2", group="hall"), view=FleetView(grouped=True)))
+async def test_of_a_group_that_is_well_it_is_said(bed: Bed) -> None:
+    assert bed.listed == ["[hall]", "robot1", "robot2"]
+    assert bed.cursor == ""
+    await bed.shown("nothing is wrong")
 
 
 def test_both_screens_count_topics_that_nobody_hears_alike() -> None:
@@ -238,56 +237,46 @@ def test_both_screens_count_topics_that_nobody_hears_alike() -> None:
     Bed(*summaries, view=FleetView(grouped=True)).run(steps)
 
 
-def test_without_groups_there_are_no_headings() -> None:
-    async def steps(bed: Bed) -> None:
-        await bed.press("B")
-        assert bed.listed == ["robot1", "robot2"]
-
-    Bed(robot("robot1"), robot("robot2")).run(steps)
+@on_fleet(lambda: Bed(robot("robot1"), robot("robot2")))
+async def test_without_groups_there_are_no_headings(bed: Bed) -> None:
+    await bed.press("B")
+    assert bed.listed == ["robot1", "robot2"]
 
 
-def test_marks() -> None:
-    async def steps(bed: Bed) -> None:
-        await bed.press("space", "space")
-        assert (bed.view.marked, bed.cursor) == ({"control/robot2", "control/robot11"}, "robot3")
-        await bed.shown("2 marked")
-        assert text(bed.app).count("✓") == 2
-        await bed.press("escape")
-        assert bed.view.marked == set()
-
-    Bed().run(steps)
+@on_fleet()
+async def test_marks(bed: Bed) -> None:
+    await bed.press("space", "space")
+    assert (bed.view.marked, bed.cursor) == ({"control/robot2", "control/robot11"}, "robot3")
+    await bed.shown("2 marked")
+    assert text(bed.app).count("✓") == 2
+    await bed.press("escape")
+    assert bed.view.marked == set()
 
 
-def test_sorting() -> None:
-    async def steps(bed: Bed) -> None:
-        await bed.press("greater_than_sign")  # by name
-        assert bed.listed == ["robot1", "robot2", "robot3", "robot4", "robot11", "robot12"]
-        await bed.press("s")
-        assert bed.listed == ["robot12", "robot11", "robot4", "robot3", "robot2", "robot1"]
-
-    Bed().run(steps)
+@on_fleet()
+async def test_sorting(bed: Bed) -> None:
+    await bed.press("greater_than_sign")  # by name
+    assert bed.listed == ["robot1", "robot2", "robot3", "robot4", "robot11", "robot12"]
+    await bed.press("s")
+    assert bed.listed == ["robot12", "robot11", "robot4", "robot3", "robot2", "robot1"]
 
 
-def test_what_has_gone_is_dismissed() -> None:
-    async def steps(bed: Bed) -> None:
-        bed.source.given = [each for each in bed.source.given if each.name != "robot1"]
-        await bed.until(lambda: bed.listed[:2] == ["robot1", "robot2"], "it is missing")
-        await bed.press("g", "enter")  # nothing to open
-        assert bed.app.return_value is None
-        await bed.shown("d dismiss")
-        await bed.press("d")
-        await bed.until(lambda: "robot1" not in bed.listed, "it is forgotten")
-        await bed.until(lambda: "d dismiss" not in text(bed.app), "no such key any more")
-
-    Bed().run(steps)
+@on_fleet()
+async def test_what_has_gone_is_dismissed(bed: Bed) -> None:
+    bed.source.given = [each for each in bed.source.given if each.name != "robot1"]
+    await bed.until(lambda: bed.listed[:2] == ["robot1", "robot2"], "it is missing")
+    await bed.press("g", "enter")  # nothing to open
+    assert bed.app.return_value is None
+    await bed.shown("d dismiss")
+    await bed.press("d")
+    await bed.until(lambda: "robot1" not in bed.listed, "it is forgotten")
+    await bed.until(lambda: "d dismiss" not in text(bed.app), "no such key any more")
 
 
-def test_a_source_that_knows_nothing_says_so() -> None:
-    async def steps(bed: Bed) -> None:
-        bed.source.problem = "socket closed"
-        await bed.shown("control: socket closed")
-
-    Bed().run(steps)
+@on_fleet()
+async def test_a_source_that_knows_nothing_says_so(bed: Bed) -> None:
+    bed.source.problem = "socket closed"
+    await bed.shown("control: socket closed")
 
 
 def test_no_robots_yet() -> None:
@@ -318,16 +307,14 @@ def test_opening_one_and_coming_back() -> None:
     Bed(view=bed.view).run(back)
 
 
-def test_the_help_has_the_fleets_actions() -> None:
-    async def steps(bed: Bed) -> None:
-        await bed.press("question_mark")
-        await bed.until(lambda: "edit_marked" in text(bed.app) or bed.app.screen is not bed.app.main, "the help")
-        await bed.press("G")
-        await bed.shown("edit_marked")
-        assert "add_topic" not in text(bed.app)
-        await bed.press("q")
-
-    Bed().run(steps)
+@on_fleet()
+async def test_the_help_has_the_fleets_actions(bed: Bed) -> None:
+    await bed.press("question_mark")
+    await bed.until(lambda: "edit_marked" in text(bed.app) or bed.app.screen is not bed.app.main, "the help")
+    await bed.press("G")
+    await bed.shown("edit_marked")
+    assert "add_topic" not in text(bed.app)
+    await bed.press("q")
 
 
 # --- a change for several robots
@@ -362,46 +349,36 @@ async def planned(bed: Bed, change: str) -> RolloutScreen:
     return screen
 
 
-def test_a_change_is_shown_then_made() -> None:
-    bed = with_cameras("robot1", "robot2", "robot3")
-
-    async def steps(bed: Bed) -> None:
-        screen = await planned(bed, "/camera max_rate=5")
-        await bed.until(lambda: screen.phase is RolloutPhase.ASKING, "a question")
-        await bed.shown("max_rate 30.0 → 5")
-        assert not any(engine.commands for engine in bed.source.engines.values())
-        await bed.press("y")
-        await bed.until(lambda: screen.phase is RolloutPhase.ENDED, "the end")
-        assert [len(bed.source.engines[name].commands) for name in ("robot1", "robot2", "robot3")] == [1, 1, 0]
-        await bed.press("escape")
-        await bed.until(lambda: bed.app.screen is bed.app.main, "the fleet")
-
-    bed.run(steps)
+@on_fleet(lambda: with_cameras("robot1", "robot2", "robot3"))
+async def test_a_change_is_shown_then_made(bed: Bed) -> None:
+    screen = await planned(bed, "/camera max_rate=5")
+    await bed.until(lambda: screen.phase is RolloutPhase.ASKING, "a question")
+    await bed.shown("max_rate 30.0 → 5")
+    assert not any(engine.commands for engine in bed.source.engines.values())
+    await bed.press("y")
+    await bed.until(lambda: screen.phase is RolloutPhase.ENDED, "the end")
+    assert [len(bed.source.engines[name].commands) for name in ("robot1", "robot2", "robot3")] == [1, 1, 0]
+    await bed.press("escape")
+    await bed.until(lambda: bed.app.screen is bed.app.main, "the fleet")
 
 
-def test_a_change_is_not_made_without_a_yes() -> None:
-    bed = with_cameras("robot1", "robot2")
-
-    async def steps(bed: Bed) -> None:
-        screen = await planned(bed, "/camera max_rate=5")
-        await bed.until(lambda: screen.phase is RolloutPhase.ASKING, "a question")
-        await bed.press("enter", "n", "escape")
-        assert screen.phase is RolloutPhase.TYPING
-        await bed.press("escape")
-        await bed.until(lambda: bed.app.screen is bed.app.main, "the fleet")
-        assert not any(engine.commands for engine in bed.source.engines.values())
-
-    bed.run(steps)
+@on_fleet(lambda: with_cameras("robot1", "robot2"))
+async def test_a_change_is_not_made_without_a_yes(bed: Bed) -> None:
+    screen = await planned(bed, "/camera max_rate=5")
+    await bed.until(lambda: screen.phase is RolloutPhase.ASKING, "a question")
+    await bed.press("enter", "n", "escape")
+    assert screen.phase is RolloutPhase.TYPING
+    await bed.press("escape")
+    await bed.until(lambda: bed.app.screen is bed.app.main, "the fleet")
+    assert not any(engine.commands for engine in bed.source.engines.values())
 
 
 @pytest.mark.parametrize("change", ["/none ", "max_rate=5", "camera max_rate=5", "/a /b max_rate=5"])
-def test_what_is_no_change(change: str) -> None:
-    async def steps(bed: Bed) -> None:
-        screen = await planned(bed, change)
-        await bed.shown("for example")
-        assert screen.phase is RolloutPhase.TYPING
-
-    with_cameras("robot1", "robot2").run(steps)
+@on_fleet(lambda: with_cameras("robot1", "robot2"))
+async def test_what_is_no_change(bed: Bed, change: str) -> None:
+    screen = await planned(bed, change)
+    await bed.shown("for example")
+    assert screen.phase is RolloutPhase.TYPING
 
 
 def with_different_cameras() -> Bed:
@@ -434,7 +411,7 @@ async def picking(bed: Bed) -> RolloutScreen:
     return screen
 
 
-@pytest.mark.parametrize("size", [WIDE, NARROW], ids=["wide", "narrow"])
+@pytest.mark.parametrize("size", [*long(WIDE), NARROW], ids=["wide", "narrow"])
 def test_a_change_is_picked(size: tuple[int, int]) -> None:
     """Pick a topic of the robots, then a key, then a value."""
 
@@ -462,54 +439,46 @@ def test_a_change_is_picked(size: tuple[int, int]) -> None:
     with_different_cameras().run(steps, size)
 
 
-def test_values_of_a_choice_are_picked_with_the_arrows() -> None:
-    async def steps(bed: Bed) -> None:
-        screen = await picking(bed)
-        await bed.press(*"/camera priority=")
-        await bed.until(lambda: "value high" in change_of(screen).list.keys, "values")
-        await bed.press("down", "enter")
-        assert change_of(screen).control.value == "/camera priority=high"
-        await bed.press("enter")
-        await bed.until(lambda: screen.phase is RolloutPhase.ASKING, "a question")
-        await bed.press("escape")
-        assert change_of(screen).list.display
-
-    with_different_cameras().run(steps)
+@on_fleet(with_different_cameras)
+async def test_values_of_a_choice_are_picked_with_the_arrows(bed: Bed) -> None:
+    screen = await picking(bed)
+    await bed.press(*"/camera priority=")
+    await bed.until(lambda: "value high" in change_of(screen).list.keys, "values")
+    await bed.press("down", "enter")
+    assert change_of(screen).control.value == "/camera priority=high"
+    await bed.press("enter")
+    await bed.until(lambda: screen.phase is RolloutPhase.ASKING, "a question")
+    await bed.press("escape")
+    assert change_of(screen).list.display
 
 
-def test_a_default_can_be_picked() -> None:
-    async def steps(bed: Bed) -> None:
-        screen = await picking(bed)
-        await bed.press(*"/camera compression=", "enter", "enter")
-        await bed.until(lambda: bool(screen.steps), "a plan")
-        assert [step.problem for step in screen.steps] == ["", ""]
-
-    with_different_cameras().run(steps)
+@on_fleet(with_different_cameras)
+async def test_a_default_can_be_picked(bed: Bed) -> None:
+    screen = await picking(bed)
+    await bed.press(*"/camera compression=", "enter", "enter")
+    await bed.until(lambda: bool(screen.steps), "a plan")
+    assert [step.problem for step in screen.steps] == ["", ""]
 
 
-def test_a_mistake_is_said_as_it_is_typed() -> None:
-    async def steps(bed: Bed) -> None:
-        screen = await picking(bed)
-        await bed.press(*"/camera max_rate=-1")
-        await bed.until(lambda: change_of(screen).mistake() != "", "a mistake")
-        await bed.shown("robot1: max_rate")
-        assert screen.phase is RolloutPhase.TYPING
-        await bed.press("backspace", "backspace", "5")
-        await bed.until(lambda: change_of(screen).mistake() == "", "none")
-
-    with_different_cameras().run(steps)
+@on_fleet(with_different_cameras)
+async def test_a_mistake_is_said_as_it_is_typed(bed: Bed) -> None:
+    screen = await picking(bed)
+    await bed.press(*"/camera max_rate=-1")
+    await bed.until(lambda: change_of(screen).mistake() != "", "a mistake")
+    await bed.shown("robot1: max_rate")
+    assert screen.phase is RolloutPhase.TYPING
+    await bed.press("backspace", "backspace", "5")
+    await bed.until(lambda: change_of(screen).mistake() == "", "none")
 
 
-def test_a_topic_is_picked_with_the_mouse() -> None:
-    async def steps(bed: Bed) -> None:
-        screen = await picking(bed)
-        await settled(bed.pilot)  # a topic that is listed already may be drawn later
-        assert await bed.pilot.click(change_of(screen).list, offset=(3, 1))
-        await bed.until(lambda: change_of(screen).list.cursor_key == "/scan", "the cursor on the second topic")
-        assert await bed.pilot.click(change_of(screen).list, offset=(3, 1))
-        await bed.until(lambda: change_of(screen).control.value == "/scan ", "the second topic")
-
-    with_different_cameras().run(steps)
+@on_fleet(with_different_cameras)
+async def test_a_topic_is_picked_with_the_mouse(bed: Bed) -> None:
+    screen = await picking(bed)
+    await settled(bed.pilot)  # a topic that is listed already may be drawn later
+    assert await bed.pilot.click(change_of(screen).list, offset=(3, 1))
+    await bed.until(lambda: change_of(screen).list.cursor_key == "/scan", "the cursor on the second topic")
+    assert await bed.pilot.click(change_of(screen).list, offset=(3, 1))
+    await bed.until(lambda: change_of(screen).control.value == "/scan ", "the second topic")
 
 
 def test_a_robot_that_does_not_answer_is_named() -> None:
@@ -523,42 +492,40 @@ def test_a_robot_that_does_not_answer_is_named() -> None:
     bed.run(steps)
 
 
-def test_a_change_that_makes_it_worse_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    bed = with_cameras("robot1", "robot2")
-
-    async def steps(bed: Bed) -> None:
-        screen = await planned_for_the_worse(bed, monkeypatch)
-        await bed.press("y")
-        await bed.until(lambda: screen.phase is RolloutPhase.ENDED, "the end")
-        await bed.shown("stopped at robot1")
-        await bed.shown("not begun: robot2")
-        await bed.shown("rsb-console fleet edit robot1 /camera max_rate=30")
-        await bed.press("u")
-        await bed.shown("restored on robot1")
-        assert [each[2].max_rate for each in bed.source.engines["robot1"].commands] == [5.0, 30.0]  # type: ignore[attr-defined]
-
-    bed.run(steps)
+@on_fleet(lambda: with_cameras("robot1", "robot2"))
+async def test_a_change_that_makes_it_worse_is_put_back(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = await planned_for_the_worse(bed, monkeypatch)
+    await bed.press("y")
+    await bed.until(lambda: screen.phase is RolloutPhase.ENDED, "the end")
+    await bed.shown("stopped at robot1")
+    await bed.shown("not begun: robot2")
+    await bed.shown("rsb-console fleet edit robot1 /camera max_rate=30")
+    await bed.press("u")
+    await bed.until(lambda: screen.phase is RolloutPhase.ENDED and screen.outcome is None, "the undo")
+    await bed.shown("restored on robot1")
+    lines = re.findall(r"(\S) +(robot.) +max_rate (\S+) → (\S+)", text(bed.app))
+    assert [(sign, name, float(old), float(new)) for sign, name, old, new in lines] == [
+        ("✓", "robot1", 5.0, 30.0),
+        ("│", "robot2", 30.0, 5.0),
+    ]
+    assert [each[2].max_rate for each in bed.source.engines["robot1"].commands] == [5.0, 30.0]  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("marked", [("control",), ("control", "robot1")])
-def test_servers_are_left_out_of_an_edit(marked: tuple[str, ...]) -> None:
+@on_fleet(lambda: Bed(robot("robot1"), robot("control", role="server")))
+async def test_servers_are_left_out_of_an_edit(bed: Bed, marked: tuple[str, ...]) -> None:
     """A server has each robot's topic, so that an edit could not tell which to change."""
-    bed = Bed(robot("robot1"), robot("control", role="server"))
-
-    async def steps(bed: Bed) -> None:
-        await bed.until(lambda: len(bed.app.main.table.rows) == 2, "both rows")
-        rows = bed.app.main.table.rows
-        bed.view.marked.update(key for key, row in rows.items() if row.robot.summary.name in marked)
-        await bed.press("e")
-        if "robot1" in marked:
-            await bed.until(lambda: isinstance(bed.app.screen, RolloutScreen), "the dialog")
-            await bed.shown("Edit a topic of 1 robot")
-            await bed.shown("no answer from robot1")
-        else:
-            await bed.until(lambda: notices(bed.app), "a notice")
-            assert bed.app.screen is bed.app.main
-
-    bed.run(steps)
+    await bed.until(lambda: len(bed.app.main.table.rows) == 2, "both rows")
+    rows = bed.app.main.table.rows
+    bed.view.marked.update(key for key, row in rows.items() if row.robot.summary.name in marked)
+    await bed.press("e")
+    if "robot1" in marked:
+        await bed.until(lambda: isinstance(bed.app.screen, RolloutScreen), "the dialog")
+        await bed.shown("Edit a topic of 1 robot")
+        await bed.shown("no answer from robot1")
+    else:
+        await bed.until(lambda: notices(bed.app), "a notice")
+        assert bed.app.screen is bed.app.main
 
 
 def test_values_count_robots() -> None:
@@ -571,37 +538,17 @@ def test_values_count_robots() -> None:
     ]
     now = present_values([*with_two, *others], "max_rate", None)
     assert re.findall(r"(\w+) on (\d+)", now) == [("none", "2"), ("30", "1")]
-    long = "zenoh on 8, the QoS of its publishers on 1"
-    ((_, _), (_, _), (shown, _), *_) = _key_line("qos", long, "", 80)
-    assert long.startswith(shown.rstrip("…"))
+    wordy = "zenoh on 8, the QoS of its publishers on 1"
+    ((_, _), (_, _), (shown, _), *_) = _key_line("qos", wordy, "", 80)
+    assert wordy.startswith(shown.rstrip("…"))
     assert shown.startswith("zenoh on 8")
 
 
-def test_a_change_that_is_put_back_is_shown_the_other_way_round(monkeypatch: pytest.MonkeyPatch) -> None:
-    bed = with_cameras("robot1", "robot2")
-
-    async def steps(bed: Bed) -> None:
-        screen = await planned_for_the_worse(bed, monkeypatch)
-        await bed.press("y")
-        await bed.until(lambda: screen.phase is RolloutPhase.ENDED and screen.outcome is not None, "the end")
-        await bed.press("u")
-        await bed.until(lambda: screen.phase is RolloutPhase.ENDED and screen.outcome is None, "the undo")
-        lines = re.findall(r"(\S) +(robot.) +max_rate (\S+) → (\S+)", text(bed.app))
-        assert [(sign, name, float(old), float(new)) for sign, name, old, new in lines] == [
-            ("✓", "robot1", 5.0, 30.0),
-            ("│", "robot2", 30.0, 5.0),
-        ]
-
-    bed.run(steps)
-
-
-def test_read_only() -> None:
-    async def steps(bed: Bed) -> None:
-        await bed.shown("READ-ONLY")
-        await bed.press("e")
-        assert bed.app.screen is bed.app.main
-
-    Bed(readonly=True).run(steps)
+@on_fleet(lambda: Bed(readonly=True))
+async def test_read_only(bed: Bed) -> None:
+    await bed.shown("READ-ONLY")
+    await bed.press("e")
+    assert bed.app.screen is bed.app.main
 
 
 # --- the console on one robot

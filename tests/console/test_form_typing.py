@@ -1,7 +1,7 @@
 """Typing into forms: on coming to a field, and faster than a refusal shows."""
 
 import pytest
-from tests.console.driving import drive, empty_app, fill, form_of, send, shown, text, until
+from tests.console.driving import fill, form_of, on_welcome, send, shown, text, until
 from textual.events import Key
 from textual.pilot import Pilot
 
@@ -11,16 +11,15 @@ from rsb_console.widgets.form_inputs import FieldInput
 pytestmark = pytest.mark.usefixtures("folder")
 
 
-@pytest.mark.parametrize(("key", "typed"), [("server_port", "3"), ("path", "robot.yaml3"), ("name", "3")])
-def test_what_is_typed_on_coming_to_a_field_replaces_what_is_there_but_lengthens_a_path(key: str, typed: str) -> None:
-    app = empty_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "New session")
-        await pilot.press("n")
-        await shown(pilot, "Session file")
+@on_welcome()
+async def test_what_is_typed_on_coming_to_a_field_replaces_what_is_there_but_lengthens_a_path(
+    app: ConsoleApp, pilot: Pilot[None]
+) -> None:
+    await pilot.press("n")
+    await shown(pilot, "Session file")
+    form = form_of(app)
+    for key, typed in (("server_port", "3"), ("path", "robot.yaml3"), ("name", "3")):
         await fill(pilot, name="robot", path="robot.yaml")
-        form = form_of(app)
         control = form.fields[key].control
         assert isinstance(control, FieldInput)
         control.cursor_position = 1  # where it was left
@@ -31,8 +30,6 @@ def test_what_is_typed_on_coming_to_a_field_replaces_what_is_there_but_lengthens
         await pilot.press("3")
         assert control.value == typed
 
-    drive(app, steps)
-
 
 def type_at_once(app: ConsoleApp, *keys: str) -> None:
     """Type faster than the console looks."""
@@ -40,46 +37,41 @@ def type_at_once(app: ConsoleApp, *keys: str) -> None:
 
 
 @pytest.mark.parametrize("pressed", ["server_port", "use_encryption", "#yes"])
-def test_what_is_typed_between_create_and_its_refusal_lands_in_no_field(
-    pressed: str, monkeypatch: pytest.MonkeyPatch
+@on_welcome()
+async def test_what_is_typed_between_create_and_its_refusal_lands_in_no_field(
+    app: ConsoleApp, pilot: Pilot[None], pressed: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    app = empty_app()
+    await pilot.press("n")
+    await shown(pilot, "Session file")
+    await fill(pilot, name="robot1", server_ip="10.0.0.20", domain_id="")
+    form = form_of(app)
+    control = form.fields[pressed].control if pressed in form.fields else app.screen.query_one(pressed)
+    control.focus()
+    await until(pilot, lambda: control.has_focus, "the focus")
+    form.fields["domain_id"].value = "233"  # the refusal's reason
+    before = form.values
+    settle = form.settle
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "New session")
-        await pilot.press("n")
-        await shown(pilot, "Session file")
-        await fill(pilot, name="robot1", server_ip="10.0.0.20", domain_id="")
-        form = form_of(app)
-        control = form.fields[pressed].control if pressed in form.fields else app.screen.query_one(pressed)
-        control.focus()
-        await until(pilot, lambda: control.has_focus, "the focus")
-        form.fields["domain_id"].value = "233"  # the refusal's reason
-        before = form.values
-        settle = form.settle
+    def settle_and_type() -> bool:
+        fine = settle()
+        type_at_once(app, "y", "backspace")
+        return fine
 
-        def settle_and_type() -> bool:
-            fine = settle()
-            type_at_once(app, "y", "backspace")
-            return fine
+    listening_at: list[str] = []
 
-        listening_at: list[str] = []
+    def listen() -> None:
+        end()
+        listening_at.append(text(app))
 
-        def listen() -> None:
-            end()
-            listening_at.append(text(app))
-
-        end = form.input_guard.end
-        monkeypatch.setattr(form.input_guard, "end", listen)
-        monkeypatch.setattr(form, "settle", settle_and_type)
-        type_at_once(app, "enter", "x", "backspace", "h", "z")
-        await shown(pilot, "0 to 232")
-        await until(pilot, lambda: form.fields["domain_id"].control.has_focus, "the focus on what is wrong")
-        assert form.values == before
-        await until(pilot, lambda: listening_at, "a form that listens again")
-        assert "0 to 232" in listening_at[0], "not before the refusal is to be seen"
-        await fill(pilot, domain_id="3")
-        await pilot.press("4")
-        assert form.values["domain_id"] == "34"
-
-    drive(app, steps)
+    end = form.input_guard.end
+    monkeypatch.setattr(form.input_guard, "end", listen)
+    monkeypatch.setattr(form, "settle", settle_and_type)
+    type_at_once(app, "enter", "x", "backspace", "h", "z")
+    await shown(pilot, "0 to 232")
+    await until(pilot, lambda: form.fields["domain_id"].control.has_focus, "the focus on what is wrong")
+    assert form.values == before
+    await until(pilot, lambda: listening_at, "a form that listens again")
+    assert "0 to 232" in listening_at[0], "not before the refusal is to be seen"
+    await fill(pilot, domain_id="3")
+    await pilot.press("4")
+    assert form.values["domain_id"] == "34"

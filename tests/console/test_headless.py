@@ -47,11 +47,6 @@ def test_what_is_wrong_with_a_link_is_said_once() -> None:
     assert "6 topics: 5 down, 1 ok" in line
 
 
-def test_one_topic_is_one() -> None:
-    snapshot = replace(ScriptedEngine().snapshot(), routes=(route("/odom"),))
-    assert "| 1 topic: 1 ok |" in text_status(snapshot)
-
-
 def test_a_cause_is_told_when_it_changes_and_once_a_minute() -> None:
     snapshot = replace(ScriptedEngine().snapshot(), links=(LINK,))
     lines = StatusLines()

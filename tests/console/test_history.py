@@ -1,7 +1,6 @@
 """The time line: what happened, how long, why and who; filtered, ordered, exported, attached and read-only."""
 
 import csv
-from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,29 +13,26 @@ from tests.console.driving import (
     engine_as,
     engine_of,
     gone,
+    on_main,
     scripted_app,
     shown,
     shown_at_the_end,
     text,
     until,
 )
-from tests.console.scripted import NOW, REMEMBERED, ScriptedEngine
+from tests.console.scripted import NOW, REMEMBERED, ScriptedEngine, refused
 from tests.support.control import Machine
+from tests.support.long import long
 from textual.pilot import Pilot
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.model.history import Gap, HistoryReport
 from rsb_bridge.model.session import Session
+from rsb_console.app import ConsoleApp
 from rsb_console.screens.history_screen import HELP, HistoryText
 from rsb_console.session.history_report import ReportText
 
 if TYPE_CHECKING:
-    from rsb_console.app import ConsoleApp
-
-
-@pytest.fixture(autouse=True)
-def _utc(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TZ", "UTC")
+    from concurrent.futures import Future
 
 
 def spans(engine: ScriptedEngine) -> list[object]:
@@ -45,91 +41,68 @@ def spans(engine: ScriptedEngine) -> list[object]:
     return list(dict.fromkeys(asked))
 
 
-@pytest.mark.parametrize("size", [WIDE, NARROW])
-def test_it_shows_outages_and_actions_with_cause_and_length(size: tuple[int, int]) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("h")
-        await shown(pilot, "linked 93.6 % of the time; 1 outage, 3 min 50 s in all")
-        await shown(pilot, "4 min 28 s …")
-        picture = text(app)
-        assert picture.index("▲ STALE") < picture.index("anna") < picture.index("✗ DOWN"), "the newest first"
-        await shown(pilot, "=nothing for 15 s")
-        await shown(pilot, HELP[-30:])
-        await shown_at_the_end(pilot, "the server does not answer (2 topics with it)")
-        await shown(pilot, "rate")
-        await pilot.press("k", "k")
-        await shown(pilot, "edited (max_rate: 5 → max_rate: 2)")
-        await pilot.press("escape")
-        await gone(pilot, "What happened")
-
-    drive(app, steps, size)
+@on_main(*long(WIDE), NARROW)
+async def test_it_shows_outages_and_actions_with_cause_and_length(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("h")
+    await shown(pilot, "linked 93.6 % of the time; 1 outage, 3 min 50 s in all")
+    await shown(pilot, "4 min 28 s …")
+    picture = text(app)
+    assert picture.index("▲ STALE") < picture.index("anna") < picture.index("✗ DOWN"), "the newest first"
+    await shown(pilot, "=nothing for 15 s")
+    await shown(pilot, HELP[-30:])
+    await shown_at_the_end(pilot, "the server does not answer (2 topics with it)")
+    await shown(pilot, "rate")
+    await pilot.press("k", "k")
+    await shown(pilot, "edited (max_rate: 5 → max_rate: 2)")
+    await pilot.press("escape")
+    await gone(pilot, "What happened")
 
 
-def test_one_line_that_has_no_room_is_one_line() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        links = [replace(REMEMBERED.tracks[0], link=f"robot{number}") for number in (2, 3)]
-        tracks = (*REMEMBERED.tracks, *links)
-        engine_of(app).remembered = replace(REMEMBERED, tracks=tracks, outages_left_out=1)
-        await pilot.press("h")
-        await shown(pilot, HistoryText.LINES_LEFT_OUT, more="1 more line", name="robot1")
-        await shown(pilot, HistoryText.OUTAGES_LEFT_OUT, more="1 more outage")
-
-    drive(app, steps)
+@on_main()
+async def test_one_line_that_has_no_room_is_one_line(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    links = [replace(REMEMBERED.tracks[0], link=f"robot{number}") for number in (2, 3)]
+    tracks = (*REMEMBERED.tracks, *links)
+    engine_of(app).remembered = replace(REMEMBERED, tracks=tracks, outages_left_out=1)
+    await pilot.press("h")
+    await shown(pilot, HistoryText.LINES_LEFT_OUT, more="1 more line", name="robot1")
+    await shown(pilot, HistoryText.OUTAGES_LEFT_OUT, more="1 more outage")
 
 
-def test_the_span_the_order_and_the_filter() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("h")
-        await shown(pilot, "What happened ▸ last 1 h")
-        await pilot.press("h")
-        await shown(pilot, "last 8 h")
-        await until(pilot, lambda: spans(engine_of(app)) == [3600.0, 28800.0], "asked for 8 h")
-        await pilot.press("h")
-        await shown(pilot, "last 24 h")
-        await pilot.press("h")
-        await shown(pilot, "last 1 h")
-        await shown(pilot, "✗ DOWN")
-        await pilot.press("s")
-        await shown(pilot, HistoryText.BY_TOPIC)
-        await shown(pilot, "✗ DOWN")
-        assert text(app).index("✗ DOWN") > text(app).index("START")
-        await pilot.press("slash")
-        await pilot.press(*"anna", "enter")
-        await shown(pilot, "/anna")
-        await gone(pilot, "✗ DOWN")
-        await pilot.press("escape")
-        await shown(pilot, "✗ DOWN")
-
-    drive(app, steps)
+@on_main()
+async def test_the_span_the_order_and_the_filter(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("h")
+    await shown(pilot, "What happened ▸ last 1 h")
+    await pilot.press("h")
+    await shown(pilot, "last 8 h")
+    await until(pilot, lambda: spans(engine_of(app)) == [3600.0, 28800.0], "asked for 8 h")
+    await pilot.press("h")
+    await shown(pilot, "last 24 h")
+    await pilot.press("h")
+    await shown(pilot, "last 1 h")
+    await shown(pilot, "✗ DOWN")
+    await pilot.press("s")
+    await shown(pilot, HistoryText.BY_TOPIC)
+    await shown(pilot, "✗ DOWN")
+    assert text(app).index("✗ DOWN") > text(app).index("START")
+    await pilot.press("slash")
+    await pilot.press(*"anna", "enter")
+    await shown(pilot, "/anna")
+    await gone(pilot, "✗ DOWN")
+    await pilot.press("escape")
+    await shown(pilot, "✗ DOWN")
 
 
 class Silent(ScriptedEngine):
     """Does not answer any more."""
 
     def history(self, seconds: float) -> "Future[HistoryReport]":
-        failed: Future[HistoryReport] = Future()
-        failed.set_exception(EngineError("no bridge"))
-        return failed
+        return refused("no bridge")
 
 
-def test_what_is_not_known_is_said() -> None:
-    app = scripted_app(make_engine=Silent)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("h")
-        await shown(pilot, HistoryText.NOT_KNOWN, error="no bridge")
-
-    drive(app, steps)
+@on_main(make_engine=Silent)
+async def test_what_is_not_known_is_said(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("h")
+    await shown(pilot, HistoryText.NOT_KNOWN, error="no bridge")
 
 
 class Slept(ScriptedEngine):
@@ -140,17 +113,12 @@ class Slept(ScriptedEngine):
         self.remembered = replace(REMEMBERED, outages=(), actions=(), gaps=(Gap(NOW - 2000, 1800.0),))
 
 
-def test_a_time_that_nobody_watched_is_told() -> None:
-    app = scripted_app(make_engine=Slept)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("h")
-        await shown(pilot, ReportText.RAN_PARTLY, watched="30 min", share="50.0 %")
-        await shown(pilot, HistoryText.GAP)
-        assert engine_as(app, Slept).remembered.gaps
-
-    drive(app, steps)
+@on_main(make_engine=Slept)
+async def test_a_time_that_nobody_watched_is_told(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("h")
+    await shown(pilot, ReportText.RAN_PARTLY, watched="30 min", share="50.0 %")
+    await shown(pilot, HistoryText.GAP)
+    assert engine_as(app, Slept).remembered.gaps
 
 
 def test_export_as_text_and_csv(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,11 +142,10 @@ def test_export_as_text_and_csv(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert "'=nothing for 15 s" in [row["cause"] for row in rows]
 
 
-@pytest.mark.parametrize("readonly", [False, True])
-def test_attached_and_readonly(machine: Machine, readonly: bool) -> None:
+def test_attached_and_readonly(machine: Machine) -> None:
     engine = ScriptedEngine()
     machine.serve(engine)
-    app: ConsoleApp = scripted_app(session=None, path=None, attach_to=machine.folder / "robot1.sock", readonly=readonly)
+    app: ConsoleApp = scripted_app(session=None, path=None, attach_to=machine.folder / "robot1.sock", readonly=True)
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")

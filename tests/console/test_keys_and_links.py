@@ -6,15 +6,30 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from tests.console.driving import NARROW, drive, engine_of, fill, form_of, gone, scripted_app, shown, text, until
+from tests.console.driving import (
+    NARROW,
+    WIDE,
+    drive,
+    engine_of,
+    fill,
+    form_of,
+    gone,
+    on_main,
+    scripted_app,
+    shown,
+    text,
+    until,
+)
 from tests.console.scripted import LINK, SESSION
 from tests.support import replaced
+from tests.support.long import long
 from textual.pilot import Pilot
 
 from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Adapter, ChannelUse, Device, Scan, scan
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import State
+from rsb_console.app import ConsoleApp
 from rsb_console.screens.keys_screen import KeyText, key_files
 from rsb_console.screens.links_screen import LinkText
 from rsb_console.session.saving import PathProblem
@@ -22,20 +37,17 @@ from rsb_console.session.saving import PathProblem
 # -- keys ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_key_is_shown_by_fingerprint_and_mode_never_itself(folder: Path) -> None:
+@on_main()
+async def test_a_key_is_shown_by_fingerprint_and_mode_never_itself(
+    app: ConsoleApp, pilot: Pilot[None], folder: Path
+) -> None:
     key = write_key(folder / "r.key")
     (folder / "r.key").chmod(0o644)
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("K")
-        await shown(pilot, fingerprint(key))
-        await shown(pilot, "0644")
-        await shown(pilot, "others may read this key (mode 0644): run `chmod 600 r.key`")
-        assert (folder / "r.key").read_text().strip() not in text(app)
-
-    drive(app, steps)
+    await pilot.press("K")
+    await shown(pilot, fingerprint(key))
+    await shown(pilot, "0644")
+    await shown(pilot, "others may read this key (mode 0644): run `chmod 600 r.key`")
+    assert (folder / "r.key").read_text().strip() not in text(app)
 
 
 @pytest.mark.parametrize("size", [(120, 36), NARROW])
@@ -61,40 +73,32 @@ def test_a_key_is_replaced_only_with_a_yes(tmp_path: Path, size: tuple[int, int]
     drive(app, steps, size=size)
 
 
-def test_a_new_key_goes_where_it_is_wanted_and_a_bad_place_is_refused(folder: Path) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("K")
-        await shown(pilot, "no such key file")
-        await pilot.press("g")
-        await shown(pilot, "Generate a key")
-        await fill(pilot, path="nowhere/new.key")
-        await shown(pilot, PathProblem.NO_FOLDER)
-        await fill(pilot, path="new.key")
-        await pilot.press("enter")
-        await shown(pilot, "new.key")
-        await until(pilot, (folder / "new.key").exists, "the key")
-        await shown(pilot, fingerprint(read_key(folder / "new.key")))
-
-    drive(app, steps)
+@on_main()
+async def test_a_new_key_goes_where_it_is_wanted_and_a_bad_place_is_refused(
+    app: ConsoleApp, pilot: Pilot[None], folder: Path
+) -> None:
+    await pilot.press("K")
+    await shown(pilot, "no such key file")
+    await pilot.press("g")
+    await shown(pilot, "Generate a key")
+    await fill(pilot, path="nowhere/new.key")
+    await shown(pilot, PathProblem.NO_FOLDER)
+    await fill(pilot, path="new.key")
+    await pilot.press("enter")
+    await shown(pilot, "new.key")
+    await until(pilot, (folder / "new.key").exists, "the key")
+    await shown(pilot, fingerprint(read_key(folder / "new.key")))
 
 
 @pytest.mark.usefixtures("folder")
-def test_readonly_looks_at_keys_and_makes_none() -> None:
-    app = scripted_app(readonly=True)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("K")
-        await shown(pilot, "no such key file")
-        await gone(pilot, "generate a key")
-        await pilot.press("g")
-        await pilot.pause()
-        await gone(pilot, "Generate a key")
-
-    drive(app, steps)
+@on_main(readonly=True)
+async def test_readonly_looks_at_keys_and_makes_none(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("K")
+    await shown(pilot, "no such key file")
+    await gone(pilot, "generate a key")
+    await pilot.press("g")
+    await pilot.pause()
+    await gone(pilot, "Generate a key")
 
 
 def test_each_of_a_servers_key_files_and_whose_it_is() -> None:
@@ -125,19 +129,14 @@ def test_a_key_says_whether_a_link_uses_it_and_when_it_was_written(tmp_path: Pat
     drive(app, steps)
 
 
-def test_a_link_says_which_of_two_keys_is_in_use() -> None:
-    app = scripted_app()
+@on_main()
+async def test_a_link_says_which_of_two_keys_is_in_use(app: ConsoleApp, pilot: Pilot[None]) -> None:
     valid = replace(LINK, next_fingerprint="aaaa bbbb cccc dddd")
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine_of(app).now = replace(engine_of(app).now, links=(valid,))
-        await pilot.press("c")
-        await shown(pilot, f"aaaa bbbb cccc dddd  {LinkText.NEXT_KEY_UNUSED()}")
-        engine_of(app).now = replace(engine_of(app).now, links=(replace(valid, fingerprint=valid.next_fingerprint),))
-        await shown(pilot, f"aaaa bbbb cccc dddd  {LinkText.NEXT_KEY_USED()}")
-
-    drive(app, steps)
+    engine_of(app).now = replace(engine_of(app).now, links=(valid,))
+    await pilot.press("c")
+    await shown(pilot, f"aaaa bbbb cccc dddd  {LinkText.NEXT_KEY_UNUSED()}")
+    engine_of(app).now = replace(engine_of(app).now, links=(replace(valid, fingerprint=valid.next_fingerprint),))
+    await shown(pilot, f"aaaa bbbb cccc dddd  {LinkText.NEXT_KEY_USED()}")
 
 
 def test_two_keys_of_a_client_are_listed() -> None:
@@ -153,59 +152,43 @@ def test_two_keys_of_a_client_are_listed() -> None:
 # -- links -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [(120, 36), NARROW])
-def test_one_row_a_robot_the_worst_first_and_why(size: tuple[int, int]) -> None:
+@on_main(*long(WIDE), NARROW)
+async def test_one_row_a_robot_the_worst_first_and_why(app: ConsoleApp, pilot: Pilot[None]) -> None:
     down = replace(LINK, name="robot2", state=State.DOWN, reason="no answer", rtt=None, retry_in=3.0, attempts=3)
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine_of(app).now = replace(engine_of(app).now, links=(LINK, down))
-        await pilot.press("c")
-        await shown(pilot, "▌✗ DOWN  robot2")
-        await shown(pilot, "no answer; retry 4 in 3 s")
-        await shown(pilot, "● ok    robot1")
-        await pilot.press("j")
-        await shown(pilot, "▌● ok    robot1")
-        await shown(pilot, LINK.fingerprint)
-        await shown(pilot, "-12.0 ms against ours ± 400 µs")
-        await pilot.press("r")
-        await until(pilot, lambda: engine_of(app).commands == [("retry", "robot1")], "the command")
-        await pilot.press("escape")
-        await gone(pilot, "its clock")
-
-    drive(app, steps, size=size)
+    engine_of(app).now = replace(engine_of(app).now, links=(LINK, down))
+    await pilot.press("c")
+    await shown(pilot, "▌✗ DOWN  robot2")
+    await shown(pilot, "no answer; retry 4 in 3 s")
+    await shown(pilot, "● ok    robot1")
+    await pilot.press("j")
+    await shown(pilot, "▌● ok    robot1")
+    await shown(pilot, LINK.fingerprint)
+    await shown(pilot, "-12.0 ms against ours ± 400 µs")
+    await pilot.press("r")
+    await until(pilot, lambda: engine_of(app).commands == [("retry", "robot1")], "the command")
+    await pilot.press("escape")
+    await gone(pilot, "its clock")
 
 
-def test_the_cursor_stays_on_its_link_when_that_comes_up() -> None:
+@on_main()
+async def test_the_cursor_stays_on_its_link_when_that_comes_up(app: ConsoleApp, pilot: Pilot[None]) -> None:
     down = replace(LINK, name="robot2", state=State.DOWN, reason="no answer", rtt=None)
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine_of(app).now = replace(engine_of(app).now, links=(LINK, down))
-        await pilot.press("c")
-        await shown(pilot, "▌✗ DOWN  robot2")
-        engine_of(app).now = replace(engine_of(app).now, links=(LINK, replace(LINK, name="robot2")))
-        await shown(pilot, "▌● ok    robot2")
-        await pilot.press("r")
-        await until(pilot, lambda: engine_of(app).commands == [("retry", "robot2")], "the command")
-
-    drive(app, steps)
+    engine_of(app).now = replace(engine_of(app).now, links=(LINK, down))
+    await pilot.press("c")
+    await shown(pilot, "▌✗ DOWN  robot2")
+    engine_of(app).now = replace(engine_of(app).now, links=(LINK, replace(LINK, name="robot2")))
+    await shown(pilot, "▌● ok    robot2")
+    await pilot.press("r")
+    await until(pilot, lambda: engine_of(app).commands == [("retry", "robot2")], "the command")
 
 
-def test_a_link_in_the_clear_stands_out() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine_of(app).now = replace(engine_of(app).now, links=(replace(LINK, encrypted=False, cipher=""),))
-        await pilot.press("c")
-        await shown(pilot, "key          ")
-        key_line = next(line for line in text(app).splitlines() if "key          " in line)
-        assert "NOT ENCRYPTED" in key_line
-
-    drive(app, steps)
+@on_main()
+async def test_a_link_in_the_clear_stands_out(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine_of(app).now = replace(engine_of(app).now, links=(replace(LINK, encrypted=False, cipher=""),))
+    await pilot.press("c")
+    await shown(pilot, "key          ")
+    key_line = next(line for line in text(app).splitlines() if "key          " in line)
+    assert "NOT ENCRYPTED" in key_line
 
 
 # -- Bluetooth -------------------------------------------------------------------------------------------------------
@@ -264,47 +247,36 @@ def test_without_bluetooth_the_screen_says_what_is_missing() -> None:
     drive(app, steps)
 
 
-@pytest.mark.parametrize("size", [(120, 36), NARROW])
-def test_adapters_devices_and_channels_at_a_glance(radio: list[object], size: tuple[int, int]) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("b")
-        await shown(pilot, "5C:F3:70:9A:1B:2E  hci0     on                 desk")
-        await shown(pilot, "00:1A:7D:DA:71:13  device   paired             robot1")
-        await shown(pilot, "1✗  2·  3·  4·  5✗  6·")
-        await pilot.press("s")
-        await until(pilot, lambda: len(radio) == 2, "another scan")
-
-    drive(app, steps, size=size)
+@on_main(*long(WIDE), NARROW)
+async def test_adapters_devices_and_channels_at_a_glance(
+    app: ConsoleApp, pilot: Pilot[None], radio: list[object]
+) -> None:
+    await pilot.press("b")
+    await shown(pilot, "5C:F3:70:9A:1B:2E  hci0     on                 desk")
+    await shown(pilot, "00:1A:7D:DA:71:13  device   paired             robot1")
+    await shown(pilot, "1✗  2·  3·  4·  5✗  6·")
+    await pilot.press("s")
+    await until(pilot, lambda: len(radio) == 2, "another scan")
 
 
-def test_a_paired_device_becomes_the_server_of_a_new_session(radio: list[object]) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("b")
-        await shown(pilot, PHONE.address)
-        await pilot.press("j", "enter")
-        await shown(pilot, "New session")
-        assert form_of(app).values["server_ip"] == PHONE.address
-        await fill(pilot, name="robot1")
-        await pilot.press("enter")
-        await shown(pilot, "7060 is not a valid RFCOMM channel")
-
-    drive(app, steps)
+@on_main()
+async def test_a_paired_device_becomes_the_server_of_a_new_session(
+    app: ConsoleApp, pilot: Pilot[None], radio: list[object]
+) -> None:
+    await pilot.press("b")
+    await shown(pilot, PHONE.address)
+    await pilot.press("j", "enter")
+    await shown(pilot, "New session")
+    assert form_of(app).values["server_ip"] == PHONE.address
+    await fill(pilot, name="robot1")
+    await pilot.press("enter")
+    await shown(pilot, "7060 is not a valid RFCOMM channel")
 
 
-def test_a_servers_own_channels_are_told_to_the_scan(radio: list[object]) -> None:
-    session = msgspec.structs.replace(SESSION, role="server", server_ip=HCI0.address, server_port=4)
-    app = scripted_app(session=session)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("b")
-        await until(pilot, lambda: radio, "a scan")
-        assert radio == [{(HCI0.address, 4), (HCI0.address, 3)}]  # the session's, and that of /robot2/scan
-
-    drive(app, steps)
+@on_main(session=msgspec.structs.replace(SESSION, role="server", server_ip=HCI0.address, server_port=4))
+async def test_a_servers_own_channels_are_told_to_the_scan(
+    app: ConsoleApp, pilot: Pilot[None], radio: list[object]
+) -> None:
+    await pilot.press("b")
+    await until(pilot, lambda: radio, "a scan")
+    assert radio == [{(HCI0.address, 4), (HCI0.address, 3)}]  # the session's, and that of /robot2/scan

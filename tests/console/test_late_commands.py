@@ -12,7 +12,7 @@ from tests.support import replaced
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.by_hand import OLD_AFTER, Published
 from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.pictures import Cells, Picture, PictureError, Scale, check_picture
+from rsb_bridge.model.pictures import Scale
 from rsb_console.command import pub_command
 from rsb_console.screens.drive_screen import Steering
 from rsb_console.session import manual_messages
@@ -69,13 +69,6 @@ def test_keys_that_waited_for_a_console_that_stood_still_do_not_drive() -> None:
         assert steering.at(tenths / 10) == (0.0, 0.0)
     steering.press("up", 6.0)
     assert steering.at(6.1)[0] > 0
-
-
-@pytest.mark.parametrize("size", [0.0, -1.0])
-def test_a_map_whose_cells_have_no_size_is_no_picture(size: float) -> None:
-    for column, row in ((size, 1.0), (1.0, size)):
-        with pytest.raises(PictureError):
-            check_picture(Picture(Cells(("x",), scale=Scale("map", 0.0, 0.0, column, row))))
 
 
 def test_a_goal_on_a_map_of_any_scale_has_a_cell() -> None:

@@ -7,7 +7,7 @@ import re
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.console.driving import drive, engine_of, on_main, put, scripted_app, shown, until
+from tests.console.driving import engine_of, on_main, put, scripted_app, shown, until
 from tests.console.scripted import route
 from textual import events
 
@@ -290,29 +290,24 @@ def test_a_guarded_screen_takes_young_keys_and_all_safe_ones() -> None:
     assert not gate.refuses(key("y", 0.0), GuardedScreen.__mro__[1]())
 
 
-def test_the_pictures_of_a_question_say_when_its_keys_count() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        clock = Time()
-        app.input_gate.pulse = Pulse({}, clock)
-        clock.now += ANSWERS_WITHIN + 0.1  # it gives none
-        answers: list[Any] = []
-        question = GuardedConfirmScreen("Move the arm?", "It moves.", "Move")
-        question.seen_after = 60.0
-        app.push_screen(question, answers.append)
-        await until(pilot, lambda: question.drawn_at is not None, "drawn")
-        await pilot.press("y", "tab", "enter")
-        await asyncio.sleep(0)
-        assert app.screen is question
-        await shown(pilot, "…")
-        question.seen_after = 0.0
-        await shown(pilot, "y yes")
-        await pilot.press("y")
-        await until(pilot, lambda: answers == [True], "the answer")
-
-    drive(app, steps)
+@on_main()
+async def test_the_pictures_of_a_question_say_when_its_keys_count(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    clock = Time()
+    app.input_gate.pulse = Pulse({}, clock)
+    clock.now += ANSWERS_WITHIN + 0.1  # it gives none
+    answers: list[Any] = []
+    question = GuardedConfirmScreen("Move the arm?", "It moves.", "Move")
+    question.seen_after = 60.0
+    app.push_screen(question, answers.append)
+    await until(pilot, lambda: question.drawn_at is not None, "drawn")
+    await pilot.press("y", "tab", "enter")
+    await asyncio.sleep(0)
+    assert app.screen is question
+    await shown(pilot, "…")
+    question.seen_after = 0.0
+    await shown(pilot, "y yes")
+    await pilot.press("y")
+    await until(pilot, lambda: answers == [True], "the answer")
 
 
 # -- resuming

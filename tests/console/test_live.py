@@ -5,39 +5,18 @@ import time
 from pathlib import Path
 
 import pytest
-from tests.console.driving import NOWHERE, AppSteps, drive, gone, shown, until
-from tests.console.live import Pair, talker
+from tests.console.driving import gone, shown, until
+from tests.console.live import Pair, console, talker, watch
 from tests.support.forker import Forked
 from textual.pilot import Pilot
 
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
-from rsb_bridge.config.session_file import load
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_console.app import ConsoleApp
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 CHATTER = f"/console_{os.getpid()}/chatter"
-
-
-@pytest.fixture(autouse=True)
-def _on_this_machine_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-
-
-def watch(pair: Pair, steps: AppSteps) -> None:
-    """Open the console on the pair's client, run `steps`, stop its engine."""
-    app = ConsoleApp(load(pair.client_path), pair.client_path, config=NOWHERE, theme="dark")
-
-    async def run(pilot: Pilot[None]) -> None:
-        await until(pilot, lambda: app.engine is not None, "an engine")
-        await steps(app, pilot)
-
-    try:
-        drive(app, run)
-    finally:
-        if app.engine is not None:
-            app.engine.stop()
 
 
 def state(app: ConsoleApp) -> State | None:
@@ -55,8 +34,9 @@ async def flowing(app: ConsoleApp, pilot: Pilot[None]) -> None:
 def test_a_topics_life(tmp_path: Path) -> None:
     """Flows, goes stale with its publisher, flows again, is paused, resumed, removed."""
     pair = Pair(tmp_path, Topic(CHATTER, "transmit", stale_after=1.0))
+    app = console(pair.client_path)
 
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "● LINKED")
         with talker(CHATTER):
             await flowing(app, pilot)
@@ -79,38 +59,22 @@ def test_a_topics_life(tmp_path: Path) -> None:
             await shown(pilot, "0 topics")
 
     with pair.server():
-        watch(pair, steps)
-
-
-def test_the_peer_dies_and_comes_back(tmp_path: Path) -> None:
-    pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
-
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        with talker(CHATTER):
-            with pair.server() as server:
-                await flowing(app, pilot)
-                server.kill()
-            await shown(pilot, "✗ DOWN")
-            await until(pilot, lambda: state(app) is State.DOWN, "the topic down")
-            with pair.server():
-                await shown(pilot, "● LINKED")
-                await flowing(app, pilot)
-
-    watch(pair, steps)
+        watch(app, steps)
 
 
 def test_a_wrong_key_is_said_with_its_fingerprint_and_nothing_flows(tmp_path: Path) -> None:
     pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
+    app = console(pair.client_path)
     with pair.server() as server, talker(CHATTER):
         wait_for_port(pair.client.server_port, server)
         write_key(tmp_path / "robot1.key", force=True)
 
-        async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        async def steps(pilot: Pilot[None]) -> None:
             await shown(pilot, fingerprint(read_key(tmp_path / "robot1.key"))[:9])  # as much as there is room for
             assert not app.linked
             assert app.snapshot().routes[0].ledger.delivered == 0
 
-        watch(pair, steps)
+        watch(app, steps)
 
 
 def wait_for_port(port: int, process: Forked) -> None:

@@ -6,13 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.console.driving import NOWHERE, AppSteps, choose, drive, fill, form_of, gone, shown, until
-from tests.console.live import THERE, Pair, running
+from tests.console.driving import choose, fill, shown, until
+from tests.console.live import THERE, Pair, console, running, watch
 from textual.pilot import Pilot
 
-from rsb_bridge.config.session_file import load
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import RouteSnapshot, State
+from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.call_screen import CallText
 
@@ -22,31 +21,11 @@ NODE = f"console_{os.getpid()}"
 MODE = f"/{NODE}/set_mode"
 
 
-@pytest.fixture(autouse=True)
-def _on_this_machine_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-
-
 @contextlib.contextmanager
 def answerer() -> Iterator[None]:
     """The node, on the other side."""
     with running("tests.console.answerer", str(THERE), NODE, MODE):
         yield
-
-
-def watch(pair: Pair, steps: AppSteps) -> None:
-    """Open the console on the pair's client, run `steps`, stop its engine."""
-    app = ConsoleApp(load(pair.client_path), pair.client_path, config=NOWHERE, theme="dark")
-
-    async def run(pilot: Pilot[None]) -> None:
-        await until(pilot, lambda: app.engine is not None, "an engine")
-        await steps(app, pilot)
-
-    try:
-        drive(app, run)
-    finally:
-        if app.engine is not None:
-            app.engine.stop()
 
 
 def found(app: ConsoleApp, name: str) -> RouteSnapshot | None:
@@ -69,8 +48,9 @@ async def usable(app: ConsoleApp, pilot: Pilot[None], name: str) -> None:
 
 def test_a_service_and_a_parameter_of_a_far_node(tmp_path: Path) -> None:
     pair = Pair(tmp_path, Topic(MODE, "transmit", kind="service"), Topic(f"/{NODE}", "transmit", kind="parameters"))
+    app = console(pair.client_path)
 
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "● LINKED")
         await shown(pilot, "1 service, parameters of 1 node")
         await usable(app, pilot, MODE)
@@ -99,31 +79,4 @@ def test_a_service_and_a_parameter_of_a_far_node(tmp_path: Path) -> None:
         await shown(pilot, "double_value: 0.9")
 
     with pair.server(), answerer():
-        watch(pair, steps)
-
-
-def test_a_service_is_picked_from_the_far_graph_and_told_of_when_it_goes(tmp_path: Path) -> None:
-    pair = Pair(tmp_path)
-
-    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        await shown(pilot, "● LINKED")
-        with answerer():
-            await pilot.press("a")
-            await shown(pilot, "type to look for")
-            await fill(pilot, topic=NODE)
-            await shown(pilot, "1 server there")
-            await shown(pilot, "parameters there")
-            await choose(pilot, "kind", "service")
-            await gone(pilot, "parameters there")
-            form_of(app).fields["topic"].control.focus()
-            await pilot.press("enter")
-            await shown(pilot, "std_srvs/srv/SetBool")
-            await pilot.press("enter")
-            await usable(app, pilot, MODE)
-            assert app.engine is not None
-            assert app.engine.session.topics == (Topic(MODE, "transmit", "std_srvs/srv/SetBool", kind="service"),)
-        await until(pilot, lambda: (route := found(app, MODE)) and route.state is State.DOWN, "nobody answers")
-        await shown(pilot, "✗ server seen")
-
-    with pair.server():
-        watch(pair, steps)
+        watch(app, steps)

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
-from tests.console.driving import drive, fill, shown, until
-from tests.console.live import ELSEWHERE, HERE, Pair, bridging, talker
-from tests.console.test_live_dialogs import console, flows
+from tests.console.driving import fill, shown, until
+from tests.console.live import ELSEWHERE, HERE, Pair, bridging, console, flows, talker, watch
 from textual.pilot import Pilot
 
 from rsb_bridge.config.session_file import load, parse, save
@@ -19,11 +18,6 @@ from rsb_console.session.client_files import handed_out, open_server, robot_file
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 CHATTER = f"/clients_{os.getpid()}/chatter"
-
-
-@pytest.fixture(autouse=True)
-def _on_this_machine_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
 def link_of(app: ConsoleApp, name: str) -> LinkSnapshot | None:
@@ -76,10 +70,7 @@ def test_a_fleet_grows_and_shrinks_under_its_operators_hands(tmp_path: Path) -> 
         await shown(pilot, "saved:")
 
     with bridging(pair.client_path), talker(CHATTER, domain=HERE):
-        try:
-            drive(app, steps)
-        finally:
-            app.stop()
+        watch(app, steps)
     kept = Topic(CHATTER, "transmit", "std_msgs/msg/String")
     assert load(pair.server_path).clients == (Client("robot1", topics=(kept,)),)
 

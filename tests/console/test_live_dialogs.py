@@ -6,15 +6,14 @@ import time
 from pathlib import Path
 
 import pytest
-from tests.console.driving import NOWHERE, Steps, drive, gone, shown, until
-from tests.console.live import HERE, THERE, Pair, talker
+from tests.console.driving import NOWHERE, gone, shown, until
+from tests.console.live import HERE, THERE, Pair, console, flows, talker, watch
 from tests.support.locks import alone
 from textual.pilot import Pilot
 
 from rsb_bridge.config.session_file import load
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import Snapshot
 from rsb_console.app import ConsoleApp
 from rsb_console.operations.session_operations import SessionQuestion
 from rsb_console.screens.dialog import ConfirmScreen
@@ -24,31 +23,10 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 CHATTER = f"/dialogs_{os.getpid()}/chatter"
 
 
-@pytest.fixture(autouse=True)
-def _on_this_machine_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-
-
-def watch(app: ConsoleApp, steps: Steps) -> None:
-    """Run `steps` on the console; stop its engine."""
-    try:
-        drive(app, steps)
-    finally:
-        app.stop()
-
-
-def console(path: Path) -> ConsoleApp:
-    """The console on a session file."""
-    return ConsoleApp(load(path), path, config=NOWHERE, theme="dark")
-
-
-def flows(now: Snapshot, topic: str = CHATTER) -> bool:
-    """Whether a topic carries about what its talker says."""
-    return any(route.topic == topic and route.rate > 0 for route in now.routes)
-
-
 @pytest.mark.parametrize(
-    ("domain", "sign", "direction"), [(HERE, "→", "transmit"), (THERE, "←", "receive")], ids=["here", "there"]
+    ("domain", "sign", "direction"),
+    [pytest.param(HERE, "→", "transmit", marks=pytest.mark.long), (THERE, "←", "receive")],
+    ids=["here", "there"],
 )
 def test_a_topic_of_either_sides_graph_is_added_flows_and_is_saved(
     tmp_path: Path, domain: int, sign: str, direction: str
@@ -63,7 +41,7 @@ def test_a_topic_of_either_sides_graph_is_added_flows_and_is_saved(
         await pilot.press("enter")
         await shown(pilot, "std_msgs/msg/String")
         await pilot.press("enter")
-        await until(pilot, lambda: flows(app.snapshot()), "20 Hz")
+        await until(pilot, lambda: flows(app.snapshot(), CHATTER), "20 Hz")
         await pilot.press("q")
         await shown(pilot, SessionQuestion.NOT_SAVED, changes=f"added {CHATTER}")
         await pilot.press("n", "w", "y")
@@ -82,7 +60,7 @@ def assert_bridges_headless(path: Path) -> None:
     engine.start()
     try:
         deadline = time.monotonic() + 60
-        while not flows(engine.snapshot()):
+        while not flows(engine.snapshot(), CHATTER):
             assert time.monotonic() < deadline, [route.reason for route in engine.snapshot().routes]
             time.sleep(0.05)
     finally:
@@ -94,14 +72,14 @@ def test_a_restart_shows_its_steps_and_then_all_flows_again(tmp_path: Path) -> N
     app = console(pair.client_path)
 
     async def steps(pilot: Pilot[None]) -> None:
-        await until(pilot, lambda: flows(app.snapshot()), "20 Hz")
+        await until(pilot, lambda: flows(app.snapshot(), CHATTER), "20 Hz")
         await pilot.press("R", "y")
         await shown(pilot, "✓ restarted")
         await shown(pilot, "on both sides")
         await shown(pilot, "1 of 1 topics and services accepted")
         await pilot.press("enter")
         await gone(pilot, "✓ restarted")
-        await until(pilot, lambda: flows(app.snapshot()), "20 Hz")
+        await until(pilot, lambda: flows(app.snapshot(), CHATTER), "20 Hz")
 
     with pair.server(), talker(CHATTER):
         watch(app, steps)

@@ -74,15 +74,7 @@ async def test_the_log_follows_again_when_another_pane_gets_the_focus(app: Conso
     await shown(pilot, "newest")
 
 
-@on_main()
-async def test_toasts_leave_the_newest_log_lines_and_the_keys_alone(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    app.notify("words " * 20)
-    await shown(pilot, "words words")
-    await shown(pilot, "/robot2/scan channel 3: No route to host")
-    await shown(pilot, "q quit")
-
-
-@on_main(size=NARROW)
+@on_main(NARROW)
 async def test_a_long_line_of_the_log_can_be_read_whole(app: ConsoleApp, pilot: Pilot[None]) -> None:
     words = " ".join(f"word{number}" for number in range(40))
     engine_of(app).happened.append(Event(5, NOW, Level.ERROR, "link.up", words, "robot1"))

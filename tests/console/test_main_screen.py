@@ -1,6 +1,7 @@
 """The main screen, key by key, on an engine that plays a script."""
 
 import csv
+from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -21,11 +22,10 @@ from tests.console.driving import (
     put,
     scripted_app,
     shown,
-    shown_at_the_end,
     text,
     until,
 )
-from tests.console.scripted import CALL_ROUTES, FAULTY, LINK, NOW, ROUTES, ScriptedEngine, route
+from tests.console.scripted import CALL_ROUTES, FAULTY, LINK, NOW, ROUTES, ScriptedEngine, refused, route
 from tests.support.long import long
 from textual.pilot import Pilot
 from textual.widgets import Button
@@ -38,7 +38,6 @@ from rsb_console.look import formats
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.main import EmptyTable
 from rsb_console.session.history_report import export_topics
-from rsb_console.widgets.detail_parts import DetailText
 
 if TYPE_CHECKING:
     from rsb_bridge.control.control_server import ControlServer
@@ -77,17 +76,7 @@ def test_over_ssh_it_begins_at_two_hertz(monkeypatch: pytest.MonkeyPatch) -> Non
     drive(app, steps)
 
 
-@on_main()
-async def test_detail_says_why(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await shown(pilot, DetailText.WHY_NOT_FLOWING)
-    await shown(pilot, "✗ publisher seen")
-    await shown(pilot, "no publisher of /scan in domain 4")
-    await shown_at_the_end(pilot, "all 10 passed")
-    await gone(pilot, DetailText.WHY_NOT_FLOWING)
-    await pilot.press("z")
-
-
-@on_main(size=NARROW)
+@on_main(NARROW)
 async def test_on_a_narrow_screen_detail_and_log_open_over_the_table(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await gone(pilot, "Ledger")
     await pilot.press("enter")
@@ -102,7 +91,7 @@ async def test_on_a_narrow_screen_detail_and_log_open_over_the_table(app: Consol
     await shown(pilot, "STATE▼")
 
 
-@on_main(size=(60, 12))
+@on_main((60, 12))
 async def test_even_smaller_it_works(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await shown(pilot, "✗  /robot2/scan")
     await pilot.press("l")
@@ -235,7 +224,7 @@ async def test_what_is_wrong_is_counted_by_kind(app: ConsoleApp, pilot: Pilot[No
     await shown(pilot, "f ✗1 ▲1  c ✗1  ? help  q quit")
 
 
-@on_main(size=(100, 30))
+@on_main((100, 30))
 async def test_the_domain_is_not_cut_at_100_columns(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, links=(replace(LINK, encrypted=False),), address="192.168.100.200:49152")
     await shown(pilot, "192.168.100.200:49152")
@@ -261,21 +250,18 @@ async def test_ascii_is_what_goes_out(app: ConsoleApp, pilot: Pilot[None]) -> No
     assert text(app).isascii()
 
 
-def test_copy_and_export(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@on_main()
+async def test_copy_and_export(
+    app: ConsoleApp, pilot: Pilot[None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("y")
-        assert app.clipboard == "/robot2/scan"
-        await pilot.press("f", "x")
-        await until(pilot, lambda: list(tmp_path.glob("rsb-topics-*.csv")), "a table")
-        await pilot.press("l", "y", "x")
-        await until(pilot, lambda: list(tmp_path.glob("rsb-log-*.txt")), "a log")
-        assert "No route to host" in app.clipboard
-
-    drive(app, steps)
+    await pilot.press("y")
+    assert app.clipboard == "/robot2/scan"
+    await pilot.press("f", "x")
+    await until(pilot, lambda: list(tmp_path.glob("rsb-topics-*.csv")), "a table")
+    await pilot.press("l", "y", "x")
+    await until(pilot, lambda: list(tmp_path.glob("rsb-log-*.txt")), "a log")
+    assert "No route to host" in app.clipboard
     (table,) = tmp_path.glob("*.csv")
     rows = list(csv.DictReader(table.read_text().splitlines()))
     assert [row["topic"] for row in rows] == FAULTY
@@ -301,19 +287,16 @@ def test_an_export_tells_kinds_apart(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert called["offered"] == called["dropped_total"] == ""
 
 
-def test_an_export_that_cannot_be_written_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@on_main()
+async def test_an_export_that_cannot_be_written_is_said(
+    app: ConsoleApp, pilot: Pilot[None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "gone"
     folder.mkdir()
     monkeypatch.chdir(folder)
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        folder.rmdir()
-        await pilot.press("x")
-        await shown(pilot, "Not exported")
-
-    drive(app, steps)
+    folder.rmdir()
+    await pilot.press("x")
+    await shown(pilot, "Not exported")
 
 
 class Dying(ScriptedEngine):
@@ -351,16 +334,11 @@ def test_an_engine_that_has_died_says_why_and_can_be_started_anew(temporary: boo
     drive(app, steps)
 
 
-def test_the_footer_of_a_narrow_screen_has_the_key_of_the_details() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "⏎ detail")
-        footer = text(app).split("\n")[-1]
-        for words in ("a add", "p pause", "/ filter", "f ✗1 ▲1", "? help", "q quit"):
-            assert words in footer
-
-    drive(app, steps, size=NARROW)
+@on_main(NARROW, landmark="⏎ detail")
+async def test_the_footer_of_a_narrow_screen_has_the_key_of_the_details(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    footer = text(app).split("\n")[-1]
+    for words in ("a add", "p pause", "/ filter", "f ✗1 ▲1", "? help", "q quit"):
+        assert words in footer
 
 
 def test_what_vanishes_with_its_session_is_neither_unsaved_nor_recent(tmp_path: Path) -> None:
@@ -394,7 +372,7 @@ def test_what_vanishes_with_its_session_is_neither_unsaved_nor_recent(tmp_path: 
 )
 @pytest.mark.parametrize("size", [*long((120, 36)), NARROW])
 def test_an_empty_screen_says_what_to_press(size: tuple[int, int], options: dict[str, Any], words: str) -> None:
-    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, ()), **options)
+    app = scripted_app(routes=(), **options)
 
     async def steps(pilot: Pilot[None]) -> None:
         if "session" in options:
@@ -406,7 +384,7 @@ def test_an_empty_screen_says_what_to_press(size: tuple[int, int], options: dict
     drive(app, steps, size)
 
 
-@on_main(size=NARROW)
+@on_main(NARROW)
 async def test_a_dialog_has_the_only_keys(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await shown(pilot, "q quit")
     await pilot.press("f5")
@@ -447,39 +425,26 @@ def test_an_engine_that_cannot_start_says_why_and_the_console_stays() -> None:
     drive(app, steps)
 
 
-def test_a_refused_command_is_said_in_words() -> None:
-    from concurrent.futures import Future
+class Refusing(ScriptedEngine):
+    """An engine that pauses nothing."""
 
-    from rsb_bridge.api import EngineError
+    def pause(self, key: str, paused: bool) -> Future[None]:
+        return refused("route gone")
 
-    class Refusing(ScriptedEngine):
-        def pause(self, key: str, paused: bool) -> Future[None]:
-            future: Future[None] = Future()
-            future.set_exception(EngineError("route gone"))
-            return future
 
-    app = scripted_app(make_engine=Refusing)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "p pause")
-        await pilot.press("p")
-        await shown(pilot, "route gone")
-
-    drive(app, steps)
+@on_main(landmark="p pause", make_engine=Refusing)
+async def test_a_refused_command_is_said_in_words(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("p")
+    await shown(pilot, "route gone")
 
 
 @pytest.mark.parametrize("temporary", [False, True])
-def test_a_running_demo_is_not_replaced_by_itself(temporary: bool) -> None:
-    app = scripted_app(temporary=temporary)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("f4")
-        await until(pilot, lambda: isinstance(app.screen, ConfirmScreen), "the question")
-        assert isinstance(app.screen, ConfirmScreen)
-        assert is_shown(app, "instead") is not temporary
-        assert is_shown(app, "Start again" if temporary else "Run")
-        await pilot.press("n")
-        assert app.engine is not None
-
-    drive(app, steps)
+@on_main(given=("temporary",))
+async def test_a_running_demo_is_not_replaced_by_itself(app: ConsoleApp, pilot: Pilot[None], temporary: bool) -> None:
+    await pilot.press("f4")
+    await until(pilot, lambda: isinstance(app.screen, ConfirmScreen), "the question")
+    assert isinstance(app.screen, ConfirmScreen)
+    assert is_shown(app, "instead") is not temporary
+    assert is_shown(app, "Start again" if temporary else "Run")
+    await pilot.press("n")
+    assert app.engine is not None

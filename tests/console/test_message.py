@@ -1,10 +1,7 @@
 """Looking at a topic's messages in the console."""
 
-import os
-import shutil
 import threading
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,6 +10,7 @@ from tests.console.driving import (
     drive,
     engine_of,
     gone,
+    on_main,
     put,
     scripted_app,
     shown,
@@ -20,15 +18,11 @@ from tests.console.driving import (
     text,
     until,
 )
-from tests.console.live import COMMAND, Pair, bridging, talker
 from tests.console.scripted import NOW, ScriptedEngine, route
-from tests.console.tmux import Tmux
 from tests.support import replaced
-from tests.support.control import Machine
 from tests.support.wording import says
 from textual.pilot import Pilot
 
-from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PeekedMessage, State
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.message_screen import MessageText
@@ -54,7 +48,6 @@ from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_bridge.ros.native.typesupport import hash_of
 
-CHATTER = f"/console_{os.getpid()}/message"
 TEXT = "std_msgs/msg/String"
 
 
@@ -64,10 +57,6 @@ class TextEngine(ScriptedEngine):
     def __init__(self, *session: Any) -> None:
         super().__init__(*session)
         self.now = replace(self.now, routes=tuple(replace(each, type_name=TEXT) for each in self.now.routes))
-
-
-def text_app(**options: Any) -> ConsoleApp:
-    return scripted_app(make_engine=TextEngine, **options)
 
 
 def peeked(message: Any, **changes: Any) -> PeekedMessage:
@@ -92,36 +81,33 @@ async def answered(pilot: Pilot[None], message: PeekedMessage | None) -> None:
 
 
 @pytest.mark.parametrize("keys", [["v"], ["enter", "enter"]])
-def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(keys: list[str]) -> None:
-    app = text_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine = engine_of(app)
-        engine.described = installed_description("nav_msgs/msg/Odometry")
-        engine.peeked.append(peeked(odometry()))
-        await pilot.press(*keys)
-        await shown(pilot, 'child_frame_id: "base"')
-        screen = text(app)
-        assert says(screen, ArrivalText.OVER_LINK, size="nav_msgs/msg/Odometry  716 B", took=" in 3.1 ms")
-        assert says(screen, StampText.AGE, stamp="header.stamp", span="5.0 ms", clocks=StampText.CLOCKS_OF_PUBLISHER())
-        assert engine.commands[:2] == [("peek", "/robot2/scan", True), ("describe", "/robot2/scan")]
-        await answered(pilot, peeked(odometry("other")))
-        await shown(pilot, 'child_frame_id: "other"')
-        assert engine.commands.count(("describe", "/robot2/scan")) == 1, "the type is described"
-        await answered(pilot, None)
-        await shown(pilot, MessageText.WAITING)
-        await shown(pilot, 'child_frame_id: "other"')  # the last one stays
-        await until(pilot, lambda: not engine.looking.done(), "a look at the next message")
-        await pilot.press("escape")
-        await gone(pilot, "child_frame_id")
-        await until(pilot, engine.looking.cancelled, "nobody looks any more")
-
-    drive(app, steps)
+@on_main(make_engine=TextEngine)
+async def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(
+    app: ConsoleApp, pilot: Pilot[None], keys: list[str]
+) -> None:
+    engine = engine_of(app)
+    engine.described = installed_description("nav_msgs/msg/Odometry")
+    engine.peeked.append(peeked(odometry()))
+    await pilot.press(*keys)
+    await shown(pilot, 'child_frame_id: "base"')
+    screen = text(app)
+    assert says(screen, ArrivalText.OVER_LINK, size="nav_msgs/msg/Odometry  716 B", took=" in 3.1 ms")
+    assert says(screen, StampText.AGE, stamp="header.stamp", span="5.0 ms", clocks=StampText.CLOCKS_OF_PUBLISHER())
+    assert engine.commands[:2] == [("peek", "/robot2/scan", True), ("describe", "/robot2/scan")]
+    await answered(pilot, peeked(odometry("other")))
+    await shown(pilot, 'child_frame_id: "other"')
+    assert engine.commands.count(("describe", "/robot2/scan")) == 1, "the type is described"
+    await answered(pilot, None)
+    await shown(pilot, MessageText.WAITING)
+    await shown(pilot, 'child_frame_id: "other"')  # the last one stays
+    await until(pilot, lambda: not engine.looking.done(), "a look at the next message")
+    await pilot.press("escape")
+    await gone(pilot, "child_frame_id")
+    await until(pilot, engine.looking.cancelled, "nobody looks any more")
 
 
 def test_keys_do_something_while_a_message_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    app = text_app()
+    app = scripted_app(make_engine=TextEngine)
     began, may_go_on = threading.Event(), threading.Event()
 
     def slow(*arguments: Any, **limits: Any) -> ReadMessage:
@@ -145,79 +131,54 @@ def test_keys_do_something_while_a_message_is_read(monkeypatch: pytest.MonkeyPat
     drive(app, steps)
 
 
-def test_a_message_can_be_held() -> None:
-    app = text_app(readonly=True)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine = engine_of(app)
-        engine.described = installed_description("std_msgs/msg/String")
-        engine.peeked.append(peeked(String(data="first")))
-        await pilot.press("v")
-        await shown(pilot, 'data: "first"')
-        await pilot.press("space")
-        await shown(pilot, "HELD")
-        await answered(pilot, peeked(String(data="second")))
-        await pilot.press("space")
-        await shown(pilot, 'data: "second"')
-
-    drive(app, steps)
+@on_main(make_engine=TextEngine, readonly=True)
+async def test_a_message_can_be_held(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine = engine_of(app)
+    engine.described = installed_description("std_msgs/msg/String")
+    engine.peeked.append(peeked(String(data="first")))
+    await pilot.press("v")
+    await shown(pilot, 'data: "first"')
+    await pilot.press("space")
+    await shown(pilot, "HELD")
+    await answered(pilot, peeked(String(data="second")))
+    await pilot.press("space")
+    await shown(pilot, 'data: "second"')
 
 
-def test_why_no_message_comes_is_said() -> None:
-    app = text_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        put(app, route("/quiet", State.WAITING, type_name=TEXT, reason="no publisher of /quiet in domain 4"))
-        await shown(pilot, "/quiet")
-        await pilot.press("v")
-        await shown(pilot, MessageText.WAITING)
-        await shown(pilot, "WAIT no publisher of /quiet in domain 4")
-
-    drive(app, steps, NARROW)
+@on_main(NARROW, make_engine=TextEngine)
+async def test_why_no_message_comes_is_said(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, route("/quiet", State.WAITING, type_name=TEXT, reason="no publisher of /quiet in domain 4"))
+    await shown(pilot, "/quiet")
+    await pilot.press("v")
+    await shown(pilot, MessageText.WAITING)
+    await shown(pilot, "WAIT no publisher of /quiet in domain 4")
 
 
-def test_what_nobody_describes_is_shown_as_hex() -> None:
-    app = text_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine_of(app).peeked.append(peeked(odometry(), payload=bytes(range(64)) * 100))
-        await pilot.press("v")
-        await shown(pilot, "00000010  10 11 12 13")
-        await shown(pilot, "nav_msgs/msg/Odometry")
-        await shown_at_the_end(pilot, "neither side knows it")
-
-    drive(app, steps, NARROW)
+@on_main(NARROW, make_engine=TextEngine)
+async def test_what_nobody_describes_is_shown_as_hex(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine_of(app).peeked.append(peeked(odometry(), payload=bytes(range(64)) * 100))
+    await pilot.press("v")
+    await shown(pilot, "00000010  10 11 12 13")
+    await shown(pilot, "nav_msgs/msg/Odometry")
+    await shown_at_the_end(pilot, "neither side knows it")
 
 
-def test_nothing_in_a_message_is_obeyed_by_the_screen() -> None:
-    app = text_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine_of(app).described = installed_description("std_msgs/msg/String")
-        engine_of(app).peeked.append(peeked(String(data="\x1b[2J [red]markup[/] \u202e\u200b")))
-        await pilot.press("v")
-        await shown(pilot, 'data: "\\x1b[2J [red]markup[/] \\u202e\\u200b"')
-
-    drive(app, steps)
+@on_main(make_engine=TextEngine)
+async def test_nothing_in_a_message_is_obeyed_by_the_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine_of(app).described = installed_description("std_msgs/msg/String")
+    engine_of(app).peeked.append(peeked(String(data="\x1b[2J [red]markup[/] \u202e\u200b")))
+    await pilot.press("v")
+    await shown(pilot, 'data: "\\x1b[2J [red]markup[/] \\u202e\\u200b"')
 
 
-def test_a_message_of_many_lines_shows_the_first() -> None:
-    app = text_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        markers = MarkerArray(markers=[Marker(points=[Point()] * 100)] * 300)
-        engine_of(app).described = installed_description("visualization_msgs/msg/MarkerArray")
-        engine_of(app).peeked.append(peeked(markers))
-        await pilot.press("v")
-        await shown(pilot, " of 300 visualization_msgs/msg/Marker")
-        await shown_at_the_end(pilot, "only the first 2 000 lines are shown")
-
-    drive(app, steps)
+@on_main(make_engine=TextEngine)
+async def test_a_message_of_many_lines_shows_the_first(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    markers = MarkerArray(markers=[Marker(points=[Point()] * 100)] * 300)
+    engine_of(app).described = installed_description("visualization_msgs/msg/MarkerArray")
+    engine_of(app).peeked.append(peeked(markers))
+    await pilot.press("v")
+    await shown(pilot, " of 300 visualization_msgs/msg/Marker")
+    await shown_at_the_end(pilot, "only the first 2 000 lines are shown")
 
 
 def test_arrays_are_wrapped_and_shortened() -> None:
@@ -257,25 +218,3 @@ def test_hex_shows_sixteen_bytes_a_line() -> None:
         "00000000  00 01 00 00 61 62 1b                              ....ab."
     ]
     assert plain([*hex_lines(bytes(100), 32)][-1]) == "… 68 bytes more"
-
-
-@pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
-def test_in_a_terminal_attached_and_read_only(
-    tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
-    pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
-    with pair.server(), bridging(pair.client_path), talker(CHATTER):
-        socket = machine.folder / "robot1.sock"
-        with Tmux(tmp_path, "sh") as tmux:
-            tmux("send-keys", f"until {COMMAND} attach --readonly --control {socket}; do sleep 0.2; done", "Enter")
-            tmux.wait_for("UNHEARD")
-            tmux("send-keys", "v")
-            first = tmux.wait_for("data: ")
-            came = next(line for line in first.splitlines() if "std_msgs/msg/String" in line)
-            # both sides are robot1
-            assert says(came, ArrivalText.FROM_ROS) or says(came, ArrivalText.OVER_LINK)
-            tmux.wait_for(came, there=False)
-            tmux("send-keys", "Escape")
-            tmux.wait_for("data: ", there=False)
-            tmux.wait_for("UNHEARD")

@@ -1,27 +1,27 @@
 """Publishing a message by hand in the console, on an engine that plays a script."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import pytest
 from tests.console.driving import (
     NARROW,
-    AppSteps,
-    drive,
+    WIDE,
+    Decorator,
     engine_of,
     fill,
     form_of,
     gone,
     notified,
+    on_main,
     put,
-    scripted_app,
     settled,
     shown,
     text,
     until,
 )
 from tests.console.scripted import ScriptedEngine, call_route, route
+from tests.support.long import long
 from tests.support.wording import says
 from textual.events import Paste
 from textual.pilot import Pilot
@@ -36,41 +36,27 @@ from rsb_console.app import ConsoleApp
 from rsb_console.screens.main import MainText
 from rsb_console.screens.publish_screen import PublishScreen, PublishText
 from rsb_console.session.landing import LandingText
-from rsb_console.session.manual_messages import ByHandText
 
 STRING = "std_msgs/msg/String"
 WORDS = route("/words", outgoing=True, spec=Topic("/words", "transmit"), type_name=STRING)
 DRAFT = Draft(STRING, "data: ''\n")
 TAKEN = Published(is_done=True, ticket=5, type_name=STRING, nodes=2, links=("robot1",))
 ALONE = Published(is_done=True, ticket=5, type_name=STRING)
-OLD = Published(is_done=False, ticket=7)
 
 
-def on(
-    *routes: RouteSnapshot, drafts: dict[str, Draft] | None = None, size: tuple[int, int] = (120, 36), **options: Any
-) -> Callable[[AppSteps], Callable[[], None]]:
+def on(*sizes: Any, routes: tuple[RouteSnapshot, ...] = (WORDS,), drafts: dict[str, Draft] | None = None) -> Decorator:
     """A test's steps run once the form is open, for the topic under the cursor."""
 
-    def decorate(steps: AppSteps) -> Callable[[], None]:
-        def test() -> None:
-            def make(session: Any, base: Any) -> ScriptedEngine:
-                engine = ScriptedEngine(session, base, routes or (WORDS,))
-                engine.drafts = {"/words": DRAFT} if drafts is None else drafts
-                return engine
+    def make(session: Any, base: Any) -> ScriptedEngine:
+        engine = ScriptedEngine(session, base, routes)
+        engine.drafts = {"/words": DRAFT} if drafts is None else drafts
+        return engine
 
-            app = scripted_app(make_engine=make, **options)
+    async def opened(pilot: Pilot[None]) -> None:
+        await pilot.press("S")
+        await until(pilot, lambda: isinstance(pilot.app.screen, PublishScreen), "the form")
 
-            async def run(pilot: Pilot[None]) -> None:
-                await shown(pilot, (routes or (WORDS,))[0].topic)
-                await pilot.press("S")
-                await until(pilot, lambda: isinstance(app.screen, PublishScreen), "the form")
-                await steps(app, pilot)
-
-            drive(app, run, size)
-
-        return test
-
-    return decorate
+    return on_main(*sizes, landmark=routes[0].topic, opening=opened, make_engine=make)
 
 
 def sent(app: ConsoleApp) -> list[Publish]:
@@ -158,7 +144,7 @@ async def test_a_type_helps_where_nobody_has_the_topic(app: ConsoleApp, pilot: P
     await gone(pilot, PublishText.FIELDS_UNKNOWN)
 
 
-@on(call_route("service", "/dock"))
+@on(routes=(call_route("service", "/dock"),))
 async def test_a_service_is_no_topic(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await settled(pilot)
     assert form_of(app).values["topic"] == ""
@@ -189,33 +175,29 @@ async def test_mistakes_are_shown_and_nothing_is_asked(app: ConsoleApp, pilot: P
 # -- the question
 
 
-@pytest.mark.parametrize("size", [(120, 36), NARROW])
-def test_a_message_is_published_after_a_question(size: tuple[int, int]) -> None:
-    @on(size=size)
-    async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
-        await until(pilot, lambda: message(app), "the message")
-        await fill(pilot, message="data: hello")
-        await pilot.press("f9")
-        await shown(pilot, PublishText.QUESTION, topic="/words")
-        await shown(pilot, "10.0.0.20:49152:")
-        await shown(pilot, "data: hello")
-        await until(pilot, lambda: app.focused is app.screen.query_one("#no", Button), "No under enter")
-        await pilot.press("enter")
-        await gone(pilot, PublishText.QUESTION)
-        assert not sent(app)
-        engine_of(app).published = [TAKEN, TAKEN]
-        await publish(app, pilot)
-        await shown(pilot, PublishText.PUBLISHED, sign="✓", topic="/words")
-        await shown(pilot, PublishText.OVER_LINKS, links="robot1")
-        assert [(each.topic, each.fields, each.type_name, each.rest) for each in sent(app)] == [
-            ("/words", "data: hello", "", "")
-        ]
-        await publish(app, pilot)  # the form stays open
-        assert len(sent(app)) == 2
-        await pilot.press("escape")
-        await until(pilot, lambda: app.screen is app.main, "the list")
-
-    test()
+@on(*long(WIDE), NARROW)
+async def test_a_message_is_published_after_a_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await until(pilot, lambda: message(app), "the message")
+    await fill(pilot, message="data: hello")
+    await pilot.press("f9")
+    await shown(pilot, PublishText.QUESTION, topic="/words")
+    await shown(pilot, "10.0.0.20:49152:")
+    await shown(pilot, "data: hello")
+    await until(pilot, lambda: app.focused is app.screen.query_one("#no", Button), "No under enter")
+    await pilot.press("enter")
+    await gone(pilot, PublishText.QUESTION)
+    assert not sent(app)
+    engine_of(app).published = [TAKEN, TAKEN]
+    await publish(app, pilot)
+    await shown(pilot, PublishText.PUBLISHED, sign="✓", topic="/words")
+    await shown(pilot, PublishText.OVER_LINKS, links="robot1")
+    assert [(each.topic, each.fields, each.type_name, each.rest) for each in sent(app)] == [
+        ("/words", "data: hello", "", "")
+    ]
+    await publish(app, pilot)  # the form stays open
+    assert len(sent(app)) == 2
+    await pilot.press("escape")
+    await until(pilot, lambda: app.screen is app.main, "the list")
 
 
 @on()
@@ -228,7 +210,7 @@ async def test_an_empty_message_has_all_defaults(app: ConsoleApp, pilot: Pilot[N
     await until(pilot, lambda: [each.fields for each in sent(app)] == [""], "the message")
 
 
-@on(route("/words", State.PAUSED, outgoing=True), route("/words", key="in", link="robot2"))
+@on(routes=(route("/words", State.PAUSED, outgoing=True), route("/words", key="in", link="robot2")))
 async def test_the_question_names_only_links_that_take_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await until(pilot, lambda: message(app), "the message")
     await pilot.press("f9")
@@ -236,23 +218,10 @@ async def test_the_question_names_only_links_that_take_it(app: ConsoleApp, pilot
     await gone(pilot, "10.0.0.20:49152:")
 
 
-@on(size=NARROW)
-async def test_a_question_that_is_cut_has_a_note(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await until(pilot, lambda: message(app), "the message")
-    await fill(pilot, message="data:" + " long" * 2000)
-    await pilot.press("f9")
-    await shown(pilot, PublishText.QUESTION)
-    await pilot.press("G")
-    await shown(pilot, "characters more)")
-    await pilot.press("y")
-    await until(pilot, lambda: sent(app), "the message")
-    assert len(sent(app)[0].fields) > 10_000
-
-
 # -- the result
 
 
-@on(route("/words", State.DOWN, outgoing=True, reason="no link \x1b[2J"))
+@on(routes=(route("/words", State.DOWN, outgoing=True, reason="no link \x1b[2J"),))
 async def test_nobody_gets_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await until(pilot, lambda: message(app), "the message")
     engine_of(app).published = [ALONE]
@@ -286,54 +255,16 @@ async def test_the_next_message_waits_for_the_one_before(app: ConsoleApp, pilot:
     await publish(app, pilot)
 
 
-# -- tickets
-
-
-@on()
-async def test_a_topic_that_has_to_be_armed_needs_a_ticket(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await until(pilot, lambda: message(app), "the message")
-    engine_of(app).published = [OLD, TAKEN]
-    await publish(app, pilot)
-    await shown(pilot, PublishText.PUBLISHED, sign="✓")
-    assert [each.ticket for each in sent(app)] == [0, 7]
-
-
-@on()
-async def test_a_bridge_that_answers_too_slowly_publishes_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await until(pilot, lambda: message(app), "the message")
-    engine_of(app).published = [OLD, OLD, OLD, TAKEN]
-    await publish(app, pilot)
-    await shown(pilot, ByHandText.TOO_SLOW, topic="/words")
-    assert len(sent(app)) == 3
-
-
 # -- where nothing is published
 
 
-def test_a_read_only_console_has_no_key() -> None:
-    app = scripted_app(readonly=True)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        for key in ("S", "D"):
-            await pilot.press(key)
-            await notified(pilot, MainText.READ_ONLY)
-            assert app.screen is app.main
-            app.clear_notifications()
-
-    drive(app, steps)
-
-
-@on()
-async def test_without_a_session_nothing_is_published(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await until(pilot, lambda: message(app), "the message")
-    await pilot.press("f9")
-    await shown(pilot, PublishText.QUESTION)
-    engine, app.engine = app.engine, None
-    await pilot.press("y")
-    await shown(pilot, ByHandText.NO_SESSION)
-    app.engine = engine
-    assert not sent(app)
+@on_main(readonly=True)
+async def test_a_read_only_console_has_no_key(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    for key in ("S", "D"):
+        await pilot.press(key)
+        await notified(pilot, MainText.READ_ONLY)
+        assert app.screen is app.main
+        app.clear_notifications()
 
 
 @on()

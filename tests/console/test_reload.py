@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tests.console.driving import drive, engine_of, scripted_app, shown
+from tests.console.driving import engine_of, on_main, shown
 from tests.console.scripted import NOW
 
 from rsb_bridge.model.codes import EventCode
@@ -14,53 +14,40 @@ from rsb_console.operations.bridge_operations import OperationText
 if TYPE_CHECKING:
     from textual.pilot import Pilot
 
-
-def test_what_differs_is_shown_before_anything_changes() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("f6")
-        await shown(pilot, "/scan (transmit): max_rate none → 5.0")
-        assert engine_of(app).commands == [("reload", True, "drop_arm")]
-        await pilot.press("n")
-        await pilot.press("f6")
-        await shown(pilot, "/scan (transmit): max_rate none → 5.0")
-        await pilot.press("y")
-        await shown(pilot, "reloaded")
-        assert engine_of(app).commands == [
-            ("reload", True, "drop_arm"),
-            ("reload", True, "drop_arm"),
-            ("reload", False, "drop_arm"),
-        ]
-
-    drive(app, steps)
+    from rsb_console.app import ConsoleApp
 
 
-def test_what_cannot_change_is_said() -> None:
-    app = scripted_app()
+@on_main()
+async def test_what_differs_is_shown_before_anything_changes(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("f6")
+    await shown(pilot, "/scan (transmit): max_rate none → 5.0")
+    assert engine_of(app).commands == [("reload", True, "drop_arm")]
+    await pilot.press("n")
+    await pilot.press("f6")
+    await shown(pilot, "/scan (transmit): max_rate none → 5.0")
+    await pilot.press("y")
+    await shown(pilot, "reloaded")
+    assert engine_of(app).commands == [
+        ("reload", True, "drop_arm"),
+        ("reload", True, "drop_arm"),
+        ("reload", False, "drop_arm"),
+    ]
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine_of(app).reloads = Reloaded((), ("server_port 1 → 2: restart",))
-        await pilot.press("f6")
-        await shown(pilot, "server_port 1 → 2: restart")
-        engine_of(app).reloads = Reloaded()
-        await pilot.press("f6")
-        await shown(pilot, OperationText.AS_IN_FILE)
-        assert engine_of(app).commands == [("reload", True, "drop_arm"), ("reload", True, "drop_arm")]
 
-    drive(app, steps)
+@on_main()
+async def test_what_cannot_change_is_said(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine_of(app).reloads = Reloaded((), ("server_port 1 → 2: restart",))
+    await pilot.press("f6")
+    await shown(pilot, "server_port 1 → 2: restart")
+    engine_of(app).reloads = Reloaded()
+    await pilot.press("f6")
+    await shown(pilot, OperationText.AS_IN_FILE)
+    assert engine_of(app).commands == [("reload", True, "drop_arm"), ("reload", True, "drop_arm")]
 
 
-def test_what_operators_did_is_in_the_log() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        text = "/chat: paused by anna (uid 1000, pid 7)"
-        engine_of(app).happened.append(Event(5, NOW, Level.INFO, EventCode.OPERATOR_PAUSED, text, topic="/chat"))
-        app.pull()
-        await shown(pilot, f"operator {text}")
-
-    drive(app, steps)
+@on_main()
+async def test_what_operators_did_is_in_the_log(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    text = "/chat: paused by anna (uid 1000, pid 7)"
+    engine_of(app).happened.append(Event(5, NOW, Level.INFO, EventCode.OPERATOR_PAUSED, text, topic="/chat"))
+    app.pull()
+    await shown(pilot, f"operator {text}")

@@ -28,7 +28,7 @@ def test_sizes_in_flight_do_not_alternate_for_ever(monkeypatch: pytest.MonkeyPat
         taken.append(event.size)
         await take(screen, event)
 
-    @on_main(size=(NOW.width, NOW.height))
+    @on_main((NOW.width, NOW.height))
     async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
         replaced.TEXTUAL_ON_RESIZE.set(monkeypatch, counted)
         for size in (OLD, NOW):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from tests.console.driving import NARROW, drive, engine_of, fill, gone, scripted_app, shown, until
+from tests.console.driving import NARROW, drive, engine_of, fill, gone, on_main, scripted_app, shown, until
 from tests.console.scripted import SESSION
 from textual.pilot import Pilot
 
@@ -23,6 +23,14 @@ from rsb_console.session.saving import moved, unsaved
 pytestmark = pytest.mark.usefixtures("folder")
 
 
+@pytest.fixture
+def path(folder: Path) -> Path:
+    """A session file."""
+    path = folder / "nav2.yaml"
+    save(SESSION, path)
+    return path
+
+
 async def shut(pilot: Pilot[None]) -> None:
     """Wait until no dialog is open."""
     app = pilot.app
@@ -36,24 +44,17 @@ def changed(app: ConsoleApp, *topics: Topic) -> Session:
     return engine_of(app).session
 
 
-def test_saving_asks_and_then_the_file_holds_what_runs(folder: Path) -> None:
-    path = folder / "nav2.yaml"
-    save(SESSION, path)
-    app = scripted_app(path=path)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        now = changed(app, Topic("/new", "transmit"))
-        await pilot.press("w")
-        await shown(pilot, "Save nav2.yaml?")
-        await pilot.press("n")
-        await shut(pilot)
-        assert load(path) == SESSION
-        await pilot.press("w", "y")
-        await shown(pilot, "saved:")
-        assert load(path) == now
-
-    drive(app, steps)
+@on_main(given=("path",))
+async def test_saving_asks_and_then_the_file_holds_what_runs(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
+    now = changed(app, Topic("/new", "transmit"))
+    await pilot.press("w")
+    await shown(pilot, "Save nav2.yaml?")
+    await pilot.press("n")
+    await shut(pilot)
+    assert load(path) == SESSION
+    await pilot.press("w", "y")
+    await shown(pilot, "saved:")
+    assert load(path) == now
 
 
 def test_what_would_be_saved_as_it_is_leaves_the_file_with_its_comments(folder: Path) -> None:
@@ -93,117 +94,90 @@ def test_comments_and_layout_survive_a_save(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("edited", ["name: [\n", "# mine, later\n{}stale_after: 3.0\n"])
-def test_what_somebody_changed_on_disk_meanwhile_is_not_overwritten(folder: Path, edited: str) -> None:
-    path = folder / "nav2.yaml"
-    save(SESSION, path)
-    app = scripted_app(path=path)
+@on_main(given=("path",))
+async def test_what_somebody_changed_on_disk_meanwhile_is_not_overwritten(
+    app: ConsoleApp, pilot: Pilot[None], path: Path, edited: str
+) -> None:
     edited = edited.format(dump(SESSION))
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        changed(app, Topic("/new", "transmit"))
-        path.write_text(edited)
-        await pilot.press("w")
-        await shown(pilot, SaveText.CHANGED_ON_DISK, file="nav2.yaml")
-        await pilot.press("enter")  # the focus is on Cancel
-        await shut(pilot)
-        assert path.read_text() == edited
-        await pilot.press("w")
-        await shown(pilot, SaveText.CHANGED_ON_DISK, file="nav2.yaml")
-        await pilot.click("#save_as")
-        await shown(pilot, "Save as")
-        await fill(pilot, path="other.yaml")
-        await pilot.press("enter")
-        await shown(pilot, "saved: other.yaml")
-        assert path.read_text() == edited
-        assert load(folder / "other.yaml").topics == (Topic("/new", "transmit"),)
-
-    drive(app, steps)
+    changed(app, Topic("/new", "transmit"))
+    path.write_text(edited)
+    await pilot.press("w")
+    await shown(pilot, SaveText.CHANGED_ON_DISK, file="nav2.yaml")
+    await pilot.press("enter")  # the focus is on Cancel
+    await shut(pilot)
+    assert path.read_text() == edited
+    await pilot.press("w")
+    await shown(pilot, SaveText.CHANGED_ON_DISK, file="nav2.yaml")
+    await pilot.click("#save_as")
+    await shown(pilot, "Save as")
+    await fill(pilot, path="other.yaml")
+    await pilot.press("enter")
+    await shown(pilot, "saved: other.yaml")
+    assert path.read_text() == edited
+    assert load(path.with_name("other.yaml")).topics == (Topic("/new", "transmit"),)
 
 
 @pytest.mark.parametrize("how", ["touched", "written anew", "commented"])
-def test_a_file_that_says_the_same_as_before_was_changed_by_nobody(folder: Path, how: str) -> None:
-    path = folder / "nav2.yaml"
-    save(SESSION, path)
-    app = scripted_app(path=path)
+@on_main(given=("path",))
+async def test_a_file_that_says_the_same_as_before_was_changed_by_nobody(
+    app: ConsoleApp, pilot: Pilot[None], path: Path, how: str
+) -> None:
     text_now = path.read_text() if how != "commented" else f"# mine, later\n{path.read_text()}"
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        now = changed(app, Topic("/new", "transmit"))
-        if how == "touched":
-            os.utime(path, (1.0, 1.0))
-        else:
-            replace_file(path, text_now.encode(), like=path)
-        await pilot.press("w")
-        await shown(pilot, "Changes: added /new.")
-        await pilot.press("y")
-        await shown(pilot, "saved:")
-        assert load(path) == now
-        assert path.read_text().startswith(text_now.splitlines()[0])
-
-    drive(app, steps)
+    now = changed(app, Topic("/new", "transmit"))
+    if how == "touched":
+        os.utime(path, (1.0, 1.0))
+    else:
+        replace_file(path, text_now.encode(), like=path)
+    await pilot.press("w")
+    await shown(pilot, "Changes: added /new.")
+    await pilot.press("y")
+    await shown(pilot, "saved:")
+    assert load(path) == now
+    assert path.read_text().startswith(text_now.splitlines()[0])
 
 
-def test_a_file_that_was_changed_on_disk_can_be_overwritten_with_its_new_comments(folder: Path) -> None:
-    path = folder / "nav2.yaml"
-    save(SESSION, path)
-    app = scripted_app(path=path)
+@on_main(given=("path",))
+async def test_a_file_that_was_changed_on_disk_can_be_overwritten_with_its_new_comments(
+    app: ConsoleApp, pilot: Pilot[None], path: Path
+) -> None:
     edited = f"# mine, later\n{dump(SESSION)}stale_after: 3.0\n"
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        now = changed(app, Topic("/new", "transmit"))
-        path.write_text(edited)
-        await pilot.press("w")
-        await shown(pilot, SaveText.CHANGED_ON_DISK, file="nav2.yaml")
-        await pilot.click("#overwrite")
-        await shown(pilot, "Changes: added /new; changed stale_after.")
-        await shown(pilot, "-stale_after: 3.0")
-        await pilot.press("y")
-        await shown(pilot, "saved:")
-        assert path.read_text().startswith("# mine, later\n")
-        assert load(path) == now
-        assert (folder / "nav2.yaml~").read_text() == edited
-
-    drive(app, steps)
+    now = changed(app, Topic("/new", "transmit"))
+    path.write_text(edited)
+    await pilot.press("w")
+    await shown(pilot, SaveText.CHANGED_ON_DISK, file="nav2.yaml")
+    await pilot.click("#overwrite")
+    await shown(pilot, "Changes: added /new; changed stale_after.")
+    await shown(pilot, "-stale_after: 3.0")
+    await pilot.press("y")
+    await shown(pilot, "saved:")
+    assert path.read_text().startswith("# mine, later\n")
+    assert load(path) == now
+    assert path.with_name("nav2.yaml~").read_text() == edited
 
 
-def test_a_file_that_was_changed_on_disk_can_be_reloaded(folder: Path) -> None:
-    path = folder / "nav2.yaml"
-    save(SESSION, path)
-    app = scripted_app(path=path)
+@on_main(given=("path",))
+async def test_a_file_that_was_changed_on_disk_can_be_reloaded(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
     later = msgspec.structs.replace(SESSION, stale_after=3.0)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        changed(app, Topic("/new", "transmit"))
-        save(later, path)
-        await pilot.press("w")
-        await shown(pilot, SaveText.CHANGED_ON_DISK, file="nav2.yaml")
-        await pilot.click("#reload")
-        await shown(pilot, OperationText.RELOAD)
-        await pilot.press("y")
-        await shown(pilot, "reloaded")
-        assert engine_of(app).commands == [("reload", True, "drop_arm"), ("reload", False, "drop_arm")]
-
-    drive(app, steps)
+    changed(app, Topic("/new", "transmit"))
+    save(later, path)
+    await pilot.press("w")
+    await shown(pilot, SaveText.CHANGED_ON_DISK, file="nav2.yaml")
+    await pilot.click("#reload")
+    await shown(pilot, OperationText.RELOAD)
+    await pilot.press("y")
+    await shown(pilot, "reloaded")
+    assert engine_of(app).commands == [("reload", True, "drop_arm"), ("reload", False, "drop_arm")]
     assert load(path) == later
 
 
-def test_quitting_does_not_ask_for_what_somebody_else_has_saved(folder: Path) -> None:
-    path = folder / "nav2.yaml"
-    save(SESSION, path)
-    app = scripted_app(path=path)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        save(changed(app, Topic("/new", "transmit")), path)
-        await pilot.press("q")
-        await shown(pilot, "Quit?")
-        await gone(pilot, "Not saved")
-
-    drive(app, steps)
+@on_main(given=("path",))
+async def test_quitting_does_not_ask_for_what_somebody_else_has_saved(
+    app: ConsoleApp, pilot: Pilot[None], path: Path
+) -> None:
+    save(changed(app, Topic("/new", "transmit")), path)
+    await pilot.press("q")
+    await shown(pilot, "Quit?")
+    await gone(pilot, "Not saved")
 
 
 def test_the_difference_is_shown_before_it_is_written(folder: Path) -> None:
@@ -373,20 +347,14 @@ def test_what_cannot_be_saved_is_said(folder: Path) -> None:
     drive(app, steps)
 
 
-def test_quitting_names_what_is_not_saved(folder: Path) -> None:
-    save(SESSION, folder / "nav2.yaml")
-    app = scripted_app(path=folder / "nav2.yaml")
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        changed(app, Topic("/new", "transmit"))
-        await pilot.press("q")
-        await shown(pilot, SessionQuestion.NOT_SAVED, changes="added /new")
-        await pilot.press("enter")
-        await shut(pilot)
-        assert app.is_running
-
-    drive(app, steps)
+@on_main(given=("path",))
+async def test_quitting_names_what_is_not_saved(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
+    changed(app, Topic("/new", "transmit"))
+    await pilot.press("q")
+    await shown(pilot, SessionQuestion.NOT_SAVED, changes="added /new")
+    await pilot.press("enter")
+    await shut(pilot)
+    assert app.is_running
 
 
 def test_differences_in_words() -> None:

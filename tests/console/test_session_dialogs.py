@@ -14,6 +14,7 @@ from tests.console.driving import (
     form_of,
     gone,
     notices,
+    on_welcome,
     shown,
     until,
 )
@@ -24,6 +25,7 @@ from textual.pilot import Pilot
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.model.session import Session, Topic
+from rsb_console.app import ConsoleApp
 from rsb_console.screens.session_files import FileText, WelcomeScreen, recent_sessions, remember
 from rsb_console.session.saving import PathProblem
 
@@ -45,50 +47,34 @@ pytestmark = pytest.mark.usefixtures("folder")
 # -- the beginning ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [*long((120, 36)), NARROW])
-def test_without_a_session_the_console_says_how_to_begin(size: tuple[int, int]) -> None:
-    app = empty_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "New session")
-        for words in ("Demo", "Open a session", "Import", "Quit"):
-            await shown(pilot, words)
-        await gone(pilot, "…")
-        await pilot.press("escape")
-        await gone(pilot, "New session")
-        await pilot.press("f5")
-        await shown(pilot, "New session")
-
-    drive(app, steps, size=size)
+@on_welcome(*long((120, 36)), NARROW)
+async def test_without_a_session_the_console_says_how_to_begin(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    for words in ("Demo", "Open a session", "Import", "Quit"):
+        await shown(pilot, words)
+    await gone(pilot, "…")
+    await pilot.press("escape")
+    await gone(pilot, "New session")
+    await pilot.press("f5")
+    await shown(pilot, "New session")
 
 
-def test_a_dialog_that_is_left_leads_back_to_the_welcome() -> None:
-    app = empty_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "Open a session")
-        await pilot.press("down", "enter")
-        await shown(pilot, "Session file")
-        await pilot.press("escape")
-        await shown(pilot, "Open a session")
-        await pilot.press("q")
-        await until(pilot, lambda: app.return_code is not None or not app.is_running, "the end")
-
-    drive(app, steps)
+@on_welcome()
+async def test_a_dialog_that_is_left_leads_back_to_the_welcome(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("down", "enter")
+    await shown(pilot, "Session file")
+    await pilot.press("escape")
+    await shown(pilot, "Open a session")
+    await pilot.press("q")
+    await until(pilot, lambda: app.return_code is not None or not app.is_running, "the end")
 
 
-def test_readonly_begins_with_what_writes_nothing() -> None:
-    app = empty_app(readonly=True)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "Open a session")
-        await gone(pilot, "New session")
-        await gone(pilot, "Import")
-        await pilot.press("n", "i", "escape")  # no screen is behind it
-        await pilot.pause()
-        await shown(pilot, "Open a session")
-
-    drive(app, steps)
+@on_welcome(landmark="Open a session", readonly=True)
+async def test_readonly_begins_with_what_writes_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await gone(pilot, "New session")
+    await gone(pilot, "Import")
+    await pilot.press("n", "i", "escape")  # no screen is behind it
+    await pilot.pause()
+    await shown(pilot, "Open a session")
 
 
 def test_a_digit_chooses_a_recent_session_and_enter_starts_it(folder: Path) -> None:
@@ -140,22 +126,19 @@ def test_a_session_is_found_by_a_few_letters_and_opened(folder: Path) -> None:
         (None, "no such file"),
     ],
 )
-def test_a_session_that_does_not_load_says_why_with_the_line(folder: Path, content: str | None, words: str) -> None:
+@on_welcome()
+async def test_a_session_that_does_not_load_says_why_with_the_line(
+    app: ConsoleApp, pilot: Pilot[None], folder: Path, content: str | None, words: str
+) -> None:
     if content is not None:
         (folder / "broken.yaml").write_text(content)
-    app = empty_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "Open a session")
-        await pilot.press("o")
-        await shown(pilot, "Sessions")
-        await fill(pilot, path=str(folder / "broken.yaml"))
-        await pilot.press("enter")
-        problem = form_of(app).fields["path"].problem
-        await until(pilot, lambda: words in str(problem.content), f"{words!r} beneath the path")
-        assert app.engine is None
-
-    drive(app, steps)
+    await pilot.press("o")
+    await shown(pilot, "Sessions")
+    await fill(pilot, path=str(folder / "broken.yaml"))
+    await pilot.press("enter")
+    problem = form_of(app).fields["path"].problem
+    await until(pilot, lambda: words in str(problem.content), f"{words!r} beneath the path")
+    assert app.engine is None
 
 
 # -- new -------------------------------------------------------------------------------------------------------------
@@ -185,21 +168,18 @@ def test_a_new_session_is_a_valid_file_with_a_key_of_its_own(folder: Path, size:
     read_key(folder / "robot1.key")
 
 
-def test_a_key_that_is_there_is_taken_and_known_by_its_fingerprint(folder: Path) -> None:
+@on_welcome()
+async def test_a_key_that_is_there_is_taken_and_known_by_its_fingerprint(
+    app: ConsoleApp, pilot: Pilot[None], folder: Path
+) -> None:
     key = write_key(folder / "shared.key")
-    app = empty_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "New session")
-        await pilot.press("n")
-        await shown(pilot, "Session file")
-        await choose(pilot, "role", "server")
-        await fill(pilot, name="desk", server_ip="0.0.0.0", key_file="shared.key")
-        await shown(pilot, f"exists, fingerprint {fingerprint(key)}")
-        await pilot.press("enter")
-        await until(pilot, lambda: app.engine is not None, "an engine")
-
-    drive(app, steps)
+    await pilot.press("n")
+    await shown(pilot, "Session file")
+    await choose(pilot, "role", "server")
+    await fill(pilot, name="desk", server_ip="0.0.0.0", key_file="shared.key")
+    await shown(pilot, f"exists, fingerprint {fingerprint(key)}")
+    await pilot.press("enter")
+    await until(pilot, lambda: app.engine is not None, "an engine")
     assert load(folder / "desk.yaml").key_file == "shared.key"
     assert read_key(folder / "shared.key") == key
 
@@ -218,47 +198,37 @@ MISTAKES = [
 ]
 
 
-def test_a_new_session_with_a_mistake_is_not_written(folder: Path) -> None:
+@on_welcome()
+async def test_a_new_session_with_a_mistake_is_not_written(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     (folder / "nokey").write_text("nothing of the kind\n")
     right = {"name": "robot1", "server_ip": "10.0.0.20", "server_port": "49152"}
-    app = empty_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "New session")
-        await pilot.press("n")
-        await shown(pilot, "Session file")
-        await fill(pilot, **right)
-        for key, typed, words in MISTAKES:
-            field = form_of(app).fields[key]
-            await fill(pilot, **{key: typed})
-            await pilot.press("enter")
-            await until(pilot, lambda f=field, w=words: w in str(f.problem.content), f"{words!r} beneath {key}")
-            assert field.problem.display
-            await fill(pilot, **{key: right.get(key, "")})
-
-    drive(app, steps)
+    await pilot.press("n")
+    await shown(pilot, "Session file")
+    await fill(pilot, **right)
+    for key, typed, words in MISTAKES:
+        field = form_of(app).fields[key]
+        await fill(pilot, **{key: typed})
+        await pilot.press("enter")
+        await until(pilot, lambda f=field, w=words: w in str(f.problem.content), f"{words!r} beneath {key}")
+        assert field.problem.display
+        await fill(pilot, **{key: right.get(key, "")})
     assert [path.name for path in folder.iterdir()] == ["nokey"]
 
 
-def test_a_file_is_overwritten_only_with_a_yes(folder: Path) -> None:
+@on_welcome()
+async def test_a_file_is_overwritten_only_with_a_yes(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     (folder / "robot1.yaml").write_text("# mine\n")
-    app = empty_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "New session")
-        await pilot.press("n")
-        await shown(pilot, "Session file")
-        await fill(pilot, name="robot1", server_ip="10.0.0.20")
-        await pilot.press("enter")
-        await shown(pilot, "Overwrite robot1.yaml?")
-        await pilot.press("enter")  # the focus is on No
-        await gone(pilot, "Overwrite robot1.yaml?")
-        assert (folder / "robot1.yaml").read_text() == "# mine\n"
-        await pilot.press("enter", "y")
-        await until(pilot, lambda: app.engine is not None, "an engine")
-        assert load(folder / "robot1.yaml").name == "robot1"
-
-    drive(app, steps)
+    await pilot.press("n")
+    await shown(pilot, "Session file")
+    await fill(pilot, name="robot1", server_ip="10.0.0.20")
+    await pilot.press("enter")
+    await shown(pilot, "Overwrite robot1.yaml?")
+    await pilot.press("enter")  # the focus is on No
+    await gone(pilot, "Overwrite robot1.yaml?")
+    assert (folder / "robot1.yaml").read_text() == "# mine\n"
+    await pilot.press("enter", "y")
+    await until(pilot, lambda: app.engine is not None, "an engine")
+    assert load(folder / "robot1.yaml").name == "robot1"
 
 
 # -- import ----------------------------------------------------------------------------------------------------------
@@ -306,69 +276,50 @@ def robots(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("typed", ["../robots/nav.yaml", "~/nav.yaml  "])
-def test_a_file_that_is_there_is_not_said_to_be_missing_and_names_the_session(robots: Path, typed: str) -> None:
-    app = empty_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "Import")
-        await pilot.press("i")
-        await shown(pilot, "config/bringup.yaml")
-        await fill(pilot, bringup=typed)
-        await shown(pilot, FileText.EXISTS)
-        await gone(pilot, "no such file")
-        await pilot.press("enter")
-        form = form_of(app)
-        await until(pilot, lambda: form.fields["name"].control.has_focus, "the next field")
-        assert form.values["name"] == "nav"
-        await fill(pilot, name="robot1")
-        (robots / "map.yaml").touch()
-        await fill(pilot, bringup=str(robots / "map.yaml"))
-        assert form.values["name"] == "robot1", "a name that was given stays"
-        await fill(pilot, path="robot1.yaml", bringup=typed)
-        form.fields["name"].control.focus()
-        await pilot.press("enter")
-        await shown(pilot, "Imported. Run robot1.yaml?")
-
-    drive(app, steps)
+@on_welcome()
+async def test_a_file_that_is_there_is_not_said_to_be_missing_and_names_the_session(
+    app: ConsoleApp, pilot: Pilot[None], robots: Path, typed: str
+) -> None:
+    await pilot.press("i")
+    await shown(pilot, "config/bringup.yaml")
+    await fill(pilot, bringup=typed)
+    await shown(pilot, FileText.EXISTS)
+    await gone(pilot, "no such file")
+    await pilot.press("enter")
+    form = form_of(app)
+    await until(pilot, lambda: form.fields["name"].control.has_focus, "the next field")
+    assert form.values["name"] == "nav"
+    await fill(pilot, name="robot1")
+    (robots / "map.yaml").touch()
+    await fill(pilot, bringup=str(robots / "map.yaml"))
+    assert form.values["name"] == "robot1", "a name that was given stays"
+    await fill(pilot, path="robot1.yaml", bringup=typed)
+    form.fields["name"].control.focus()
+    await pilot.press("enter")
+    await shown(pilot, "Imported. Run robot1.yaml?")
 
 
-@pytest.mark.parametrize(
-    ("key", "field"),
-    [pytest.param("i", "bringup", marks=pytest.mark.long), ("o", "path"), ("n", "path"), ("n", "key_file")],
-)
-def test_a_path_to_nowhere_is_said_to_be_one(robots: Path, key: str, field: str) -> None:
-    app = empty_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
+@on_welcome()
+async def test_a_path_to_nowhere_is_said_to_be_one(app: ConsoleApp, pilot: Pilot[None], robots: Path) -> None:
+    for key, fields in (("o", ("path",)), ("n", ("path", "key_file"))):
         for typed in ("nowhere/a.yaml", "~nobody_is_called_so/a", f"{'long' * 100}.yaml"):
             await shown(pilot, "Open a session")
             await pilot.press(key)
             await until(pilot, lambda: hasattr(app.screen, "form"), "a form")
-            if key == "n":
-                await fill(pilot, name="robot1", **{field: typed})
-            else:
-                await fill(pilot, **{field: typed})
-                await shown(pilot, "no such file")
+            await fill(pilot, **({"name": "robot1"} if key == "n" else {}), **dict.fromkeys(fields, typed))
             await pilot.press("enter")
-            problem = form_of(app).fields[field].problem
-            await until(pilot, lambda shown=problem: shown.display or key == "i", "what is wrong")
+            problems = [form_of(app).fields[each].problem for each in fields]
+            await until(pilot, lambda shown=problems: all(each.display for each in shown), "what is wrong")
             await pilot.press("escape")
             await until(pilot, lambda: not hasattr(app.screen, "form"), "the form gone")
 
-    drive(app, steps)
 
-
-def test_a_thesis_file_with_a_mistake_says_the_line(folder: Path) -> None:
+@on_welcome()
+async def test_a_thesis_file_with_a_mistake_says_the_line(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     (folder / "bringup.yaml").write_text(BRINGUP.format(protocol="UDX"))
-    app = empty_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "Import")
-        await pilot.press("i", *"bri", "enter")
-        await fill(pilot, name="robot1", path="robot1.yaml")
-        await pilot.press("enter")
-        await shown(pilot, "line 8:")
-        await shown(pilot, "(did you mean udp?)")
-        assert not (folder / "robot1.yaml").exists()
-
-    drive(app, steps)
+    await pilot.press("i", *"bri", "enter")
+    await fill(pilot, name="robot1", path="robot1.yaml")
+    await pilot.press("enter")
+    await shown(pilot, "line 8:")
+    await shown(pilot, "(did you mean udp?)")
+    assert not (folder / "robot1.yaml").exists()

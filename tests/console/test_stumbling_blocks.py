@@ -1,8 +1,8 @@
 """Operators' difficulties: lost forms, misleading figures, and functions that were hard to find."""
 
-from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
@@ -21,10 +21,9 @@ from tests.console.driving import (
     text,
     until,
 )
-from tests.console.scripted import LINK, ROUTES, SESSION, ScriptedEngine, route
+from tests.console.scripted import LINK, SESSION, ScriptedEngine, refused, route
 from textual.pilot import Pilot
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
@@ -36,14 +35,15 @@ from rsb_console.widgets.filter import RowFilter
 from rsb_console.widgets.form_inputs import Choice
 from rsb_console.widgets.topics import TopicsTable
 
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
 
 class RefusingEngine(ScriptedEngine):
     """An engine that refuses every topic."""
 
     def add_topic(self, topic: Topic, link: str = "") -> "Future[str]":
-        refused: Future[str] = Future()
-        refused.set_exception(EngineError("robot1 does not allow /added"))
-        return refused
+        return refused("robot1 does not allow /added")
 
 
 def test_what_is_chosen_and_what_is_not_differ_in_ascii() -> None:
@@ -52,21 +52,16 @@ def test_what_is_chosen_and_what_is_not_differ_in_ascii() -> None:
     assert chosen != other
 
 
-def test_a_refused_topic_comes_back_with_its_values_and_the_reason() -> None:
-    app = scripted_app(make_engine=RefusingEngine)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a")
-        await shown(pilot, "Add a topic")
-        await fill(pilot, topic="/added", max_rate="7")
-        form_of(app).fields["max_rate"].control.focus()
-        await pilot.press("enter")
-        await shown(pilot, "robot1 does not allow /added")
-        values = form_of(app).values
-        assert (values["topic"], values["max_rate"]) == ("/added", "7")
-
-    drive(app, steps)
+@on_main(make_engine=RefusingEngine)
+async def test_a_refused_topic_comes_back_with_its_values_and_the_reason(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("a")
+    await shown(pilot, "Add a topic")
+    await fill(pilot, topic="/added", max_rate="7")
+    form_of(app).fields["max_rate"].control.focus()
+    await pilot.press("enter")
+    await shown(pilot, "robot1 does not allow /added")
+    values = form_of(app).values
+    assert (values["topic"], values["max_rate"]) == ("/added", "7")
 
 
 @pytest.mark.usefixtures("folder")
@@ -98,34 +93,25 @@ def test_no_leads_back_to_the_dialog_that_asked(dialog: str) -> None:
     drive(app, steps)
 
 
-def test_an_empty_port_is_missing() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("f2")
-        await shown(pilot, "New session")
-        assert form_of(app).values["server_port"] == "7060"
-        await fill(pilot, server_port="")
-        form_of(app).fields["server_port"].touched = True
-        await fill(pilot, name="robot1")
-        await shown(pilot, MissingField.PORT)
-
-    drive(app, steps)
+@on_main()
+async def test_an_empty_port_is_missing(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("f2")
+    await shown(pilot, "New session")
+    assert form_of(app).values["server_port"] == "7060"
+    await fill(pilot, server_port="")
+    form_of(app).fields["server_port"].touched = True
+    await fill(pilot, name="robot1")
+    await shown(pilot, MissingField.PORT)
 
 
-def test_on_the_server_a_name_with_a_prefix_is_not_said_to_be_the_same() -> None:
-    session = msgspec.structs.replace(SESSION, use_name=True)
-    app = scripted_app(session=session)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine_of(app).now = replace(engine_of(app).now, links=(replace(LINK, use_name=True),))
-        await pilot.press("a", "f8")  # the name there is among the further fields
-        await shown(pilot, "/robot1 and its name")
-        await gone(pilot, "same name")
-
-    drive(app, steps)
+@on_main(session=msgspec.structs.replace(SESSION, use_name=True))
+async def test_on_the_server_a_name_with_a_prefix_is_not_said_to_be_the_same(
+    app: ConsoleApp, pilot: Pilot[None]
+) -> None:
+    engine_of(app).now = replace(engine_of(app).now, links=(replace(LINK, use_name=True),))
+    await pilot.press("a", "f8")  # the name there is among the further fields
+    await shown(pilot, "/robot1 and its name")
+    await gone(pilot, "same name")
 
 
 COLUMNS = {"topic": "/robot1/scan", "robot": "robot1", "state": "DOWN", "type": "sensor_msgs/msg/LaserScan", "why": ""}
@@ -165,12 +151,6 @@ def test_a_filter_looks_in_the_column_that_it_names_or_in_all(typed: str, found:
 
 
 @on_main()
-async def test_the_topics_are_filtered_by_a_column(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press(*"/state:stale", "enter")
-    await until(pilot, lambda: listed(app) == ["/robot1/map"], "the stale one")
-
-
-@on_main()
 async def test_the_topics_of_a_robot_stand_together(app: ConsoleApp, pilot: Pilot[None]) -> None:
     topics = [(link, number, state) for number, state in ((1, State.OK), (2, State.DOWN)) for link in "ba"]
     put(
@@ -200,15 +180,10 @@ async def test_enter_on_a_link_shows_it_with_its_topics(app: ConsoleApp, pilot: 
 
 
 @pytest.mark.parametrize("words", ["limit", "bandwidth"])
-def test_the_palette_finds_how_to_limit_a_topic(words: str) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("colon", *words)
-        await shown(pilot, "Edit the topic")
-
-    drive(app, steps)
+@on_main()
+async def test_the_palette_finds_how_to_limit_a_topic(app: ConsoleApp, pilot: Pilot[None], words: str) -> None:
+    await pilot.press("colon", *words)
+    await shown(pilot, "Edit the topic")
 
 
 def wide_screen(size: tuple[int, int]) -> AppSteps:
@@ -228,20 +203,6 @@ def wide_screen(size: tuple[int, int]) -> AppSteps:
 
 test_a_wide_screen_gives_the_details_room = on_main((200, 50))(wide_screen((200, 50)))
 test_messages_cover_no_topic = on_main((120, 36))(wide_screen((120, 36)))
-
-
-@on_main()
-async def test_dialogs_have_names_of_their_own(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("question_mark")
-    await shown(pilot, "─ Help")
-    await pilot.press("escape", "K")
-    await shown(pilot, "─ Key files")
-
-
-@on_main()
-async def test_one_topic_is_one_topic(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    put(app, ROUTES[0])
-    await shown(pilot, " 1 topic ")
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from tests.console.terminal import COMMAND, Terminal
 from tests.console.tmux import Tmux
 from tests.support.commands import rsb_console
 from tests.support.forker import Forked
+from tests.support.long import long
 
 from rsb_bridge.model.session import Topic
 from rsb_console.terminal.driver import prefers_ascii
@@ -144,7 +145,7 @@ def test_the_first_picture_does_not_wait_for_the_engine(pair: Pair, tmp_path: Pa
         terminal.wait_for("retry")
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
+@pytest.mark.parametrize("number", [signal.SIGTERM, *long(signal.SIGINT)], ids=["SIGTERM", "SIGINT"])
 def test_a_signal_ends_it_cleanly_and_restores_the_terminal(pair: Pair, tmp_path: Path, number: signal.Signals) -> None:
     with FarSide(pair, tmp_path / "far") as far, console(pair) as terminal:
         terminal.wait_for("LINKED")

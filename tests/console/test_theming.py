@@ -3,11 +3,12 @@
 from pathlib import Path
 
 import pytest
-from tests.console.driving import drive, notices, notified, scripted_app, shown
+from tests.console.driving import drive, notices, notified, on_main, scripted_app, shown
 from tests.support.wording import says
 from textual.color import Color
 from textual.pilot import Pilot
 
+from rsb_console.app import ConsoleApp
 from rsb_console.look import themes
 from rsb_console.look.themes import ThemeProblem
 from rsb_console.preferences import PreferenceProblem
@@ -124,14 +125,10 @@ def test_bad_themes_become_one_toast_and_the_rest_still_works(tmp_path: Path) ->
     drive(app, steps)
 
 
-def test_an_unknown_theme_falls_back_and_is_named() -> None:
-    app = scripted_app(theme="nope")
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await notified(pilot, PreferenceProblem.UNKNOWN_THEME, theme="nope")
-        assert app.theme == "dark"
-
-    drive(app, steps)
+@on_main(theme="nope")
+async def test_an_unknown_theme_falls_back_and_is_named(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await notified(pilot, PreferenceProblem.UNKNOWN_THEME, theme="nope")
+    assert app.theme == "dark"
 
 
 @pytest.mark.parametrize(
@@ -150,14 +147,10 @@ def test_the_default_suits_the_terminal(environ: dict[str, str], expected: str) 
     assert themes.default_theme(environ) == expected
 
 
-def test_t_goes_through_all_themes() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        seen = {app.theme}
-        for _ in range(3):
-            await pilot.press("t")
-            seen.add(app.theme)
-        assert seen == set(SHIPPED.found)
-
-    drive(app, steps)
+@on_main()
+async def test_t_goes_through_all_themes(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    seen = {app.theme}
+    for _ in range(3):
+        await pilot.press("t")
+        seen.add(app.theme)
+    assert seen == set(SHIPPED.found)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.console.driving import drive, scripted_app, shown, until
+from tests.support.long import long
 from textual.widgets._toast import Toast
 
 from rsb_console.screens.topic_form import TopicScreen
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from textual.pilot import Pilot
     from textual.screen import Screen
 
-SIZES = [(200, 50), (120, 36), (100, 30), (80, 24)]
+SIZES = [(200, 50), *long((120, 36), (100, 30)), (80, 24)]
 TEXT = "the session is saved, and one topic of it could not be added: it is bridged already by another client"
 
 

@@ -13,6 +13,7 @@ from tests.console.driving import (
     fill,
     form_of,
     gone,
+    on_main,
     scripted_app,
     shown,
     text,
@@ -28,6 +29,7 @@ from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Kind, Protocol, Session, Topic
 from rsb_bridge.model.snapshot import TopicInfo
+from rsb_console.app import ConsoleApp
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.screens.topic_form import KINDS, fields_by_kind, suggestions_for
 from rsb_console.session.draft import Ends, problems_of, topic_of, values_of
@@ -36,22 +38,6 @@ from rsb_console.widgets.form import Field
 SERVER = msgspec.structs.replace(
     SESSION, role="server", clients=(Client("robot1", use_name=True), Client("robot2")), server_ip="0.0.0.0"
 )
-
-
-def test_a_topic_survives_the_form_with_all_its_numbers_and_switches() -> None:
-    topic = Topic(
-        "/cmd_vel",
-        "receive",
-        port=7061,
-        max_rate=2.5,
-        expected_rate=2.0,
-        stale_after=3.0,
-        paused=True,
-        arm=True,
-        deadman=20.0,
-    )
-    assert topic_of(values_of(topic)) == topic
-    assert problems_of(topic_of(values_of(topic)), SESSION, None) == {}
 
 
 LINKS: dict[str, dict[str, Any]] = {
@@ -81,53 +67,39 @@ def test_a_switch_is_off_where_the_word_says_so(word: str, on: bool) -> None:
     assert (topic.arm, topic.paused) == (on, on)
 
 
-@pytest.mark.parametrize("size", [*long((120, 36)), NARROW])
-def test_a_topic_is_found_by_a_few_letters_and_comes_with_its_type(size: tuple[int, int]) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a", *"dep")
-        await shown(pilot, "▌→ /camera/depth")
-        await gone(pilot, "not an absolute topic name")  # what is looked for is no mistake
-        await pilot.press("down", "enter")  # the second: from the server's graph
-        await shown(pilot, "sensor_msgs/msg/Image")
-        await shown(pilot, "◉ receive")
-        await pilot.press("enter")
-        expected = Topic("/camera/depth", "receive", type="sensor_msgs/msg/Image")  # QoS stays auto
-        assert await told_to_add(pilot, app) == ("add", expected, "robot1")
-        await shown(pilot, "/camera/depth: added")
-
-    drive(app, steps, size=size)
+@on_main(*long((120, 36)), NARROW)
+async def test_a_topic_is_found_by_a_few_letters_and_comes_with_its_type(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("a", *"dep")
+    await shown(pilot, "▌→ /camera/depth")
+    await gone(pilot, "not an absolute topic name")  # what is looked for is no mistake
+    await pilot.press("down", "enter")  # the second: from the server's graph
+    await shown(pilot, "sensor_msgs/msg/Image")
+    await shown(pilot, "◉ receive")
+    await pilot.press("enter")
+    expected = Topic("/camera/depth", "receive", type="sensor_msgs/msg/Image")  # QoS stays auto
+    assert await told_to_add(pilot, app) == ("add", expected, "robot1")
+    await shown(pilot, "/camera/depth: added")
 
 
-def test_each_label_has_room_beside_its_field() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a")
-        await until(pilot, lambda: isinstance(app.screen, FormScreen), "the form")
-        for field in form_of(app).query(Field):
-            label = field.query_one(".label")
-            await until(pilot, lambda field=field: not field.display or field.size.width > 0, "laid out")
-            assert label.styles.width is not None
-            assert len(field.spec.label) < label.styles.width.value, field.spec.key
-
-    drive(app, steps)
+@on_main()
+async def test_each_label_has_room_beside_its_field(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("a")
+    await until(pilot, lambda: isinstance(app.screen, FormScreen), "the form")
+    for field in form_of(app).query(Field):
+        label = field.query_one(".label")
+        await until(pilot, lambda field=field: not field.display or field.size.width > 0, "laid out")
+        assert label.styles.width is not None
+        assert len(field.spec.label) < label.styles.width.value, field.spec.key
 
 
-def test_a_whole_name_is_taken_as_typed_though_a_longer_one_is_offered() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a", *"/camera")
-        await shown(pilot, "/camera/depth")
-        await pilot.press("enter", "enter")
-        assert await told_to_add(pilot, app) == ("add", Topic("/camera", "transmit"), "robot1")
-
-    drive(app, steps)
+@on_main()
+async def test_a_whole_name_is_taken_as_typed_though_a_longer_one_is_offered(
+    app: ConsoleApp, pilot: Pilot[None]
+) -> None:
+    await pilot.press("a", *"/camera")
+    await shown(pilot, "/camera/depth")
+    await pilot.press("enter", "enter")
+    assert await told_to_add(pilot, app) == ("add", Topic("/camera", "transmit"), "robot1")
 
 
 MISTAKES = [
@@ -153,36 +125,31 @@ def test_a_mistake_is_named_with_its_field(key: str, typed: str, words: str) -> 
     assert words in found[key]
 
 
-def test_a_mistake_is_said_beside_its_field_and_nothing_is_added() -> None:
+@on_main()
+async def test_a_mistake_is_said_beside_its_field_and_nothing_is_added(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """Those of a field that is unfolded, of one that is not, and of the first one."""
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a")
-        await shown(pilot, "Add a topic")
-        await fill(pilot, topic="/scan")
-        for key, typed, words in (MISTAKES[0], MISTAKES[-2], MISTAKES[-1]):
-            field = form_of(app).fields[key]
-            await fill(pilot, **{key: typed})
-            await until(pilot, lambda f=field, w=words: w in str(f.problem.content), f"{words!r} beneath {key}")
-            form_of(app).fields["direction"].control.focus()
-            await pilot.press("enter")
-            await until(pilot, lambda f=field: f.control.has_focus, f"the focus on {key}")
-            assert field.problem.display
-            await fill(pilot, **{key: ""})
-            await until(pilot, lambda f=field, k=key: k == "topic" or not f.problem.display, f"{key} to be right")
-        assert not any(command[0] == "add" for command in engine_of(app).commands)
-        await pilot.press("escape")
-        await gone(pilot, "Add a topic")
-
-    drive(app, steps)
+    await pilot.press("a")
+    await shown(pilot, "Add a topic")
+    await fill(pilot, topic="/scan")
+    for key, typed, words in (MISTAKES[0], MISTAKES[-2], MISTAKES[-1]):
+        field = form_of(app).fields[key]
+        await fill(pilot, **{key: typed})
+        await until(pilot, lambda f=field, w=words: w in str(f.problem.content), f"{words!r} beneath {key}")
+        form_of(app).fields["direction"].control.focus()
+        await pilot.press("enter")
+        await until(pilot, lambda f=field: f.control.has_focus, f"the focus on {key}")
+        assert field.problem.display
+        await fill(pilot, **{key: ""})
+        await until(pilot, lambda f=field, k=key: k == "topic" or not f.problem.display, f"{key} to be right")
+    assert not any(command[0] == "add" for command in engine_of(app).commands)
+    await pilot.press("escape")
+    await gone(pilot, "Add a topic")
 
 
 @pytest.mark.parametrize(("qos", "typed"), [(20, "5"), ("sensor_data", "5"), ({"depth": 3}, "{depth: 3}5")])
 def test_qos_policies_are_gone_on_with_but_another_qos_is_replaced(qos: str | int | dict[str, Any], typed: str) -> None:
     routes = (route("/scan", spec=Topic("/scan", "receive", qos=qos)),)
-    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, routes))
+    app = scripted_app(routes=routes)
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/scan")
@@ -197,168 +164,123 @@ def test_qos_policies_are_gone_on_with_but_another_qos_is_replaced(qos: str | in
     drive(app, steps)
 
 
-def test_a_topic_that_crosses_already_is_refused_in_the_form() -> None:
-    app = scripted_app(session=msgspec.structs.replace(SESSION, topics=(Topic("/scan", "transmit"),)))
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a")
-        await shown(pilot, "Add a topic")
-        await fill(pilot, topic="/scan")
-        await pilot.press("enter", "enter")
-        await shown(pilot, SessionMistake.TOPIC_TWICE, end="transmit")
-        await choose(pilot, "direction", "receive")
-        await gone(pilot, SessionMistake.TOPIC_TWICE)
-
-    drive(app, steps)
+@on_main(session=msgspec.structs.replace(SESSION, topics=(Topic("/scan", "transmit"),)))
+async def test_a_topic_that_crosses_already_is_refused_in_the_form(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("a")
+    await shown(pilot, "Add a topic")
+    await fill(pilot, topic="/scan")
+    await pilot.press("enter", "enter")
+    await shown(pilot, SessionMistake.TOPIC_TWICE, end="transmit")
+    await choose(pilot, "direction", "receive")
+    await gone(pilot, SessionMistake.TOPIC_TWICE)
 
 
 RADIO = msgspec.structs.replace(SESSION, bluetooth_address="B8:27:EB:11:22:33")
 
 
-@pytest.mark.parametrize("size", [*long((120, 36)), NARROW])
-def test_a_topic_of_an_ip_link_that_has_a_bluetooth_address_may_go_over_bluetooth(size: tuple[int, int]) -> None:
-    app = scripted_app(session=RADIO)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a")
-        await shown(pilot, "Add a topic")
-        await fill(pilot, topic="/scan")
-        await choose(pilot, "protocol", "bluetooth")
-        await pilot.press("enter")
-        await shown(pilot, "needs a channel")
-        await fill(pilot, port="31")
-        await shown(pilot, "31 is not a valid RFCOMM channel")
-        await fill(pilot, port="5")
-        await pilot.press("enter")
-        expected = Topic("/scan", "transmit", protocol="bluetooth", port=5)
-        assert await told_to_add(pilot, app) == ("add", expected, "robot1")
-
-    drive(app, steps, size=size)
+@on_main(*long((120, 36)), NARROW, session=RADIO)
+async def test_a_topic_of_an_ip_link_that_has_a_bluetooth_address_may_go_over_bluetooth(
+    app: ConsoleApp, pilot: Pilot[None]
+) -> None:
+    await pilot.press("a")
+    await shown(pilot, "Add a topic")
+    await fill(pilot, topic="/scan")
+    await choose(pilot, "protocol", "bluetooth")
+    await pilot.press("enter")
+    await shown(pilot, "needs a channel")
+    await fill(pilot, port="31")
+    await shown(pilot, "31 is not a valid RFCOMM channel")
+    await fill(pilot, port="5")
+    await pilot.press("enter")
+    expected = Topic("/scan", "transmit", protocol="bluetooth", port=5)
+    assert await told_to_add(pilot, app) == ("add", expected, "robot1")
 
 
 @pytest.mark.parametrize("session", [SESSION, RADIO], ids=["no address", "address"])
-def test_a_topic_that_goes_over_bluetooth_can_be_edited(session: Session) -> None:
-    routes = (route("/scan", spec=Topic("/scan", "receive", protocol="bluetooth", port=5)),)
-    app = scripted_app(session=session, make_engine=lambda session, base: ScriptedEngine(session, base, routes))
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/scan")
-        await pilot.press("e")
-        await shown(pilot, "bluetooth   ")
-        assert form_of(app).values["protocol"] == "bluetooth"
-
-    drive(app, steps)
-
-
-def test_without_a_bluetooth_address_bluetooth_is_not_offered() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a")
-        await shown(pilot, "○ udp")
-        await gone(pilot, "○ bluetooth")
-
-    drive(app, steps)
+@on_main(
+    landmark="/scan",
+    routes=(route("/scan", spec=Topic("/scan", "receive", protocol="bluetooth", port=5)),),
+    given=("session",),
+)
+async def test_a_topic_that_goes_over_bluetooth_can_be_edited(
+    app: ConsoleApp, pilot: Pilot[None], session: Session
+) -> None:
+    await pilot.press("e")
+    await shown(pilot, "bluetooth   ")
+    assert form_of(app).values["protocol"] == "bluetooth"
 
 
-def test_an_edit_begins_with_what_is_and_sends_what_became() -> None:
-    spec = Topic("/scan", "receive", qos={"reliability": "best_effort", "depth": 3}, max_rate=2.5, port=5000)
-    routes = (route("/scan", spec=spec),)
-    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, routes))
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/scan")
-        await pilot.press("e")
-        await shown(pilot, "{reliability: best_effort, depth: 3}")
-        await pilot.press("enter")
-        await gone(pilot, "Edit /scan")
-        assert engine_of(app).commands == [], "nothing was changed"
-        await pilot.press("e")
-        await shown(pilot, "Edit /scan")
-        await fill(pilot, max_rate="5")
-        await choose(pilot, "compression", "zstd")
-        await pilot.press("enter")
-        await until(pilot, lambda: engine_of(app).commands, "the command")
-        became = msgspec.structs.replace(spec, max_rate=5, compression="zstd")
-        assert engine_of(app).commands == [("edit", "/scan", became)]
-
-    drive(app, steps)
+@on_main()
+async def test_without_a_bluetooth_address_bluetooth_is_not_offered(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("a")
+    await shown(pilot, "○ udp")
+    await gone(pilot, "○ bluetooth")
 
 
-def test_removing_asks_with_the_focus_on_no() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("d", "enter")
-        await gone(pilot, "Remove /robot2/scan?")
-        await pilot.press("d", "escape")
-        await gone(pilot, "Remove /robot2/scan?")
-        assert engine_of(app).commands == []
-        await pilot.press("d", "y")
-        await until(pilot, lambda: engine_of(app).commands, "the command")
-        assert engine_of(app).commands == [("remove", "/robot2/scan")]
-
-    drive(app, steps)
+EDITED = Topic("/scan", "receive", qos={"reliability": "best_effort", "depth": 3}, max_rate=2.5, port=5000)
 
 
-def test_on_a_server_the_form_asks_which_client() -> None:
-    links = ("robot1", "robot2")
-
-    class Server(ScriptedEngine):
-        def __init__(self, *args: Any) -> None:
-            super().__init__(*args)
-            (link,) = self.now.links
-            self.now = replace(self.now, links=tuple(replace(link, name=name) for name in links))
-
-    app = scripted_app(session=SERVER, make_engine=Server)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a")
-        await shown(pilot, "◉ robot1   ○ robot2")
-        await shown(pilot, "transmit ←")
-        await choose(pilot, "link", "robot2")
-        await until(pilot, lambda: ("topics", "robot2") in engine_of(app).commands, "a look at robot2's graph")
-        await fill(pilot, topic="/scan")
-        await pilot.press("enter", "enter")
-        assert await told_to_add(pilot, app) == ("add", Topic("/scan", "transmit"), "robot2")
-
-    drive(app, steps)
+@on_main(landmark="/scan", routes=(route("/scan", spec=EDITED),))
+async def test_an_edit_begins_with_what_is_and_sends_what_became(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("e")
+    await shown(pilot, "{reliability: best_effort, depth: 3}")
+    await pilot.press("enter")
+    await gone(pilot, "Edit /scan")
+    assert engine_of(app).commands == [], "nothing was changed"
+    await pilot.press("e")
+    await shown(pilot, "Edit /scan")
+    await fill(pilot, max_rate="5")
+    await choose(pilot, "compression", "zstd")
+    await pilot.press("enter")
+    await until(pilot, lambda: engine_of(app).commands, "the command")
+    became = msgspec.structs.replace(EDITED, max_rate=5, compression="zstd")
+    assert engine_of(app).commands == [("edit", "/scan", became)]
 
 
-def test_a_restart_asks_then_shows_its_steps() -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("R", "enter")
-        await gone(pilot, "Restart the bridge?")
-        assert engine_of(app).commands == []
-        await pilot.press("R", "y")
-        for words in ("telling the peer", "sockets closed", "✓ restarted"):
-            await shown(pilot, words)
-        assert text(app).index("telling the peer") < text(app).index("sockets closed") < text(app).index("restarted")
-        await pilot.press("enter")
-        await gone(pilot, "✓ restarted")
-
-    drive(app, steps)
+@on_main()
+async def test_removing_asks_with_the_focus_on_no(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("d", "enter")
+    await gone(pilot, "Remove /robot2/scan?")
+    await pilot.press("d", "escape")
+    await gone(pilot, "Remove /robot2/scan?")
+    assert engine_of(app).commands == []
+    await pilot.press("d", "y")
+    await until(pilot, lambda: engine_of(app).commands, "the command")
+    assert engine_of(app).commands == [("remove", "/robot2/scan")]
 
 
-def test_readonly_has_none_of_it() -> None:
-    app = scripted_app(readonly=True)
+class Server(ScriptedEngine):
+    """An engine with two clients."""
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a", "e", "d", "R", "w", "o")
-        await pilot.pause()
-        assert app.screen is app.main
-        assert engine_of(app).commands == []
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        (link,) = self.now.links
+        self.now = replace(self.now, links=tuple(replace(link, name=name) for name in ("robot1", "robot2")))
 
-    drive(app, steps)
+
+@on_main(session=SERVER, make_engine=Server)
+async def test_on_a_server_the_form_asks_which_client(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("a")
+    await shown(pilot, "◉ robot1   ○ robot2")
+    await shown(pilot, "transmit ←")
+    await choose(pilot, "link", "robot2")
+    await until(pilot, lambda: ("topics", "robot2") in engine_of(app).commands, "a look at robot2's graph")
+    await fill(pilot, topic="/scan")
+    await pilot.press("enter", "enter")
+    assert await told_to_add(pilot, app) == ("add", Topic("/scan", "transmit"), "robot2")
+
+
+@on_main()
+async def test_a_restart_asks_then_shows_its_steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("R", "enter")
+    await gone(pilot, "Restart the bridge?")
+    assert engine_of(app).commands == []
+    await pilot.press("R", "y")
+    for words in ("telling the peer", "sockets closed", "✓ restarted"):
+        await shown(pilot, words)
+    assert text(app).index("telling the peer") < text(app).index("sockets closed") < text(app).index("restarted")
+    await pilot.press("enter")
+    await gone(pilot, "✓ restarted")
 
 
 # -- the texts -------------------------------------------------------------------------------------------------------
@@ -371,6 +293,7 @@ def test_readonly_has_none_of_it() -> None:
         Topic("/scan", "transmit", "LaserScan", "udp", 5000, "latched", "/there", "zstd", 5.0, 10.0, 0.0, paused=True),
         Topic("/scan", "transmit", qos=20, max_rate=0.25),
         Topic("/scan", "transmit", qos={"profile": "sensor_data", "depth": 20, "deadline": 0.5}),
+        Topic("/cmd_vel", "receive", stale_after=3.0, arm=True, deadman=20.0),
     ],
 )
 def test_a_topic_survives_the_form(topic: Topic) -> None:

@@ -4,13 +4,14 @@ from concurrent.futures import Future
 from typing import Any
 
 import pytest
-from tests.console.driving import drive, engine_as, gone, scripted_app, shown, until
+from tests.console.driving import engine_as, gone, on_main, shown, until
 from tests.console.scripted import ScriptedEngine
 from tests.support import constants
 from textual.pilot import Pilot
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import TopicInfo
+from rsb_console.app import ConsoleApp
 
 
 class SlowPeer(ScriptedEngine):
@@ -44,36 +45,26 @@ def _look_often(monkeypatch: pytest.MonkeyPatch) -> None:
     constants.FORM_LOOK_EVERY.set(monkeypatch, 0.05)
 
 
-def test_an_answer_that_takes_many_looks_fills_the_list() -> None:
-    app = scripted_app(make_engine=SlowPeer)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a")
-        await shown(pilot, "/camera/depth")  # this side's own
-        await shown(pilot, "waiting for what the other side has")
-        looks = engine_as(app, SlowPeer).looks
-        await until(pilot, lambda: engine_as(app, SlowPeer).looks > looks + 3, "it goes on looking at this side")
-        assert len(engine_as(app, SlowPeer).asked) == 1
-        engine_as(app, SlowPeer).asked[0].set_result(tuple(FAR))
-        await shown(pilot, "/far")
-        await shown(pilot, "/camera/depth")
-
-    drive(app, steps)
+@on_main(make_engine=SlowPeer)
+async def test_an_answer_that_takes_many_looks_fills_the_list(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("a")
+    await shown(pilot, "/camera/depth")  # this side's own
+    await shown(pilot, "waiting for what the other side has")
+    looks = engine_as(app, SlowPeer).looks
+    await until(pilot, lambda: engine_as(app, SlowPeer).looks > looks + 3, "it goes on looking at this side")
+    assert len(engine_as(app, SlowPeer).asked) == 1
+    engine_as(app, SlowPeer).asked[0].set_result(tuple(FAR))
+    await shown(pilot, "/far")
+    await shown(pilot, "/camera/depth")
 
 
-def test_an_answer_that_never_comes_is_said_and_asked_for_again() -> None:
-    app = scripted_app(make_engine=SlowPeer)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a")
-        await shown(pilot, "/camera/depth")
-        engine_as(app, SlowPeer).asked[0].set_exception(EngineError("robot1 did not answer"))
-        await shown(pilot, "robot1 did not answer")
-        await until(pilot, lambda: len(engine_as(app, SlowPeer).asked) > 1, "it asks again")
-        engine_as(app, SlowPeer).asked[1].set_result(tuple(FAR))
-        await shown(pilot, "/far")
-        await gone(pilot, "robot1 did not answer")
-
-    drive(app, steps)
+@on_main(make_engine=SlowPeer)
+async def test_an_answer_that_never_comes_is_said_and_asked_for_again(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("a")
+    await shown(pilot, "/camera/depth")
+    engine_as(app, SlowPeer).asked[0].set_exception(EngineError("robot1 did not answer"))
+    await shown(pilot, "robot1 did not answer")
+    await until(pilot, lambda: len(engine_as(app, SlowPeer).asked) > 1, "it asks again")
+    engine_as(app, SlowPeer).asked[1].set_result(tuple(FAR))
+    await shown(pilot, "/far")
+    await gone(pilot, "robot1 did not answer")

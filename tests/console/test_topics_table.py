@@ -2,9 +2,8 @@
 
 from dataclasses import replace
 
-from tests.console.driving import engine_of, gone, listed, on_main, put, selected_topic, shown, until
+from tests.console.driving import gone, listed, on_main, put, selected_topic, shown, until
 from tests.console.scripted import FAULTY, LINK, ROUTES, route
-from textual.events import Key
 from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import State
@@ -114,23 +113,6 @@ async def test_filtering_as_it_is_typed(app: ConsoleApp, pilot: Pilot[None]) -> 
     assert selected_topic(app) == "/robot1/scan"
     await pilot.press("escape")
     assert len(listed(app)) == 8
-
-
-@on_main()
-async def test_what_is_typed_ahead_is_part_of_the_filter(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    for key in ("slash", "o", "d", "o", "m", "enter"):  # all at once, as a slow line delivers them
-        app.post_message(Key(key, "/" if key == "slash" else key if len(key) == 1 else None))
-    await shown(pilot, "Topics ▸ /odom ▸ 1 of 8")
-    await until(pilot, lambda: not app.main.prompt.display, "the prompt closed by the last key")
-    assert app.screen is app.main
-    assert engine_of(app).commands == []
-
-
-@on_main()
-async def test_an_inverted_filter(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("slash", *"!robot", "enter")
-    await until(pilot, lambda: len(listed(app)) == 4, "four topics")
-    assert not any("robot" in topic for topic in listed(app))
 
 
 @on_main()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from concurrent.futures import Future
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,21 +14,22 @@ from tests.console.changing import ARMED, SCAN, ChangingEngine
 from tests.console.driving import (
     NARROW,
     WIDE,
+    Decorator,
     choose,
-    drive,
     engine_as,
     fill,
     gone,
     notices,
-    scripted_app,
+    on_main,
     shown,
     text,
     until,
 )
 from tests.console.scripted import LINK, NOW, ScriptedEngine, route
+from tests.console.scripted import refused as refused_by
 from tests.console.tmux import Tmux
+from tests.support.long import long
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, PatternSnapshot, Snapshot, State
@@ -46,20 +46,18 @@ if TYPE_CHECKING:
 
     from rsb_console.app import ConsoleApp
 
-Steps = Any
 
+def on_scan(*sizes: Any, select: str = "/scan", **options: Any) -> Decorator:
+    """A test's steps run with the cursor on a topic; they get the engine, too."""
 
-def on_scan(steps: Steps, size: tuple[int, int] = WIDE, select: str = "/scan", **options: Any) -> None:
-    """Run steps with the cursor on a topic."""
-    app = scripted_app(make_engine=ChangingEngine, **options)
-
-    async def run(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/cmd_vel")
+    async def selected(pilot: Pilot[None]) -> dict[str, Any]:
+        app: Any = pilot.app
         while app.main.selected is None or app.main.selected.topic != select:
             await pilot.press("j" if app.main.selected is None or app.main.topics.position == 0 else "k")
-        await steps(app, engine_as(app, ChangingEngine), pilot)
+        return {"engine": engine_as(app, ChangingEngine)}
 
-    drive(app, run, size)
+    made = {"make_engine": ChangingEngine, **options}
+    return on_main(*sizes, landmark="/cmd_vel", opening=selected, makes=("engine",), **made)
 
 
 async def question(app: ConsoleApp, pilot: Pilot[None]) -> UndoScreen:
@@ -92,229 +90,213 @@ async def refused(app: ConsoleApp, pilot: Pilot[None], *words: str) -> None:
     assert app.screen is app.main
 
 
-def test_nothing_to_undo() -> None:
-    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-        assert "undo" not in text(app)
-        await pilot.press("u")
-        await shown(pilot, "nothing to undo")
-        assert engine.commands == []
-        assert not app.changes.dropped
-
-    on_scan(steps)
+@on_scan()
+async def test_nothing_to_undo(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
+    assert "undo" not in text(app)
+    await pilot.press("u")
+    await shown(pilot, "nothing to undo")
+    assert engine.commands == []
+    assert not app.changes.dropped
 
 
-@pytest.mark.parametrize("size", [WIDE, NARROW], ids=["wide", "narrow"])
-def test_a_removed_topic_comes_back_with_all_its_fields(size: tuple[int, int]) -> None:
-    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-        await removed(pilot, "/scan")
-        screen = await question(app, pilot)
-        assert focus(screen) == "no"
-        await shown(pilot, "max_rate: 5.0")
-        await shown(pilot, "priority: high")
-        await pilot.press("enter")  # the focus is on No
-        assert engine.undone == []
-        await question(app, pilot)
-        await pilot.press("y")
-        await until(pilot, lambda: engine.undone, "an undo")
-        assert engine.undone == [("add", SCAN, "robot1")]
-        await pilot.press("u")
-        await shown(pilot, OperationText.NOTHING_MORE_TO_UNDO)
-
-    on_scan(steps, size)
-
-
-def test_what_has_to_be_armed_comes_back_disarmed() -> None:
-    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-        await removed(pilot, "/cmd_vel")
-        await question(app, pilot)
-        await shown(pilot, "stays disarmed")
-        await pilot.press("y")
-        await until(pilot, lambda: engine.undone, "an undo")
-        assert engine.undone == [("add", ARMED, "robot1")]
-        assert not [command for command in engine.commands if command[0] == "arm"]
-
-    on_scan(steps, select="/cmd_vel")
+@on_scan(*long(WIDE), NARROW)
+async def test_a_removed_topic_comes_back_with_all_its_fields(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    await removed(pilot, "/scan")
+    screen = await question(app, pilot)
+    assert focus(screen) == "no"
+    await shown(pilot, "max_rate: 5.0")
+    await shown(pilot, "priority: high")
+    await pilot.press("enter")  # the focus is on No
+    assert engine.undone == []
+    await question(app, pilot)
+    await pilot.press("y")
+    await until(pilot, lambda: engine.undone, "an undo")
+    assert engine.undone == [("add", SCAN, "robot1")]
+    await pilot.press("u")
+    await shown(pilot, OperationText.NOTHING_MORE_TO_UNDO)
 
 
-def test_an_edit_is_put_back() -> None:
-    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-        await pilot.press("e")
-        await fill(pilot, max_rate="2.5")
+@on_scan(select="/cmd_vel")
+async def test_what_has_to_be_armed_comes_back_disarmed(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    await removed(pilot, "/cmd_vel")
+    await question(app, pilot)
+    await shown(pilot, "stays disarmed")
+    await pilot.press("y")
+    await until(pilot, lambda: engine.undone, "an undo")
+    assert engine.undone == [("add", ARMED, "robot1")]
+    assert not [command for command in engine.commands if command[0] == "arm"]
+
+
+@on_scan()
+async def test_an_edit_is_put_back(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
+    await pilot.press("e")
+    await fill(pilot, max_rate="2.5")
+    await pilot.press("enter")
+    await until(pilot, lambda: engine.spec("/scan").max_rate == 2.5, "an edit")
+    await until(pilot, lambda: app.screen is app.main, "the form closed")
+    await shown(pilot, "undo")
+    screen = await question(app, pilot)
+    assert focus(screen) == "yes"
+    await shown(pilot, "max_rate 2.5 → 5.0")
+    await pilot.press("enter")
+    await until(pilot, lambda: engine.undone, "an undo")
+    assert engine.undone == [("edit", "/scan", SCAN)]
+
+
+@on_scan()
+async def test_a_safety_demand_is_not_dropped_unnamed(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    await pilot.press("e")
+    await shown(pilot, "Edit /scan")
+    await choose(pilot, "arm", "yes")
+    await pilot.press("enter")
+    await until(pilot, lambda: engine.spec("/scan").arm, "an edit")
+    await until(pilot, lambda: app.screen is app.main, "the form closed")
+    screen = await question(app, pilot)
+    assert focus(screen) == "no"
+    await shown(pilot, "arm true → false")
+    await shown(pilot, "without being armed")
+    await pilot.press("n")
+    assert engine.spec("/scan").arm
+    await question(app, pilot)
+    await pilot.press("y")
+    await until(pilot, lambda: engine.undone, "an undo")
+    assert engine.undone == [("edit", "/scan", SCAN, "drop_arm")]
+
+
+@on_scan()
+async def test_an_edit_that_drops_the_demand_is_asked_about_with_the_focus_on_no(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    engine.put("/scan", msgspec.structs.replace(SCAN, arm=True))
+    app.pull()
+    await pilot.press("e")
+    await shown(pilot, "Edit /scan")
+    for answer in ("enter", "y"):  # the focus is on No
+        await choose(pilot, "arm", "")
         await pilot.press("enter")
-        await until(pilot, lambda: engine.spec("/scan").max_rate == 2.5, "an edit")
-        await until(pilot, lambda: app.screen is app.main, "the form closed")
-        await shown(pilot, "undo")
-        screen = await question(app, pilot)
-        assert focus(screen) == "yes"
-        await shown(pilot, "max_rate 2.5 → 5.0")
-        await pilot.press("enter")
-        await until(pilot, lambda: engine.undone, "an undo")
-        assert engine.undone == [("edit", "/scan", SCAN)]
-
-    on_scan(steps)
-
-
-def test_a_safety_demand_is_not_dropped_unnamed() -> None:
-    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-        await pilot.press("e")
-        await shown(pilot, "Edit /scan")
-        await choose(pilot, "arm", "yes")
-        await pilot.press("enter")
-        await until(pilot, lambda: engine.spec("/scan").arm, "an edit")
-        await until(pilot, lambda: app.screen is app.main, "the form closed")
-        screen = await question(app, pilot)
-        assert focus(screen) == "no"
-        await shown(pilot, "arm true → false")
-        await shown(pilot, "without being armed")
-        await pilot.press("n")
+        await until(pilot, lambda: isinstance(app.screen, ConfirmScreen), "a question")
+        assert focus(app.screen) == "no"
         assert engine.spec("/scan").arm
-        await question(app, pilot)
-        await pilot.press("y")
-        await until(pilot, lambda: engine.undone, "an undo")
-        assert engine.undone == [("edit", "/scan", SCAN, "drop_arm")]
-
-    on_scan(steps)
+        await pilot.press(answer)
+        await until(pilot, lambda: not isinstance(app.screen, ConfirmScreen), "an answer")
+    await until(pilot, lambda: not engine.spec("/scan").arm, "an edit")
+    assert [command[-1] for command in engine.commands if command[0] == "edit"] == ["drop_arm"]
 
 
-def test_an_edit_that_drops_the_demand_is_asked_about_with_the_focus_on_no() -> None:
-    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-        engine.put("/scan", msgspec.structs.replace(SCAN, arm=True))
-        app.pull()
-        await pilot.press("e")
-        await shown(pilot, "Edit /scan")
-        for answer in ("enter", "y"):  # the focus is on No
-            await choose(pilot, "arm", "")
-            await pilot.press("enter")
-            await until(pilot, lambda: isinstance(app.screen, ConfirmScreen), "a question")
-            assert focus(app.screen) == "no"
-            assert engine.spec("/scan").arm
-            await pilot.press(answer)
-            await until(pilot, lambda: not isinstance(app.screen, ConfirmScreen), "an answer")
-        await until(pilot, lambda: not engine.spec("/scan").arm, "an edit")
-        assert [command[-1] for command in engine.commands if command[0] == "edit"] == ["drop_arm"]
-
-    on_scan(steps)
+@on_scan()
+async def test_an_added_topic_is_removed_again_after_a_question(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    await pilot.press("a")
+    await shown(pilot, "Add a topic")
+    await pilot.press(*"/new", "enter")
+    await fill(pilot, max_rate="3")
+    await pilot.press("enter")
+    await until(pilot, lambda: any(command[0] == "add" for command in engine.commands), "added")
+    await until(pilot, lambda: app.screen is app.main, "the form closed")
+    screen = await question(app, pilot)
+    assert focus(screen) == "no"
+    await pilot.click("#yes")
+    await until(pilot, lambda: engine.undone, "an undo")
+    assert engine.undone == [("remove", "/new")]
 
 
-def test_an_added_topic_is_removed_again_after_a_question() -> None:
-    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-        await pilot.press("a")
-        await shown(pilot, "Add a topic")
-        await pilot.press(*"/new", "enter")
-        await fill(pilot, max_rate="3")
-        await pilot.press("enter")
-        await until(pilot, lambda: any(command[0] == "add" for command in engine.commands), "added")
-        await until(pilot, lambda: app.screen is app.main, "the form closed")
-        screen = await question(app, pilot)
-        assert focus(screen) == "no"
-        await pilot.click("#yes")
-        await until(pilot, lambda: engine.undone, "an undo")
-        assert engine.undone == [("remove", "/new")]
-
-    on_scan(steps)
-
-
-def test_steps_back_one_by_one() -> None:
-    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-        await pilot.press("p")
-        await pilot.press("p")
-        screen = await question(app, pilot)
-        assert focus(screen) == "yes"  # nothing crosses that does not now
-        await pilot.press("y")
-        await until(pilot, lambda: engine.spec("/scan").paused, "paused")
-        screen = await question(app, pilot)
-        assert focus(screen) == "no"
-        await pilot.press("y")
-        await until(pilot, lambda: not engine.spec("/scan").paused, "resumed")
-        assert engine.undone == [("pause", "/scan", True), ("pause", "/scan", False)]
-
-    on_scan(steps)
+@on_scan()
+async def test_steps_back_one_by_one(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
+    await pilot.press("p")
+    await pilot.press("p")
+    screen = await question(app, pilot)
+    assert focus(screen) == "yes"  # nothing crosses that does not now
+    await pilot.press("y")
+    await until(pilot, lambda: engine.spec("/scan").paused, "paused")
+    screen = await question(app, pilot)
+    assert focus(screen) == "no"
+    await pilot.press("y")
+    await until(pilot, lambda: not engine.spec("/scan").paused, "resumed")
+    assert engine.undone == [("pause", "/scan", True), ("pause", "/scan", False)]
 
 
 def other(number: int, code: EventCode = EventCode.OPERATOR_EDITED, who: str = "anna on pts/3") -> Event:
     return Event(number, NOW, Level.INFO, code, "/scan: …", link="robot1", topic="/scan", who=who)
 
 
-def test_what_somebody_else_has_changed_since_is_left_alone() -> None:
-    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-        await pilot.press("p")
-        await until(pilot, lambda: engine.spec("/scan").paused, "paused")
-        engine.happened += [other(5, EventCode.OPERATOR_PAUSED, "me"), other(6, EventCode.OPERATOR_RESUMED)]
-        engine.put("/scan", SCAN)
-        await refused(app, pilot, "anna on pts/3")
-        assert engine.undone == []
-        await pilot.press("u")
-        await shown(pilot, OperationText.NOTHING_MORE_TO_UNDO)
-
-    on_scan(steps)
-
-
-def test_what_somebody_changes_while_the_question_stands_is_left_alone() -> None:
-    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-        await pilot.press("e")
-        await fill(pilot, max_rate="2.5")
-        await pilot.press("enter")
-        await until(pilot, lambda: engine.spec("/scan").max_rate == 2.5, "an edit")
-        await until(pilot, lambda: app.screen is app.main, "the form closed")
-        await question(app, pilot)
-        engine.put("/scan", msgspec.structs.replace(SCAN, max_rate=9.0))
-        await pilot.press("y")
-        await shown(pilot, "Not undone")
-        assert any("max_rate 2.5 → 9.0" in told.message for told in notices(app))
-        assert engine.undone == []
-
-    on_scan(steps)
+@on_scan()
+async def test_what_somebody_else_has_changed_since_is_left_alone(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    await pilot.press("p")
+    await until(pilot, lambda: engine.spec("/scan").paused, "paused")
+    engine.happened += [other(5, EventCode.OPERATOR_PAUSED, "me"), other(6, EventCode.OPERATOR_RESUMED)]
+    engine.put("/scan", SCAN)
+    await refused(app, pilot, "anna on pts/3")
+    assert engine.undone == []
+    await pilot.press("u")
+    await shown(pilot, OperationText.NOTHING_MORE_TO_UNDO)
 
 
-def test_what_is_bridged_again_is_not_added_twice() -> None:
-    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-        await removed(pilot, "/scan")
-        engine.show(*engine.now.routes, route("/scan", spec=SCAN))
-        await refused(app, pilot, "bridged again")
-        assert engine.undone == []
+@on_scan()
+async def test_what_somebody_changes_while_the_question_stands_is_left_alone(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    await pilot.press("e")
+    await fill(pilot, max_rate="2.5")
+    await pilot.press("enter")
+    await until(pilot, lambda: engine.spec("/scan").max_rate == 2.5, "an edit")
+    await until(pilot, lambda: app.screen is app.main, "the form closed")
+    await question(app, pilot)
+    engine.put("/scan", msgspec.structs.replace(SCAN, max_rate=9.0))
+    await pilot.press("y")
+    await shown(pilot, "Not undone")
+    assert any("max_rate 2.5 → 9.0" in told.message for told in notices(app))
+    assert engine.undone == []
 
-    on_scan(steps)
+
+@on_scan()
+async def test_what_is_bridged_again_is_not_added_twice(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    await removed(pilot, "/scan")
+    engine.show(*engine.now.routes, route("/scan", spec=SCAN))
+    await refused(app, pilot, "bridged again")
+    assert engine.undone == []
 
 
-def test_what_the_bridge_refuses_can_be_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-        def refuse(*_: object) -> Future[str]:
-            failed: Future[str] = Future()
-            failed.set_exception(EngineError("not now"))
-            return failed
-
-        await removed(pilot, "/scan")
-        with monkeypatch.context() as patched:
-            patched.setattr(engine, "add_topic", refuse)
-            await question(app, pilot)
-            await pilot.press("y")
-            await shown(pilot, "not now")
-        assert engine.undone == []
+@on_scan()
+async def test_what_the_bridge_refuses_can_be_tried_again(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await removed(pilot, "/scan")
+    with monkeypatch.context() as patched:
+        patched.setattr(engine, "add_topic", lambda *_: refused_by("not now"))
         await question(app, pilot)
         await pilot.press("y")
-        await until(pilot, lambda: engine.undone, "an undo")
-
-    on_scan(steps)
-
-
-def test_who_may_only_look_undoes_nothing() -> None:
-    async def steps(app: ConsoleApp, _engine: ChangingEngine, pilot: Pilot[None]) -> None:
-        app.changes.add(Paused("robot1", "/scan", 0, key="/scan", paused=False))
-        await pilot.press("u")
-        await shown(pilot, "read-only")
-        assert app.screen is app.main
-
-    on_scan(steps, readonly=True)
+        await shown(pilot, "not now")
+    assert engine.undone == []
+    await question(app, pilot)
+    await pilot.press("y")
+    await until(pilot, lambda: engine.undone, "an undo")
 
 
-def test_another_session_forgets_them() -> None:
-    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-        await pilot.press("p")
-        await until(pilot, lambda: len(app.changes) == 1, "a change")
-        await app.run_session(engine.session, app.path)
-        assert app.changes.last is None
+@on_scan(readonly=True)
+async def test_who_may_only_look_undoes_nothing(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
+    app.changes.add(Paused("robot1", "/scan", 0, key="/scan", paused=False))
+    await pilot.press("u")
+    await shown(pilot, "read-only")
+    assert app.screen is app.main
 
-    on_scan(steps)
+
+@on_scan()
+async def test_another_session_forgets_them(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
+    await pilot.press("p")
+    await until(pilot, lambda: len(app.changes) == 1, "a change")
+    await app.run_session(engine.session, app.path)
+    assert app.changes.last is None
 
 
 def test_a_bounded_number_is_remembered() -> None:
@@ -340,27 +322,26 @@ def _with_patterns(*specs: Topic) -> Callable[[ScriptedEngine], Snapshot]:
     return make
 
 
-def test_what_a_pattern_has_made_is_its_again() -> None:
+@on_scan()
+async def test_what_a_pattern_has_made_is_its_again(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
     """A removal makes an exception in the pattern; an undo takes only that back."""
     pattern = Topic("/camera/**", "receive", excepts=("/camera/raw",), max_rate=4.0)
     left_out = msgspec.structs.replace(pattern, excepts=("/camera/raw", "/camera/a"))
-
-    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-        engine.now = _with_patterns(pattern)(engine)
-        made = route("/camera/a", pattern="/camera/**", spec=Topic("/camera/a", "receive", max_rate=4.0))
-        engine.show(made, *engine.now.routes)
-        app.pull()
-        app.main.topics.move_to(next(n for n, each in enumerate(app.main.topics.listed) if each.topic == "/camera/a"))
-        await removed(pilot, "/camera/a")
-        engine.now = _with_patterns(msgspec.structs.replace(left_out, max_rate=3.0))(engine)
-        await question(app, pilot)
-        await pilot.press("y")
-        await until(pilot, lambda: engine.undone, "an undo")
-        ((what, key, spec),) = engine.undone
-        assert (what, key) == ("edit", "pattern /camera/**")
-        assert spec == msgspec.structs.replace(pattern, max_rate=3.0)
-
-    on_scan(steps)
+    engine.now = _with_patterns(pattern)(engine)
+    made = route("/camera/a", pattern="/camera/**", spec=Topic("/camera/a", "receive", max_rate=4.0))
+    engine.show(made, *engine.now.routes)
+    app.pull()
+    app.main.topics.move_to(next(n for n, each in enumerate(app.main.topics.listed) if each.topic == "/camera/a"))
+    await removed(pilot, "/camera/a")
+    engine.now = _with_patterns(msgspec.structs.replace(left_out, max_rate=3.0))(engine)
+    await question(app, pilot)
+    await pilot.press("y")
+    await until(pilot, lambda: engine.undone, "an undo")
+    ((what, key, spec),) = engine.undone
+    assert (what, key) == ("edit", "pattern /camera/**")
+    assert spec == msgspec.structs.replace(pattern, max_rate=3.0)
 
 
 # --- in a terminal

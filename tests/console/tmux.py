@@ -28,10 +28,11 @@ class Tmux:
 
     def wait_for(self, words: str, seconds: float = 120.0, *, there: bool = True) -> str:
         """Wait until `words` are there, or no more."""
-        deadline = time.monotonic() + seconds
+        deadline, pause = time.monotonic() + seconds, 0.05
         while (words in (picture := self.picture)) is not there:
             assert time.monotonic() < deadline, f"{words!r} not {there} within {seconds} s:\n{picture}"
-            time.sleep(0.05)
+            time.sleep(pause)
+            pause = min(1.3 * pause, 0.2)  # each look starts a process
         return picture
 
     def agree(self, question: str) -> None:

@@ -14,14 +14,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from geometry_msgs.msg import Vector3
 from sensor_msgs.msg import CompressedImage
-from tests.support.waiting import eventually
 from tests.view.samples import task
 
 from rsb_bridge.model.pictures import Wish
-from rsb_bridge.view.renderer import Renderer
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from rsb_bridge.view.renderer import Renderer
 
 _TRIES = """
 import json, os, socket, sys
@@ -72,14 +70,6 @@ def test_what_draws_reaches_nothing(tried: dict[str, Any]) -> None:
     assert [tried[each] for each in ("reads", "lists", "writes", "removes", "runs")] == [True] * 5
     if tried["landlock"] >= 4:
         assert [tried[each] for each in ("connects", "listens")] == [True] * 2
-
-
-@pytest.fixture
-def renderer() -> Iterator[Renderer]:
-    renderer = Renderer()
-    yield renderer
-    renderer.close()
-    eventually(lambda: renderer.pid is None)
 
 
 def test_the_drawing_process_is_confined_and_draws(renderer: Renderer) -> None:

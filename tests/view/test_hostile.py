@@ -58,7 +58,7 @@ def test_usual_views_can_be_tested_here() -> None:
 
 
 @pytest.mark.parametrize("type_name", INSTALLED)
-@settings(suppress_health_check=list(HealthCheck), deadline=None, max_examples=40)
+@settings(suppress_health_check=list(HealthCheck), max_examples=settings().max_examples // 2)
 @given(wish=WISHES, data=st.data())
 def test_damaged_messages(type_name: str, wish: Wish, data: st.DataObject) -> None:
     message = filled(kind(type_name)) if data.draw(st.booleans()) else kind(type_name)()

@@ -79,7 +79,6 @@ def test_memory_is_bounded() -> None:
     assert held_by(view) <= 1 + 2 * (1.25 * VALUES + 1), "a topic, and the time and the number of each value"
 
 
-WAVE = tuple(math.sin(at / 5) for at in range(40))
 CURVES = (
     Curve(
         "a", tuple(math.sin(at / 5) for at in range(40)), tuple(math.sin(at / 5) + 0.1 for at in range(40)), 0.5, 0.1

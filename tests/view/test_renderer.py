@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
-import pytest
 from geometry_msgs.msg import Vector3
 from tests.support import constants
 from tests.support.stopping import stop
@@ -13,20 +12,12 @@ from tests.support.waiting import eventually
 from tests.view.samples import task
 
 from rsb_bridge.model.pictures import Wish
-from rsb_bridge.view.renderer import Renderer
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    import pytest
 
+    from rsb_bridge.view.renderer import Renderer
     from rsb_bridge.view.worker import Task
-
-
-@pytest.fixture
-def renderer() -> Iterator[Renderer]:
-    renderer = Renderer()
-    yield renderer
-    renderer.close()
-    eventually(lambda: renderer.pid is None)
 
 
 def tree(view: int, x: float = 0.0) -> Task:

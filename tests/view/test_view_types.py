@@ -9,20 +9,19 @@ from typing import TYPE_CHECKING
 import pytest
 from diagnostic_msgs.msg import KeyValue
 from sensor_msgs.msg import LaserScan
-from tests.support.waiting import eventually
 from tests.view.samples import task
 
 from rsb_bridge.model.pictures import Wish
-from rsb_bridge.view.renderer import Renderer
 from rsb_bridge.view.worker import Undrawable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from rsb_bridge.model.pictures import Picture
+    from rsb_bridge.view.renderer import Renderer
     from rsb_bridge.view.worker import Task
 
+pytestmark = pytest.mark.usefixtures("package")
 VIEW = """
 from rsb_bridge.view.drawing import Drawn, View, text
 
@@ -52,14 +51,6 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "added_view.py").write_text(VIEW, encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{':'.join(each for each in sys.path if each)}")
     return tmp_path
-
-
-@pytest.fixture
-def renderer(package: Path) -> Iterator[Renderer]:
-    renderer = Renderer()
-    yield renderer
-    renderer.close()
-    eventually(lambda: renderer.pid is None)
 
 
 def drawn(renderer: Renderer, of: Task) -> Picture:

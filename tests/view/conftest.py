@@ -1,0 +1,22 @@
+"""Fixtures of the views' tests."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.waiting import eventually
+
+from rsb_bridge.view.renderer import Renderer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+@pytest.fixture
+def renderer() -> Iterator[Renderer]:
+    """The process that draws."""
+    renderer = Renderer()
+    yield renderer
+    renderer.close()
+    eventually(lambda: renderer.pid is None)
