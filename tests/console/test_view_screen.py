@@ -85,6 +85,7 @@ async def comes(pilot: Pilot[None], answer: Viewed | Exception | None = None) ->
 async def opened(pilot: Pilot[None]) -> None:
     app = pilot.app
     assert isinstance(app, ConsoleApp)
+    await shown(pilot, SCAN)
     await until(pilot, lambda: selected_topic(app) == SCAN, "the topic under the cursor")
     await pilot.press("v")
     await until(pilot, lambda: looks(engine_of(app)), "a question for a picture")
