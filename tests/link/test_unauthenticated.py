@@ -128,6 +128,15 @@ def test_a_refused_client_that_is_added_is_shown_no_more(friend: Any, bridge: Br
     eventually(lambda: linked(unknown, "robot9"))
 
 
+def test_a_key_against_none(bridge: Bridge) -> None:
+    server = bridge.server(use_encryption=False)
+    stranger = bridge.client()
+    words = RefusalText.ENCRYPTION_NOT_POSSIBLE(name="robot1")
+    eventually(lambda: happened(stranger, EventCode.LINK_REFUSED) and happened(server, EventCode.LINK_REJECTED, words))
+    plain = bridge.client(use_encryption=False)
+    eventually(lambda: linked(plain))
+
+
 def frame(content: bytes) -> bytes:
     return struct.pack(">I", len(content)) + content
 
