@@ -105,7 +105,6 @@ def test_a_name_that_differs_from_the_servers(bridge: Bridge) -> None:
 
 def test_a_refused_client_is_shown_for_as_long_as_it_tries(friend: Any, bridge: Bridge, monkeypatch: Any) -> None:
     """An unknown name, and another key under the name of a robot that is linked."""
-    constants.REFUSED_FORGOTTEN_AFTER.set(monkeypatch, 15.0)
     server, *_ = friend
     unknown = bridge.client(name="robot9")
     wrong_key = bridge.client(name="robot1", key_file="other.key")
@@ -116,6 +115,7 @@ def test_a_refused_client_is_shown_for_as_long_as_it_tries(friend: Any, bridge: 
     assert set(causes.values()) <= {event.cause for event in server.events()}
     unknown.stop()
     wrong_key.stop()
+    constants.REFUSED_FORGOTTEN_AFTER.set(monkeypatch, 1.0)
     eventually(lambda: not now(server).refused)
 
 
