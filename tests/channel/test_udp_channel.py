@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 import socket
 from contextlib import asynccontextmanager, contextmanager
-from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.channel.sides import Route
 from tests.support.coroutines import until
 from tests.support.held import held_by
 from tests.support.schedulers import lone_scheduler
@@ -33,34 +33,13 @@ from rsb_bridge.wire.framing import LEASED, Budget
 from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
+    from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 
     from rsb_bridge.transport.streams import Address
     from rsb_bridge.transport.transport import DatagramSocket
-    from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.sealing import Role
 
 _HOST = "127.0.0.1"
-
-
-@dataclass
-class Route:
-    """A channel's view of a route (`RouteSink`)."""
-
-    id: int
-    outgoing: bool
-    duplex: bool = False
-    rank: int = 0
-    arrived: list[bytes] = field(default_factory=list)
-
-    def deliver(self, messages: Iterable[Message]) -> None:
-        self.arrived += [payload for payload, _, _ in messages]
-
-    def flush(self) -> None:
-        pass
-
-    def channel_lost(self, reason: str) -> None:
-        raise AssertionError(reason)
 
 
 class Server:
@@ -224,8 +203,8 @@ async def test_datagrams_go_to_the_routes_of_the_connection_that_they_name() -> 
                 sender.send([(link_id * (10 * number), 0, 0), (b"x" * 100_000, 0, 0)])
         await until(lambda: all(len(route.arrived) == 2 for pair in arrived.values() for route in pair))
         for link_id, (up, down) in arrived.items():
-            assert sorted(up.arrived, key=len) == [link_id * 10, b"x" * 100_000]
-            assert sorted(down.arrived, key=len) == [link_id * 20, b"x" * 100_000]
+            assert sorted(up.payloads, key=len) == [link_id * 10, b"x" * 100_000]
+            assert sorted(down.payloads, key=len) == [link_id * 20, b"x" * 100_000]
         assert server.made == 2
 
 
@@ -251,15 +230,15 @@ async def test_a_command_of_an_armed_topic_is_sent_twice_and_taken_once(
         await until(lambda: len(route.arrived) == 2)
         sender.send([(long, 0, LEASED)])
         await until(lambda: len(route.arrived) == 3)
-        assert route.arrived == [command, other, long]
+        assert route.payloads == [command, other, long]
         assert [len(each) for each in sent[:2]] == [2, 1]
         assert len(set(sent[0])) == 1
         assert len({each for part in sent[2:] for each in part}) == sum(map(len, sent[2:]))
         monkeypatch.undo()
         sender.send([(command, 0, LEASED)])
         sender.send([(other, 0, 0)])
-        await until(lambda: other in route.arrived[3:])
-        assert route.arrived[3:] == [command, other]
+        await until(lambda: other in route.payloads[3:])
+        assert route.payloads[3:] == [command, other]
 
 
 async def test_the_last_command_is_sent_again_and_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -281,7 +260,7 @@ async def test_the_last_command_is_sent_again_and_taken_once(monkeypatch: pytest
         await until(lambda: len(sent) == 4 + 5)
         await asyncio.sleep(0.3)
         assert len(sent) == 4 + 5
-        assert route.arrived == [b"stop"]
+        assert route.payloads == [b"stop"]
         sender.close("over")
 
 
@@ -297,7 +276,7 @@ async def test_a_command_is_not_sent_again_after_a_later_message(monkeypatch: py
         sender.send([(long, 0, LEASED)])
         await until(lambda: route.arrived)
         await asyncio.sleep(0.25)  # two times a repetition
-        assert route.arrived == [long]
+        assert route.payloads == [long]
 
 
 @pytest.mark.parametrize("lost", [0, 1])

@@ -47,6 +47,10 @@ class Robot:
         self.engine = Engine(self.session, base=folder, ros=NoRos())
         self.engine.use_file(self.path)
 
+    def start(self, machine: Machine) -> Reachable:
+        self.engine.start()
+        return Reachable(machine, self.engine, self.engine.access)
+
     def change(self, *operators: Operator) -> None:
         """Name other operators in the file, and have it read again."""
         save(msgspec.structs.replace(self.session, operators=operators), self.path)
@@ -61,8 +65,7 @@ def robot(tmp_path: Path) -> Iterator[Robot]:
 
 
 def test_whom_the_file_names_gets_in_until_it_does_not(machine: Machine, robot: Robot) -> None:
-    robot.engine.start()
-    reachable = Reachable(machine, robot.engine, robot.engine.access)
+    reachable = robot.start(machine)
     anna, bob = reachable.attach("anna", robot.anna), reachable.attach("bob", robot.bob)
     assert (anna.read_only, bob.read_only) == (False, True)
     anna.retry().result(60)
@@ -77,8 +80,7 @@ def test_whom_the_file_names_gets_in_until_it_does_not(machine: Machine, robot: 
 
 
 def test_a_dry_run_only_says_what_would_change(machine: Machine, robot: Robot) -> None:
-    robot.engine.start()
-    reachable = Reachable(machine, robot.engine, robot.engine.access)
+    reachable = robot.start(machine)
     anna = reachable.attach("anna", robot.anna)
     granted = robot.engine.access.granted
     save(msgspec.structs.replace(robot.session, operators=()), robot.path)
@@ -89,8 +91,7 @@ def test_a_dry_run_only_says_what_would_change(machine: Machine, robot: Robot) -
 
 
 def test_a_key_that_is_replaced_detaches_and_the_new_one_attaches(machine: Machine, robot: Robot) -> None:
-    robot.engine.start()
-    reachable = Reachable(machine, robot.engine, robot.engine.access)
+    reachable = robot.start(machine)
     anna = reachable.attach("anna", robot.anna)
     new = write_key(robot.path.with_name("anna.key"), force=True)
     robot.change(*robot.session.operators)
@@ -99,8 +100,7 @@ def test_a_key_that_is_replaced_detaches_and_the_new_one_attaches(machine: Machi
 
 
 def test_a_reload_with_a_key_of_somebody_else_changes_nothing(machine: Machine, robot: Robot) -> None:
-    robot.engine.start()
-    reachable = Reachable(machine, robot.engine, robot.engine.access)
+    reachable = robot.start(machine)
     anna = reachable.attach("anna", robot.anna)
     copy_key(read_key(robot.path.with_name("key.txt")), robot.path.with_name("bob.key"), force=True)
     with pytest.raises(EngineError, match="bob"):

@@ -71,6 +71,19 @@ def _undo(engine: Engine, change: Change) -> None:
     asyncio.run(change.undo(now(engine), engine.events()).act(engine))
 
 
+def test_a_removed_topic_is_as_it_was(bridge: Bridge) -> None:
+    _, engine = bridge.both(Topic("/scan", "transmit", max_rate=5.0, arm=True, paused=True))
+    eventually(lambda: route(engine, "/scan").arming is not None, what="both sides demand arming")
+    before = route(engine, "/scan")
+    change = Removed("robot1", "/scan", 0, key=before.key, spec=before.spec, pattern="", patterns=())
+    engine.remove_topic(before.key).result(60)
+    _undo(engine, change)
+    after = route(engine, "/scan")
+    assert (after.key, after.spec) == (before.key, before.spec)
+    arming = eventually(lambda: route(engine, "/scan").arming)
+    assert not arming.armed
+
+
 def test_a_pattern_takes_in_again_what_it_has_left_out(bridge: Bridge, robot: Domain) -> None:
     robot.publisher("/camera/a")
     engine = bridge.client(Topic("/camera/*", "transmit"))

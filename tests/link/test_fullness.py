@@ -9,6 +9,7 @@ import pytest
 
 from rsb_bridge.link.contention import Asked, Contention, LinkFullness
 from rsb_bridge.link.roles import ClientRole
+from rsb_bridge.model.capacity import rates_text
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.wire.messages import Duplicate
@@ -115,6 +116,13 @@ def test_a_link_that_carries_what_is_asked_is_not_full(asked: float) -> None:
             assert fullness.out.carried < 0.95 * fullness.out.asked
     assert seen[7] is not None
     assert seen[11] is None, "four ticks after it has room"
+
+
+def test_a_smaller_figure_has_a_smaller_text() -> None:
+    assert [rates_text(14.9e3, 15e3), rates_text(15e3, 15e3)] == ["14 of 15 kB/s", "15 of 15 kB/s"]
+    assert rates_text(25e3, 48e3) == "25 of 48 kB/s"
+    assert rates_text(30e3, 68e6) == "0.03 of 68 MB/s"
+    assert rates_text(0.0, 68e6) == "0 of 68 MB/s"
 
 
 def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, context: Context) -> None:

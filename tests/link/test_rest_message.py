@@ -470,12 +470,6 @@ def test_the_velocity_of_a_message(type_name: str, message: bytes, velocity: tup
     assert velocity_of(type_name, message) == velocity
 
 
-@pytest.mark.parametrize("frame", [b"", b"b", b"base", b"base_link"])
-def test_the_velocity_of_a_stamped_message(frame: bytes) -> None:
-    message = padded(header(frame), 8) + struct.pack("<6d", 0.2, 0, 0, 0, 0, 0.5)
-    assert velocity_of("geometry_msgs/msg/TwistStamped", message) == (0.2, 0.5)
-
-
 def header(frame: bytes, sec: int = 5) -> bytes:
     return BEGIN + struct.pack("<iII", sec, 6, len(frame) + 1) + frame + b"\0"
 

@@ -52,6 +52,13 @@ def ask(side: Side, console: str = OTHER) -> asyncio.Task[None]:
     return task
 
 
+def both_are_there(pair: Pair, at: int) -> None:
+    """For a quarter of a second: the holder, and the operator who asks."""
+    pair[1].table.arming.seen(CONSOLE, pressed=True)
+    pair[at].table.questions.seen(OTHER)
+    let_time_pass(pair, 0.25)
+
+
 def shown(side: Side) -> ArmingSnapshot:
     arming = route(side).snapshot().arming
     assert arming is not None
@@ -108,9 +115,7 @@ def test_without_an_answer_it_goes_over(at: int, pair: Pair, loop: VirtualLoop) 
     task = ask(pair[at])
     began = loop.time()
     while not task.done():
-        pair[1].table.arming.seen(CONSOLE, pressed=True)
-        pair[at].table.questions.seen(OTHER)
-        let_time_pass(pair, 0.25)
+        both_are_there(pair, at)
     task.result()
     assert loop.time() - began == pytest.approx(ASKED_FOR, abs=0.5)
 
@@ -163,9 +168,7 @@ def test_both_sides_record_who_asked_and_how_it_ended(end: str, at: int, pair: P
         task.cancel()
     until = loop.time() + ASKED_FOR + 1.0
     while end == "not answered" and loop.time() < until:
-        pair[1].table.arming.seen(CONSOLE, pressed=True)
-        pair[at].table.questions.seen(OTHER)
-        let_time_pass(pair, 0.25)
+        both_are_there(pair, at)
     turn(pair[0])
     hear_all(pair)
     turn(pair[0])

@@ -105,7 +105,6 @@ def test_a_name_that_differs_from_the_servers(bridge: Bridge) -> None:
 
 def test_a_refused_client_is_shown_for_as_long_as_it_tries(friend: Any, bridge: Bridge, monkeypatch: Any) -> None:
     """An unknown name, and another key under the name of a robot that is linked."""
-    constants.REFUSED_FORGOTTEN_AFTER.set(monkeypatch, 15.0)
     server, *_ = friend
     unknown = bridge.client(name="robot9")
     wrong_key = bridge.client(name="robot1", key_file="other.key")
@@ -116,6 +115,7 @@ def test_a_refused_client_is_shown_for_as_long_as_it_tries(friend: Any, bridge: 
     assert set(causes.values()) <= {event.cause for event in server.events()}
     unknown.stop()
     wrong_key.stop()
+    constants.REFUSED_FORGOTTEN_AFTER.set(monkeypatch, 1.0)
     eventually(lambda: not now(server).refused)
 
 
@@ -126,6 +126,15 @@ def test_a_refused_client_that_is_added_is_shown_no_more(friend: Any, bridge: Br
     server.add_client(Client("robot9", key_file="nine.key")).result(60)
     assert not now(server).refused
     eventually(lambda: linked(unknown, "robot9"))
+
+
+def test_a_key_against_none(bridge: Bridge) -> None:
+    server = bridge.server(use_encryption=False)
+    stranger = bridge.client()
+    words = RefusalText.ENCRYPTION_NOT_POSSIBLE(name="robot1")
+    eventually(lambda: happened(stranger, EventCode.LINK_REFUSED) and happened(server, EventCode.LINK_REJECTED, words))
+    plain = bridge.client(use_encryption=False)
+    eventually(lambda: linked(plain))
 
 
 def frame(content: bytes) -> bytes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import random
 import weakref
+from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.zenoh_pipes import Pair, Sent, Side
@@ -14,9 +15,20 @@ from rsb_bridge.transport.zenoh.pipe import SAMPLE, WINDOW, Pipe, PipeProblem
 from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
 
+if TYPE_CHECKING:
+    from tests.support.virtual_time import VirtualLoop
+
 pytestmark = pytest.mark.usefixtures("loop")
 UNDER_WAY = WINDOW + SAMPLE
 """Bytes at most that a receiver has to hold."""
+
+
+@pytest.fixture
+def pair(loop: VirtualLoop) -> Pair:
+    async def made() -> Pair:
+        return Pair()
+
+    return loop.run_until_complete(made())
 
 
 def held(pipe: Pipe) -> int:
@@ -35,8 +47,7 @@ async def test_what_is_written_arrives_in_order_and_whole() -> None:
 
 
 @pytest.mark.parametrize("size", [1, SAMPLE - 1, SAMPLE, SAMPLE + 1, SAMPLE * 2 + SAMPLE // 2])
-async def test_a_write_is_split_where_it_is_longer_than_a_sample(size: int) -> None:
-    pair = Pair()
+async def test_a_write_is_split_where_it_is_longer_than_a_sample(pair: Pair, size: int) -> None:
     data = random.Random(size).randbytes(size)
     pair.near.pipe.write(memoryview(data))
     pieces = [each.payload for each in pair.near.sent(SampleKind.DATA)]
@@ -45,8 +56,7 @@ async def test_a_write_is_split_where_it_is_longer_than_a_sample(size: int) -> N
     assert b"".join(pieces) == data
 
 
-async def test_a_buffer_may_be_used_again_at_once() -> None:
-    pair = Pair()
+async def test_a_buffer_may_be_used_again_at_once(pair: Pair) -> None:
     buffer = bytearray(b"first")
     pair.near.pipe.write(memoryview(buffer))
     buffer[:] = b"other"
@@ -54,8 +64,7 @@ async def test_a_buffer_may_be_used_again_at_once() -> None:
     assert pair.far.told.data == b"first"
 
 
-async def test_what_is_under_way_is_bounded_and_congestion_is_told_once() -> None:
-    pair = Pair()
+async def test_what_is_under_way_is_bounded_and_congestion_is_told_once(pair: Pair) -> None:
     pair.near.pipe.set_write_buffer_limits(high=SAMPLE)
     for _ in range(20):
         pair.near.pipe.write(bytes(SAMPLE // 2))
@@ -67,8 +76,7 @@ async def test_what_is_under_way_is_bounded_and_congestion_is_told_once() -> Non
     assert len(pair.far.told.data) == 10 * SAMPLE
 
 
-async def test_a_receiver_that_pauses_holds_up_its_sender_and_nothing_is_lost() -> None:
-    pair = Pair()
+async def test_a_receiver_that_pauses_holds_up_its_sender_and_nothing_is_lost(pair: Pair) -> None:
     pair.far.pipe.pause_reading()
     data = random.Random(2).randbytes(12 * SAMPLE)
     pair.near.pipe.write(data)
@@ -83,9 +91,8 @@ async def test_a_receiver_that_pauses_holds_up_its_sender_and_nothing_is_lost() 
     assert pair.far.told.data == data
 
 
-async def test_reading_that_is_resumed_while_data_is_taken_keeps_the_order() -> None:
+async def test_reading_that_is_resumed_while_data_is_taken_keeps_the_order(pair: Pair) -> None:
     """The reader pauses when it has enough, and resumes from within: it must not be called recursively."""
-    pair = Pair()
     inside = False
 
     def take(data: bytes) -> None:
@@ -108,8 +115,7 @@ async def test_reading_that_is_resumed_while_data_is_taken_keeps_the_order() -> 
     assert pair.far.told.data == data
 
 
-async def test_reading_that_is_paused_again_stops_at_once() -> None:
-    pair = Pair()
+async def test_reading_that_is_paused_again_stops_at_once(pair: Pair) -> None:
     pair.far.pipe.pause_reading()
     pair.near.pipe.write(bytes(3 * SAMPLE))
     await pair.settle()
@@ -120,9 +126,8 @@ async def test_reading_that_is_paused_again_stops_at_once() -> None:
     assert len(pair.far.told.pieces) == 1
 
 
-async def test_a_paused_receiver_holds_no_more_than_the_bytes_that_came() -> None:
+async def test_a_paused_receiver_holds_no_more_than_the_bytes_that_came(pair: Pair) -> None:
     """A sample of nothing, too, would take memory if each were kept."""
-    pair = Pair()
     pair.far.pipe.pause_reading()
     for number in range(100_000):
         pair.far.arrive(SampleKind.DATA, number)
@@ -130,8 +135,7 @@ async def test_a_paused_receiver_holds_no_more_than_the_bytes_that_came() -> Non
     assert not pair.far.pipe.is_closing()
 
 
-async def test_a_stream_that_misses_a_sample_is_over_on_both_sides() -> None:
-    pair = Pair()
+async def test_a_stream_that_misses_a_sample_is_over_on_both_sides(pair: Pair) -> None:
     for number in range(4):
         pair.near.pipe.write(bytes([number]))
     del pair.near.network.on_its_way[1:3]
@@ -143,8 +147,7 @@ async def test_a_stream_that_misses_a_sample_is_over_on_both_sides() -> None:
         assert side.network.end is None
 
 
-async def test_a_sample_that_comes_again_changes_nothing() -> None:
-    pair = Pair()
+async def test_a_sample_that_comes_again_changes_nothing(pair: Pair) -> None:
     for number in range(3):
         pair.far.arrive(SampleKind.DATA, number, bytes([number]))
     for number in (0, 2, 1):
@@ -154,8 +157,7 @@ async def test_a_sample_that_comes_again_changes_nothing() -> None:
     assert not pair.far.pipe.is_closing()
 
 
-async def test_a_peer_that_ignores_the_window_is_cut_off() -> None:
-    pair = Pair()
+async def test_a_peer_that_ignores_the_window_is_cut_off(pair: Pair) -> None:
     pair.far.pipe.pause_reading()
     for number in range(2 * UNDER_WAY // SAMPLE):
         pair.far.arrive(SampleKind.DATA, number, bytes(SAMPLE))
@@ -167,9 +169,8 @@ async def test_a_peer_that_ignores_the_window_is_cut_off() -> None:
     assert held(pair.far.pipe) == 0
 
 
-async def test_a_window_cannot_be_opened_for_what_zenoh_has_not_been_given() -> None:
+async def test_a_window_cannot_be_opened_for_what_zenoh_has_not_been_given(pair: Pair) -> None:
     """Anyone in the network can claim that all has come, while the router takes nothing."""
-    pair = Pair()
     network = pair.near.network
     for _ in range(10):
         pair.near.pipe.write(bytes(WINDOW))
@@ -178,8 +179,7 @@ async def test_a_window_cannot_be_opened_for_what_zenoh_has_not_been_given() -> 
     assert network.backlog <= UNDER_WAY
 
 
-async def test_an_older_window_closes_nothing() -> None:
-    pair = Pair()
+async def test_an_older_window_closes_nothing(pair: Pair) -> None:
     pair.near.pipe.write(bytes(WINDOW + 2 * SAMPLE))
     pair.near.arrive(SampleKind.WINDOW, 2 * SAMPLE)
     pair.near.arrive(SampleKind.WINDOW, SAMPLE)
@@ -206,9 +206,8 @@ async def test_what_is_in_flight_is_what_the_other_side_has_not_reported() -> No
     assert client.network.in_flight == 0
 
 
-async def test_a_window_that_is_lost_is_asked_for() -> None:
+async def test_a_window_that_is_lost_is_asked_for(pair: Pair) -> None:
     """Else the stream would stand still for good, with nothing that shows it."""
-    pair = Pair()
     data = random.Random(3).randbytes(3 * WINDOW)
     pair.near.pipe.write(data)
     for each in pair.near.network.on_its_way:
@@ -224,9 +223,8 @@ async def test_a_window_that_is_lost_is_asked_for() -> None:
     assert pair.far.told.data == data
 
 
-async def test_many_questions_have_one_answer_and_none_after_the_end() -> None:
+async def test_many_questions_have_one_answer_and_none_after_the_end(pair: Pair) -> None:
     """A stranger may ask as often as they like."""
-    pair = Pair()
     for number in range(100):
         pair.far.arrive(SampleKind.DATA, number, b"")
     await asyncio.sleep(0)
@@ -240,8 +238,7 @@ async def test_many_questions_have_one_answer_and_none_after_the_end() -> None:
     assert len(pair.far.sent(SampleKind.WINDOW)) == 2
 
 
-async def test_the_loss_of_a_last_sample_shows_though_nothing_follows() -> None:
-    pair = Pair()
+async def test_the_loss_of_a_last_sample_shows_though_nothing_follows(pair: Pair) -> None:
     pair.near.pipe.write(b"a map, once")
     pair.near.network.on_its_way.clear()
     await asyncio.sleep(2.1)
@@ -261,8 +258,7 @@ async def test_a_stream_at_rest_says_once_that_it_has_said_all() -> None:
     assert said == 1
 
 
-async def test_what_waits_for_a_reader_is_asked_about_now_and_then_only() -> None:
-    pair = Pair()
+async def test_what_waits_for_a_reader_is_asked_about_now_and_then_only(pair: Pair) -> None:
     pair.far.pipe.pause_reading()
     pair.near.pipe.write(bytes(3 * WINDOW))
     asked = 0
@@ -277,8 +273,7 @@ async def test_what_waits_for_a_reader_is_asked_about_now_and_then_only() -> Non
     assert pair.near.network.on_its_way == []
 
 
-async def test_closing_sends_what_waits_and_then_ends() -> None:
-    pair = Pair()
+async def test_closing_sends_what_waits_and_then_ends(pair: Pair) -> None:
     data = random.Random(4).randbytes(7 * SAMPLE)
     pair.near.pipe.write(data)
     pair.near.pipe.close()
@@ -292,8 +287,7 @@ async def test_closing_sends_what_waits_and_then_ends() -> None:
     assert pair.far.told.error is None
 
 
-async def test_aborting_waits_for_nothing() -> None:
-    pair = Pair()
+async def test_aborting_waits_for_nothing(pair: Pair) -> None:
     pair.far.pipe.pause_reading()
     pair.near.pipe.write(bytes(7 * SAMPLE))
     pair.near.pipe.close()
@@ -305,8 +299,7 @@ async def test_aborting_waits_for_nothing() -> None:
     assert len(pair.near.sent(SampleKind.END)) == 1
 
 
-async def test_what_came_before_the_end_is_delivered_though_reading_was_paused() -> None:
-    pair = Pair()
+async def test_what_came_before_the_end_is_delivered_though_reading_was_paused(pair: Pair) -> None:
     pair.far.pipe.pause_reading()
     data = random.Random(5).randbytes(SAMPLE)
     pair.near.pipe.write(data)
@@ -320,8 +313,7 @@ async def test_what_came_before_the_end_is_delivered_though_reading_was_paused()
     assert pair.far.told.calls == ["made", "eof", "lost"]
 
 
-async def test_an_end_that_counts_more_than_came_says_so() -> None:
-    pair = Pair()
+async def test_an_end_that_counts_more_than_came_says_so(pair: Pair) -> None:
     pair.near.pipe.write(b"lost")
     pair.near.network.on_its_way.clear()
     pair.near.pipe.close()
@@ -329,9 +321,8 @@ async def test_an_end_that_counts_more_than_came_says_so() -> None:
     assert str(pair.far.told.error) == PipeProblem.SAMPLE_LOST()
 
 
-async def test_an_end_while_this_side_still_has_much_to_send_ends_it() -> None:
+async def test_an_end_while_this_side_still_has_much_to_send_ends_it(pair: Pair) -> None:
     """Its window will never open again."""
-    pair = Pair()
     pair.far.pipe.pause_reading()
     pair.near.pipe.write(bytes(9 * SAMPLE))
     pair.near.pipe.close()
@@ -342,8 +333,7 @@ async def test_an_end_while_this_side_still_has_much_to_send_ends_it() -> None:
     assert pair.near.network.end is None
 
 
-async def test_nothing_is_delivered_once_this_side_closes() -> None:
-    pair = Pair()
+async def test_nothing_is_delivered_once_this_side_closes(pair: Pair) -> None:
     pair.near.pipe.write(bytes(WINDOW + SAMPLE))
     pair.near.pipe.close()
     pair.near.arrive(SampleKind.DATA, 0, b"late")
@@ -351,8 +341,7 @@ async def test_nothing_is_delivered_once_this_side_closes() -> None:
     assert pair.near.told.calls == ["made", "pause"]
 
 
-async def test_a_reason_from_afar_is_short_and_harmless() -> None:
-    pair = Pair()
+async def test_a_reason_from_afar_is_short_and_harmless(pair: Pair) -> None:
     pair.far.arrive(SampleKind.END, 0, b"\x1b[2J\xff" + b"x" * 100_000)
     await pair.settle()
     words = str(pair.far.told.error)
@@ -360,16 +349,14 @@ async def test_a_reason_from_afar_is_short_and_harmless() -> None:
     assert len(words) <= 200
 
 
-async def test_kinds_that_a_later_version_may_send_are_passed_over() -> None:
-    pair = Pair()
+async def test_kinds_that_a_later_version_may_send_are_passed_over(pair: Pair) -> None:
     pair.far.arrive(200, 7, b"?")
     await pair.settle()
     assert pair.far.told.calls == ["made"]
     assert pair.far.network.on_its_way == []
 
 
-async def test_cut_off_tells_both_sides() -> None:
-    pair = Pair()
+async def test_cut_off_tells_both_sides(pair: Pair) -> None:
     pair.near.pipe.cut_off("the router is lost")
     await pair.settle()
     assert str(pair.near.told.error) == "the router is lost"
@@ -431,9 +418,8 @@ FORGED = [
 @pytest.mark.parametrize("tag", [b"", bytes(16)], ids=["untagged", "tagged"])
 @pytest.mark.parametrize("forged", FORGED, ids=str)
 async def test_a_forged_sample_changes_nothing_while_the_stream_lives(
-    forged: tuple[SampleKind, int, bytes], tag: bytes
+    pair: Pair, forged: tuple[SampleKind, int, bytes], tag: bytes
 ) -> None:
-    pair = Pair()
     pair.near.pipe.write(b"0")
     await pair.settle()
     for number in range(20):
@@ -446,8 +432,7 @@ async def test_a_forged_sample_changes_nothing_while_the_stream_lives(
     assert set(pair.near.told.calls + pair.far.told.calls) == {"made"}
 
 
-async def test_samples_that_are_played_again_on_the_other_side_change_nothing() -> None:
-    pair = Pair()
+async def test_samples_that_are_played_again_on_the_other_side_change_nothing(pair: Pair) -> None:
     pair.near.pipe.write(b"0")
     captured = list(pair.near.network.on_its_way)
     await pair.settle()
@@ -456,9 +441,8 @@ async def test_samples_that_are_played_again_on_the_other_side_change_nothing() 
     assert pair.near.told.data == b""
 
 
-async def test_an_end_that_is_not_proven_is_believed_once_nothing_comes() -> None:
+async def test_an_end_that_is_not_proven_is_believed_once_nothing_comes(pair: Pair) -> None:
     """A peer that was started again knows no key of the stream."""
-    pair = Pair()
     pair.near.pipe.write(b"0")
     await pair.settle()
     pair.near.forge(SampleKind.END, 0, b"there is no such stream any more")
@@ -481,8 +465,7 @@ async def test_a_stream_at_rest_outlives_forged_ends_because_the_other_side_answ
     assert asked <= 10  # within 10 s
 
 
-async def test_a_token_that_goes_ends_a_stream_only_if_its_owner_has_gone() -> None:
-    pair = Pair()
+async def test_a_token_that_goes_ends_a_stream_only_if_its_owner_has_gone(pair: Pair) -> None:
     pair.near.pipe.write(b"0")
     await pair.settle()
     pair.near.pipe.doubt("it has left")
@@ -513,8 +496,7 @@ async def test_a_doubt_is_known_at_once(how: str) -> None:
     assert pair.near.told.calls == ["made"]
 
 
-async def test_what_was_under_way_does_not_hide_that_a_peer_has_died() -> None:
-    pair = Pair()
+async def test_what_was_under_way_does_not_hide_that_a_peer_has_died(pair: Pair) -> None:
     pair.near.pipe.write(b"0")
     await pair.settle()
     pair.far.pipe.write(b"last words")
