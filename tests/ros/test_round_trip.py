@@ -120,7 +120,7 @@ def stock_relay() -> Iterator[None]:
         yield
         process.terminate()
         try:
-            process.wait(60)
+            process.wait(5)
         except subprocess.TimeoutExpired:
             process.kill()
 
