@@ -22,7 +22,7 @@ from rsb_bridge.transport.zenoh import sockets
 from rsb_bridge.transport.zenoh.endpoint import ROUTER_LOST, ZenohEndpoint
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     import zenoh
@@ -355,13 +355,11 @@ class Network:
         self._deleted = zenoh.SampleKind.DELETE
         try:
             changes = session.info.declare_transport_events_listener()
-            session.info.declare_link_events_listener(self._linked, history=True)
+            links = session.info.declare_link_events_listener(history=True)
         except zenoh.ZError as error:  # it has been closed already
             _close(session)
             raise OSError(Unreachable.ERROR(error=first_sentence(str(error)))) from None
-        watcher = threading.Thread(target=self._watch, args=(changes,), name="zenoh-watch", daemon=True)
-        watcher.start()
-        _open_sessions[session] = watcher
+        _open_sessions[session] = [_started(self._watch, changes), _started(self._prepare, links)]
         with self._lock:
             if not self._closed:
                 self._session, self._config_used = session, config
@@ -409,13 +407,14 @@ class Network:
         for event in changes:
             self._changed(event)
 
-    def _linked(self, event: zenoh.LinkEvent) -> None:
-        """Prepare the socket of a link to a router or peer."""
-        if event.kind == self._deleted:
-            return
-        # Without descriptors, or with an address of another form, the link works as Zenoh made it.
-        with contextlib.suppress(OSError, ValueError):
-            sockets.prepare(event.link)
+    def _prepare(self, links: zenoh.LinkEventsListener[Any]) -> None:
+        """Prepare the sockets of links to routers and peers, until the session is closed."""
+        for event in links:
+            if event.kind == self._deleted:
+                continue
+            # Without descriptors, or with an address of another form, the link works as Zenoh made it.
+            with contextlib.suppress(OSError, ValueError):
+                sockets.prepare(event.link)
 
     def _changed(self, event: zenoh.TransportEvent) -> None:
         """Handle a router or peer that has come or gone."""
@@ -446,8 +445,14 @@ def _from_its_folder(config: zenoh.Config, folder: Path) -> None:
             _set(config, f"{TLS}/{key}", str((folder / settings[key]).absolute()))
 
 
-_open_sessions: dict[zenoh.Session, threading.Thread] = {}
-"""Each with the thread that watches it. A process that ended with one of them open would wait for ever."""
+_open_sessions: dict[zenoh.Session, list[threading.Thread]] = {}
+"""Each with the threads that watch it. A process that ended with one of them open would wait for ever."""
+
+
+def _started(watch: Callable[[Any], None], events: object) -> threading.Thread:
+    watcher = threading.Thread(target=watch, args=(events,), name="zenoh-watch", daemon=True)
+    watcher.start()
+    return watcher
 
 
 def _close_all() -> None:
@@ -456,13 +461,17 @@ def _close_all() -> None:
 
 
 def _close_now(session: zenoh.Session) -> None:
-    """Close it, and have its watcher end: a thread that is in Zenoh when the interpreter ends aborts the process."""
+    """Close it, and have its watchers end: a thread that is in Zenoh when the interpreter ends aborts the process.
+
+    So does a callback on one of Zenoh's own threads, which tells of its links after the session is closed, too. Hence
+    events wait for threads of ours.
+    """
     import zenoh  # noqa: PLC0415 (an extra)
 
-    watcher = _open_sessions.pop(session, None)
+    watchers = _open_sessions.pop(session, ())
     with contextlib.suppress(zenoh.ZError):  # after 10 s with a router that takes nothing, it leaves the rest as it is
         session.close()  # type: ignore[no-untyped-call]
-    if watcher is not None:
+    for watcher in watchers:
         watcher.join(_CLOSE_WITHIN)
 
 
