@@ -11,8 +11,10 @@ from tests.support.inside import kept_answers, numbers_of, pending_calls, timer_
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.route.calls.calling import CallingRoute
+from rsb_bridge.route.calls.calling_action import CallingActionRoute
 from rsb_bridge.route.calls.kept_calls import INTERRUPTION
 from rsb_bridge.route.calls.providing import ProvidingRoute
+from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -161,7 +163,7 @@ def near_and_far(world: World, flow: ActionFlow | ServiceFlow) -> tuple[Run | No
 def halves_of(world: World, action: ActionFlow) -> list[CallsRoute]:
     links: list[Link] = list(world.link_ends(world.robot(action.robot)) or ())
     found: list[Any] = [route for link in links for route in link.routes.values() if route.topic == action.near_name]
-    return [route for route in found if isinstance(route, (CallingRoute, ProvidingRoute)) and route.action is not None]
+    return [route for route in found if isinstance(route, (CallingActionRoute, ProvidingActionRoute))]
 
 
 def said(world: World, action: ActionFlow) -> str:
@@ -175,8 +177,7 @@ def offered(run: Run, flow: ActionFlow | ServiceFlow) -> bool:
 
 
 def in_flight(route: CallsRoute) -> int:
-    action = route.action if isinstance(route, CallingRoute) else None
-    waiting = len(action.waiting) if action is not None else 0
+    waiting = len(route.action.waiting) if isinstance(route, CallingActionRoute) else 0
     return len(pending_calls(route)) + waiting
 
 
@@ -190,7 +191,7 @@ def left_of_ended_calls(route: CallsRoute) -> list[str]:
     ]
     if isinstance(route, ProvidingRoute):
         found += [f"number {number}" for number, call in numbers_of(route).items() if call not in calls]
-        kept = kept_answers(route.action.answers).items() if route.action is not None else ()
+        kept = kept_answers(route.action.answers).items() if isinstance(route, ProvidingActionRoute) else ()
         found += [f"{each} of {what}" for what, one in kept for each in one.calls if each not in calls]
     if not len(calls) and timer_of(calls) is not None and not held_by(calls):
         found.append("a timer")
@@ -205,9 +206,11 @@ def left_at_rest(route: CallsRoute) -> list[str]:
         "calls under way": len(pending_calls(route)),
         "frames": len(waiting_frames(route)),
     }
-    if isinstance(route, CallingRoute) and (caller := route.action) is not None:
+    if isinstance(route, CallingActionRoute):
+        caller = route.action
         tables |= {"waiting calls": len(caller.waiting), "running goals": len(caller.goals.running())}
-    if isinstance(route, ProvidingRoute) and (provider := route.action) is not None:
+    if isinstance(route, ProvidingActionRoute):
+        provider = route.action
         tables |= {"kept answers": len(kept_answers(provider.answers)), "numbers": len(numbers_of(provider.answers))}
         tables |= {"running goals": len(provider.goals.running())}
     budget = route.peer.budget

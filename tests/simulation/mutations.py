@@ -32,7 +32,8 @@ from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.route.calls import kept_calls
-from rsb_bridge.route.calls.calling import CallerAction, CallingRoute
+from rsb_bridge.route.calls.calling import CallingRoute
+from rsb_bridge.route.calls.calling_action import CallerAction, CallingActionRoute
 from rsb_bridge.route.calls.kept_calls import AnswerAction, KeptAnswers, KeptCalls
 from rsb_bridge.route.calls.pending_calls import PendingCalls
 from rsb_bridge.route.combined_verdict import CombinedVerdict
@@ -336,7 +337,7 @@ MUTATIONS = (
     ),
     Mutation(
         "a call that waited for the action to be reached again is not counted when it is given up",
-        ((CallingRoute, "_give_up_waiting", nothing),),
+        ((CallingActionRoute, "_give_up_waiting", nothing),),
         "calls in flight, and has", replace(ACTIONS, faults=20.0), 4, 0.2,
     ),
     Mutation(

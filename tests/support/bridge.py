@@ -18,7 +18,7 @@ from rsb_bridge.engine import Engine
 from rsb_bridge.model.calls import FEEDBACK
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Session, Topic
-from rsb_bridge.route.calls.calling import CallingRoute
+from rsb_bridge.route.calls.calling_action import CallingActionRoute
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 
@@ -284,7 +284,7 @@ def listeners(engine: Engine, topic: str) -> int:
 
 def feedback_listeners(engine: Engine) -> int:
     """Return the number of listeners to the feedback of the only action that an engine offers."""
-    (found,) = (route for route in _routes(engine) if isinstance(route, CallingRoute) and route.action is not None)
+    (found,) = (route for route in _routes(engine) if isinstance(route, CallingActionRoute))
     offered = offers_of(found).publishers.get(FEEDBACK)
     return offered.subscriber_count if offered else 0
 

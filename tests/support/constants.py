@@ -103,7 +103,8 @@ TICK = Place("rsb_bridge.engine.bridge", "_TICK")
 GRAPH_ALWAYS_AFTER = Place("rsb_bridge.link.graph_watch", "_ALWAYS_AFTER")
 ROUTE_LONGEST_PAUSE = Place("rsb_bridge.route.route", "_LONGEST_PAUSE")
 INTERRUPTION = tuple(
-    Place(f"rsb_bridge.route.calls.{user}", "INTERRUPTION") for user in ("kept_calls", "calling", "providing")
+    Place(f"rsb_bridge.route.calls.{user}", "INTERRUPTION")
+    for user in ("kept_calls", "calling_action", "providing_action")
 )
 
 SIMULATED_SNAPSHOT_EVERY = Place("tests.simulation.engine_host", "_SNAPSHOT_EVERY")

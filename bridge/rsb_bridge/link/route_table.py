@@ -31,7 +31,9 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.calling import CallingRoute
+from rsb_bridge.route.calls.calling_action import CallingActionRoute
 from rsb_bridge.route.calls.providing import ProvidingRoute
+from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.route import route_key
@@ -87,9 +89,18 @@ _EDIT_UNDONE = "the other side has undone its edit"
 _COMES_BACK = "; this side's own entry takes its place again"
 
 
+_HALVES: dict[str, tuple[type[Route], type[Route]]] = {
+    "topic": (OutgoingRoute, IncomingRoute),
+    "service": (CallingRoute, ProvidingRoute),
+    "action": (CallingActionRoute, ProvidingActionRoute),
+    "parameters": (CallingRoute, ProvidingRoute),
+}
+"""The halves of a route of each kind: where its messages or calls come from, and where they go."""
+
+
 def _half_of(proposal: Propose, *, is_client: bool) -> type[Route]:
     """Return the class of a route's half on this side."""
-    sending, receiving = (OutgoingRoute, IncomingRoute) if proposal.kind == "topic" else (CallingRoute, ProvidingRoute)
+    sending, receiving = _HALVES[proposal.kind]
     return sending if proposal.from_client == is_client else receiving
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.context import Context
-    from rsb_bridge.route.calls.providing import ProvidingRoute
+    from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
 
 
 class Client:
@@ -46,10 +46,10 @@ class Client:
 
 
 @pytest.fixture
-def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingRoute]:
+def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingActionRoute]:
     """Makes an armed action, whose server has goals 1 and 3 of this link, of which 3 is not answered, and another 2."""
 
-    def make(on_end: str | None = "cancel", there: str = "") -> ProvidingRoute:
+    def make(on_end: str | None = "cancel", there: str = "") -> ProvidingActionRoute:
         context = make_context(armed=(ArmedName("/dock", on_end=on_end),))
         route = providing(context, arm=True)
         route.arming.own = context.demands.of("action", "/dock") or route.arming.own
@@ -67,22 +67,22 @@ def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingR
     return make
 
 
-def respond(route: ProvidingRoute, lane: int, payload: bytes, number: int) -> None:
+def respond(route: ProvidingActionRoute, lane: int, payload: bytes, number: int) -> None:
     """Let the server respond to a request."""
     route._responded(lane, [Response(payload, number, 0)])
 
 
-def accept(route: ProvidingRoute, number: int) -> None:
+def accept(route: ProvidingActionRoute, number: int) -> None:
     """Let the server accept a goal."""
     respond(route, SEND_GOAL, goal_response(True), number)
 
 
-def cancels(route: ProvidingRoute) -> list[bytes]:
+def cancels(route: ProvidingActionRoute) -> list[bytes]:
     client: Any = clients_of(route).clients[CANCEL_GOAL]
     return list(client.calls)
 
 
-def test_an_end_of_the_arming_cancels_this_links_goals(make_route: Callable[..., ProvidingRoute]) -> None:
+def test_an_end_of_the_arming_cancels_this_links_goals(make_route: Callable[..., ProvidingActionRoute]) -> None:
     route = make_route()
     assert not cancels(route)
     route.disarm(Disarmed.DEADMAN)
@@ -92,7 +92,7 @@ def test_an_end_of_the_arming_cancels_this_links_goals(make_route: Callable[...,
     assert route.calls.late == late, "it is no answer to a call of the other side's"
 
 
-def test_a_goal_that_is_accepted_later_is_cancelled_then(make_route: Callable[..., ProvidingRoute]) -> None:
+def test_a_goal_that_is_accepted_later_is_cancelled_then(make_route: Callable[..., ProvidingActionRoute]) -> None:
     route = make_route()
     route.disarm(Disarmed.OPERATOR)
     accept(route, 3)
@@ -111,7 +111,7 @@ def test_a_goal_that_is_accepted_later_is_cancelled_then(make_route: Callable[..
     ],
 )
 def test_the_more_careful_session_counts(
-    on_end: str | None, there: str, cancelled: int, make_route: Callable[..., ProvidingRoute]
+    on_end: str | None, there: str, cancelled: int, make_route: Callable[..., ProvidingActionRoute]
 ) -> None:
     route = make_route(on_end, there)
     assert route.on_end == ("cancel" if cancelled else "none")

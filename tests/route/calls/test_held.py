@@ -12,12 +12,13 @@ from tests.support.offline import half_of
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.ros_thread import RosTurns
-from rsb_bridge.route.calls.calling import CallerCall, CallingRoute
+from rsb_bridge.route.calls.calling import CallerCall
+from rsb_bridge.route.calls.calling_action import CallingActionRoute
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.goals import accepted_by
 from rsb_bridge.route.calls.kept_calls import KeptCall
 from rsb_bridge.route.calls.manual_call import CallError
-from rsb_bridge.route.calls.providing import ProvidingRoute
+from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
 from rsb_bridge.route.gates import why_not_by_hand
 from rsb_bridge.route.lease import BEAT, LASTS, LeaseHalf
 from rsb_bridge.wire.headers import CallFrame, What
@@ -91,9 +92,11 @@ def test_a_goal_that_may_have_begun_is_not_said_to_be_rejected(
     why: Refused, again: bool, rejected: bool, make_context: Callable[..., Context]
 ) -> None:
     context = make_context()
-    route, server = half_of(CallingRoute, context, Topic("/dock", "receive", kind="action"), here=False), Answers()
+    route, server = (
+        half_of(CallingActionRoute, context, Topic("/dock", "receive", kind="action"), here=False),
+        Answers(),
+    )
     offers_of(route).servers[SEND_GOAL] = server
-    assert route.action is not None
     route.action.goals.asked(goal(1))
     kept = KeptCall(SEND_GOAL, b"caller", GOAL, 0.0, again=again)
     route._begin(CallerCall(SEND_GOAL, len(GOAL), 0.0, server, b"caller", kept), GOAL, lease=0, stamp=0)
@@ -163,9 +166,9 @@ class Answers:
         pass
 
 
-def providing(context: Context, **fields: Any) -> ProvidingRoute:
+def providing(context: Context, **fields: Any) -> ProvidingActionRoute:
     """An action's half where its server is, in an opening of its own."""
     spec = Topic("/dock", "transmit", kind="action", **fields)
-    route = half_of(ProvidingRoute, context, spec, here=False)
+    route = half_of(ProvidingActionRoute, context, spec, here=False)
     route.arming.opened(required=spec.arm, deadman=0.0)
     return route

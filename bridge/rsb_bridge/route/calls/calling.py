@@ -2,21 +2,15 @@
 
 A call goes through `CallingRoute._asked` (from ROS), `_begin`, and the outbox to the channel. What the provider says of
 it comes to `_take`, and goes to ROS in `_take_answer`, or ends the call in `_take_refusal`.
-
-An action's calls outlive an interruption (`rsb_bridge.route.calls.kept_calls`). While the action cannot be reached,
-``send_goal``, feedback and status are withdrawn, so that clients see no server. As long as goals run or callers wait,
-``cancel_goal`` and ``get_result`` are still offered: a request to a service that is not there is lost for good (rclpy
-and rclcpp send it to nobody). Once the action can be reached, cancels go first. While the action is paused or disarmed,
-only ``send_goal`` is withdrawn, so that goals can still be cancelled and watched.
 """
 
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
+from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import Cause
@@ -27,8 +21,6 @@ from rsb_bridge.route.calls.call_servers import LocalServers, others_called, typ
 from rsb_bridge.route.calls.calls_ledger import refused_as
 from rsb_bridge.route.calls.calls_route import CallsRoute
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble
-from rsb_bridge.route.calls.goals import Goals, goal_of, rejection_of
-from rsb_bridge.route.calls.kept_calls import INTERRUPTION, KeptCall, KeptCalls
 from rsb_bridge.route.calls.manual_call import CallError, ManualCall
 from rsb_bridge.route.calls.node_parameters import foreign_event
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
@@ -46,8 +38,8 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import ServiceMember
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.ros_interface import ServiceServer
+    from rsb_bridge.route.calls.kept_calls import KeptCall
     from rsb_bridge.route.lease import LeaseHalf
     from rsb_bridge.route.notices import Notices
     from rsb_bridge.route.route import Owner
@@ -57,10 +49,6 @@ if TYPE_CHECKING:
 
 _CALLER = 16
 """Bytes of `Request.caller` that identify the caller; the others identify the request."""
-_OUTLIVING = (CANCEL_GOAL, GET_RESULT)
-_FOR_NOW = (Refused.PAUSED, Refused.DISARMED, Refused.UNHEARD, Refused.PROVIDER_GONE, Refused.LOST)
-"""Refusals after which a later attempt may succeed."""
-_UNREACHABLE = "the action could not be reached"
 
 
 class LaneMessages:
@@ -140,52 +128,10 @@ class LandedText(Wording):
     UNREPORTED = "not reported whether it was given to DDS there: the node may have acted on it"
 
 
-class CallerAction:
-    """Goals of an action, and the calls that wait for the end of an interruption.
-
-    Args:
-        timeout: s that a call without a goal waits at most.
-
-    Attributes:
-        goals: all that are known.
-        waiting: calls that are sent once the action can be reached.
-        interrupted_at: when the last interruption began, in s.
-    """
-
-    def __init__(self, context: Context, timeout: float) -> None:
-        self.goals = Goals(context.wall, context.now)
-        self.waiting = KeptCalls(timeout)
-        self.interrupted_at = 0.0
-        self._now = context.now
-
-    def asked(self, call: KeptCall) -> None:
-        """Note that a call is sent for the first time."""
-        if call.lane == SEND_GOAL and (goal := goal_of(call.payload)) is not None:
-            self.goals.asked(goal)
-
-    def unanswered(self, call: KeptCall) -> None:
-        """Note that a call has no answer."""
-        if call.lane == SEND_GOAL and (goal := goal_of(call.payload)) is not None:
-            self.goals.unanswered(goal)
-
-    def keep(self, call: CallerCall) -> bool:
-        """Have a pending call wait until it can be sent again. Return False if it cannot be kept."""
-        if call.kept is None:
-            return False
-        return self.waiting.keep(call.kept._replace(again=True, stamp=0), self._now())
-
-    def awaits_end(self, *, linked: bool) -> bool:
-        """Return whether callers may still ask about goals although the action cannot be reached."""
-        if self.waiting:
-            return True
-        return not linked and bool(self.goals.running()) and self._now() < self.interrupted_at + INTERRUPTION
-
-
 class CallingRoute(CallsRoute):
     """Offers services and publishes topics here, as long as the other side can answer.
 
     Attributes:
-        action: goals and waiting calls of an action, or None for a service or parameters.
         compare_types: asks the other side how its version of a type differs.
     """
 
@@ -193,7 +139,6 @@ class CallingRoute(CallsRoute):
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self.action = CallerAction(context, self.call_timeout) if spec.kind == "action" else None
         self._provided: Provide | None = None  # in the present opening
         self.compare_types: CompareTypes = unknown_difference
         self._compared: tuple[str, str, str] | None = None  # type, hash there and here, in the present opening
@@ -226,17 +171,11 @@ class CallingRoute(CallsRoute):
 
     def provided(self, provide: Provide) -> None:
         """Take the providing side's list of what can be called."""
-        had_server = self._has_providers
         if text := self._why_unacceptable(provide):
             self.request_reopen(EventCode.ROUTE_CALLS_BROKEN, text, Level.ERROR)
         else:
             self._provided = provide
             self.advance()
-        if self.action is not None:
-            if had_server and not self._has_providers:
-                self.action.goals.server_gone()
-            if self._reach:
-                self._send_waiting(self.action)
 
     def _why_unacceptable(self, provide: Provide) -> str:
         """Return the reason why a list breaks the agreement between the two sides, or an empty string."""
@@ -324,7 +263,7 @@ class CallingRoute(CallsRoute):
 
     def _offer(self, provided: Provide, lanes: frozenset[int]) -> None:
         """Offer these lanes of what is provided, and no others."""
-        offers, entries, before = self._offers, provided.lanes, self._reach
+        offers, entries = self._offers, provided.lanes
         vias = [
             way_here(provided.via, self.peer.bridges, name_of(member, self.remote_topic)) for member in self.members
         ]
@@ -343,15 +282,10 @@ class CallingRoute(CallsRoute):
             self._offer_failed(error)
             return
         self._retry.clear()
-        if self.action is not None and self._reach - before:
-            self._send_waiting(self.action)
 
     def _owed(self) -> set[int]:
         """Return the lanes on which callers still wait for an answer: it needs their servers."""
-        owed = {call.lane for _, call in self._pending.items()} & set(self._offers.types)
-        if self.action is not None and self.action.waiting.requests(SEND_GOAL):
-            owed.add(SEND_GOAL)
-        return owed
+        return {call.lane for _, call in self._pending.items()} & set(self._offers.types)
 
     def _log_offer(self, was_offered: bool) -> None:
         if self.offered and not was_offered:
@@ -375,16 +309,13 @@ class CallingRoute(CallsRoute):
 
     def _withdraw(self) -> None:
         """Close everything by which callers see that it can be reached."""
-        keep: tuple[int, ...] = ()
-        if (action := self.action) is not None:
-            if self._reach:
-                action.interrupted_at = self.context.now()
-            # While the link is up this may be short, as when the action is disarmed; otherwise `tick` closes the rest.
-            if self.peer.linked or len(self._pending) or len(action.waiting) or action.goals.running():
-                keep = _OUTLIVING
         self._reach = frozenset()
-        self._offers.close(keep)
+        self._offers.close(self._outliving())
         self._local_servers.close()
+
+    def _outliving(self) -> tuple[int, ...]:
+        """Return the lanes that stay open in ROS although the other side cannot be reached."""
+        return ()
 
     def close(self, reason: str) -> None:
         """End the opening; pending calls are lost."""
@@ -396,12 +327,9 @@ class CallingRoute(CallsRoute):
         self._messages.clear()
 
     def destroy(self) -> None:
-        """End the route for good, and give up the calls that wait."""
+        """End the route for good."""
         super().destroy()
         self._offers.close()
-        if self.action is not None:
-            for call in self.action.waiting.release():
-                self._give_up_waiting(self.action, call, "the route was removed")
 
     @property
     def offered(self) -> bool:
@@ -419,10 +347,6 @@ class CallingRoute(CallsRoute):
 
     def _asked(self, lane: int, requests: Sequence[Request]) -> None:
         """Send callers' requests, or refuse them."""
-        action = self.action
-        if action is not None and not self._reach:  # an interruption leaves some of an action's services open
-            self._keep_requests(action, lane, requests)
-            return
         with_age = self.age.is_on and self.members[lane].limited
         server = self._offers.servers[lane]
         for request in [self._stamped(request) for request in requests] if with_age else requests:
@@ -430,19 +354,20 @@ class CallingRoute(CallsRoute):
             self._asked_for(len(payload))
             size = frame_size(payload)
             if (why := self._refusal(lane, request, now)) is not None:
-                self._refuse(why)
-                if action is not None and lane == SEND_GOAL:
-                    self._reject(action, server, request.caller, payload)
+                self._refuse_request(lane, request, why)
                 continue
             stamp = request.stamp if with_age else 0
-            call = CallerCall(lane, size, now, server, request.caller)
-            if action is not None:
-                call.kept = KeptCall(
-                    lane, request.caller, payload, now, again=False, instance=self.peer.instance, stamp=stamp
-                )
-                action.asked(call.kept)
+            call = self._call_to_make(CallerCall(lane, size, now, server, request.caller), payload, stamp)
             self._begin(call, payload, request.lease, stamp)
         self.flush()
+
+    def _refuse_request(self, lane: int, request: Request, why: Refused) -> None:
+        """Handle a caller's request that is not sent."""
+        self._refuse(why)
+
+    def _call_to_make(self, call: CallerCall, payload: bytes, stamp: int) -> CallerCall:
+        """Return a caller's call, which is about to be sent, with what has to be known of it later."""
+        return call
 
     def _stamped(self, request: Request) -> Request:
         """Return a request with the time from which its age counts as its stamp, or 0 if it is too old."""
@@ -460,12 +385,11 @@ class CallingRoute(CallsRoute):
         check = self._arriving[self.members[lane].limited]
         return None if check is None else check(request, now)
 
-    def _begin(self, call: CallerCall, payload: bytes, lease: int, stamp: int) -> None:
+    def _begin(self, call: CallerCall, payload: bytes, lease: int, stamp: int, what: What = What.CALL) -> None:
         """Send a call that has its place in the budget."""
         self._last_number = number = self._last_number + 1
         self._came = True
         self._pending.add(number, call, self.timeout_of(call.lane))
-        what = What.AGAIN if call.kept is not None and call.kept.again else What.CALL
         self._outbox.put(CallFrame(what, call.lane, number, 0, payload, lease, stamp))
 
     def _leaves(self, frame: CallFrame) -> bool:
@@ -548,12 +472,13 @@ class CallingRoute(CallsRoute):
         return self._pending.end(frame.call) if self._call_of(frame) is not None else None
 
     def _take_answer(self, frame: CallFrame) -> None:
-        """Answer the caller."""
         if (call := self._end_call(frame)) is None:
             self.calls.late += 1
-            return
-        if self.action is not None and call.kept is not None and (goal := goal_of(call.kept.payload)) is not None:
-            self.action.goals.response(call.lane, goal, frame.content)
+        else:
+            self._answer(call, frame)
+
+    def _answer(self, call: CallerCall, frame: CallFrame) -> None:
+        """Answer the caller."""
         took, total = frame.took / 1e9, self.context.now() - call.asked_at
         try:
             call.server.answer(call.caller, frame.content)
@@ -570,25 +495,20 @@ class CallingRoute(CallsRoute):
         if (call := self._end_call(frame)) is None:
             return
         self._unanswered(call, why)
-        if self.action is not None and call.kept is not None and frame.what is What.ANSWER:
-            self.action.unanswered(call.kept)  # a goal may have been accepted
+        if frame.what is What.ANSWER:
+            self._answer_lost(call)
 
     def _take_refusal(self, frame: CallFrame, why: Refused) -> None:
-        """End a call that the other side will not answer, or keep it if a later attempt may succeed."""
-        if (call := self._call_of(frame)) is None:
-            return
-        action, kept = self.action, call.kept
-        is_kept = action is not None and call.lane in _OUTLIVING and why in _FOR_NOW and action.keep(call)
-        self._pending.end(frame.call)
-        if is_kept:
-            return
+        """End a call that the other side will not answer."""
+        if (call := self._end_call(frame)) is not None:
+            self._end_refused(call, why)
+
+    def _end_refused(self, call: CallerCall, why: Refused) -> None:
+        """Handle that the other side will not answer a call, which has ended."""
         self._unanswered(call, why)
-        if action is None or kept is None or call.lane != SEND_GOAL:
-            return
-        if why is Refused.NOT_ARRIVED or (why is not Refused.LOST and not kept.again):
-            self._reject(action, call.server, call.caller, kept.payload)
-        else:
-            action.unanswered(kept)  # the goal may run, even if only the second attempt was refused
+
+    def _answer_lost(self, call: CallerCall) -> None:
+        """Handle that the other side has answered a call, which has ended, but its caller does not hear it."""
 
     def _unanswered(self, call: CallerCall, why: Refused) -> None:
         self._refuse(why)
@@ -600,13 +520,9 @@ class CallingRoute(CallsRoute):
             text = f"a parameter event of the peer is left out: {why}"
             self.notices.message_error(EventCode.ROUTE_EVENT_LEFT_OUT, text)
             return
-        if self.action is not None:
-            self.action.goals.message(frame.lane, frame.content)
         self._messages.take(frame.lane, frame.content)
 
     def _expired(self, number: int, call: CallerCall) -> None:
-        if self.action is not None and call.kept is not None:
-            self.action.unanswered(call.kept)
         self.calls.expired += 1
         self._failed(f"a call had no answer within {self.call_timeout:g} s")
         call.unanswered(f"{self.calls.last_failure}; {self._landed(number)}")
@@ -614,93 +530,20 @@ class CallingRoute(CallsRoute):
     def _give_up_all(self, why: str) -> None:
         lost = 0
         for number, call in self._pending.clear():
-            if self.action is not None and self.action.keep(call):
+            if self._outlives(call):
                 continue
-            if self.action is not None and call.kept is not None:
-                self.action.unanswered(call.kept)
             call.unanswered(f"no answer: {why}; {self._landed(number)}")
             lost += 1
         self._lose(lost, why)
+
+    def _outlives(self, call: CallerCall) -> bool:
+        """Return whether a call is kept although nothing can be reached any more."""
+        return False
 
     def _landed(self, number: int) -> str:
         """Return how far a call without an answer got, as the other side has reported it, once a second."""
         given = self._report is not None and number <= self._report.given
         return (LandedText.GIVEN if given else LandedText.UNREPORTED)()
-
-    # --- calls of an action over an interruption
-
-    def _keep_requests(self, action: CallerAction, lane: int, requests: Sequence[Request]) -> None:
-        """Keep requests until the action can be reached."""
-        now = self.context.now()
-        for request in requests:
-            self._asked_for(len(request.payload))
-            call = KeptCall(lane, request.caller, request.payload, now, again=False)
-            if not action.waiting.keep(call, now):
-                self._give_up_waiting(action, call)
-
-    def _send_waiting(self, action: CallerAction) -> None:
-        """Send all calls that wait, cancels first."""
-        now, instance = self.context.now(), self.peer.instance
-        for kept in action.waiting.release():
-            size = frame_size(kept.payload)
-            if kept.lane == SEND_GOAL and kept.instance != instance:
-                self._give_up_waiting(action, kept)  # only the process that it was sent to knows whether it arrived
-            elif kept.lane not in self._offers.servers:
-                if not action.waiting.keep(kept, now):
-                    self._give_up_waiting(action, kept)
-            elif (why := self.peer.budget.asked.take(size, now)) is None:
-                server, sent = self._offers.servers[kept.lane], kept._replace(instance=instance)
-                call = CallerCall(kept.lane, size, kept.asked, server, kept.caller, sent)
-                self._begin(call, kept.payload, lease=0, stamp=kept.stamp)
-            elif not action.waiting.keep(kept, now):  # else it is sent in a second: a cancel must not get lost
-                self._refuse(why)
-                action.unanswered(kept)
-        self.flush()
-
-    def _give_up_waiting(self, action: CallerAction, call: KeptCall, why: str = _UNREACHABLE) -> None:
-        """Give up a call that waited, or cannot wait."""
-        self._lose(1, why)
-        action.unanswered(call)
-
-    def _reject(self, action: CallerAction, server: ServiceServer, caller: bytes, request: bytes) -> None:
-        """Answer that a goal is not accepted: it did not begin, and will not."""
-        if (goal := goal_of(request)) is not None:
-            action.goals.answered(goal, accepted=False)
-        try:
-            server.answer(caller, rejection_of(request))
-        except RosError as error:
-            self._failed(f"a caller could not be answered: {error}")
-
-    def tick(self) -> None:
-        """Expire and resend an action's calls, and update counts; called once a second."""
-        if self.action is not None:
-            self._tick_action(self.action)
-        super().tick()
-
-    def _tick_action(self, action: CallerAction) -> None:
-        if expired := action.waiting.expire(self.context.now()):
-            self.calls.expired += len(expired)
-            self._failed("a call about a goal waited too long for the action to be reached again")
-            for call in expired:
-                action.unanswered(call)
-        self._give_up_results(action)
-        if self._reach and action.waiting:
-            self._send_waiting(action)
-        elif self._reach and self._offers.types.keys() - self._reach - self._owed():
-            self.advance()  # nobody waits for the answer to a goal any more
-        elif not self._reach and self._offers.types and not action.awaits_end(linked=self.peer.linked):
-            self._offers.close()
-
-    def _give_up_results(self, action: CallerAction) -> None:
-        """Expire requests for the results of goals that have been over for as long as other calls may take."""
-        for number, call in self._pending.items():
-            if call.kept is None or call.lane != GET_RESULT:
-                continue
-            goal = goal_of(call.kept.payload)
-            over_for = action.goals.over_for(goal) if goal is not None else None
-            if over_for is not None and over_for > self.call_timeout:
-                self._pending.end(number)
-                self._expired(number, call)
 
     # --- verdict and snapshot
 
@@ -739,15 +582,3 @@ class CallingRoute(CallsRoute):
             answered=self.calls.answered,
             last_failure=self.calls.last_failure,
         )
-
-    def snapshot(self) -> RouteSnapshot:
-        found = super().snapshot()
-        if self.action is None:
-            return found
-        return replace(found, goals=self.action.goals.snapshot(self._awaited(self.action)))
-
-    def _awaited(self, action: CallerAction) -> set[bytes]:
-        """Return the goals whose results callers wait for."""
-        kept = [call.kept for _, call in self._pending.items() if call.kept is not None and call.lane == GET_RESULT]
-        requests = [*(each.payload for each in kept), *action.waiting.requests(GET_RESULT)]
-        return {goal for request in requests if (goal := goal_of(request)) is not None}

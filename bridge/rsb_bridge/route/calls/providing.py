@@ -10,14 +10,13 @@ the goal, and its answers are kept, so that they are there when the other side a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 
-from rsb_bridge.model.calls import GET_RESULT, SEND_GOAL, STATUS, Refused
+from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.on_end import CANCEL
 from rsb_bridge.model.sources import MOST_HOPS
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.parameter_events import ParameterEventError
@@ -27,16 +26,6 @@ from rsb_bridge.route.calls.call_servers import CallLoopGuard, Provision, provis
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.calls_route import CallsRoute
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble
-from rsb_bridge.route.calls.goal_cancels import GoalCancels
-from rsb_bridge.route.calls.goals import Goals, accepted_by
-from rsb_bridge.route.calls.kept_calls import (
-    INTERRUPTION,
-    AnswerAction,
-    CallIdentity,
-    KeptAnswers,
-    question_of,
-    result_request,
-)
 from rsb_bridge.route.calls.manual_call import CallError, call_directly
 from rsb_bridge.route.calls.node_parameters import own_event, why_no_parameters
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
@@ -52,9 +41,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, Response
-    from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry
@@ -63,7 +50,6 @@ _MATCHED_AGAIN = 0.05
 """s until the next look whether DDS has matched a new client with its server."""
 _EXPLAINED_AGAIN = 0.5
 """s until the next look whether a bridge has announced where its answers come from."""
-_REFUSALS = {AnswerAction.REFUSE: Refused.NOT_ARRIVED, AnswerAction.LOSE: Refused.LOST}
 
 
 @dataclass(slots=True)
@@ -79,49 +65,18 @@ class PeersCall(PendingCall):
     servers: set[bytes]
 
 
-class ProviderAction:
-    """Goals of an action, and its server's answers, which outlive an interruption.
-
-    Attributes:
-        goals: all that are known.
-        answers: what the server was asked, and answered.
-        status: the server's last status message.
-        status_sent: whether the other side has it in the present opening.
-        interrupted_at: when the interruption began, in s, or None while the action can be reached.
-    """
-
-    def __init__(self, context: Context) -> None:
-        self.goals = Goals(context.wall, context.now)
-        self.answers = KeptAnswers()
-        self.status = b""
-        self.status_sent = False
-        self.interrupted_at: float | None = None
-
-    @property
-    def expects_answers(self) -> bool:
-        """Whether the server still owes an answer."""
-        return self.answers.under_way or bool(self.goals.running())
-
-    def published(self, lane: int, messages: Sequence[RawMessage]) -> None:
-        """Read the server's feedback or status."""
-        if lane == STATUS:
-            self.status, self.status_sent = messages[-1].payload, False
-        for message in messages:
-            self.goals.message(lane, message.payload)
-
-
 class ProvidingRoute(CallsRoute):
     """Tells the peer what is provided here, and passes its calls on.
 
     Attributes:
-        action: goals and answers of an action, or None for a service or parameters.
+        come_as: the kinds of frames that are calls.
     """
 
     outgoing: ClassVar[bool] = False
+    come_as: ClassVar[tuple[What, ...]] = (What.CALL,)
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self.action = ProviderAction(context) if spec.kind == "action" else None
         compose_when_switched(self, self._compose_gates)
         self._provision = Provision()
         self._loop_guard = CallLoopGuard(context, peer)
@@ -131,7 +86,6 @@ class ProvidingRoute(CallsRoute):
         self._served_in = 0  # the last connection in which a server was there, or 0
         self._clients = Clients(context, peer, self.members, self._responded, self._published, self._client_failed)
         self._pending = PendingCalls[PeersCall](context.loop, peer.budget.provided, self._expired, self._ended)
-        self._cancels = GoalCancels(lambda: self._clients.clients, self._failed)
         self._by_number: dict[tuple[int, int], int] = {}  # the peer's call, by lane and the client's number
         self._highest = 0
         self._again: asyncio.TimerHandle | None = None
@@ -144,7 +98,6 @@ class ProvidingRoute(CallsRoute):
             return
         if self.channel is None:
             self.peer.open_channel(self)
-        had_server, opened = bool(self._provision.entries), dict(self._clients.types)
         self._look()
         entries = self._provision.entries
         if not entries or all(self.held(lane) for lane in range(len(self.members))):
@@ -159,11 +112,6 @@ class ProvidingRoute(CallsRoute):
         self._tell()
         self.flush()
         self._verdict = None
-        if self.action is not None and self.accepted:
-            if self._clients.types != opened:
-                self.action.answers.clients_closed()
-            if had_server and not self._provision.entries:
-                self.action.goals.server_gone()
 
     def _look(self) -> None:
         """Find the servers that may be called, and what is wrong with them."""
@@ -238,17 +186,6 @@ class ProvidingRoute(CallsRoute):
         if provide != self._last_sent:
             self._last_sent = provide
             self.peer.send(provide)
-        if self.action is not None and self.accepted:
-            self._tell_of_goals(self.action)
-
-    def _tell_of_goals(self, action: ProviderAction) -> None:
-        """Send what an interruption has held up, and ask for the results that are missing."""
-        if action.status and not action.status_sent:  # the server does not publish it again for the new opening
-            self._send_status(action)
-        if self._clients.ready:
-            action.interrupted_at = None
-            for question in action.answers.to_ask(self._present):
-                self._ask_result(action, question)
 
     def _advance_after(self, seconds: float) -> None:
         """Advance again soon: no event announces what is waited for."""
@@ -269,13 +206,9 @@ class ProvidingRoute(CallsRoute):
         self._clients.close()
         self._give_up_all("it cannot be called here")
         self._ros_failed(f"cannot be called here: {error}", self._provision.entries)
-        if self.action is not None:
-            self.action.answers.clients_closed()
 
     def _close_clients(self) -> None:
-        """Close the clients, unless an action's server still owes an answer."""
-        if self.action is None or not self.action.expects_answers:
-            self._clients.close()
+        self._clients.close()
 
     def _withdraw(self) -> None:
         self._close_clients()
@@ -284,12 +217,10 @@ class ProvidingRoute(CallsRoute):
             self._again = None
 
     def close(self, reason: str) -> None:
-        """End the opening; pending calls are lost, but an action's server goes on answering."""
+        """End the opening; pending calls are lost."""
         super().close(reason)
         self._last_sent = None
         self._highest = self._given = 0
-        if self.action is not None:
-            self.action.status_sent = False
 
     def destroy(self) -> None:
         """End the route for good."""
@@ -308,16 +239,10 @@ class ProvidingRoute(CallsRoute):
     def caller_nodes(self) -> tuple[str, ...]:
         return self._report.nodes if self._report is not None else ()
 
-    def disarm(self, why: Disarmed, reason: str = "") -> None:
-        """Cancel the callers' goals, if a session wants that, and let nothing more cross."""
-        if self.action is not None and self.on_end == CANCEL:
-            self._cancels.cancel(self.action.goals.running())
-        super().disarm(why, reason)
-
     # --- calls, from the channel to ROS
 
     def _take(self, frame: CallFrame, *, readable: bool = True) -> None:
-        if frame.what is not What.CALL and (frame.what is not What.AGAIN or self.action is None):
+        if frame.what not in self.come_as:
             self.unexpected(frame)
         if frame.call <= self._highest:
             raise ProtocolError(f"call {frame.call} after call {self._highest}")
@@ -325,10 +250,12 @@ class ProvidingRoute(CallsRoute):
         self._asked_for(len(frame.content))
         if (why := self._refusal(frame) if readable else Refused.BYTES_UNDER_WAY) is not None:
             self._refuse_peer(frame, why)
-        elif self.action is not None and (question := question_of(frame.lane, frame.content)) is not None:
-            self._take_question(self.action, question, frame)
         else:
-            self._call(frame)
+            self._pass_on(frame)
+
+    def _pass_on(self, frame: CallFrame) -> None:
+        """Handle a call that has its place in the budget."""
+        self._call(frame)
 
     def _compose_gates(self) -> None:
         gates = [providing_gates(self, limited=limited) for limited in (False, True)]
@@ -349,16 +276,12 @@ class ProvidingRoute(CallsRoute):
         return None if leaving is None else leaving(frame, self.context.now())
 
     def _is_limited(self, frame: CallFrame) -> bool:
-        """Return whether arming, pauses and limits apply to a call: not if it only asks about a goal again."""
-        if not self.members[frame.lane].limited:
-            return False
-        return frame.what is not What.AGAIN or question_of(frame.lane, frame.content) is None
+        """Return whether arming, pauses and limits apply to a call."""
+        return self.members[frame.lane].limited
 
     def _is_answered(self, frame: CallFrame) -> bool:
-        """Return whether a kept answer serves a call, without a server."""
-        if self.action is None or (frame.what is not What.AGAIN and frame.lane != GET_RESULT):
-            return False
-        return self.action.answers.has_answer(question_of(frame.lane, frame.content))
+        """Return whether a call needs no server."""
+        return False
 
     def _call(self, frame: CallFrame) -> PeersCall | None:
         """Make a call that has its place in the budget. Return None if ROS refuses it."""
@@ -401,10 +324,7 @@ class ProvidingRoute(CallsRoute):
     def _responded(self, lane: int, responses: Sequence[Response]) -> None:
         """Take responses of servers here, the oldest first."""
         for response in responses:
-            if self._cancels.takes(lane, response.number):
-                continue
-            if self.action is None or not self._keep_answer(self.action, lane, response):
-                self._take_response(lane, response)
+            self._take_response(lane, response)
         self.flush()
 
     def _take_response(self, lane: int, response: Response) -> None:
@@ -440,12 +360,8 @@ class ProvidingRoute(CallsRoute):
     def _ended(self, peers: int) -> None:
         """Forget what else is held of a call that has ended."""
         self._outbox.forget(peers)
-        if self.action is not None:
-            self.action.answers.is_over(peers, self.context.now())
 
     def _expired(self, number: int, call: PeersCall) -> None:
-        if self.action is not None:
-            self.action.answers.gave_up(call.lane, call.number, self.context.now())
         self.calls.expired += 1
         nodes, within = " and ".join(self.provider_nodes) or "the server", f"within {self.call_timeout:g} s"
         if call.number and self._by_number.pop((call.lane, call.number), None) is None:
@@ -458,16 +374,12 @@ class ProvidingRoute(CallsRoute):
         """End a call without an answer, and tell the peer the reason."""
         if (call := self._pending.get(peers)) is None:
             return
-        if self.action is not None:
-            self.action.answers.gave_up(call.lane, call.number, self.context.now())
         self._pending.end(peers)
         self._by_number.pop((call.lane, call.number), None)
         self._refuse_peer(CallFrame(What.REFUSED, call.lane, peers, 0, b""), why)
 
     def _is_orphan(self, call: PeersCall) -> bool:
         """Return whether all servers that may have got a call have gone."""
-        if self.action is not None and call.lane == GET_RESULT:
-            return False  # the action's next server is asked for results
         return call.servers.isdisjoint(self._present)
 
     def _give_up_orphans(self) -> None:
@@ -481,30 +393,15 @@ class ProvidingRoute(CallsRoute):
             self._outbox.put(CallFrame(What.REFUSED, call.lane, number, 0, Refused.LOST.encode()))
         self._by_number.clear()
         self._lose(len(calls), why)
-        if self.action is not None and self.action.interrupted_at is None:
-            now = self.action.interrupted_at = self.context.now()
-            self.action.answers.interrupted(now)
 
     # --- messages of lanes that are topics
 
     def _published(self, lane: int, messages: Sequence[RawMessage]) -> None:
         """Send messages from ROS, the oldest first."""
-        if (action := self.action) is not None:
-            action.published(lane, messages)
-            if not self.accepted:
-                return
-            if lane == STATUS:
-                self._send_status(action)
-                return
-        elif self.spec.kind == "parameters":
+        if self.spec.kind == "parameters":
             messages = self._own_events(messages)
         for message in messages:
             self._outbox.put(CallFrame(What.MESSAGE, lane, 0, 0, message.payload))
-        self.flush()
-
-    def _send_status(self, action: ProviderAction) -> None:
-        action.status_sent = True
-        self._outbox.put(CallFrame(What.MESSAGE, STATUS, 0, 0, action.status))
         self.flush()
 
     def _own_events(self, messages: Sequence[RawMessage]) -> Sequence[RawMessage]:
@@ -520,89 +417,6 @@ class ProvidingRoute(CallsRoute):
             if event is not None:
                 own.append(message._replace(payload=event))
         return own
-
-    # --- calls of an action
-
-    def _take_question(self, action: ProviderAction, question: CallIdentity, frame: CallFrame) -> None:
-        """Answer a call from the kept answers, have it wait for one, refuse it, or ask the server."""
-        todo = action.answers.take(question, frame.call, again=frame.what is What.AGAIN)
-        if todo is AnswerAction.ASK and frame.lane == GET_RESULT:
-            self._add(frame)
-            self._ask_result(action, question, frame.call)
-        elif todo is AnswerAction.ASK:
-            if (call := self._call(frame)) is not None:
-                action.answers.asked(question, call.number, frozenset(self._present))
-                if frame.lane == SEND_GOAL:
-                    action.goals.asked(question.about)
-        elif todo in _REFUSALS:
-            self.peer.budget.provided.give(frame_size(frame.content))
-            self._refuse_peer(frame, _REFUSALS[todo])
-        else:
-            self._add(frame)
-            if todo is AnswerAction.ANSWER:
-                self._answer(frame.call, action.answers.answer(question))
-
-    def _ask_result(self, action: ProviderAction, question: CallIdentity, *calls: int) -> None:
-        """Ask the server for a result; its answer is kept, and sent to the calls that wait for it."""
-        try:
-            number = self._clients.clients[GET_RESULT].call(result_request(question.about))
-        except RosError as error:
-            for call in calls:
-                self._give_up(call, Refused.NOT_SENT)
-            self._failed(f"a result could not be asked for: {error}")
-            return
-        action.answers.asked(question, number, frozenset(self._present), *calls)
-
-    def _keep_answer(self, action: ProviderAction, lane: int, response: Response) -> bool:
-        """Keep an answer and send it to all calls that wait for it. Return False if a call of its own needs it, too."""
-        number, payload, now = response.number, response.payload, self.context.now()
-        answered = action.answers.answered(lane, number, payload, now, linked=action.interrupted_at is None)
-        if answered is None:
-            return False
-        question, calls = answered
-        if (lane, number) in self._by_number:
-            self._take_response(lane, response)
-        for call in calls:
-            self._answer(call, payload)
-        action.goals.response(lane, question.about, payload)
-        if lane == SEND_GOAL and accepted_by(payload):
-            if self.arming.required and not self.arming.armed and self.on_end == CANCEL:  # it was sent while armed
-                self._cancels.cancel((question.about,))
-            # The result is asked for at once, because the link may be lost at any time.
-            result = CallIdentity(GET_RESULT, question.about)
-            if result not in action.answers and GET_RESULT in self._clients.clients:
-                self._ask_result(action, result)
-        return True
-
-    def _give_up_results(self, action: ProviderAction) -> None:
-        """Expire calls for results of goals that have been over for as long as other calls may take.
-
-        The other side has given them up by then.
-        """
-        for goal, calls in action.answers.results_awaited():
-            over_for = action.goals.over_for(goal) if calls else None
-            if over_for is None or over_for <= self.call_timeout:
-                continue
-            for number in calls:
-                if (call := self._pending.end(number)) is not None:
-                    self._expired(number, call)
-
-    def tick(self) -> None:
-        """Forget an action's old answers, and update counts; called once a second."""
-        if self.action is not None:
-            self._tick_action(self.action)
-        super().tick()
-
-    def _tick_action(self, action: ProviderAction) -> None:
-        now = self.context.now()
-        action.answers.expire(now)
-        if action.interrupted_at is not None and not (self.accepted and self._provision.entries):
-            if now >= action.interrupted_at + INTERRUPTION:
-                self._clients.close()
-                action.answers.clients_closed()
-            else:
-                self._close_clients()
-        self._give_up_results(action)
 
     # --- verdict and snapshot
 
@@ -629,9 +443,3 @@ class ProvidingRoute(CallsRoute):
             answered=self.calls.answered,
             last_failure=self.calls.last_failure,
         )
-
-    def snapshot(self) -> RouteSnapshot:
-        found = super().snapshot()
-        if self.action is None:
-            return found
-        return replace(found, goals=self.action.goals.snapshot(self.action.answers.awaited()))

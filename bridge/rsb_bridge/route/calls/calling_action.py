@@ -1,0 +1,267 @@
+"""The callers' half of an action's route: its goals, and calls that outlive an interruption (`kept_calls`).
+
+While the action cannot be reached, ``send_goal``, feedback and status are withdrawn, so that clients see no server. As
+long as goals run or callers wait, ``cancel_goal`` and ``get_result`` are still offered: a request to a service that is
+not there is lost for good (rclpy and rclcpp send it to nobody). Once the action can be reached, cancels go first. While
+the action is paused or disarmed, only ``send_goal`` is withdrawn, so that goals can still be cancelled and watched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
+from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.route.calls.calling import CallerCall, CallingRoute
+from rsb_bridge.route.calls.goals import Goals, goal_of, rejection_of
+from rsb_bridge.route.calls.kept_calls import INTERRUPTION, KeptCall, KeptCalls
+from rsb_bridge.wire.headers import CallFrame, What, frame_size
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.ros.ros_interface import Request, ServiceServer
+    from rsb_bridge.route.route import Owner
+    from rsb_bridge.wire.messages import Propose, Provide
+
+_OUTLIVING = (CANCEL_GOAL, GET_RESULT)
+_FOR_NOW = (Refused.PAUSED, Refused.DISARMED, Refused.UNHEARD, Refused.PROVIDER_GONE, Refused.LOST)
+"""Refusals after which a later attempt may succeed."""
+_UNREACHABLE = "the action could not be reached"
+
+
+class CallerAction:
+    """Goals of an action, and the calls that wait for the end of an interruption.
+
+    Args:
+        timeout: s that a call without a goal waits at most.
+
+    Attributes:
+        goals: all that are known.
+        waiting: calls that are sent once the action can be reached.
+        interrupted_at: when the last interruption began, in s.
+    """
+
+    def __init__(self, context: Context, timeout: float) -> None:
+        self.goals = Goals(context.wall, context.now)
+        self.waiting = KeptCalls(timeout)
+        self.interrupted_at = 0.0
+        self._now = context.now
+
+    def asked(self, call: KeptCall) -> None:
+        """Note that a call is sent for the first time."""
+        if call.lane == SEND_GOAL and (goal := goal_of(call.payload)) is not None:
+            self.goals.asked(goal)
+
+    def unanswered(self, call: KeptCall) -> None:
+        """Note that a call has no answer."""
+        if call.lane == SEND_GOAL and (goal := goal_of(call.payload)) is not None:
+            self.goals.unanswered(goal)
+
+    def keep(self, call: CallerCall) -> bool:
+        """Have a pending call wait until it can be sent again. Return False if it cannot be kept."""
+        if call.kept is None:
+            return False
+        return self.waiting.keep(call.kept._replace(again=True, stamp=0), self._now())
+
+    def awaits_end(self, *, linked: bool) -> bool:
+        """Return whether callers may still ask about goals although the action cannot be reached."""
+        if self.waiting:
+            return True
+        return not linked and bool(self.goals.running()) and self._now() < self.interrupted_at + INTERRUPTION
+
+
+class CallingActionRoute(CallingRoute):
+    """Offers an action here.
+
+    Attributes:
+        action: goals and waiting calls.
+    """
+
+    def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
+        super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
+        self.action = CallerAction(context, self.call_timeout)
+
+    # --- offering
+
+    def provided(self, provide: Provide) -> None:
+        """Take the providing side's list, and send what waits once the action can be reached."""
+        had_server = self._has_providers
+        super().provided(provide)
+        if had_server and not self._has_providers:
+            self.action.goals.server_gone()
+        if self._reach:
+            self._send_waiting()
+
+    def _offer(self, provided: Provide, lanes: frozenset[int]) -> None:
+        before = self._reach
+        super()._offer(provided, lanes)
+        if self._reach - before:
+            self._send_waiting()
+
+    def _owed(self) -> set[int]:
+        owed = super()._owed()
+        return owed | {SEND_GOAL} if self.action.waiting.requests(SEND_GOAL) else owed
+
+    def _withdraw(self) -> None:
+        if self._reach:
+            self.action.interrupted_at = self.context.now()
+        super()._withdraw()
+
+    def _outliving(self) -> tuple[int, ...]:
+        # While the link is up this may be short, as when the action is disarmed; otherwise `tick` closes the rest.
+        expected = len(self._pending) or len(self.action.waiting) or self.action.goals.running()
+        return _OUTLIVING if self.peer.linked or expected else ()
+
+    def destroy(self) -> None:
+        """End the route for good, and give up the calls that wait."""
+        super().destroy()
+        for call in self.action.waiting.release():
+            self._give_up_waiting(call, "the route was removed")
+
+    # --- calls and answers
+
+    def _asked(self, lane: int, requests: Sequence[Request]) -> None:
+        if self._reach:
+            super()._asked(lane, requests)
+        else:  # an interruption leaves some services open
+            self._keep_requests(lane, requests)
+
+    def _refuse_request(self, lane: int, request: Request, why: Refused) -> None:
+        super()._refuse_request(lane, request, why)
+        if lane == SEND_GOAL:
+            self._reject(self._offers.servers[lane], request.caller, request.payload)
+
+    def _call_to_make(self, call: CallerCall, payload: bytes, stamp: int) -> CallerCall:
+        call.kept = KeptCall(
+            call.lane, call.caller, payload, call.asked_at, again=False, instance=self.peer.instance, stamp=stamp
+        )
+        self.action.asked(call.kept)
+        return call
+
+    def _answer(self, call: CallerCall, frame: CallFrame) -> None:
+        if call.kept is not None and (goal := goal_of(call.kept.payload)) is not None:
+            self.action.goals.response(call.lane, goal, frame.content)
+        super()._answer(call, frame)
+
+    def _answer_lost(self, call: CallerCall) -> None:
+        if call.kept is not None:
+            self.action.unanswered(call.kept)  # a goal may have been accepted
+
+    def _end_refused(self, call: CallerCall, why: Refused) -> None:
+        """Keep a call if a later attempt may succeed, or end it."""
+        if call.lane in _OUTLIVING and why in _FOR_NOW and self.action.keep(call):
+            return
+        super()._end_refused(call, why)
+        if (kept := call.kept) is None or call.lane != SEND_GOAL:
+            return
+        if why is Refused.NOT_ARRIVED or (why is not Refused.LOST and not kept.again):
+            self._reject(call.server, call.caller, kept.payload)
+        else:
+            self.action.unanswered(kept)  # the goal may run, even if only the second attempt was refused
+
+    def _expired(self, number: int, call: CallerCall) -> None:
+        if call.kept is not None:
+            self.action.unanswered(call.kept)
+        super()._expired(number, call)
+
+    def _outlives(self, call: CallerCall) -> bool:
+        if self.action.keep(call):
+            return True
+        if call.kept is not None:
+            self.action.unanswered(call.kept)
+        return False
+
+    def _take_message(self, frame: CallFrame) -> None:
+        self.action.goals.message(frame.lane, frame.content)
+        super()._take_message(frame)
+
+    # --- calls that wait
+
+    def _keep_requests(self, lane: int, requests: Sequence[Request]) -> None:
+        """Keep requests until the action can be reached."""
+        now = self.context.now()
+        for request in requests:
+            self._asked_for(len(request.payload))
+            call = KeptCall(lane, request.caller, request.payload, now, again=False)
+            if not self.action.waiting.keep(call, now):
+                self._give_up_waiting(call)
+
+    def _send_waiting(self) -> None:
+        """Send all calls that wait, cancels first."""
+        now, instance = self.context.now(), self.peer.instance
+        for kept in self.action.waiting.release():
+            size = frame_size(kept.payload)
+            if kept.lane == SEND_GOAL and kept.instance != instance:
+                self._give_up_waiting(kept)  # only the process that it was sent to knows whether it arrived
+            elif kept.lane not in self._offers.servers:
+                if not self.action.waiting.keep(kept, now):
+                    self._give_up_waiting(kept)
+            elif (why := self.peer.budget.asked.take(size, now)) is None:
+                server, sent = self._offers.servers[kept.lane], kept._replace(instance=instance)
+                call = CallerCall(kept.lane, size, kept.asked, server, kept.caller, sent)
+                what = What.AGAIN if kept.again else What.CALL
+                self._begin(call, kept.payload, lease=0, stamp=kept.stamp, what=what)
+            elif not self.action.waiting.keep(kept, now):  # else it is sent in a second: a cancel must not get lost
+                self._refuse(why)
+                self.action.unanswered(kept)
+        self.flush()
+
+    def _give_up_waiting(self, call: KeptCall, why: str = _UNREACHABLE) -> None:
+        """Give up a call that waited, or cannot wait."""
+        self._lose(1, why)
+        self.action.unanswered(call)
+
+    def _reject(self, server: ServiceServer, caller: bytes, request: bytes) -> None:
+        """Answer that a goal is not accepted: it did not begin, and will not."""
+        if (goal := goal_of(request)) is not None:
+            self.action.goals.answered(goal, accepted=False)
+        try:
+            server.answer(caller, rejection_of(request))
+        except RosError as error:
+            self._failed(f"a caller could not be answered: {error}")
+
+    def tick(self) -> None:
+        """Expire and resend calls, and update counts; called once a second."""
+        self._expire_waiting()
+        super().tick()
+
+    def _expire_waiting(self) -> None:
+        if expired := self.action.waiting.expire(self.context.now()):
+            self.calls.expired += len(expired)
+            self._failed("a call about a goal waited too long for the action to be reached again")
+            for call in expired:
+                self.action.unanswered(call)
+        self._give_up_results()
+        if self._reach and self.action.waiting:
+            self._send_waiting()
+        elif self._reach and self._offers.types.keys() - self._reach - self._owed():
+            self.advance()  # nobody waits for the answer to a goal any more
+        elif not self._reach and self._offers.types and not self.action.awaits_end(linked=self.peer.linked):
+            self._offers.close()
+
+    def _give_up_results(self) -> None:
+        """Expire requests for the results of goals that have been over for as long as other calls may take."""
+        for number, call in self._pending.items():
+            if call.kept is None or call.lane != GET_RESULT:
+                continue
+            goal = goal_of(call.kept.payload)
+            over_for = self.action.goals.over_for(goal) if goal is not None else None
+            if over_for is not None and over_for > self.call_timeout:
+                self._pending.end(number)
+                self._expired(number, call)
+
+    # --- snapshot
+
+    def snapshot(self) -> RouteSnapshot:
+        return replace(super().snapshot(), goals=self.action.goals.snapshot(self._awaited()))
+
+    def _awaited(self) -> set[bytes]:
+        """Return the goals whose results callers wait for."""
+        kept = [call.kept for _, call in self._pending.items() if call.kept is not None and call.lane == GET_RESULT]
+        requests = [*(each.payload for each in kept), *self.action.waiting.requests(GET_RESULT)]
+        return {goal for request in requests if (goal := goal_of(request)) is not None}

@@ -1,0 +1,277 @@
+"""The providing half of an action's route: its goals, and its server's answers, which outlive an interruption."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, ClassVar
+
+from rsb_bridge.model.calls import GET_RESULT, SEND_GOAL, STATUS, Refused
+from rsb_bridge.model.on_end import CANCEL
+from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.route.calls.goal_cancels import GoalCancels
+from rsb_bridge.route.calls.goals import Goals, accepted_by
+from rsb_bridge.route.calls.kept_calls import (
+    INTERRUPTION,
+    AnswerAction,
+    CallIdentity,
+    KeptAnswers,
+    question_of,
+    result_request,
+)
+from rsb_bridge.route.calls.providing import PeersCall, ProvidingRoute
+from rsb_bridge.wire.headers import CallFrame, What, frame_size
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.ros.ros_interface import RawMessage, Response
+    from rsb_bridge.route.arming import Disarmed
+    from rsb_bridge.route.route import Owner
+    from rsb_bridge.wire.messages import Propose
+
+_REFUSALS = {AnswerAction.REFUSE: Refused.NOT_ARRIVED, AnswerAction.LOSE: Refused.LOST}
+
+
+class ProviderAction:
+    """Goals of an action, and its server's answers, which outlive an interruption.
+
+    Attributes:
+        goals: all that are known.
+        answers: what the server was asked, and answered.
+        status: the server's last status message.
+        status_sent: whether the other side has it in the present opening.
+        interrupted_at: when the interruption began, in s, or None while the action can be reached.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self.goals = Goals(context.wall, context.now)
+        self.answers = KeptAnswers()
+        self.status = b""
+        self.status_sent = False
+        self.interrupted_at: float | None = None
+
+    @property
+    def expects_answers(self) -> bool:
+        """Whether the server still owes an answer."""
+        return self.answers.under_way or bool(self.goals.running())
+
+    def published(self, lane: int, messages: Sequence[RawMessage]) -> None:
+        """Read the server's feedback or status."""
+        if lane == STATUS:
+            self.status, self.status_sent = messages[-1].payload, False
+        for message in messages:
+            self.goals.message(lane, message.payload)
+
+
+class ProvidingActionRoute(ProvidingRoute):
+    """Tells the peer of an action here, and passes its calls on.
+
+    Attributes:
+        action: goals and answers.
+    """
+
+    come_as: ClassVar[tuple[What, ...]] = (What.CALL, What.AGAIN)
+
+    def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
+        super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
+        self.action = ProviderAction(context)
+        self._cancels = GoalCancels(lambda: self._clients.clients, self._failed)
+
+    # --- setting up
+
+    def advance(self) -> None:
+        """Tell the other side, and note what becomes of the server."""
+        had_server, opened = bool(self._provision.entries), dict(self._clients.types)
+        super().advance()
+        if not self.accepted:
+            return
+        if self._clients.types != opened:
+            self.action.answers.clients_closed()
+        if had_server and not self._provision.entries:
+            self.action.goals.server_gone()
+
+    def _tell(self) -> None:
+        super()._tell()
+        if self.accepted:
+            self._tell_of_goals()
+
+    def _tell_of_goals(self) -> None:
+        """Send what an interruption has held up, and ask for the results that are missing."""
+        action = self.action
+        if action.status and not action.status_sent:  # the server does not publish it again for the new opening
+            self._send_status()
+        if self._clients.ready:
+            action.interrupted_at = None
+            for question in action.answers.to_ask(self._present):
+                self._ask_result(question)
+
+    def _no_clients(self, error: RosError) -> None:
+        super()._no_clients(error)
+        self.action.answers.clients_closed()
+
+    def _close_clients(self) -> None:
+        if not self.action.expects_answers:
+            super()._close_clients()
+
+    def close(self, reason: str) -> None:
+        """End the opening; pending calls are lost, but the server goes on answering."""
+        super().close(reason)
+        self.action.status_sent = False
+
+    def disarm(self, why: Disarmed, reason: str = "") -> None:
+        """Cancel the callers' goals, if a session wants that, and let nothing more cross."""
+        if self.on_end == CANCEL:
+            self._cancels.cancel(self.action.goals.running())
+        super().disarm(why, reason)
+
+    # --- calls
+
+    def _pass_on(self, frame: CallFrame) -> None:
+        if (question := question_of(frame.lane, frame.content)) is not None:
+            self._take_question(question, frame)
+        else:
+            super()._pass_on(frame)
+
+    def _is_limited(self, frame: CallFrame) -> bool:
+        """Return whether arming, pauses and limits apply to a call: not if it only asks about a goal again."""
+        asks_again = frame.what is What.AGAIN and question_of(frame.lane, frame.content) is not None
+        return super()._is_limited(frame) and not asks_again
+
+    def _is_answered(self, frame: CallFrame) -> bool:
+        """Return whether a kept answer serves a call."""
+        if frame.what is not What.AGAIN and frame.lane != GET_RESULT:
+            return False
+        return self.action.answers.has_answer(question_of(frame.lane, frame.content))
+
+    def _take_response(self, lane: int, response: Response) -> None:
+        if not self._cancels.takes(lane, response.number) and not self._keep_answer(lane, response):
+            super()._take_response(lane, response)
+
+    def _ended(self, peers: int) -> None:
+        super()._ended(peers)
+        self.action.answers.is_over(peers, self.context.now())
+
+    def _expired(self, number: int, call: PeersCall) -> None:
+        self.action.answers.gave_up(call.lane, call.number, self.context.now())
+        super()._expired(number, call)
+
+    def _give_up(self, peers: int, why: Refused) -> None:
+        if (call := self._pending.get(peers)) is not None:
+            self.action.answers.gave_up(call.lane, call.number, self.context.now())
+        super()._give_up(peers, why)
+
+    def _is_orphan(self, call: PeersCall) -> bool:
+        # The next server is asked for results.
+        return call.lane != GET_RESULT and super()._is_orphan(call)
+
+    def _give_up_all(self, why: str) -> None:
+        super()._give_up_all(why)
+        if self.action.interrupted_at is None:
+            now = self.action.interrupted_at = self.context.now()
+            self.action.answers.interrupted(now)
+
+    # --- feedback and status
+
+    def _published(self, lane: int, messages: Sequence[RawMessage]) -> None:
+        self.action.published(lane, messages)
+        if not self.accepted:
+            return
+        if lane == STATUS:
+            self._send_status()
+        else:
+            super()._published(lane, messages)
+
+    def _send_status(self) -> None:
+        self.action.status_sent = True
+        self._outbox.put(CallFrame(What.MESSAGE, STATUS, 0, 0, self.action.status))
+        self.flush()
+
+    # --- goals
+
+    def _take_question(self, question: CallIdentity, frame: CallFrame) -> None:
+        """Answer a call from the kept answers, have it wait for one, refuse it, or ask the server."""
+        todo = self.action.answers.take(question, frame.call, again=frame.what is What.AGAIN)
+        if todo is AnswerAction.ASK and frame.lane == GET_RESULT:
+            self._add(frame)
+            self._ask_result(question, frame.call)
+        elif todo is AnswerAction.ASK:
+            if (call := self._call(frame)) is not None:
+                self.action.answers.asked(question, call.number, frozenset(self._present))
+                if frame.lane == SEND_GOAL:
+                    self.action.goals.asked(question.about)
+        elif todo in _REFUSALS:
+            self.peer.budget.provided.give(frame_size(frame.content))
+            self._refuse_peer(frame, _REFUSALS[todo])
+        else:
+            self._add(frame)
+            if todo is AnswerAction.ANSWER:
+                self._answer(frame.call, self.action.answers.answer(question))
+
+    def _ask_result(self, question: CallIdentity, *calls: int) -> None:
+        """Ask the server for a result; its answer is kept, and sent to the calls that wait for it."""
+        try:
+            number = self._clients.clients[GET_RESULT].call(result_request(question.about))
+        except RosError as error:
+            for call in calls:
+                self._give_up(call, Refused.NOT_SENT)
+            self._failed(f"a result could not be asked for: {error}")
+            return
+        self.action.answers.asked(question, number, frozenset(self._present), *calls)
+
+    def _keep_answer(self, lane: int, response: Response) -> bool:
+        """Keep an answer and send it to all calls that wait for it. Return False if a call of its own needs it, too."""
+        number, payload, now = response.number, response.payload, self.context.now()
+        answered = self.action.answers.answered(lane, number, payload, now, linked=self.action.interrupted_at is None)
+        if answered is None:
+            return False
+        question, calls = answered
+        if (lane, number) in self._by_number:
+            super()._take_response(lane, response)
+        for call in calls:
+            self._answer(call, payload)
+        self.action.goals.response(lane, question.about, payload)
+        if lane == SEND_GOAL and accepted_by(payload):
+            if self.arming.required and not self.arming.armed and self.on_end == CANCEL:  # it was sent while armed
+                self._cancels.cancel((question.about,))
+            # The result is asked for at once, because the link may be lost at any time.
+            result = CallIdentity(GET_RESULT, question.about)
+            if result not in self.action.answers and GET_RESULT in self._clients.clients:
+                self._ask_result(result)
+        return True
+
+    def _give_up_results(self) -> None:
+        """Expire calls for results of goals that have been over for as long as other calls may take.
+
+        The other side has given them up by then.
+        """
+        for goal, calls in self.action.answers.results_awaited():
+            over_for = self.action.goals.over_for(goal) if calls else None
+            if over_for is None or over_for <= self.call_timeout:
+                continue
+            for number in calls:
+                if (call := self._pending.end(number)) is not None:
+                    self._expired(number, call)
+
+    def tick(self) -> None:
+        """Forget old answers, and update counts; called once a second."""
+        self._expire_answers()
+        super().tick()
+
+    def _expire_answers(self) -> None:
+        now = self.context.now()
+        self.action.answers.expire(now)
+        if self.action.interrupted_at is not None and not (self.accepted and self._provision.entries):
+            if now >= self.action.interrupted_at + INTERRUPTION:
+                self._clients.close()
+                self.action.answers.clients_closed()
+            else:
+                self._close_clients()
+        self._give_up_results()
+
+    # --- snapshot
+
+    def snapshot(self) -> RouteSnapshot:
+        return replace(super().snapshot(), goals=self.action.goals.snapshot(self.action.answers.awaited()))
