@@ -21,6 +21,7 @@ from rsb_bridge.route.calls.call_servers import LocalServers, others_called, typ
 from rsb_bridge.route.calls.calls_ledger import refused_as
 from rsb_bridge.route.calls.calls_route import CallsRoute
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble
+from rsb_bridge.route.calls.lane_types import TypeComparison
 from rsb_bridge.route.calls.manual_call import CallError, ManualCall
 from rsb_bridge.route.calls.node_parameters import foreign_event
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
@@ -28,7 +29,7 @@ from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.route.gates import CallRateGate, calling_gates, chained, compose_when_switched
 from rsb_bridge.route.source_publishers import SlowSubscriberError
 from rsb_bridge.route.topic_verdict import named
-from rsb_bridge.route.type_versions import CompareTypes, hashes_text, messages_of, unknown_difference
+from rsb_bridge.route.type_versions import CompareTypes, unknown_difference
 from rsb_bridge.wire.headers import CallFrame, What, frame_size
 from rsb_bridge.wire.protocol_error import ProtocolError
 
@@ -141,9 +142,7 @@ class CallingRoute(CallsRoute):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._provided: Provide | None = None  # in the present opening
         self.compare_types: CompareTypes = unknown_difference
-        self._compared: tuple[str, str, str] | None = None  # type, hash there and here, in the present opening
-        self._comparing = False  # the other side may provide ever other types, but is asked about one at a time
-        self._difference = ""  # of those compared, once it is known
+        self._comparison = TypeComparison(self._advance_if_open)
         self._resumed_at = 0  # the revision of the pause's end, in the present opening
         self._reach: frozenset[int] = frozenset()  # the lanes that are offered, and whose calls go to the other side
         self._offers = Offers(
@@ -210,35 +209,22 @@ class CallingRoute(CallsRoute):
         self.endpoints = [each for found in callers.values() for each in found]
         self._unavailable = self._warning = None
         if self._provided is not None and (entries := self._provided.lanes):
-            self._know_type(entries)
+            self.type_name, self.type_hash = self.types.know(entries)
             self._warning = others_called(self.members, entries, names, callers)
             self._unavailable = self._local_servers.look(services, offered=bool(self._reach))
-            if self._unavailable is None and self._load(entries):
+            if self._unavailable is None and self.types.load(entries):
                 self._unavailable = types_clash(ros, self.members, entries, names, callers, self._difference_from)
         nobody_provides = self._provided is not None and not self._provided.lanes
         self._served_here = self._local_servers.nodes(services) if nobody_provides else []
 
     def _difference_from(self, entry: LaneEntry, installed: str) -> str:
-        """Return how a lane's type differs from the installed one: the hashes, until the fields are known."""
-        versions = entry.type, entry.type_hash, installed
-        if versions != self._compared and not self._comparing:
-            self._compared, self._difference, self._comparing = versions, "", True
-            here = messages_of(entry.type, installed)
-            others = [each for each in messages_of(entry.type, entry.type_hash) if each not in here]
-            self.compare_types(self.id, others, self._take_difference)
-        return (self._difference if versions == self._compared else "") or hashes_text(*versions)
-
-    def _take_difference(self, difference: str) -> None:
-        """Show the fields that differ, or in another opening compare again."""
-        self._comparing, self._difference = False, difference
-        if difference or self._compared is None:
-            self._advance_if_open()
+        return self._comparison.difference(self.compare_types, self.id, entry, installed)
 
     def _to_offer(self) -> frozenset[int]:
         """Return the lanes that can be offered now."""
         if self._unavailable is not None or self.notices.loop or not (self.connected and self._has_providers):
             return frozenset()
-        if self._provided is not None and not self._load(self._provided.lanes):
+        if self._provided is not None and not self.types.load(self._provided.lanes):
             return frozenset()
         resumed = self._provided is not None and self._provided.pause_revision >= self._resumed_at
         return frozenset(
@@ -321,7 +307,7 @@ class CallingRoute(CallsRoute):
         """End the opening; pending calls are lost."""
         super().close(reason)
         self._provided = None
-        self._compared = None
+        self._comparison.forget()
         self._resumed_at = 0
         self._last_number = 0
         self._messages.clear()

@@ -7,8 +7,7 @@ names its member by a number, the *lane*.
 
 from __future__ import annotations
 
-from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
+from typing import TYPE_CHECKING, ClassVar, NoReturn
 
 import msgspec
 import zstandard
@@ -20,29 +19,26 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.on_end import NONE, more_careful
 from rsb_bridge.model.session import CALL_TIMEOUT
 from rsb_bridge.model.snapshot import Ledger, Level
-from rsb_bridge.ros.ros_interface import RosError
-from rsb_bridge.route.calls.call_endpoints import RosRetry, name_of, route_type_of
+from rsb_bridge.route.calls.call_endpoints import RosRetry, name_of
 from rsb_bridge.route.calls.calls_ledger import REMEDIES, CallsLedger
 from rsb_bridge.route.calls.calls_outbox import CallsOutbox
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, calls_stages, judge_calls
+from rsb_bridge.route.calls.lane_types import LaneTypes
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
 from rsb_bridge.route.message_check import (
     BACKLOG_FULL,
     Backlog,
     ExpandsTooMuchError,
-    MessageCheck,
     Unpacker,
     malformed_text,
 )
 from rsb_bridge.route.route import Route
-from rsb_bridge.route.type_versions import messages_of
 from rsb_bridge.wire.framing import LEASED, ZSTD, Message
 from rsb_bridge.wire.headers import CallFrame, What, split_number, unpack_call
 from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import CallsReport
 
 if TYPE_CHECKING:
-    import asyncio
     from collections.abc import Iterable, Sequence
 
     from rsb_bridge.channel.channel import DuplexChannel
@@ -68,6 +64,7 @@ class CallsRoute(Route):
 
     Attributes:
         members: the services and topics that it consists of.
+        types: their types.
         calls: counts of its calls on this side.
     """
 
@@ -81,11 +78,7 @@ class CallsRoute(Route):
         self.calls = CallsLedger()
         self._outbox = CallsOutbox(self.transport, proposal, self.members, self._leaves, self._stamp_now)
         self._unpacker = Unpacker(peer.budget.expansion, context)
-        self._checks = [MessageCheck(context, peer.budget.checks) for _ in self.members]
-        self._types: tuple[str, ...] = ()  # by lane, as last known
-        self._message_types: tuple[TypeVersion, ...] = ()  # likewise
-        self._loaded: tuple[str, ...] = ()  # types by lane, once loading them was tried
-        self._loading: tuple[str, ...] = ()
+        self.types = LaneTypes(context, self.members, peer.budget.checks, self._advance_if_open)
         self._later = Backlog()
         self._given = 0  # the newest call that the providing half gave to DDS
         self._report: CallsReport | None = None  # the peer's, of the present opening
@@ -185,45 +178,11 @@ class CallsRoute(Route):
 
     def set_check(self) -> None:
         """Take over `check_messages` of the session."""
-        for check in self._checks:
-            check.set()
-
-    def _know_type(self, entries: Sequence[LaneEntry]) -> None:
-        """Derive the route's type from its lanes' types. An action and parameters have no hash as a whole."""
-        self._types = tuple(entry.type for entry in entries)
-        self._message_types = tuple(each for entry in entries for each in messages_of(entry.type, entry.type_hash))
-        types = [route_type_of(member, entry.type) for member, entry in zip(self.members, entries, strict=True)]
-        self.type_name = next(filter(None, types), "")
-        self.type_hash = entries[0].type_hash if len(entries) == 1 else ""
+        self.types.set_check()
 
     @property
     def message_types(self) -> tuple[TypeVersion, ...]:
-        return self._message_types
-
-    def _load(self, entries: Sequence[LaneEntry]) -> bool:
-        """Return whether the lanes' types are loaded; if not, load them on another thread, and advance then.
-
-        The first type that a process loads takes up to a second, because NumPy comes with it. In the loop that would
-        end the lease of everything that is armed.
-        """
-        types = tuple(entry.type for entry in entries)
-        if types not in {self._loaded, self._loading}:
-            self._loading, ros = types, self.context.ros
-            installed = [
-                ros.installed_hash if member.is_topic else ros.installed_service_hash for member in self.members
-            ]
-            loads = [partial(of, each) for of, each in zip(installed, types, strict=True) if each]
-            future = self.context.loop.run_in_executor(None, lambda: [load() for load in loads])
-            future.add_done_callback(lambda done: self._types_loaded(types, done))
-        return types == self._loaded
-
-    def _types_loaded(self, types: tuple[str, ...], done: asyncio.Future[Any]) -> None:
-        if done.cancelled() or types != self._loading:
-            return
-        if (error := done.exception()) is not None and not isinstance(error, RosError):
-            raise error
-        self._loaded, self._loading = types, ()
-        self._advance_if_open()
+        return self.types.messages
 
     def held(self, lane: int) -> Refused | None:
         """Return why a pause or arming holds up a lane, or None. Nothing ever holds up a cancel."""
@@ -339,14 +298,10 @@ class CallsRoute(Route):
         Args:
             part: the suffix of the lane's type: ``_Request``, ``_Response`` or nothing.
         """
-        if not self.context.session.check_messages or frame.lane >= len(self._types):
-            return None
-        type_name, check = self._types[frame.lane] + part, self._checks[frame.lane]
-        if check.type_name != type_name:
-            check.begin(type_name)
         try:
-            check.check(frame.content)
+            self.types.check(frame.lane, part, frame.content)
         except MalformedError as error:
+            type_name = self.types.names[frame.lane] + part
             self._failed(malformed_text(type_name, self.peer.name, error), EventCode.ROUTE_MALFORMED)
             return Refused.MALFORMED
         except TooComplexError as error:

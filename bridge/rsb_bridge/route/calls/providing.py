@@ -106,7 +106,7 @@ class ProvidingRoute(CallsRoute):
                 self._close_clients()
                 why = "it was paused" if self.paused else "it is not armed" if entries else "its server has gone"
                 self._give_up_all(why)
-        elif self._load(entries) and not self._retry.waits(entries):
+        elif self.types.load(entries) and not self._retry.waits(entries):
             self._have_clients(entries)
         self._give_up_orphans()
         self._tell()
@@ -125,8 +125,8 @@ class ProvidingRoute(CallsRoute):
         self.notices.set_loop(found.unavailable.text if loop and found.unavailable else "")
         self._unavailable, self._warning = None if loop else self._or_gone(found.unavailable), found.warning
         if found.entries:
-            self._load(found.entries)
-            self._know_type(found.entries)
+            self.types.load(found.entries)
+            self.type_name, self.type_hash = self.types.know(found.entries)
             self._served_in = self.peer.connections
 
     def _or_gone(self, trouble: Trouble | None) -> Trouble | None:

@@ -1,0 +1,139 @@
+"""The types of a route's lanes: which they are, whether they are installed, and whether contents are of them."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from rsb_bridge.ros.ros_interface import RosError
+from rsb_bridge.route.calls.call_endpoints import route_type_of
+from rsb_bridge.route.message_check import MessageCheck
+from rsb_bridge.route.type_versions import hashes_text, messages_of
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable, Sequence
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.budgets import TokenBucket
+    from rsb_bridge.model.calls import ServiceMember
+    from rsb_bridge.route.type_versions import CompareTypes, TypeVersion
+    from rsb_bridge.wire.records import LaneEntry
+
+
+class LaneTypes:
+    """The types of one route's lanes.
+
+    Args:
+        budget: lengths to read that checks of contents may take.
+        loaded: called when types have been loaded.
+
+    Attributes:
+        names: by lane, as last known.
+        messages: of their requests, responses and messages, likewise.
+    """
+
+    def __init__(
+        self, context: Context, members: Sequence[ServiceMember], budget: TokenBucket, loaded: Callable[[], None]
+    ) -> None:
+        self.names: tuple[str, ...] = ()
+        self.messages: tuple[TypeVersion, ...] = ()
+        self._context = context
+        self._members = members
+        self._checks = [MessageCheck(context, budget) for _ in members]
+        self._loaded: tuple[str, ...] = ()  # types by lane, once loading them was tried
+        self._loading: tuple[str, ...] = ()
+        self._tell = loaded
+
+    def know(self, entries: Sequence[LaneEntry]) -> tuple[str, str]:
+        """Take the lanes' types.
+
+        Returns:
+            The type of all, and its hash; an action and parameters have no hash as a whole.
+        """
+        self.names = tuple(entry.type for entry in entries)
+        self.messages = tuple(each for entry in entries for each in messages_of(entry.type, entry.type_hash))
+        types = [route_type_of(member, entry.type) for member, entry in zip(self._members, entries, strict=True)]
+        return next(filter(None, types), ""), entries[0].type_hash if len(entries) == 1 else ""
+
+    def load(self, entries: Sequence[LaneEntry]) -> bool:
+        """Return whether these types are loaded; if not, load them on another thread, and tell then.
+
+        The first type that a process loads takes up to a second, because NumPy comes with it. In the loop that would
+        end the lease of everything that is armed.
+        """
+        types = tuple(entry.type for entry in entries)
+        if types not in {self._loaded, self._loading}:
+            self._loading, ros = types, self._context.ros
+            installed = [
+                ros.installed_hash if member.is_topic else ros.installed_service_hash for member in self._members
+            ]
+            loads = [partial(of, each) for of, each in zip(installed, types, strict=True) if each]
+            future = self._context.loop.run_in_executor(None, lambda: [load() for load in loads])
+            future.add_done_callback(lambda done: self._have_loaded(types, done))
+        return types == self._loaded
+
+    def _have_loaded(self, types: tuple[str, ...], done: asyncio.Future[Any]) -> None:
+        if done.cancelled() or types != self._loading:
+            return
+        if (error := done.exception()) is not None and not isinstance(error, RosError):
+            raise error
+        self._loaded, self._loading = types, ()
+        self._tell()
+
+    def set_check(self) -> None:
+        """Take over `check_messages` of the session."""
+        for check in self._checks:
+            check.set()
+
+    def check(self, lane: int, part: str, content: bytes) -> None:
+        """Check the content of a frame, if the session wants that and the type is known.
+
+        Args:
+            part: the suffix of the lane's type: ``_Request``, ``_Response`` or nothing.
+
+        Raises:
+            MalformedError: the content is not of its type.
+            TooComplexError: to check it would take too long.
+        """
+        if not self._context.session.check_messages or lane >= len(self.names):
+            return
+        type_name, check = self.names[lane] + part, self._checks[lane]
+        if check.type_name != type_name:
+            check.begin(type_name)
+        check.check(content)
+
+
+class TypeComparison:
+    """Finds how the other side's version of a type differs from the installed one.
+
+    The other side may provide ever other types, but is asked about one at a time.
+
+    Args:
+        found: called once the fields that differ are known, or others have to be compared.
+    """
+
+    def __init__(self, found: Callable[[], None]) -> None:
+        self._compared: tuple[str, str, str] | None = None  # type, hash there and here, in the present opening
+        self._comparing = False
+        self._difference = ""  # of those compared, once it is known
+        self._found = found
+
+    def difference(self, compare: CompareTypes, route_id: int, entry: LaneEntry, installed: str) -> str:
+        """Return how a lane's type differs from the installed one: the hashes, until the fields are known."""
+        versions = entry.type, entry.type_hash, installed
+        if versions != self._compared and not self._comparing:
+            self._compared, self._difference, self._comparing = versions, "", True
+            here = messages_of(entry.type, installed)
+            others = [each for each in messages_of(entry.type, entry.type_hash) if each not in here]
+            compare(route_id, others, self._take)
+        return (self._difference if versions == self._compared else "") or hashes_text(*versions)
+
+    def _take(self, difference: str) -> None:
+        self._comparing, self._difference = False, difference
+        if difference or self._compared is None:  # in another opening, compare again
+            self._found()
+
+    def forget(self) -> None:
+        """Forget what was compared, as the opening has ended."""
+        self._compared = None
