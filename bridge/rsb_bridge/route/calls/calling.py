@@ -349,7 +349,7 @@ class CallingRoute(CallsRoute):
 
     def _refuse_request(self, lane: int, request: Request, why: Refused) -> None:
         """Handle a caller's request that is not sent."""
-        self._refuse(why)
+        self.failures.refused(why)
 
     def _call_to_make(self, call: CallerCall, payload: bytes, stamp: int) -> CallerCall:
         """Return a caller's call, which is about to be sent, with what has to be known of it later."""
@@ -364,7 +364,7 @@ class CallingRoute(CallsRoute):
         """Count requests that were on their way from ROS when the offer ended."""
         for request in requests:
             self._asked_for(len(request.payload))
-        self._lose(len(requests), "it is no longer offered")
+        self.failures.lost(len(requests), "it is no longer offered")
 
     def _refusal(self, lane: int, request: Request, now: float) -> Refused | None:
         """Return the reason why a call is not sent, or take its place in the link's budget and return None."""
@@ -396,7 +396,7 @@ class CallingRoute(CallsRoute):
         made = Request(request, b"", self.context.stamps.now(), lease)
         size, now = frame_size(request), self.context.now()
         if (why := self._refusal(lane, made, now)) is not None:
-            self._refuse(why)
+            self.failures.refused(why)
             raise CallError(self.calls.last_failure)
         stamp = made.stamp if self.age.is_on and self.members[lane].limited else 0
         self._begin(CallerCall(lane, size, now, manual, b""), request, lease, stamp)
@@ -406,7 +406,7 @@ class CallingRoute(CallsRoute):
         except asyncio.CancelledError:
             if (call := self._pending.get(number)) is not None and call.server is manual:
                 self._pending.end(number)
-                self._lose(1, "the operator who made it has gone")
+                self.failures.lost(1, "the operator who made it has gone")
             raise
 
     def entry(self, lane: int) -> LaneEntry:
@@ -470,7 +470,7 @@ class CallingRoute(CallsRoute):
             call.server.answer(call.caller, frame.content)
         except RosError as error:
             self.calls.lost += 1
-            self._failed(f"a caller could not be answered: {error}")
+            self.failures.say(f"a caller could not be answered: {error}")
             return
         self._answered(len(frame.content))
         if not self.members[call.lane].patient:
@@ -497,7 +497,7 @@ class CallingRoute(CallsRoute):
         """Handle that the other side has answered a call, which has ended, but its caller does not hear it."""
 
     def _unanswered(self, call: CallerCall, why: Refused) -> None:
-        self._refuse(why)
+        self.failures.refused(why)
         call.unanswered(self.calls.last_failure)
 
     def _take_message(self, frame: CallFrame) -> None:
@@ -510,7 +510,7 @@ class CallingRoute(CallsRoute):
 
     def _expired(self, number: int, call: CallerCall) -> None:
         self.calls.expired += 1
-        self._failed(f"a call had no answer within {self.call_timeout:g} s")
+        self.failures.say(f"a call had no answer within {self.call_timeout:g} s")
         call.unanswered(f"{self.calls.last_failure}; {self._landed(number)}")
 
     def _give_up_all(self, why: str) -> None:
@@ -520,7 +520,7 @@ class CallingRoute(CallsRoute):
                 continue
             call.unanswered(f"no answer: {why}; {self._landed(number)}")
             lost += 1
-        self._lose(lost, why)
+        self.failures.lost(lost, why)
 
     def _outlives(self, call: CallerCall) -> bool:
         """Return whether a call is kept although nothing can be reached any more."""

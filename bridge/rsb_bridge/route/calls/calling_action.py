@@ -207,13 +207,13 @@ class CallingActionRoute(CallingRoute):
                 what = What.AGAIN if kept.again else What.CALL
                 self._begin(call, kept.payload, lease=0, stamp=kept.stamp, what=what)
             elif not self.action.waiting.keep(kept, now):  # else it is sent in a second: a cancel must not get lost
-                self._refuse(why)
+                self.failures.refused(why)
                 self.action.unanswered(kept)
         self.flush()
 
     def _give_up_waiting(self, call: KeptCall, why: str = _UNREACHABLE) -> None:
         """Give up a call that waited, or cannot wait."""
-        self._lose(1, why)
+        self.failures.lost(1, why)
         self.action.unanswered(call)
 
     def _reject(self, server: ServiceServer, caller: bytes, request: bytes) -> None:
@@ -223,7 +223,7 @@ class CallingActionRoute(CallingRoute):
         try:
             server.answer(caller, rejection_of(request))
         except RosError as error:
-            self._failed(f"a caller could not be answered: {error}")
+            self.failures.say(f"a caller could not be answered: {error}")
 
     def tick(self) -> None:
         """Expire and resend calls, and update counts; called once a second."""
@@ -233,7 +233,7 @@ class CallingActionRoute(CallingRoute):
     def _expire_waiting(self) -> None:
         if expired := self.action.waiting.expire(self.context.now()):
             self.calls.expired += len(expired)
-            self._failed("a call about a goal waited too long for the action to be reached again")
+            self.failures.say("a call about a goal waited too long for the action to be reached again")
             for call in expired:
                 self.action.unanswered(call)
         self._give_up_results()

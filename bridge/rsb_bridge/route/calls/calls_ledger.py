@@ -1,18 +1,28 @@
-"""One side's counts of a route's calls, and the remedies for calls that were refused."""
+"""One side's counts of a route's calls, and why calls had no answer."""
 
 from __future__ import annotations
 
 from collections import Counter, deque
+from typing import TYPE_CHECKING
 
 from rsb_bridge.model.calls import CallsSnapshot, Refused
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import Level
 from rsb_bridge.telemetry.meters import LatencyMeter
 from rsb_bridge.wire.records import CallsReport, VerdictRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.route.notices import Notices
 
 LATELY = 10
 """s that verdicts look back."""
 _TIMED = 512
 """Calls that are timed at most in a second: the newest."""
-
+_SAID_AGAIN_AFTER = 60.0
+"""s until the log repeats a failure of the same route."""
+_MOST_SAID = 32
 
 REMEDIES = {
     Refused.CALLS_UNDER_WAY: "too many calls wait for answers on this link: make fewer at once, or shorten the timeout",
@@ -149,3 +159,64 @@ class CallsLedger:
             verdict=verdict,
             nodes=nodes,
         )
+
+
+class CallFailures:
+    """Counts the calls of one half that have no answer, and tells operators why.
+
+    Attributes:
+        since: when (s) calls began to fail, or None if none has failed lately.
+    """
+
+    def __init__(
+        self,
+        calls: CallsLedger,
+        notices: Notices,
+        log: Callable[[Level, EventCode, str], None],
+        now: Callable[[], float],
+    ) -> None:
+        self.since: float | None = None
+        self._calls = calls
+        self._notices = notices
+        self._log = log
+        self._now = now
+        self._said: dict[str, float] = {}
+
+    def refused(self, why: Refused) -> None:
+        """Count a call that either side refuses, and log it once."""
+        if why is Refused.LOST:
+            self._calls.lost += 1
+            self.say(REMEDIES[why])
+        else:
+            self._calls.refused[why] += 1
+            self.say(f"a call was refused: {REMEDIES[why]}")
+
+    def lost(self, calls: int, why: str) -> None:
+        """Count calls that lost the link or their server. The log reports that loss elsewhere."""
+        if calls:
+            self._calls.lost += calls
+            self._calls.last_failure = f"given up before its answer came: {why}"
+
+    def say(self, text: str, code: EventCode = EventCode.ROUTE_CALL_FAILED) -> None:
+        """Note why a call had no answer. The log repeats the same text once a minute at most."""
+        self._calls.last_failure = text
+        self._notices.record(text)
+        now = self._now()
+        if now - self._said.get(text, float("-inf")) < _SAID_AGAIN_AFTER:
+            return
+        if len(self._said) >= _MOST_SAID:
+            self._said.clear()
+        self._said[text] = now
+        self._log(Level.WARNING, code, text)
+
+    def tick(self) -> None:
+        """Note whether calls fail; called once a second."""
+        if not (self._calls.unanswered or self._calls.expired_lately() or self._calls.refused_lately()):
+            self.since = None
+        elif self.since is None:
+            self.since = self._now()
+
+    def forget(self) -> None:
+        """Begin a new period: the route was paused or reopened."""
+        self._calls.forget_lately()
+        self.since = None

@@ -20,7 +20,7 @@ from rsb_bridge.model.on_end import NONE, more_careful
 from rsb_bridge.model.session import CALL_TIMEOUT
 from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.route.calls.call_endpoints import RosRetry, name_of
-from rsb_bridge.route.calls.calls_ledger import REMEDIES, CallsLedger
+from rsb_bridge.route.calls.calls_ledger import CallFailures, CallsLedger
 from rsb_bridge.route.calls.calls_outbox import CallsOutbox
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, calls_stages, judge_calls
 from rsb_bridge.route.calls.lane_types import LaneTypes
@@ -54,9 +54,6 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.records import LaneEntry
 
 _NO_LEDGER = Ledger()
-_SAID_AGAIN_AFTER = 60.0
-"""s until the log repeats a failure of the same route."""
-_MOST_SAID = 32
 
 
 class CallsRoute(Route):
@@ -66,6 +63,7 @@ class CallsRoute(Route):
         members: the services and topics that it consists of.
         types: their types.
         calls: counts of its calls on this side.
+        failures: counts those without an answer, and tells operators why.
     """
 
     peer_report = CallsReport
@@ -76,6 +74,7 @@ class CallsRoute(Route):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.members = LANES[spec.kind]
         self.calls = CallsLedger()
+        self.failures = CallFailures(self.calls, self.notices, self.log, context.now)
         self._outbox = CallsOutbox(self.transport, proposal, self.members, self._leaves, self._stamp_now)
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self.types = LaneTypes(context, self.members, peer.budget.checks, self._advance_if_open)
@@ -84,11 +83,9 @@ class CallsRoute(Route):
         self._report: CallsReport | None = None  # the peer's, of the present opening
         self._last_report: CallsReport | None = None
         self._came = False  # a call, in the present opening
-        self._failing_since: float | None = None
         self._unavailable: Trouble | None = None
         self._warning: Trouble | None = None
         self._retry = RosRetry(context, self._advance_if_open)
-        self._said: dict[str, float] = {}
 
     def _stamp_now(self) -> int:
         return shifted(self.context.clock.time_ns(), self.context.stamps.shift)
@@ -226,8 +223,7 @@ class CallsRoute(Route):
         super().disarm(why, reason)
 
     def _may_flow(self) -> None:
-        self.calls.forget_lately()
-        self._failing_since = None
+        self.failures.forget()
 
     def _advance_if_open(self) -> None:
         if self.id:
@@ -302,10 +298,10 @@ class CallsRoute(Route):
             self.types.check(frame.lane, part, frame.content)
         except MalformedError as error:
             type_name = self.types.names[frame.lane] + part
-            self._failed(malformed_text(type_name, self.peer.name, error), EventCode.ROUTE_MALFORMED)
+            self.failures.say(malformed_text(type_name, self.peer.name, error), EventCode.ROUTE_MALFORMED)
             return Refused.MALFORMED
         except TooComplexError as error:
-            self._failed(str(error), EventCode.ROUTE_TOO_COMPLEX)
+            self.failures.say(str(error), EventCode.ROUTE_TOO_COMPLEX)
             return Refused.TOO_COMPLEX
         return None
 
@@ -324,33 +320,6 @@ class CallsRoute(Route):
 
     # --- counts
 
-    def _refuse(self, why: Refused) -> None:
-        """Count a call that either side refuses, and log it once."""
-        if why is Refused.LOST:
-            self.calls.lost += 1
-            self._failed(REMEDIES[why])
-        else:
-            self.calls.refused[why] += 1
-            self._failed(f"a call was refused: {REMEDIES[why]}")
-
-    def _lose(self, calls: int, why: str) -> None:
-        """Count calls that lost the link or their server. The log reports that loss elsewhere."""
-        if calls:
-            self.calls.lost += calls
-            self.calls.last_failure = f"given up before its answer came: {why}"
-
-    def _failed(self, text: str, code: EventCode = EventCode.ROUTE_CALL_FAILED) -> None:
-        """Note why a call had no answer. The log repeats the same text once a minute at most."""
-        self.calls.last_failure = text
-        self.notices.record(text)
-        now = self.context.now()
-        if now - self._said.get(text, float("-inf")) < _SAID_AGAIN_AFTER:
-            return
-        if len(self._said) >= _MOST_SAID:
-            self._said.clear()
-        self._said[text] = now
-        self.log(Level.WARNING, code, text)
-
     def _asked_for(self, size: int) -> None:
         """Count a call with a request of `size` bytes."""
         self.calls.asked += 1
@@ -368,11 +337,7 @@ class CallsRoute(Route):
         if not self.offered:
             self.calls.forget_lately()
         self.calls.tick()
-        fails = bool(self.calls.unanswered or self.calls.expired_lately() or self.calls.refused_lately())
-        if not fails:
-            self._failing_since = None
-        elif self._failing_since is None:
-            self._failing_since = self.context.now()
+        self.failures.tick()
         super().tick()
 
     # --- verdict and snapshot
@@ -410,7 +375,7 @@ class CallsRoute(Route):
             expired=self.calls.expired_lately(),
             unanswered=self.calls.unanswered,
             refused=self.calls.refused_lately(),
-            failing_since=self._failing_since,
+            failing_since=self.failures.since,
             timeout=self.call_timeout,
         )
 

@@ -301,7 +301,7 @@ class ProvidingRoute(CallsRoute):
         return call
 
     def _refuse_peer(self, frame: CallFrame, why: Refused) -> None:
-        self._refuse(why)
+        self.failures.refused(why)
         self._outbox.put(frame._replace(what=What.REFUSED, took=0, content=why.encode()))
 
     async def call_by_hand(self, lane: int, request: bytes) -> bytes:
@@ -365,10 +365,12 @@ class ProvidingRoute(CallsRoute):
         self.calls.expired += 1
         nodes, within = " and ".join(self.provider_nodes) or "the server", f"within {self.call_timeout:g} s"
         if call.number and self._by_number.pop((call.lane, call.number), None) is None:
-            self._failed(f"the link did not take an answer of {nodes} {within}: send less over it, or allow more time")
+            self.failures.say(
+                f"the link did not take an answer of {nodes} {within}: send less over it, or allow more time"
+            )
             return
         self.peer.budget.provided.linger(call.size, self.context.now())
-        self._failed(f"{nodes} did not answer a call {within}")
+        self.failures.say(f"{nodes} did not answer a call {within}")
 
     def _give_up(self, peers: int, why: Refused) -> None:
         """End a call without an answer, and tell the peer the reason."""
@@ -392,7 +394,7 @@ class ProvidingRoute(CallsRoute):
         for number, call in calls:
             self._outbox.put(CallFrame(What.REFUSED, call.lane, number, 0, Refused.LOST.encode()))
         self._by_number.clear()
-        self._lose(len(calls), why)
+        self.failures.lost(len(calls), why)
 
     # --- messages of lanes that are topics
 

@@ -78,7 +78,7 @@ class ProvidingActionRoute(ProvidingRoute):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.action = ProviderAction(context)
-        self._cancels = GoalCancels(lambda: self._clients.clients, self._failed)
+        self._cancels = GoalCancels(lambda: self._clients.clients, self.failures.say)
 
     # --- setting up
 
@@ -217,7 +217,7 @@ class ProvidingActionRoute(ProvidingRoute):
         except RosError as error:
             for call in calls:
                 self._give_up(call, Refused.NOT_SENT)
-            self._failed(f"a result could not be asked for: {error}")
+            self.failures.say(f"a result could not be asked for: {error}")
             return
         self.action.answers.asked(question, number, frozenset(self._present), *calls)
 
