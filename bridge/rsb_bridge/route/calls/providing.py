@@ -2,10 +2,6 @@
 
 A call comes from the channel to `ProvidingRoute._take`, and goes to ROS in `_call`. The server's response comes to
 `_responded`, goes to the outbox in `_answer`, and ends the call in `_leaves`, once the channel takes it.
-
-An action's goals go on while the link is down. Its server is asked for the result of every goal as soon as it accepts
-the goal, and its answers are kept, so that they are there when the other side asks again
-(`rsb_bridge.route.calls.kept_calls`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""The providing half of an action's route: its goals, and its server's answers, which outlive an interruption."""
+"""The providing half of an action's route: its goals, and its server's answers, which outlive an interruption.
+
+Goals go on while the link is down. The server is asked for the result of every goal as soon as it accepts the goal, and
+its answers are kept, so that they are there when the other side asks again (`rsb_bridge.route.calls.kept_calls`).
+"""
 
 from __future__ import annotations
 
