@@ -211,7 +211,7 @@ def _overflows(asking: _Asking) -> bool:
     if share is None:
         return False
     mostly_lost = share < _POOR and asking.traffic.bytes_per_second >= _MUCH
-    return mostly_lost or (share < _LOSES and asking.route.longer >= _QUEUES)
+    return mostly_lost or (share < _LOSES and asking.route.delays.longer >= _QUEUES)
 
 
 class _Counts(NamedTuple):
@@ -322,7 +322,7 @@ class Contention:
 
     def _delayed(self, asking: Collection[_Asking], asked: float) -> bool:
         """Whether messages wait on the way, for example in a tunnel that accepts more than it carries."""
-        return asked > _MORE * self._crossed and any(each.route.delay >= _DELAYED for each in asking)
+        return asked > _MORE * self._crossed and any(each.route.delays.least >= _DELAYED for each in asking)
 
     def _is_measured(self) -> bool:
         """Whether a benchmark is open, which fills the link on purpose."""

@@ -27,6 +27,12 @@ _REMEMBERED, _REMEMBERED_GAPS, _LONGEST_REMEMBERED = 5.0, 2.0, 60.0
 and s at the most: a topic with a message every 10 s must not be fine in between."""
 _SAME = 0.15
 """Share by which a delay has to change before the shown figure does."""
+REPORTED_LATELY = 2.5
+"""s for which a delay that the receiver has reported counts."""
+_LONGEST_DELAY = 3600.0
+"""s; a longer delay counts as a mistake."""
+_JITTERS = 2.0
+"""Times the jitter by which a message may take longer without a cause."""
 _REPORTED_EVERY = 1.0
 """s between the receiver's reports."""
 _MOST_MARKS = 600
@@ -169,6 +175,53 @@ class Unreported:
             new = max(1, sent - before)
             marks.append((now - (now - at) * (new - 1) / new, sent))  # about when the first of the new ones was sent
         return now - marks[0][0] if marks else 0.0
+
+
+class SendersDelay:
+    """What the sending half knows of how long messages take in one opening.
+
+    Attributes:
+        reported: s that they took by the receiver's last report, or None before the first.
+        least: s that they take at least, measured without the other side's clock.
+        longer: s that they take beyond the shortest time and their jitter, as reported.
+    """
+
+    def __init__(self) -> None:
+        self.reported: float | None = None
+        self.least = self.longer = 0.0
+        self._reported_at = 0.0
+        self._shortest = float("inf")
+        self._unreported = Unreported()
+
+    def take(self, seconds: float, jitter: float, now: float) -> None:
+        """Take a delay that the receiver reports."""
+        if abs(seconds) > _LONGEST_DELAY:
+            return
+        self.reported, self._reported_at = seconds, now
+        self._shortest = min(self._shortest, seconds)
+        # In a queue one message takes as long as the next; where they do not, the path is uneven, not full.
+        self.longer = max(0.0, seconds - self._shortest - _JITTERS * max(0.0, jitter))
+
+    def unreported(self, sent: int, accounted: int, now: float) -> float:
+        """Return the age of the oldest message that is not reported, in s, as `Unreported.age` does. Once a second."""
+        self.least = 0.0
+        return self._unreported.age(sent, accounted, now)
+
+    def tick(self, own: float, uncertainty: float, now: float) -> float | None:
+        """Find out how long messages take while they cross.
+
+        Args:
+            own: s that they take, as this side knows by itself.
+            uncertainty: s by which reported delays may be too long.
+
+        Returns:
+            What was reported lately, or None.
+        """
+        measured = self.reported if now - self._reported_at <= REPORTED_LATELY else None
+        if measured is None:
+            self.longer = 0.0
+        self.least = max(own, (measured or 0.0) - uncertainty)
+        return measured
 
 
 def delay_of_sender(unreported: float, report_delay: float) -> float:

@@ -19,7 +19,7 @@ from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
-from rsb_bridge.route.lateness import QUEUE, WAY, Unreported, delay_of_sender
+from rsb_bridge.route.lateness import QUEUE, REPORTED_LATELY, WAY, SendersDelay, delay_of_sender
 from rsb_bridge.route.ledger import RouteLedger, reported_drops
 from rsb_bridge.route.lifecycle import RouteEvent
 from rsb_bridge.route.loop_filter import LoopFilter
@@ -51,14 +51,8 @@ if TYPE_CHECKING:
     from rsb_bridge.route.topic_verdict import Facts
     from rsb_bridge.telemetry.watches import Loss
 
-_REPORTED_LATELY = 2.5
-"""s for which a delay that the receiver has reported counts."""
-_LONGEST_DELAY = 3600.0
-"""s; a longer delay counts as a mistake."""
 _LONGEST_UNDER_WAY = 60.0
 """s; a message that takes longer counts as lost."""
-_JITTERS = 2.0
-"""Times the jitter by which a message may take longer without a cause."""
 _LIMITED = "they are limited to the messages sent"
 
 
@@ -140,8 +134,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     """Takes a topic's messages here and sends them to the peer.
 
     Attributes:
-        delay: s that messages take at least, measured without the other side's clock.
-        longer: s that messages take beyond the shortest time of this opening and their jitter, as reported.
+        delays: how long messages take.
     """
 
     peer_report = ReceivedReport
@@ -160,10 +153,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._path = OutgoingPath(context, self, self._ledger, self._loop_filter)
         self._resolver = Resolver(context, proposal)
         self._health = Health()
-        self._unreported = Unreported()
-        self.delay = self.longer = 0.0
-        self._reported_delay: tuple[float, float] | None = None  # s, by the receiver; and when it reported it, s
-        self._shortest: float | None = None  # s, by the receiver
+        self.delays = SendersDelay()
 
     # --- setting up
 
@@ -327,9 +317,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def open(self, route_id: int) -> None:
         """Begin a new opening."""
         super().open(route_id)
-        self._unreported = Unreported()
-        self._reported_delay = self._shortest = None
-        self.delay = self.longer = 0.0
+        self.delays = SendersDelay()
         self._loop_filter.clear()
         self._ledger.opened(route_id, self.peer.instance)
 
@@ -401,28 +389,21 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         return bool(own or self.ends.publishers(self.topic))
 
     def _tick_lateness(self, now: float) -> None:
-        unreported = self._unreported.age(self._ledger.sent_now, self._ledger.reported_now, now)
-        self.delay = 0.0
+        unreported = self.delays.unreported(self._ledger.sent_now, self._ledger.reported_now, now)
         if not self.flowing:
             self.lateness.reset()
             return
-        measured = None
-        if self._reported_delay is not None and now - self._reported_delay[1] <= _REPORTED_LATELY:
-            measured = self._reported_delay[0]
-        else:
-            self.longer = 0.0
         if not self.transport.reliable:  # unreported datagrams may be lost, unless pings by a stream are held up, too
             unreported = min(unreported, self.peer.ping_wait)
         own = max(self._path.waits(now), delay_of_sender(unreported, self.peer.report_delay))
-        self.delay = max(own, (measured or 0.0) - (self.peer.clock.uncertainty or 0.0))
-        self.lateness.tick(self.delay, 0.0, self.late_after, now, measured, own=own, learns=self.learns)
+        measured = self.delays.tick(own, self.peer.clock.uncertainty or 0.0, now)
+        self.lateness.tick(self.delays.least, 0.0, self.late_after, now, measured, own=own, learns=self.learns)
 
     @property
     def _message_and_report(self) -> float:
         """Estimated s that a message and its report take together."""
         back = self.peer.report_delay
-        there = 0.0 if self._reported_delay is None else self._reported_delay[0]
-        return min(max(0.0, there, back) + back, _LONGEST_UNDER_WAY)
+        return min(max(0.0, self.delays.reported or 0.0, back) + back, _LONGEST_UNDER_WAY)
 
     def _held_up_where(self) -> str:
         return QUEUE if self._path.waits(self.context.now()) >= self.lateness.seconds / 2 else WAY
@@ -447,11 +428,8 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if (report.type, report.type_hash) != self._resolver.hint:
             self._resolver.hint = TypeVersion(report.type, report.type_hash)
             self.advance()
-        if report.latency is not None and abs(report.latency) <= _LONGEST_DELAY:
-            self._reported_delay = report.latency, self.context.now()
-            self._shortest = report.latency if self._shortest is None else min(self._shortest, report.latency)
-            # In a queue one message takes as long as the next; where they do not, the path is uneven, not full.
-            self.longer = max(0.0, report.latency - self._shortest - _JITTERS * max(0.0, report.jitter or 0.0))
+        if report.latency is not None:
+            self.delays.take(report.latency, report.jitter or 0.0, self.context.now())
         self.latency.take_reported(report.latency_p50, report.latency_p99, report.jitter)
 
     @property
@@ -577,7 +555,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if loss is None or loss.lost < loss.of or self._datagrams() < 2 or not isinstance(channel, DatagramSender):
             return False
         # A part of a message's datagrams may arrive, on a full link for example, and none of the messages.
-        return channel.unheard_for > _REPORTED_LATELY and not channel.trouble()
+        return channel.unheard_for > REPORTED_LATELY and not channel.trouble()
 
     @property
     def arrived_share(self) -> float | None:
