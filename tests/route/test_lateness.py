@@ -8,7 +8,16 @@ from tests.route.test_topic_verdict import NOW, RECEIVER, SENDER, verdict_on
 from rsb_bridge.model.capacity import Fullness, rates_text
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.lateness import QUEUE, WAY, Late, LateWatch, Unreported, delay_of_sender, seconds_text
+from rsb_bridge.route.lateness import (
+    QUEUE,
+    WAY,
+    Late,
+    LateWatch,
+    SendersDelay,
+    Unreported,
+    delay_of_sender,
+    seconds_text,
+)
 from rsb_bridge.route.notices import ChannelLosses
 from rsb_bridge.telemetry.meters import LatencyMeter
 from rsb_bridge.telemetry.watches import Loss
@@ -201,3 +210,14 @@ def test_figures_of_the_other_side_count_for_as_long() -> None:
     assert meter.p50 == 0.01
     meter.take_reported(None, None, 0.0)
     assert meter.p50 is None
+
+
+@pytest.mark.parametrize("mistake", [float("nan"), float("inf"), -float("inf"), 1e9])
+def test_what_cannot_be_a_delay_is_no_report(mistake: float) -> None:
+    delays = SendersDelay()
+    delays.take(mistake, 0.0, 1.0)
+    assert (delays.reported, delays.tick(0.5, 0.0, 1.0)) == (None, None)
+    delays.take(0.2, 0.0, 1.0)
+    delays.take(mistake, 0.0, 1.5)
+    assert delays.tick(0.0, 0.05, 2.0) == 0.2
+    assert (delays.least, delays.longer) == (pytest.approx(0.15), 0.0)

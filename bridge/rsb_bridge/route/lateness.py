@@ -7,6 +7,7 @@ oldest message that the receiver has not reported. So it notices lateness even i
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -182,7 +183,7 @@ class SendersDelay:
 
     Attributes:
         reported: s that they took by the receiver's last report, or None before the first.
-        least: s that they take at least, measured without the other side's clock.
+        least: s that they take at least now, or 0 while nothing flows.
         longer: s that they take beyond the shortest time and their jitter, as reported.
     """
 
@@ -195,7 +196,7 @@ class SendersDelay:
 
     def take(self, seconds: float, jitter: float, now: float) -> None:
         """Take a delay that the receiver reports."""
-        if abs(seconds) > _LONGEST_DELAY:
+        if not math.isfinite(seconds) or abs(seconds) > _LONGEST_DELAY:
             return
         self.reported, self._reported_at = seconds, now
         self._shortest = min(self._shortest, seconds)
@@ -203,7 +204,12 @@ class SendersDelay:
         self.longer = max(0.0, seconds - self._shortest - _JITTERS * max(0.0, jitter))
 
     def unreported(self, sent: int, accounted: int, now: float) -> float:
-        """Return the age of the oldest message that is not reported, in s, as `Unreported.age` does. Once a second."""
+        """Begin the look of each second: return the age of the oldest message that is not reported, in s.
+
+        Args:
+            sent: messages so far.
+            accounted: messages that the receiver has reported, arrived or lost.
+        """
         self.least = 0.0
         return self._unreported.age(sent, accounted, now)
 
@@ -211,7 +217,7 @@ class SendersDelay:
         """Find out how long messages take while they cross.
 
         Args:
-            own: s that they take, as this side knows by itself.
+            own: s that they take at least, as this side knows without the other one's clock.
             uncertainty: s by which reported delays may be too long.
 
         Returns:

@@ -1,7 +1,7 @@
 """The callers' half of a route of calls: offers here what the other side provides, and answers callers.
 
 A call goes through `CallingRoute._asked` (from ROS), `_begin`, and the outbox to the channel. What the provider says of
-it comes to `_take`, and goes to ROS in `_take_answer`, or ends the call in `_take_refusal`.
+it comes to `_take`, and goes to ROS in `_answer_caller`, or ends the call in `_take_refusal`.
 """
 
 from __future__ import annotations
@@ -340,20 +340,20 @@ class CallingRoute(CallsRoute):
             self._asked_for(len(payload))
             size = frame_size(payload)
             if (why := self._refusal(lane, request, now)) is not None:
-                self._refuse_request(lane, request, why)
+                self._refuse_request(lane, server, request, why)
                 continue
             stamp = request.stamp if with_age else 0
-            call = self._call_to_make(CallerCall(lane, size, now, server, request.caller), payload, stamp)
+            call = CallerCall(lane, size, now, server, request.caller)
+            self._remember(call, payload, stamp)
             self._begin(call, payload, request.lease, stamp)
         self.flush()
 
-    def _refuse_request(self, lane: int, request: Request, why: Refused) -> None:
+    def _refuse_request(self, lane: int, server: ServiceServer, request: Request, why: Refused) -> None:
         """Handle a caller's request that is not sent."""
         self.failures.refused(why)
 
-    def _call_to_make(self, call: CallerCall, payload: bytes, stamp: int) -> CallerCall:
-        """Return a caller's call, which is about to be sent, with what has to be known of it later."""
-        return call
+    def _remember(self, call: CallerCall, payload: bytes, stamp: int) -> None:
+        """Note what has to be known later of a caller's call, which is about to be sent."""
 
     def _stamped(self, request: Request) -> Request:
         """Return a request with the time from which its age counts as its stamp, or 0 if it is too old."""
@@ -461,9 +461,9 @@ class CallingRoute(CallsRoute):
         if (call := self._end_call(frame)) is None:
             self.calls.late += 1
         else:
-            self._answer(call, frame)
+            self._answer_caller(call, frame)
 
-    def _answer(self, call: CallerCall, frame: CallFrame) -> None:
+    def _answer_caller(self, call: CallerCall, frame: CallFrame) -> None:
         """Answer the caller."""
         took, total = frame.took / 1e9, self.context.now() - call.asked_at
         try:
@@ -516,14 +516,14 @@ class CallingRoute(CallsRoute):
     def _give_up_all(self, why: str) -> None:
         lost = 0
         for number, call in self._pending.clear():
-            if self._outlives(call):
+            if self._is_kept(call):
                 continue
             call.unanswered(f"no answer: {why}; {self._landed(number)}")
             lost += 1
         self.failures.lost(lost, why)
 
-    def _outlives(self, call: CallerCall) -> bool:
-        """Return whether a call is kept although nothing can be reached any more."""
+    def _is_kept(self, call: CallerCall) -> bool:
+        """Keep a call until the other side can be reached again; return False if it is given up instead."""
         return False
 
     def _landed(self, number: int) -> str:

@@ -131,22 +131,21 @@ class CallingActionRoute(CallingRoute):
         else:  # an interruption leaves some services open
             self._keep_requests(lane, requests)
 
-    def _refuse_request(self, lane: int, request: Request, why: Refused) -> None:
-        super()._refuse_request(lane, request, why)
+    def _refuse_request(self, lane: int, server: ServiceServer, request: Request, why: Refused) -> None:
+        super()._refuse_request(lane, server, request, why)
         if lane == SEND_GOAL:
-            self._reject(self._offers.servers[lane], request.caller, request.payload)
+            self._reject(server, request.caller, request.payload)
 
-    def _call_to_make(self, call: CallerCall, payload: bytes, stamp: int) -> CallerCall:
+    def _remember(self, call: CallerCall, payload: bytes, stamp: int) -> None:
         call.kept = KeptCall(
             call.lane, call.caller, payload, call.asked_at, again=False, instance=self.peer.instance, stamp=stamp
         )
         self.action.asked(call.kept)
-        return call
 
-    def _answer(self, call: CallerCall, frame: CallFrame) -> None:
+    def _answer_caller(self, call: CallerCall, frame: CallFrame) -> None:
         if call.kept is not None and (goal := goal_of(call.kept.payload)) is not None:
             self.action.goals.response(call.lane, goal, frame.content)
-        super()._answer(call, frame)
+        super()._answer_caller(call, frame)
 
     def _answer_lost(self, call: CallerCall) -> None:
         if call.kept is not None:
@@ -169,7 +168,7 @@ class CallingActionRoute(CallingRoute):
             self.action.unanswered(call.kept)
         super()._expired(number, call)
 
-    def _outlives(self, call: CallerCall) -> bool:
+    def _is_kept(self, call: CallerCall) -> bool:
         if self.action.keep(call):
             return True
         if call.kept is not None:

@@ -217,6 +217,6 @@ class CallFailures:
             self.since = self._now()
 
     def forget(self) -> None:
-        """Begin a new period: the route was paused or reopened."""
+        """Begin a new period, because calls may cross from now on, or no longer."""
         self._calls.forget_lately()
         self.since = None

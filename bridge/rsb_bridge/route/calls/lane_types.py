@@ -1,4 +1,4 @@
-"""The types of a route's lanes: which they are, whether they are installed, and whether contents are of them."""
+"""The types of a route's lanes: which they are, whether contents are of them, and how the other side's differ."""
 
 from __future__ import annotations
 

@@ -226,7 +226,7 @@ class ProvidingActionRoute(ProvidingRoute):
         self.action.answers.asked(question, number, frozenset(self._present), *calls)
 
     def _keep_answer(self, lane: int, response: Response) -> bool:
-        """Keep an answer and send it to all calls that wait for it. Return False if a call of its own needs it, too."""
+        """Keep an answer and send it to all calls that wait for it. Return False if its question is not kept."""
         number, payload, now = response.number, response.payload, self.context.now()
         answered = self.action.answers.answered(lane, number, payload, now, linked=self.action.interrupted_at is None)
         if answered is None:
