@@ -92,8 +92,11 @@ class Edits(Yard):
         await self._command(side, RemoveTopic(self.half(side, name).key))
 
     async def pause(self, side: str) -> None:
-        await self._command(side, PauseTopics(self.half(side).key, paused=True))
+        await self.begin_pause(side)
         await until(lambda: all(half is not None and half.paused for half in self.halves()), 1.0)
+
+    async def begin_pause(self, side: str) -> None:
+        await self._command(side, PauseTopics(self.half(side).key, paused=True))
 
     async def arm(self, side: str) -> None:
         await self._command(side, ArmTopic(self.half(side).key))
@@ -205,6 +208,17 @@ async def test_a_paused_topic_comes_back_paused(lister: str, pauser: str, edits:
     await edits.both(EDITED)
     await edits.pause(pauser)
     await edits.restart(edits.other)
+    await edits.both(5)
+    assert [route is not None and route.paused for route in edits.halves()] == [True, True]
+
+
+@pytest.mark.bed(lister="server")
+@pytest.mark.parametrize("waits", [10.0, 15.0, 45.0])
+async def test_a_side_that_pauses_and_stops_at_once_has_paused_it(waits: float, edits: Edits) -> None:
+    """The end of its data connections may be seen before its last control message."""
+    await asyncio.sleep(waits)
+    await edits.begin_pause("robot")
+    await edits.restart("robot")
     await edits.both(5)
     assert [route is not None and route.paused for route in edits.halves()] == [True, True]
 

@@ -76,10 +76,8 @@ if TYPE_CHECKING:
 
 _HalfMessage: TypeAlias = Describe | Ready | Publishers | Provide
 """The control messages from one half of a route to the other."""
-_AboutOpenRoute: TypeAlias = (
-    Accept | Refuse | _HalfMessage | Close | Limit | Pause | ByHand | ArmingMessage | HolderMessage
-)
-RouteMessage: TypeAlias = Propose | Amend | LeaseMessage | _AboutOpenRoute
+_AboutOpenRoute: TypeAlias = Accept | Refuse | _HalfMessage | Close | Limit | ByHand | ArmingMessage | HolderMessage
+RouteMessage: TypeAlias = Propose | Amend | Pause | LeaseMessage | _AboutOpenRoute
 """The control messages that are about routes."""
 
 _EDITED = "edited"
@@ -439,12 +437,22 @@ class RouteTable(Extension):
                 self.arming.lease.handle(message)
             case Settled():
                 self.arming.settled(message)
+            case Pause():
+                self._pause_of_peer(message)
             case _:
                 route = self._link.ids.open_route(message.route)
                 if route is not None:  # otherwise it was closed here before the message arrived
                     self._about_route(route, message)
                 if isinstance(message, Disarm) and message.cause != DROPPED:
                     self._link.send(Settled(message.route))
+
+    def _pause_of_peer(self, message: Pause) -> None:
+        """Take a pause, which outlives openings: the end of one, by its data connection, may have come before it."""
+        if (route := self._link.ids.find(message.route)) is None:
+            return
+        self._pausing.from_peer(route, message)
+        if route.paused and route.id:
+            self.arming.disarm(route, Disarmed.PAUSED)
 
     def _proposed(self, proposal: Propose) -> None:
         if not self._link.ids.take_of_peer(proposal.route):
@@ -606,10 +614,6 @@ class RouteTable(Extension):
                 _dispatch(message, route)
             case Close():
                 route.refuse(EventCode.ROUTE_CLOSED, f"closed by the other side: {message.reason}")
-            case Pause():
-                self._pausing.from_peer(route, message)
-                if route.paused:
-                    self.arming.disarm(route, Disarmed.PAUSED)
             case ByHand():
                 self._peer_operators.called(route, message)
             case Arm() | Armed() | Disarm():
