@@ -133,6 +133,7 @@ def test_it_goes_over_through_a_rest(
             drivers.do(ANNA, server, lambda key: server.answer_asker(key, gives=True)).result(30)
         asked.result(60)
     assert armed_by(berts) == BERT
+    eventually(lambda: BERT in armed_by(server))  # the side on which it was armed knows first that both agree
     with on_console(ANNA), acting(ANNA), pytest.raises(EngineError, match=pattern(PublishProblem.ANOTHER_DRIVES)):
         publish(server, "linear: {x: 0.9}")
     with on_console(BERT), acting(BERT):
