@@ -244,11 +244,12 @@ def test_many_engines_of_a_name_without_a_key_keep_no_operator_out(fleet: Fleet,
 
 
 def test_an_engine_that_is_called_like_others_is_named_where_none_proves_the_key(fleet: Fleet) -> None:
-    with stranger(fleet.router) as somebody:
+    with stranger(fleet.router) as somebody, stranger(fleet.router) as another:
         live = somebody.liveliness()
         key = "rsb_console/lab/here/engine/{:016x}/client%200.1%20robot1"
         tokens = [live.declare_token(key.format(number)) for number in range(3)]
         fleet.add("robot1")
+        eventually(lambda: len(announced(another)) == 4)
         with pytest.raises(EngineError, match="none of 4 engines"):
             fleet.attach("robot1", "anna", BOB)
         del tokens
