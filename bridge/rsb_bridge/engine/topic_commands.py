@@ -265,20 +265,18 @@ class ArmingCommands:
 
     async def arm(self, command: ArmTopic) -> None:
         link, route = self._find(command.key)
-        with link.table.arming.waiting(console()) as waiting:
+        with link.table.arming.waiting(route, console()) as waiting:
             await link.table.arming.load_type(route)
             link, route = self._find(command.key)  # it may have been edited meanwhile
             await link.table.arming.until_open(route, waiting)
-            waiting.check(route)
         link, route = self._find(command.key)
         await link.table.arming.arm(route, console(), shared=command.shared)
 
     async def ask(self, command: AskHolder) -> None:
         link, route = self._find(command.key)
         opening = route.id
-        with link.table.arming.waiting(console()) as waiting:
+        with link.table.arming.waiting(route, console()):
             await link.table.questions.ask(route, console())
-            waiting.check(route)
         await self._take(command, opening)
 
     async def take(self, command: TakeArming) -> None:
@@ -288,10 +286,9 @@ class ArmingCommands:
     async def _take(self, command: AskHolder | TakeArming, opening: int) -> None:
         """Disarm a route if it is still held in an opening, and arm it: the robot stands in between."""
         link, route = self._find(command.key)
-        with link.table.arming.waiting(console()) as waiting:
+        with link.table.arming.waiting(route, console()):
             if route.id == opening and route.arming.held and route.arming.console != console():
                 await self._disarm(link, route)
-            waiting.check(route)
         await self.arm(ArmTopic(command.key, command.shared))
 
     async def answer(self, command: AnswerAsker) -> None:

@@ -58,7 +58,7 @@ class ArmingProblem(Wording):
 
 
 class WaitingCommand:
-    """A console's command that takes a while before it arms a route, and arms nothing once the console is gone.
+    """A console's command that takes a while before it arms a route.
 
     Attributes:
         withdrawn: whether the console is gone: nobody would hold the arming.
@@ -67,11 +67,6 @@ class WaitingCommand:
     def __init__(self, console: Hashable) -> None:
         self.console = console
         self.withdrawn = False
-
-    def check(self, route: Route) -> None:
-        """Raise `LinkError` if it is withdrawn."""
-        if self.withdrawn:
-            raise LinkError(ArmingProblem.CONSOLE_GONE(topic=route.local_topic))
 
 
 class UrgentPeer(Peer, Protocol):
@@ -333,14 +328,20 @@ class LinkArming:
             raise LinkError(f"{topic} is not armed: {f'{arming.by} armed it' if arming.armed else arming.reason}")
 
     @contextmanager
-    def waiting(self, console: Hashable) -> Iterator[WaitingCommand]:
-        """Have a console's command withdrawn if the console goes meanwhile."""
+    def waiting(self, route: Route, console: Hashable) -> Iterator[WaitingCommand]:
+        """Have a console's command, which is to arm a route, withdrawn if the console goes meanwhile.
+
+        Raises:
+            LinkError: at the end, if it was withdrawn.
+        """
         command = WaitingCommand(console)
         self._waiting.append(command)
         try:
             yield command
         finally:
             self._waiting.remove(command)
+        if command.withdrawn:
+            raise LinkError(ArmingProblem.CONSOLE_GONE(topic=route.local_topic))
 
     async def until_open(self, route: Route, command: WaitingCommand) -> None:
         """Wait until a route is open that was disarmed, or is being set up, so that it can be armed; not for long."""

@@ -171,13 +171,12 @@ class MessageAge:
 
     def fresh(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
         """Return the stamped messages that are young enough as they come from ROS, and count the others."""
-        clock = self._context.stamps
-        if not clock.is_sure:
+        if not self._context.stamps.is_sure:
             if not self.max_age:
                 return batch
             self.expired(Cause.CLOCK_UNKNOWN, len(batch))
             return ()
-        oldest = clock.now() - self._limit_ns
+        oldest = self.oldest
         fresh = [each for each in batch if each.stamp >= oldest]
         if len(fresh) < len(batch):
             self.expired(Cause.PUBLISHER_STAMPS_OLD, len(batch) - len(fresh))
@@ -200,7 +199,7 @@ class MessageAge:
 
     def young(self, messages: Sequence[Message]) -> Sequence[Message]:
         """Return the messages of this side that may be sent now, and count the others."""
-        oldest = self._context.stamps.now() - self._limit_ns
+        oldest = self.oldest
         young = [each for each in messages if each[1] >= oldest]
         if len(young) == len(messages):
             return messages

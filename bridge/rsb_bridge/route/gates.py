@@ -227,10 +227,10 @@ class Sieve(Protocol[S]):
         ...
 
 
-def sifting(sieves: tuple[Sieve[S], ...]) -> Sift[S] | None:
-    """Return one sieve's `passing` for all, one after the other, or None if no sieve is on."""
-    sifts: list[Sift[S]] = [sieve.passing for sieve in sieves]
-    return reduce(_then, sifts) if sifts else None
+def sifting(first: Sieve[S], *others: Sieve[S]) -> Sift[S]:
+    """Return one sieve's `passing` for all, one after the other."""
+    sift: Sift[S] = first.passing
+    return reduce(_then, (sieve.passing for sieve in others), sift)
 
 
 def _then(first: Sift[S], second: Sift[S]) -> Sift[S]:

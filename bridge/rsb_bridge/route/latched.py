@@ -37,8 +37,6 @@ rclpy subscriber can take. All at once they overran the depth of one that keeps 
 _MANY = 5000
 """Messages that may wait; what is more than these goes at once, so that they come to an end at any rate."""
 _ACKNOWLEDGED_WITHIN = 0.5  # s
-_OVERTAKEN_WITHIN = 0.1
-"""s in which a message could overtake that of another publisher; a subscriber that acknowledges none delays others."""
 _ASKED = 4
 """Publishers asked for their subscribers: the oldest, which have been discovered by all."""
 _GONE_AFTER = 10.0

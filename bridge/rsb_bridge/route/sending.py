@@ -327,22 +327,22 @@ class OutgoingPath:
         self._route = route
         self._ledger = ledger
         self._loop_filter = loop_filter
-        self._max_rate = route.limit.rate
-        self._throttle = Throttle(self._max_rate)
+        self._throttle = Throttle(route.limit.rate)
         self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, lambda: route.paused)
         self._outbox = Outbox(route.transport, route.proposal, ledger, route.notices.message_error)
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if route.proposal.compression == "zstd" else None
         compose_when_switched(route, self._compose)
 
     def _compose(self) -> None:
-        if (rate := self._route.limit.rate) != self._max_rate:
-            self._max_rate = rate
+        if (rate := self._route.limit.rate) != self._throttle.rate:
             self._throttle.limit(rate)
         self.gates = gates = sending_gates(self._route, self._ledger, self._throttle, self._loop_filter, self._outbox)
         self._batch = chained(gates.batch)
-        self._arriving, self._sourced = sifting(gates.arriving), sifting(gates.sourced)
-        self._kept, self._packed = sifting(gates.kept), sifting(gates.packed)
-        self._outbox.leaving = sifting(gates.leaving)
+        self._arriving = sifting(*gates.arriving)
+        self._kept = sifting(*gates.kept)
+        self._packed = sifting(*gates.packed)
+        self._sourced = sifting(*gates.sourced) if gates.sourced else None
+        self._outbox.leaving = sifting(*gates.leaving) if gates.leaving else None
         self._stamped = self._route.age.stamped if self._route.age.is_on else None
 
     # --- from ROS
@@ -356,9 +356,7 @@ class OutgoingPath:
             batch = self._stamped(batch)
         elif shift := self._context.stamps.shift:
             batch = [each._replace(stamp=shifted(each.stamp, shift)) for each in batch]
-        if self._arriving is not None:
-            batch = self._arriving(batch)
-        self.take(batch)
+        self.take(self._arriving(batch))
 
     def too_late(self, batch: Sequence[RawMessage]) -> None:
         """Drop messages that come after their opening."""
@@ -425,8 +423,7 @@ class OutgoingPath:
         self._send_latched(admitted)
 
     def _send_latched(self, samples: Sequence[Sample]) -> None:
-        if self._kept is not None:
-            samples = self._kept(samples)
+        samples = self._kept(samples)
         sources = self._loop_filter.table.flags
         for publisher, group in groupby(samples, _PUBLISHER):
             messages: list[Message] = []
@@ -459,10 +456,9 @@ class OutgoingPath:
         now = self._context.now()
         route.count(len(messages), size, now)
         if size > outbox.largest:  # else each one fits
-            offered = len(messages)
-            if self._packed is not None:
-                messages = self._packed(messages)
-            traffic.offered -= offered - len(messages)
+            fitting = self._packed(messages)
+            traffic.offered -= len(messages) - len(fitting)
+            messages = fitting
             size = sum([len(message[0]) for message in messages])
             if not messages:
                 return

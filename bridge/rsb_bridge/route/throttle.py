@@ -16,7 +16,7 @@ _MOST_PUBLISHERS = 4096
 class Throttle:
     """Leaves out messages, so that a topic keeps to its highest rate, or each of its publishers does.
 
-    Args:
+    Attributes:
         rate: messages a second, or 0 for any number.
     """
 
@@ -26,6 +26,7 @@ class Throttle:
 
     def limit(self, rate: float) -> None:
         """Keep to another rate from now on."""
+        self.rate = rate
         self._interval = int(1e9 / rate) if rate else 0
         self._due.clear()
 

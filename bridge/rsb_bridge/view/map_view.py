@@ -40,8 +40,6 @@ _DEPTH = 64
 """Transforms from a frame to another at most."""
 _MARGIN = 1.1
 _ARROWS = "▶▲◀▼"
-_HEADING = 12
-"""Dots of the line that shows a heading."""
 _FAR = 1e7
 """m; coordinates beyond are wrong."""
 _NAMED = 12
