@@ -162,6 +162,15 @@ async def gone(pilot: Pilot[None], words: str | Wording, seconds: float = 180.0,
     await until(pilot, lambda: not is_shown(pilot.app, words, **parameters), f"{words!r} gone", seconds)
 
 
+async def left_as_it_was(app: ConsoleApp, pilot: Pilot[None], name: str) -> None:
+    """Confirm the form that edits `name`, in which nothing is changed: nothing is sent. Open it again."""
+    await pilot.press("enter")
+    await gone(pilot, f"Edit {name}")
+    assert engine_of(app).commands == [], "nothing was changed"
+    await pilot.press("e")
+    await shown(pilot, f"Edit {name}")
+
+
 async def settled(pilot: Pilot[None], seconds: float = 180.0) -> None:
     """Wait until the screen no longer changes: scrollbars come a refresh after what they scroll."""
     deadline = time.monotonic() + seconds

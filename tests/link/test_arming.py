@@ -10,11 +10,11 @@ import msgspec
 import pytest
 from tests.link.test_route_table import Pair, Side, hear_all, pair_of
 from tests.route.test_unpacking import OnePublisher
+from tests.support.offline import proposal_for
 
 from rsb_bridge.engine.topic_commands import ArmingCommands
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.link_arming import ArmingProblem
-from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting, on_console
@@ -68,7 +68,7 @@ def pair(make_armable: Callable[..., Pair]) -> Pair:
 
 
 def propose(side: Side, topic: Topic) -> None:
-    proposal = proposal_of(topic, side.context.transports["tcp"], client_name="robot1", use_name=False)
+    proposal = proposal_for(topic, side.context)
     side.table.add(topic, proposal, proposed_here=True)
 
 
@@ -681,7 +681,7 @@ def test_a_max_age_that_the_other_side_edits_holds_on_both(make_armable: Callabl
     robot.context.demands.apply()
     for seconds in (0.2, 2.0, 0.3):
         topic = msgspec.structs.replace(route(pc).spec, max_age=seconds)
-        proposal = proposal_of(topic, pc.context.transports["tcp"], client_name="robot1", use_name=False)
+        proposal = proposal_for(topic, pc.context)
         pc.table.amend(route(pc), topic, proposal)
         hear_all(pair)
         assert [route(side).age.max_age for side in pair] == [seconds, seconds]
@@ -694,7 +694,7 @@ def test_an_edit_of_another_limit_there_leaves_the_entry_without_a_max_age(make_
     pair = robot, pc = make_armable(Topic("/cmd_vel", "receive", arm=True))
     robot.context.demands.apply()
     topic = msgspec.structs.replace(route(pc).spec, max_rate=5.0)
-    proposal = proposal_of(topic, pc.context.transports["tcp"], client_name="robot1", use_name=False)
+    proposal = proposal_for(topic, pc.context)
     pc.table.amend(route(pc), topic, proposal)
     hear_all(pair)
     assert (route(robot).spec.max_rate, route(robot).spec.max_age) == (5.0, None)

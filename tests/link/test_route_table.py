@@ -10,12 +10,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.support import constants
-from tests.support.offline import FakePeer
+from tests.support.offline import FakePeer, proposal_for
 
 from rsb_bridge.config.rights import Rights
 from rsb_bridge.link.base_link import LinkStatus, RouteIds
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import sources_of_entries
@@ -77,9 +76,8 @@ class Side(FakePeer):
     # --- what an operator does, and what happens to a route
 
     def add(self, topic: Topic = TOPIC, replaces: Route | None = None, purpose: Purpose = ORDINARY) -> None:
-        tcp = self.context.transports["tcp"]
         try:
-            proposal = proposal_of(topic, tcp, client_name="robot1", use_name=False, purpose=purpose)
+            proposal = proposal_for(topic, self.context, purpose)
             self.table.check_add(topic, proposal, route_key("robot1", proposal), replaces)
         except LinkError:
             return  # it is there
@@ -112,7 +110,7 @@ class Side(FakePeer):
     def limit(self, rate: float | None) -> None:
         for route in self.routes.values():
             topic = msgspec.structs.replace(route.spec, max_rate=rate)
-            proposal = proposal_of(topic, self.context.transports["tcp"], client_name="robot1", use_name=False)
+            proposal = proposal_for(topic, self.context)
             self.table.amend(route, topic, proposal)
 
     def lose(self) -> None:
@@ -393,7 +391,7 @@ def test_no_two_routes_offer_one_service(make_pair: Callable[[], Pair]) -> None:
 
     def add(**entry: Any) -> None:
         topic = Topic(**entry)
-        proposal = proposal_of(topic, pair[0].context.transports["tcp"], client_name="robot1", use_name=False)
+        proposal = proposal_for(topic, pair[0].context)
         pair[0].table.add(topic, proposal, proposed_here=True)
 
     add(topic="/camera", direction="receive", kind="parameters")

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, TypeVar
 import pytest
 from tests.route.test_loop_filter import FIRST, SECOND, World, world
 from tests.route.test_unpacking import OnePublisher, opened
-from tests.support.offline import FakePeer
+from tests.support.offline import FakePeer, half_of
 
-from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
@@ -18,8 +17,8 @@ from rsb_bridge.ros.ros_interface import RawMessage, Request
 from rsb_bridge.ros.ros_thread import RosTurns
 from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import Arming, Disarmed
-from rsb_bridge.route.calls.calling import CallingRoute
-from rsb_bridge.route.calls.providing import ProvidingRoute
+from rsb_bridge.route.calls.calling_action import CallingActionRoute
+from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
 from rsb_bridge.route.gates import (
     NO_SAMPLE,
     AgeGate,
@@ -369,7 +368,7 @@ def test_nothing_old_and_nothing_unarmed_gets_to_ros(make_context: Callable[...,
 
 def test_calls_pass_them_from_callers_to_the_channel(make_context: Callable[..., Context]) -> None:
     """What stops or watches a robot passes whatever it is."""
-    route = calls(make_context(), CallingRoute)
+    route = calls(make_context(), CallingActionRoute)
     fast, slow = CallRateGate(0.0, 0.0), CallRateGate(10.0, 0.0)
     assert order(calling_gates(route, _CarriesFive(), fast, limited=True).arriving) == [PauseGate, SizeGate, BudgetGate]
     everything_on(route)
@@ -382,7 +381,7 @@ def test_calls_pass_them_from_callers_to_the_channel(make_context: Callable[...,
 
 def test_calls_pass_them_from_the_channel_to_servers(make_context: Callable[..., Context]) -> None:
     """What time may change is asked again after the check of contents."""
-    route = calls(make_context(), ProvidingRoute)
+    route = calls(make_context(), ProvidingActionRoute)
     arriving, leaving = map(order, providing_gates(route, limited=True))
     assert (arriving, leaving) == ([PauseGate], [BudgetGate])
     everything_on(route)
@@ -393,14 +392,12 @@ def test_calls_pass_them_from_the_channel_to_servers(make_context: Callable[...,
     assert (arriving, leaving) == ([], [BudgetGate])
 
 
-Calls = TypeVar("Calls", CallingRoute, ProvidingRoute)
+Calls = TypeVar("Calls", CallingActionRoute, ProvidingActionRoute)
 
 
 def calls(context: Context, half: type[Calls]) -> Calls:
     """Return a half of an action's route."""
-    spec = Topic("/dock", "transmit", kind="action")
-    proposal = proposal_of(spec, context.transports["tcp"], client_name="robot1", use_name=False)
-    return half(context, FakePeer(), spec, proposal, proposed_here=False)
+    return half_of(half, context, Topic("/dock", "transmit", kind="action"), here=False)
 
 
 # --- each one is on the way as long as it is on

@@ -7,12 +7,12 @@ with it.
 
 from __future__ import annotations
 
-import inspect
 from typing import Any
 
 import pytest
 from tests.simulation.beds import Bed, Yard
 from tests.simulation.call_harness import CallHarness
+from tests.support.coroutines import arguments_of
 
 _PARAMETERS = ("seed", "provider", "lister")
 """Of a test, and of its bed."""
@@ -20,9 +20,8 @@ _PARAMETERS = ("seed", "provider", "lister")
 
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
     """Run a test that is a coroutine in the world of its bed."""
-    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+    if (given := arguments_of(pyfuncitem)) is None:
         return None
-    given = {name: pyfuncitem.funcargs[name] for name in inspect.signature(pyfuncitem.obj).parameters}
     bed = next(each for each in given.values() if isinstance(each, Bed))
     bed.world.play(life=bed.live(pyfuncitem.obj(**given)))
     return True

@@ -12,14 +12,20 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
+def arguments_of(test: pytest.Function) -> dict[str, Any] | None:
+    """Return what a test that is a coroutine takes, or None of another test."""
+    if not inspect.iscoroutinefunction(test.obj):
+        return None
+    return {name: test.funcargs[name] for name in inspect.signature(test.obj).parameters}
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
     """Run a coroutine on its fixture `loop`, and without one on a loop of its own."""
-    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+    if (given := arguments_of(pyfuncitem)) is None:
         return None
-    given = pyfuncitem.funcargs
-    test = pyfuncitem.obj(**{name: given[name] for name in inspect.signature(pyfuncitem.obj).parameters})
-    loop: Any = given.get("loop")
+    test = pyfuncitem.obj(**given)
+    loop: Any = pyfuncitem.funcargs.get("loop")
     if loop is None:
         asyncio.run(test)
     else:

@@ -11,6 +11,7 @@ from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 from rsb_bridge.context import Context
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.profiles import PLAIN
+from rsb_bridge.model.purposes import TOPIC as ORDINARY
 from rsb_bridge.model.session import Session
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.ros.stand_in import NoRos
@@ -25,9 +26,10 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.capacity import Fullness
     from rsb_bridge.model.path_fault import PathFault
+    from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.messages import ControlMessage
+    from rsb_bridge.wire.messages import ControlMessage, Propose
 
 Half = TypeVar("Half")
 
@@ -112,6 +114,11 @@ class FakePeer:
         pass
 
 
+def proposal_for(topic: Topic, context: Context, purpose: Purpose = ORDINARY) -> Propose:
+    """Return the proposal of a topic by TCP, on a link of robot1."""
+    return proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False, purpose=purpose)
+
+
 def half_of(
     kind: Callable[..., Half], context: Context, topic: Topic, peer: FakePeer | None = None, *, here: bool = True
 ) -> Half:
@@ -121,5 +128,4 @@ def half_of(
         kind: `OutgoingRoute` or another class of halves.
         here: whether this side has proposed it.
     """
-    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
-    return kind(context, peer or FakePeer(), topic, proposal, proposed_here=here)
+    return kind(context, peer or FakePeer(), topic, proposal_for(topic, context), proposed_here=here)

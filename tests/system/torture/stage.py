@@ -329,10 +329,6 @@ class Stage:
         with self._lock:
             self.windows[-1].show("the command")
 
-    def await_shown(self, within: float = 20.0) -> float:
-        """Wait until a side has shown that the topic is disarmed; return that moment."""
-        return eventually(lambda: self.windows[-1].shown, within, f"shown disarmed: {self.describe()}")
-
     def settle(self) -> None:
         """Stop publishing, and wait until nothing more comes."""
         self._nodes.talker.talk([], RATE)
