@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.commands import Ran
+from tests.support.locks import alone
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from tests.support.control import Machine
 
@@ -23,3 +24,10 @@ def here(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
 def ran(here: None, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
     """Run a command at the bridges of `machine`."""
     return lambda *arguments: Ran(capsys, *arguments)
+
+
+@pytest.fixture
+def only_demo() -> Iterator[None]:
+    """Two demos could choose the same domains."""
+    with alone("demo"):
+        yield

@@ -9,14 +9,12 @@ import stat
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args
 
 import pytest
 from tests.support import replaced, surroundings
 from tests.support.commands import rsb_console
-from tests.support.locks import alone
 from tests.support.long import long
 from tests.support.wording import says
 
@@ -542,13 +540,6 @@ def test_more_interrupts_while_it_stops_change_nothing_and_json_lines_are_alike(
     lines += [json.loads(line) for line in output.splitlines()]
     assert [line["text"] for line in lines if line["code"] == "engine.stopping"] == ["stopping: SIGINT"]
     assert all({"time", "level", "code", "text"} <= line.keys() and "number" not in line for line in lines)
-
-
-@pytest.fixture
-def only_demo() -> Iterator[None]:
-    """Two of them could choose the same domains."""
-    with alone("demo"):
-        yield
 
 
 @pytest.mark.usefixtures("only_demo")

@@ -16,7 +16,6 @@ from tests.console.scripted import ScriptedEngine
 from tests.console.terminal import COMMAND, Terminal
 from tests.console.tmux import Tmux
 from tests.support import constants
-from tests.support.locks import alone
 from tests.support.long import long_cases
 from tests.support.waiting import eventually
 
@@ -30,6 +29,7 @@ from rsb_console.fleet.fleet import Robot
 from rsb_console.session.demo_session import SimulatedPart, own_domain
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
+pytestmark = pytest.mark.usefixtures("only_demo")
 
 WITHIN = 120.0
 WITHOUT_ZENOH = """
@@ -160,7 +160,7 @@ def test_nothing_of_it_is_left_where_a_signal_ends_it(seen: str, how: signal.Sig
 )
 def test_no_process_outlives_a_demo_that_is_killed(options: tuple[str, ...], seen: str) -> None:
     """A child of every kind has `ChildProcess`: `test_a_child_that_ignores_its_parents_end_is_killed`."""
-    with alone("demo"), Terminal(str(COMMAND), "demo", *options) as terminal:
+    with Terminal(str(COMMAND), "demo", *options) as terminal:
         terminal.wait_for(seen, WITHIN)
         started = descendants(terminal.pid)
         assert len(started) >= 3  # the robot and its bridge, and the desk; or the router, the control side, the robot

@@ -84,7 +84,7 @@ class Side:
         self.tasks.append(asyncio.ensure_future(work))
 
     async def ask(self, answer: bytes | None) -> str:
-        """Ask, and have the peer answer, or end the link if the answer is None."""
+        """Ask, and have the peer answer, or the link end if the answer is None."""
         asking = asyncio.ensure_future(self.questions.describe(Route(), linked=True))  # type: ignore[arg-type]
         await self.has_sent.wait()
         assert self.sent == [AskType(route=3)]
@@ -112,13 +112,17 @@ async def test_an_answer_that_proves_itself_is_kept() -> None:
         zstandard.compress(TEXT.replace("x", "y").encode()),
         zstandard.compress(bytes(100 << 20)),
         zstandard.compress(b" " * (DESCRIPTION_LIMIT + 1)),
-        None,
     ],
-    ids=["unknown", "garbage", "empty", "no text", "another type", "a bomb", "too long", "link lost"],
+    ids=["unknown", "garbage", "empty", "no text", "another type", "a bomb", "too long"],
 )
-async def test_any_other_is_as_none(answer: bytes | None) -> None:
+async def test_any_other_is_as_none(answer: bytes) -> None:
     with pytest.raises(LinkError, match=pattern(Denied.TYPE_NOT_INSTALLED, type_name="a_msgs/msg/B")):
         await Side().ask(answer)
+
+
+async def test_a_peer_that_cannot_answer_is_not_taken_for_one_that_lacks_the_type() -> None:
+    with pytest.raises(LinkError, match="the link was lost"):
+        await Side().ask(None)
 
 
 async def test_answers_are_given_one_at_a_time() -> None:

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 
-_DOMAINS = range(2, 80, 2)  # tests/network has 80 and 81
+_DOMAINS = range(2, 80, 2)
+"""`tests/network` has 80 and 81, and the demo, which knows nothing of these locks, those above."""
 _NONE_FREE = 600.0
 """s that this run waits for others to end."""
 

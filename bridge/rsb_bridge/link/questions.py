@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections import Counter
 from dataclasses import dataclass
 from functools import partial
@@ -205,13 +206,13 @@ class TypeQuestions(Extension):
             linked: whether the peer can be asked.
 
         Raises:
-            LinkError: neither side has the description.
+            LinkError: neither side has the description, or this one has none and the peer does not answer.
         """
         if not route.type_hash:
             raise LinkError("its type is not known yet" if not route.type_name else "its type's version is not known")
         text = await self._known.find(route.type_name, route.type_hash, route.local_topic)
         if text is None and linked and route.id:
-            self._keep(await self._ask(route.id), {route.type_hash})
+            self._keep(await self._questions.ask(route.id, AskType(route=route.id)), {route.type_hash})
             text = self._known.known(route.type_hash)
         if text is None:
             raise LinkError(Denied.TYPE_NOT_INSTALLED(type_name=route.type_name))
@@ -227,18 +228,12 @@ class TypeQuestions(Extension):
 
         async def compare() -> None:
             if None in map(self._known.known, here):
-                self._keep(await self._ask(route_id), here)
+                with contextlib.suppress(LinkError):  # the texts that are known are compared
+                    self._keep(await self._questions.ask(route_id, AskType(route=route_id)), here)
             there = {type_hash: self._known.known(type_hash) for type_hash in here}
             tell("; ".join(filter(None, (difference_of_texts(here[key], text) for key, text in there.items() if text))))
 
         self._spawn(compare())
-
-    async def _ask(self, route_id: int) -> bytes:
-        """Return the peer's answer, or empty bytes if it knows none or does not answer."""
-        try:
-            return await self._questions.ask(route_id, AskType(route=route_id))
-        except LinkError:
-            return b""
 
     def _keep(self, compressed: bytes, type_hashes: Collection[str]) -> None:
         """Keep the texts in an answer that describe these types."""
