@@ -285,18 +285,19 @@ def on_main(
     opening: Opening | None = None,
     given: tuple[str, ...] = (),
     makes: tuple[str, ...] = (),
+    before: Callable[[], dict[str, Any]] = dict,
     **options: Any,
 ) -> Decorator:
     """A test's steps run on the scripted app, once it shows the landmark.
 
     They get `app` and `pilot`, besides the test's fixtures and parameters, of which `given` go to the app, too. With
-    several sizes of the terminal they run once in each. `opening` runs before them, and returns what they get by the
-    names in `makes`.
+    several sizes of the terminal they run once in each. `before` runs before the app is made, and returns more options
+    of it. `opening` runs before the steps, and returns what they get by the names in `makes`.
     """
 
     def decorate(steps: Callable[..., Awaitable[None]]) -> Test:
         def test(size: tuple[int, int] = sizes[0] if sizes else WIDE, **fixtures: Any) -> None:
-            app = scripted_app(**options, **{name: fixtures[name] for name in given})
+            app = scripted_app(**options, **before(), **{name: fixtures[name] for name in given})
 
             async def run(pilot: Pilot[None]) -> None:
                 await shown(pilot, landmark)
