@@ -185,7 +185,6 @@ async def test_a_removed_client_whose_key_is_gone_is_not_given_a_new_one(
 
 
 async def new_server(pilot: Pilot[None]) -> None:
-    """Begin a new server's session."""
     await pilot.press("n")
     await shown(pilot, "Session file")
     await choose(pilot, "role", "server")
