@@ -58,6 +58,15 @@ def changed(app: ConsoleApp, *topics: Topic) -> Session:
     return engine_of(app).session
 
 
+async def saves_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """Press the key, and wait for the notice, which is gone after 3 s."""
+    told: list[str] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(app, "notify", lambda words, **_: told.append(words))
+        await pilot.press("w")
+        await until(pilot, lambda: any("nothing to save:" in each for each in told), "the notice")
+
+
 @on_file()
 async def test_saving_asks_and_then_the_file_holds_what_runs(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
     now = changed(app, Topic("/new", "transmit"))
@@ -75,8 +84,7 @@ async def test_saving_asks_and_then_the_file_holds_what_runs(app: ConsoleApp, pi
 async def test_what_would_be_saved_as_it_is_leaves_the_file_with_its_comments(
     app: ConsoleApp, pilot: Pilot[None], path: Path
 ) -> None:
-    await pilot.press("w")
-    await shown(pilot, "nothing to save:")
+    await saves_nothing(app, pilot)
     assert path.read_text().startswith("# mine")
 
 
@@ -232,8 +240,7 @@ async def save_as(pilot: Pilot[None], path: str) -> None:
 async def test_a_server_saves_what_operators_added_under_its_client(
     app: ConsoleApp, pilot: Pilot[None], path: Path
 ) -> None:
-    await pilot.press("w")
-    await shown(pilot, "nothing to save:")
+    await saves_nothing(app, pilot)
     now = msgspec.structs.replace(SERVER, clients=(Client("robot1", topics=(Topic("/new", "transmit"),)),))
     engine_of(app).session = now
     await pilot.press("w")
@@ -262,8 +269,7 @@ async def test_saved_to_another_folder_the_key_is_still_found(
     save(KEY_ELSEWHERE, folder / "nav2.yaml")
     await save_as(pilot, str(folder / "robots" / "r.yaml"))
     await until(pilot, lambda: app.path == folder / "robots" / "r.yaml", "another file")
-    await pilot.press("w")  # once more, over itself
-    await shown(pilot, "nothing to save:")
+    await saves_nothing(app, pilot)  # once more, over itself
     saved = load(folder / "robots" / "r.yaml")
     assert saved.key_file == os.path.join("..", "safe", "r.key")  # noqa: PTH118 -- as the file has it
     assert read_key(folder / "robots" / saved.key_file) == key
@@ -282,8 +288,7 @@ async def test_what_ends_with_the_console_is_saved_with_its_key(
     save(DEMO, old / "demo.yaml")
     await save_as(pilot, "kept.yaml")
     await shown(pilot, SaveText.KEY_SAVED)
-    await pilot.press("w")
-    await shown(pilot, "nothing to save:")
+    await saves_nothing(app, pilot)
     changed(app, Topic("/new", "transmit"))
     await pilot.press("w", "y")
     await until(pilot, lambda: load(folder / "kept.yaml").topics, "the topic")
