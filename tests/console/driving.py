@@ -40,11 +40,6 @@ def scripted_app(**options: Any) -> ConsoleApp:
     return ConsoleApp(options.pop("session", SESSION), options.pop("path", Path("nav2.yaml")), **options)
 
 
-def empty_app(**options: Any) -> ConsoleApp:
-    """The app without a session."""
-    return scripted_app(session=None, path=None, **options)
-
-
 def engine_as(app: ConsoleApp, kind: type[E]) -> E:
     """The engine that the app runs on, which is of that kind."""
     assert isinstance(app.engine, kind)
@@ -52,7 +47,6 @@ def engine_as(app: ConsoleApp, kind: type[E]) -> E:
 
 
 def engine_of(app: ConsoleApp) -> ScriptedEngine:
-    """The scripted engine that the app runs on."""
     return engine_as(app, ScriptedEngine)
 
 
@@ -63,14 +57,12 @@ def selected_topic(app: ConsoleApp) -> str:
 
 
 def form_of(app: App[Any]) -> Form:
-    """The form of the dialog on top."""
     assert isinstance(app.screen, FormScreen)
     form: Form = app.screen.form
     return form
 
 
 def text(app: App[Any]) -> str:
-    """Return the text of the screen."""
     strips = app.screen._compositor.render_strips()
     return "\n".join("".join(segment.text for segment in strip) for strip in strips)
 
@@ -116,7 +108,6 @@ def notices(app: App[Any]) -> list[Notification]:
 
 
 def ended(app: App[Any]) -> bool:
-    """Whether an app has been told to end."""
     return app.return_code is not None
 
 
@@ -285,18 +276,19 @@ def on_main(
     opening: Opening | None = None,
     given: tuple[str, ...] = (),
     makes: tuple[str, ...] = (),
+    before: Callable[[], dict[str, Any]] = dict,
     **options: Any,
 ) -> Decorator:
     """A test's steps run on the scripted app, once it shows the landmark.
 
     They get `app` and `pilot`, besides the test's fixtures and parameters, of which `given` go to the app, too. With
-    several sizes of the terminal they run once in each. `opening` runs before them, and returns what they get by the
-    names in `makes`.
+    several sizes of the terminal they run once in each. `before` runs before the app is made, and returns more options
+    of it. `opening` runs before the steps, and returns what they get by the names in `makes`.
     """
 
     def decorate(steps: Callable[..., Awaitable[None]]) -> Test:
         def test(size: tuple[int, int] = sizes[0] if sizes else WIDE, **fixtures: Any) -> None:
-            app = scripted_app(**options, **{name: fixtures[name] for name in given})
+            app = scripted_app(**options, **before(), **{name: fixtures[name] for name in given})
 
             async def run(pilot: Pilot[None]) -> None:
                 await shown(pilot, landmark)

@@ -46,12 +46,10 @@ class Pair:
         save(Session(role="server", domain_id=there, **common), self.server_path)
 
     def server(self) -> AbstractContextManager[Forked]:
-        """The other side, bridging headless."""
         return bridging(self.server_path)
 
 
 def bridging(path: Path, *options: str) -> AbstractContextManager[Forked]:
-    """Run a session without the console, until the end of the block."""
     return running("rsb_console", "run", "--no-ui", str(path), *options)
 
 

@@ -42,13 +42,13 @@ STAGES = (
 SESSION = Session(name="robot1", role="client", server_ip="10.0.0.20", server_port=49152, domain_id=3, key_file="r.key")
 
 
-def stages(failed: int | None = None, detail: str = "") -> tuple[Stage, ...]:
+def stages(failed: int | None = None, detail: str = "", names: tuple[str, ...] = STAGES) -> tuple[Stage, ...]:
     """All passed, or those before number `failed`."""
     if failed is None:
-        return tuple(Stage(name, done=True) for name in STAGES)
+        return tuple(Stage(name, done=True) for name in names)
     return tuple(
         Stage(name, done=True if i < failed else False if i == failed else None, detail=detail if i == failed else "")
-        for i, name in enumerate(STAGES)
+        for i, name in enumerate(names)
     )
 
 
@@ -181,13 +181,7 @@ CALLS = CallsSnapshot(
 
 
 def call_stages(failed: int | None = None, detail: str = "") -> tuple[Stage, ...]:
-    """Return the stages of a route with calls, like `stages`."""
-    if failed is None:
-        return tuple(Stage(name, done=True) for name in CALL_STAGES)
-    return tuple(
-        Stage(name, done=True if i < failed else False if i == failed else None, detail=detail if i == failed else "")
-        for i, name in enumerate(CALL_STAGES)
-    )
+    return stages(failed, detail, CALL_STAGES)
 
 
 def call_route(kind: Kind, name: str, state: State = State.OK, **changes: Any) -> RouteSnapshot:
@@ -359,14 +353,12 @@ class ScriptedEngine(EngineApi):
 
 
 def answered(result: T) -> Future[T]:
-    """Return a future that has its result."""
     future: Future[T] = Future()
     future.set_result(result)
     return future
 
 
 def refused(reason: str) -> Future[Any]:
-    """Return the future of a command that failed."""
     future: Future[Any] = Future()
     future.set_exception(EngineError(reason))
     return future

@@ -4,12 +4,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tests.console.changing import ChangingEngine
 from tests.console.driving import scripted_app
 from tests.console.scripted import SESSION
 
 if __name__ == "__main__":
     options: dict[str, Any] = {"session": None, "path": None} if "--empty" in sys.argv else {"session": SESSION}
-    if "--changing" in sys.argv:
-        options["make_engine"] = ChangingEngine
     scripted_app(**{"path": Path("nav2.yaml"), **options}).run()

@@ -35,7 +35,6 @@ class Side:
         self.screen = Tmux(folder, str(COMMAND), *command, "--control", self._control, size=_ROOMY)
 
     def close(self) -> None:
-        """End the console."""
         self.screen.__exit__()
 
     # --- as JSON

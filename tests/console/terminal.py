@@ -55,11 +55,9 @@ class Terminal:
         self.hung_up = False
 
     def resize(self, columns: int, lines: int) -> None:
-        """Give it another size."""
         _resize(self.fd, columns, lines)
 
     def type(self, text: str | bytes) -> None:
-        """Press keys."""
         os.write(self.fd, text.encode() if isinstance(text, str) else text)
 
     def read(self, seconds: float) -> None:
@@ -93,7 +91,6 @@ class Terminal:
         self.hung_up = True
 
     def kill(self, number: signal.Signals) -> None:
-        """Send a signal."""
         if self._forked is not None:
             self._forked.send_signal(number)
         else:
@@ -101,7 +98,6 @@ class Terminal:
 
     @property
     def threads(self) -> int:
-        """How many it has."""
         return len(list(Path(f"/proc/{self.pid}/task").iterdir()))
 
     @property
@@ -115,7 +111,6 @@ class Terminal:
         return self.status is None
 
     def exit_code(self, seconds: float = 120.0, *, read: bool = True) -> int:
-        """Wait for its end."""
         deadline, pause = time.monotonic() + seconds, pauses()
         while self.alive:
             assert time.monotonic() < deadline, f"still running after {seconds} s:\n{self.output[-400:]!r}"

@@ -1,24 +1,11 @@
 """Faults that an operator has acknowledged: still listed, but no longer first, and no longer in the banner."""
 
-import shutil
 from dataclasses import replace
-from pathlib import Path
 
-import pytest
 from tests.console.driving import engine_of, listed, on_main, put, until
-from tests.console.live import COMMAND, HERE, bridging
 from tests.console.scripted import LINK, NOW, ROUTES
-from tests.console.tmux import Tmux
-from tests.support.commands import rsb_console
-from tests.support.control import Machine
-from tests.support.ports import free_port
-from tests.support.waiting import eventually
 from textual.pilot import Pilot
 
-from rsb_bridge.config.keys import write_key
-from rsb_bridge.config.session_file import save
-from rsb_bridge.control import bridges
-from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.snapshot import Acknowledgement, LinkSnapshot, RouteSnapshot, Snapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.look.glyphs import ACK_WORD, STATE_WORD
@@ -99,53 +86,3 @@ async def test_a_link_is_acknowledged_among_the_links(app: ConsoleApp, pilot: Pi
     await pilot.press("i", "j", "i")
     expected = [("acknowledge", "robot2", True), ("acknowledge", "robot1", False)]
     await until(pilot, lambda: engine_of(app).commands == expected, "the commands")
-
-
-@on_main(landmark=FIRST.topic, readonly=True)
-async def test_who_only_looks_may_not(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("i")
-    await pilot.press("c", "i")
-    await pilot.pause(0.1)
-    assert engine_of(app).commands == []
-
-
-@pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
-def test_what_one_console_acknowledges_another_and_the_shell_know(
-    tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("rclpy", reason="needs ROS 2")
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
-    write_key(tmp_path / "robot1.key")
-    session = Session(
-        name="robot1",
-        role="client",
-        server_ip="127.0.0.1",
-        server_port=free_port(),
-        domain_id=HERE,
-        key_file="robot1.key",
-        topics=(Topic("/chat", "transmit"),),
-    )
-    save(session, tmp_path / "robot1.yaml")
-
-    def command(*words: str) -> int:
-        return rsb_console(*words).returncode
-
-    with bridging(tmp_path / "robot1.yaml"):
-        eventually(lambda: bridges.running_bridges(machine.environ))
-        eventually(lambda: command("status") == 1, what="the link goes down")
-        attach = str(COMMAND), "attach", "robot1", "--theme", "dark"
-        (tmp_path / "one").mkdir()
-        (tmp_path / "other").mkdir()
-        with Tmux(tmp_path / "one", *attach) as one, Tmux(tmp_path / "other", *attach) as other:
-            for tmux in (one, other):
-                tmux.wait_for(f"✗ {STATE_WORD[State.DOWN]}")
-            one("send-keys", "i")
-            for tmux in (one, other):
-                tmux.wait_for(f"{ACK_WORD} {STATE_WORD[State.DOWN]}")
-            assert command("status") == 0
-            assert command("ack", "/chat", "--undo") == 0  # it is down with the link: that is meant
-            other.wait_for(f"{ACK_WORD} {STATE_WORD[State.DOWN]}", there=False)
-            assert command("status") == 1
-            assert command("ack", "robot1") == 0
-            assert command("ack", "/caht") == 2
-            one.wait_for(f"{ACK_WORD} {STATE_WORD[State.DOWN]}")

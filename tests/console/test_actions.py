@@ -5,12 +5,26 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.console.driving import drive, engine_of, gone, on_main, scripted_app, shown, text, until
-from tests.support.wording import pattern
+from tests.console.driving import (
+    Decorator,
+    drive,
+    engine_of,
+    gone,
+    on_main,
+    put,
+    scripted_app,
+    settled,
+    shown,
+    text,
+    until,
+)
+from tests.console.scripted import CALL_ROUTES, ROUTES, route
+from tests.support.wording import pattern, says
 from textual.binding import Binding
 from textual.pilot import Pilot
 from textual.screen import Screen
 
+from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS, KEYS_ON_SCREENS, Group
 from rsb_console.app import ConsoleApp
 from rsb_console.preferences import KeymapError, PreferenceProblem, load_keymap, split_keys
@@ -77,31 +91,31 @@ def test_no_file_and_an_empty_one_change_nothing(tmp_path: Path) -> None:
     assert load_keymap(tmp_path / "keys.yaml") == {}
 
 
-def test_a_remapped_key_works_and_is_shown(tmp_path: Path) -> None:
-    (tmp_path / "keys.yaml").write_text("pause: P\nmove_down: ctrl+n\n")
-    app = scripted_app(config=tmp_path)
+def with_keys(content: str, landmark: str) -> Decorator:
+    """A test's steps run with a user's keys."""
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "P pause")
-        await pilot.press("p")
-        await pilot.press("ctrl+n", "P")
-        await until(pilot, lambda: engine_of(app).commands, "a command")
-        assert engine_of(app).commands == [("pause", "/robot1/map", True)]
+    def written() -> dict[str, Any]:
+        Path("keys.yaml").write_text(content)
+        return {"config": Path().resolve()}
 
-    drive(app, steps)
+    return on_main(landmark=landmark, before=written)
 
 
-def test_bad_keys_leave_the_default_ones(tmp_path: Path) -> None:
-    (tmp_path / "keys.yaml").write_text("pawse: P")
-    app = scripted_app(config=tmp_path)
+@pytest.mark.usefixtures("folder")
+@with_keys("pause: P\nmove_down: ctrl+n\n", "P pause")
+async def test_a_remapped_key_works_and_is_shown(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("p")
+    await pilot.press("ctrl+n", "P")
+    await until(pilot, lambda: engine_of(app).commands, "a command")
+    assert engine_of(app).commands == [("pause", "/robot1/map", True)]
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "pawse")  # the toast breaks its lines
-        await shown(pilot, "p pause")
-        await pilot.press("p")
-        await until(pilot, lambda: engine_of(app).commands, "a command")
 
-    drive(app, steps)
+@pytest.mark.usefixtures("folder")
+@with_keys("pawse: P", "pawse")
+async def test_bad_keys_leave_the_default_ones(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await shown(pilot, "p pause")
+    await pilot.press("p")
+    await until(pilot, lambda: engine_of(app).commands, "a command")
 
 
 @pytest.mark.parametrize("width", [120, 80])
@@ -124,7 +138,6 @@ def test_help_lists_every_action_with_its_keys_and_id(width: int) -> None:
 
 
 def screens(app: ConsoleApp) -> dict[str, Callable[[], Screen[Any]]]:
-    """Makes of screens of their own."""
     return {
         "pictures": lambda: ViewScreen(app, Subject(("/map",), "", "nav_msgs/msg/OccupancyGrid", ())),
         "welcome": lambda: WelcomeScreen((), readonly=False),
@@ -183,11 +196,28 @@ async def test_the_palette_finds_an_action_by_its_words_and_does_it(app: Console
     await until(pilot, lambda: app.main.topics.faults_only, "faults only")
 
 
+DISARMED = route("/cmd_vel", State.DISARMED, outgoing=True, arming=ArmingSnapshot(armed=False))
+
+
 @on_main((120, 80), landmark="read-only", readonly=True)
-async def test_readonly_takes_away_whatever_changes_something(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_readonly_takes_away_whatever_changes_something(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(app, "notify", lambda words, **_: told.append(words))  # a notification is gone after 5 s
     await gone(pilot, "p pause")
-    await pilot.press("p", "r", "a", "e", "d", "R", "w", "o")
-    await shown(pilot, MainText.READ_ONLY)
+    await pilot.press("c", "i")  # nor is a link acknowledged
+    await pilot.press("escape")
+    for faulty in (ROUTES[4], DISARMED, CALL_ROUTES[0]):
+        put(app, faulty)
+        await gone(pilot, "C call")
+        for key in (*"aedpiuACSDrRowW", "f2", "f3", "f4", "f5", "f6"):
+            told.clear()
+            await pilot.press(key)
+            assert app.screen is app.main, key
+            assert told, key
+            assert says(told[0], MainText.READ_ONLY), key
+    await settled(pilot)
     assert app.screen is app.main
     await pilot.press("question_mark")
     await shown(pilot, "Next line")

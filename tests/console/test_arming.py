@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.console.driving import drive, engine_of, gone, on_main, put, scripted_app, shown, until
+from tests.console.driving import engine_of, gone, on_main, put, shown, until
 from tests.console.live import COMMAND, ELSEWHERE, HERE, Pair, bridging, talker
 from tests.console.scripted import route
 from tests.console.side import every_so_often
@@ -27,7 +27,6 @@ from rsb_bridge.control.protocol import RequestProblem
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
 from rsb_bridge.model.velocity_limits import VelocityLimits
-from rsb_console.screens.main import MainText
 from rsb_console.screens.take_over import HandOverText
 
 if TYPE_CHECKING:
@@ -92,24 +91,20 @@ def asked(seconds: float = 7.0) -> RouteSnapshot:
 
 
 @pytest.mark.parametrize(("key", "gives"), [("y", True), ("n", False)])
-def test_the_holder_is_asked_wherever_the_operator_is(key: str, gives: bool) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await until(pilot, lambda: app.engine is not None, "the engine")
-        put(app, ARMED)
-        await shown(pilot, "◆ ARMED    /cmd_vel")
-        await pilot.press("question_mark")
-        put(app, asked())
-        await shown(pilot, HandOverText.ASKS, who="bert on pts/2", seconds=7.0)
-        put(app, asked(6.0))
-        await shown(pilot, HandOverText.ASKS, who="bert on pts/2", seconds=6.0)
-        await pilot.press(key)
-        await until(pilot, lambda: engine_of(app).commands == [("answer_asker", "/cmd_vel", gives)], "the answer")
-        put(app, asked(5.0))
-        await gone(pilot, HandOverText.GIVE(topic="/cmd_vel", link="robot1"))
-
-    drive(app, steps)
+@on_main()
+async def test_the_holder_is_asked_wherever_the_operator_is(
+    app: ConsoleApp, pilot: Pilot[None], key: str, gives: bool
+) -> None:
+    put(app, ARMED)
+    await shown(pilot, "◆ ARMED    /cmd_vel")
+    await pilot.press("question_mark")
+    for seconds in (7.0, 6.0):
+        put(app, asked(seconds))
+        await shown(pilot, HandOverText.ASKS, who="bert on pts/2", seconds=seconds)
+    await pilot.press(key)
+    await until(pilot, lambda: engine_of(app).commands == [("answer_asker", "/cmd_vel", gives)], "the answer")
+    put(app, asked(5.0))
+    await gone(pilot, HandOverText.GIVE(topic="/cmd_vel", link="robot1"))
 
 
 @on_main()
@@ -151,16 +146,11 @@ async def test_a_name_is_disarmed_everywhere(app: ConsoleApp, pilot: Pilot[None]
 
 
 @on_main()
-async def test_the_line_that_demands_it_is_among_the_details(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    put(app, replace(DISARMED, arming=ArmingSnapshot(armed=False, demanded_by=("robot.yaml:14",))))
-    await shown(pilot, "robot.yaml:14")
-
-
-@on_main()
-async def test_what_a_hand_may_ask_is_among_the_details_with_its_line(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    put(app, replace(DISARMED, limits=VelocityLimits(0.5), limited_by=("robot.yaml:15",)))
-    await shown(pilot, "at most 0.5 m/s by hand")
-    await shown(pilot, "robot.yaml:15")
+async def test_the_lines_that_demand_and_limit_it_are_among_the_details(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    demanded = ArmingSnapshot(armed=False, demanded_by=("robot.yaml:14",))
+    put(app, replace(DISARMED, arming=demanded, limits=VelocityLimits(0.5), limited_by=("robot.yaml:15",)))
+    for words in ("robot.yaml:14", "at most 0.5 m/s by hand", "robot.yaml:15"):
+        await shown(pilot, words)
 
 
 @on_main()
@@ -220,14 +210,6 @@ async def test_what_need_not_be_armed_has_no_key(app: ConsoleApp, pilot: Pilot[N
     await until(pilot, lambda: engine_of(app).commands, "paused")
     assert [command[0] for command in engine_of(app).commands] == ["pause"]
     assert engine_of(app).kept == []
-
-
-@on_main(readonly=True)
-async def test_a_console_that_only_watches_arms_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    put(app, DISARMED)
-    await pilot.press("A")
-    await shown(pilot, MainText.READ_ONLY)
-    assert engine_of(app).commands == []
 
 
 # --- with real processes

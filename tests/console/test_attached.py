@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.console.driving import WIDE, drive, empty_app, scripted_app, shown, text, until
+from tests.console.driving import drive, scripted_app, shown, text, until
 from tests.console.live import COMMAND, Pair, end, talker
 from tests.console.scripted import ScriptedEngine, route
 from tests.console.tmux import Tmux
-from tests.support import replaced
 from tests.support.control import Machine
 from tests.support.forker import Forked
 from tests.support.waiting import eventually
@@ -66,20 +65,6 @@ def test_it_shows_what_the_engine_shows_and_does_what_the_operator_wants(
     assert bridges.ask(machine.folder / "robot1.sock").info is not None
 
 
-def test_the_quit_dialog_says_that_the_bridge_goes_on(machine: Machine, engine: ScriptedEngine) -> None:
-    app = attached_app(machine)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("q")
-        await shown(pilot, "The bridge robot1 goes on")
-        await pilot.press("y")
-
-    drive(app, steps)
-    app.stop()
-    assert engine.commands == []
-
-
 def test_it_says_that_the_bridge_has_ended_and_comes_back(machine: Machine, engine: ScriptedEngine) -> None:
     app = attached_app(machine)
 
@@ -98,35 +83,24 @@ def test_it_says_that_the_bridge_has_ended_and_comes_back(machine: Machine, engi
     app.stop()
 
 
-def test_a_session_that_runs_already_is_attached_to_instead(machine: Machine, engine: ScriptedEngine) -> None:
+def test_a_session_that_runs_already_is_offered_instead(machine: Machine, engine: ScriptedEngine) -> None:
     def serve(*_: object) -> tuple[None, bridges.RunningBridge]:
         return None, bridges.ask(machine.folder / "robot1.sock")
 
     app = scripted_app(serve=serve)
 
-    async def steps(pilot: Pilot[None]) -> None:
+    async def answer(pilot: Pilot[None]) -> None:
         await shown(pilot, SessionQuestion.ALREADY_RUNS, name="robot1")
         assert app.engine is None, "a second bridge has not even begun"
-        await pilot.press("y")
-        await shown(pilot, "attached  ")
-        await shown(pilot, "/robot2/scan")
-
-    drive(app, steps)
-    app.stop()
-
-    offered = scripted_app(serve=serve)
-
-    async def answer(pilot: Pilot[None]) -> None:
-        await until(pilot, lambda: isinstance(offered.screen, OfferScreen), "the offer")
         await pilot.press("n")
-        await until(pilot, lambda: isinstance(offered.screen, WelcomeScreen), "the welcome screen")
-        offered.main.run_worker(offered.sessions.attach_instead(serve()[1]), group=Group.SESSION, exclusive=True)
-        await until(pilot, lambda: isinstance(offered.screen, OfferScreen), "the offer")
+        await until(pilot, lambda: isinstance(app.screen, WelcomeScreen), "the welcome screen")
+        app.main.run_worker(app.sessions.attach_instead(serve()[1]), group=Group.SESSION, exclusive=True)
+        await until(pilot, lambda: isinstance(app.screen, OfferScreen), "the offer")
         await pilot.press("enter")  # the focus is on Yes
-        await until(pilot, lambda: offered.attached_to == "robot1", "attached")
+        await until(pilot, lambda: app.attached_to == "robot1", "attached")
 
-    drive(offered, answer)
-    offered.stop()
+    drive(app, answer)
+    app.stop()
 
     watching = scripted_app(serve=serve, readonly=True)
 
@@ -137,31 +111,6 @@ def test_a_session_that_runs_already_is_attached_to_instead(machine: Machine, en
 
     drive(watching, look)
     watching.stop()
-
-
-def test_the_welcome_screen_lists_what_runs_first(
-    machine: Machine, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    replaced.RUNNING_SESSION.set(monkeypatch, _running(machine))
-    app = empty_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "runs: client, 10.0.0.20:49152")
-        assert app.engine is None
-        await pilot.press("enter")
-        await shown(pilot, "attached  ")
-
-    drive(app, steps, WIDE)
-    app.stop()
-
-
-def _running(machine: Machine) -> object:
-    """Return the running bridges; the app's own function leaves out the process that it runs in."""
-
-    async def running(_: object) -> list[bridges.RunningBridge]:
-        return bridges.running_bridges(machine.environ)
-
-    return running
 
 
 # --- with real processes

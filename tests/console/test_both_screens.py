@@ -83,16 +83,6 @@ ROWS = (
         "robot1: /laser offers best_effort … asks for reliable … set qos: auto",
     ),
     Row(
-        "a volatile publisher on a latched route",
-        Topic("/map", "transmit", qos="latched"),
-        (Spec("surveyor", "/map", 5),),
-        (Spec("mapper", "/map"),),
-        State.DOWN,
-        Cause.QOS_INCOMPATIBLE,
-        "/surveyor offers volatile … asks for transient_local … set qos: auto",
-        "robot1: /surveyor offers volatile … asks for transient_local … set qos: auto",
-    ),
-    Row(
         "a far subscriber that asks for reliable",
         Topic("/imu", "transmit"),
         (Spec("gyro", "/imu", 20, best_effort=True),),
@@ -266,7 +256,6 @@ class World:
         return found
 
     def events(self) -> list[list[dict[str, Any]]]:
-        """All events of both sides."""
         return [side.events() for side in self.sides]
 
     def act(self, row: Row) -> None:

@@ -226,23 +226,3 @@ def test_escape_and_a_key_in_one_read_are_two_keys() -> None:
     parser = KeyParser()
     keys = [event.key for event in parser.feed("\x1b/a\x1b\x1bj\x1b[A\x1bOP\x1b") if isinstance(event, Key)]
     assert keys == ["escape", "slash", "a", "escape", "escape", "j", "up", "f1"]
-
-
-@pytest.mark.usefixtures("folder")
-def test_in_tmux_whole_sentences_with_the_key_that_opens_the_form(tmp_path: Path) -> None:
-    save(SESSION, Path("nav2.yaml"))
-    command = shlex.join([sys.executable, "-m", "tests.console.scripted_console"])
-    path = os.pathsep.join(p for p in sys.path if p)
-    with Tmux(tmp_path, "env", f"PYTHONPATH={path}", "sh", "-c", f"exec {command}") as tmux:
-        tmux.wait_for("/robot2/scan")
-        tmux("send-keys", "-l", f"a{SENTENCE}\t\t\tlaser scan of \t20 {F8}/there it is")
-        picture = tmux.wait_for("/there it is")
-        for words in (SENTENCE, "laser scan of", "20", "/there it is"):
-            assert words in picture
-        tmux("send-keys", "-l", f"\x1b\x1b/{SENTENCE}")
-        picture = tmux.wait_for(f"/{SENTENCE} ")
-        assert "Direction" not in picture
-        tmux("send-keys", "-l", f"\x1bl/{SENTENCE}\rW\x15{SENTENCE}")
-        picture = tmux.wait_for(FileText.RELATIVE_KEYS())
-        tmux.wait_for(f"File           {SENTENCE}")
-        tmux("send-keys", "-l", "\x1bqy")

@@ -1,9 +1,10 @@
 """Every button of every dialog, pressed as an operator does: each does its thing once, and the console goes on."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
-from tests.console.driving import drive, ended, fill, scripted_app, shown, text, until
+from tests.console.driving import ended, fill, on_main, shown, text, until
 from tests.console.scripted import SESSION
 from textual.pilot import Pilot
 from textual.widgets import Button
@@ -44,13 +45,6 @@ BACK = ("Cancel", "No")
 PRESSES = [(dialog, label) for dialog, labels in LABELS.items() for label in labels if label not in BACK]
 
 
-@pytest.fixture
-def app(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ConsoleApp:
-    monkeypatch.chdir(tmp_path)
-    save(SESSION, tmp_path / "nav2.yaml")
-    return scripted_app(path=tmp_path / "nav2.yaml")
-
-
 def buttons(app: ConsoleApp) -> dict[str, Button]:
     return {str(button.label): button for button in app.screen.query(Button)}
 
@@ -72,21 +66,23 @@ async def press(app: ConsoleApp, pilot: Pilot[None], dialog: str, label: str) ->
     assert not app.return_code, text(app)
 
 
+def nav2() -> dict[str, Any]:
+    path = Path("nav2.yaml").resolve()
+    save(SESSION, path)
+    return {"path": path}
+
+
+@pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize(("dialog", "label"), PRESSES)
-def test_every_button_with_enter(dialog: str, label: str, app: ConsoleApp) -> None:
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
+@on_main(before=nav2)
+async def test_every_button_with_enter(app: ConsoleApp, pilot: Pilot[None], dialog: str, label: str) -> None:
+    await press(app, pilot, dialog, label)
+
+
+@pytest.mark.usefixtures("folder")
+@on_main(before=nav2)
+async def test_every_button_that_leads_back(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    for dialog, labels in LABELS.items():
+        (label,) = set(labels) & set(BACK)
         await press(app, pilot, dialog, label)
-
-    drive(app, steps)
-
-
-def test_every_button_that_leads_back(app: ConsoleApp) -> None:
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        for dialog, labels in LABELS.items():
-            (label,) = set(labels) & set(BACK)
-            await press(app, pilot, dialog, label)
-            await until(pilot, lambda: app.screen is app.main, "the main screen")
-
-    drive(app, steps)
+        await until(pilot, lambda: app.screen is app.main, "the main screen")

@@ -69,7 +69,13 @@ async def test_a_service_is_called_once_it_is_confirmed_and_answers(app: Console
     await shown(pilot, "Call /robot1/set_mode?")
     await until(pilot, lambda: app.focused is app.screen.query_one("#no", Button), "No is what enter gives")
     await shown(pilot, CallText.REQUEST_SENT, where="to the node behind 10.0.0.20:49152")
+    await gone(pilot, "scroll")
+    await pilot.press("enter")
+    await gone(pilot, "Call /robot1/set_mode?")
+    await shown(pilot, CallText.NOTHING_CALLED)
     assert calls(app) == []
+    await pilot.press("f9")
+    await shown(pilot, ConfirmScreen.KEYS)
     await pilot.press("y")
     await until(pilot, lambda: calls(app) == [("call", MODE.key, "data: true", "")], "the call")
     await shown(pilot, CallText.WAITING_UNTIL, sign="▸", limit=30)
@@ -77,20 +83,6 @@ async def test_a_service_is_called_once_it_is_confirmed_and_answers(app: Console
     await shown(pilot, "message: moved")
     await shown(pilot, LandingText.ANSWERED, link="robot1", nodes="a node", where="there")
     await gone(pilot, CallText.WAITING)
-
-
-@on(MODE)
-async def test_no_is_no_and_the_form_stays(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("C")
-    await shown(pilot, "data: false")
-    await pilot.press("f9")
-    await shown(pilot, "Call /robot1/set_mode?")
-    await pilot.press("enter")
-    await gone(pilot, "Call /robot1/set_mode?")
-    assert calls(app) == []
-    await shown(pilot, CallText.NOTHING_CALLED)
-    await pilot.press("escape")
-    await gone(pilot, CallText.NOTHING_CALLED)
 
 
 @on(MODE)
@@ -198,43 +190,34 @@ async def test_a_parameter_is_set_by_its_name_and_value(app: ConsoleApp, pilot: 
     await shown(pilot, CallText.VALUE_SET)
 
 
-@on(PARAMETERS)
-async def test_a_node_that_refuses_a_value_is_believed(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("C")
-    await fill(pilot, name="max_vel_x", value="fast")
-    await pilot.press("f9", "y")
-    await until(pilot, lambda: calls(app), "the call")
-    engine_of(app).called.set_result("results:\n- successful: false\n  reason: Wrong parameter type\n")
-    await shown(pilot, CallText.VALUE_REFUSED, sign="✗", why="Wrong parameter type")
-
-
-@on(PARAMETERS)
-async def test_parameters_have_their_other_services_too(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("C")
-    await shown(pilot, "set one parameter")
-    await choose(pilot, "lane", "get_parameters")
-    await shown(pilot, "names: []")
-    await gone(pilot, "Parameter  ")
-    await fill(pilot, request="names: [max_vel_x]")
-    await pilot.press("f9", "y")
-    await until(pilot, lambda: calls(app), "the call")
-    assert calls(app) == [("call", PARAMETERS.key, "names: [max_vel_x]", "get_parameters")]
-
-
 @on(MODE, NARROW)
-async def test_a_long_answer_scrolls_and_is_cut_with_a_note(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_a_long_answer_scrolls_is_cut_with_a_note_and_laid_out_once(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     await pilot.press("C")
     await shown(pilot, "data: false")
     await pilot.press("f9", "y")
     await until(pilot, lambda: calls(app), "the call")
-    answer = "".join(f"line_{number}: {number}\n" for number in range(3000))
+    answer = f"first: {'x' * 1000}\n" + "".join(f"line_{number}: {number}\n" for number in range(10_000))
     engine_of(app).called.set_result(answer)
-    await shown(pilot, "line_0: 0")
+    await shown(pilot, "first: xxx")
+    pane = app.screen.query_one("#answer", ScrolledLines)
     await pilot.press("G")
     await shown(pilot, "only the first 2 000 lines are shown")
-    await shown(pilot, "line_1999: 1999")
+    await shown(pilot, "line_198")
+    await settled(pilot)
+    first, at = pane.line(0), pane.scroll_offset
+    put(app, call_route("service", "/robot1/set_mode", State.DOWN, reason="no server any more"))
+    await shown(pilot, "no server any more")  # drawn by the timer
+    assert pane.line(0) is first
+    assert pane.scroll_offset == at
+    told: list[str] = []
+    monkeypatch.setattr(app, "notify", lambda words, **_: told.append(words))  # a notification is gone after 3 s
     await pilot.press("y")
-    await until(pilot, lambda: app.clipboard == answer, "all of it, copied")
+    await until(pilot, lambda: app.clipboard == answer and told, "all of it, copied")
+    assert max(map(len, told)) < 300
+    await pilot.resize_terminal(70, 36)
+    await until(pilot, lambda: pane.line(0) is not first, "laid out for the new width")
 
 
 @pytest.mark.parametrize(
@@ -265,51 +248,6 @@ async def test_the_buttons_stay_in_sight_below_a_long_request(
     await until(pilot, lambda: calls(app) == [("call", MODE.key, request_, "")], "all of it")
 
 
-@on(MODE)
-async def test_a_short_question_has_nothing_to_scroll(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("C")
-    await shown(pilot, "data: false")
-    await pilot.press("f9")
-    await shown(pilot, ConfirmScreen.KEYS)
-    await settled(pilot)
-    await gone(pilot, "scroll")
-
-
-@on(MODE)
-async def test_an_answer_is_laid_out_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("C")
-    await shown(pilot, "data: false")
-    await pilot.press("f9", "y")
-    await until(pilot, lambda: calls(app), "the call")
-    engine_of(app).called.set_result("".join(f"line_{number}: {number}\n" for number in range(10_000)))
-    await shown(pilot, "line_0: 0")
-    pane = app.screen.query_one("#answer", ScrolledLines)
-    await pilot.press("G")
-    await shown(pilot, "line_1999: 1999")
-    await settled(pilot)
-    first, at = pane.line(0), pane.scroll_offset
-    put(app, call_route("service", "/robot1/set_mode", State.DOWN, reason="no server any more"))
-    await shown(pilot, "no server any more")  # drawn by the timer
-    assert pane.line(0) is first
-    assert pane.scroll_offset == at
-    await pilot.resize_terminal(70, 36)
-    await until(pilot, lambda: pane.line(0) is not first, "laid out for the new width")
-
-
-@on(MODE)
-async def test_what_is_copied_is_told_in_few_words(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("C")
-    await shown(pilot, "data: false")
-    await pilot.press("f9", "y")
-    await until(pilot, lambda: calls(app), "the call")
-    engine_of(app).called.set_result("message: " + "x" * 50_000)
-    await shown(pilot, "message: xxx")
-    await pilot.press("y")
-    await until(pilot, lambda: notices(app), "that it is copied")
-    assert max(len(each.message) for each in notices(app)) < 300
-    assert len(app.clipboard) > 50_000
-
-
 def test_wide_characters_are_wrapped_by_the_room_that_they_take() -> None:
     lines = ["".join(piece for piece, _ in line) for line in answer_lines("a: " + "地図" * 20, 21)]
     assert "".join(lines) == "a: " + "地図" * 20
@@ -324,16 +262,6 @@ def test_answers_are_wrapped_and_nothing_in_them_is_obeyed() -> None:
     assert all(len(line) <= 20 and line.isprintable() for line in lines)
     assert lines[-1] == "# cut"
     assert list(answer_lines("", 20)) == []
-
-
-@on(MODE, readonly=True)
-async def test_read_only_calls_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await gone(pilot, "C call")
-    await pilot.press("C")
-    await until(pilot, lambda: any("read-only" in each.message for each in notices(app)), "why not")
-    await settled(pilot)
-    assert app.screen is app.main
-    assert calls(app) == []
 
 
 @on_main(routes=(*ROUTES, MODE))

@@ -57,7 +57,6 @@ form = functools.partial(on_main, make_engine=Graphs, opening=opened)
 
 
 async def added(app: ConsoleApp, pilot: Pilot[None]) -> Topic:
-    """Return the entry that the engine was asked to add."""
     _, topic, _ = await told_to_add(pilot, app)
     assert isinstance(topic, Topic)
     return topic
@@ -195,12 +194,6 @@ def test_it_survives_the_form(kind: Kind) -> None:
         given = msgspec.structs.replace(given, timeout=2.5)
     assert topic_of(values_of(given)) == given
     assert problems_of(given, SESSION, None) == {}
-
-
-@pytest.mark.parametrize(("provider", "direction"), [("server", "transmit"), ("client", "receive")])
-def test_the_provider_says_the_direction_of_requests(provider: str, direction: str) -> None:
-    made = topic_of({"topic": "/reset", "kind": "service", "provider": provider})
-    assert (made.direction, made.provider) == (direction, provider)
 
 
 @pytest.mark.parametrize("is_server", [False, True])

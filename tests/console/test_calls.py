@@ -12,23 +12,18 @@ from tests.console.scripted import (
     call_stages,
     route,
 )
+from tests.console.test_detail import said
 from textual.pilot import Pilot
 
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
-from rsb_console.widgets.columns import layout
-from rsb_console.widgets.detail import detail_lines
+from rsb_console.widgets.columns import layout, via
 from rsb_console.widgets.detail_parts import DetailText
 from rsb_console.widgets.topics import FAULTS
 
 ALL = (*ROUTES, *CALL_ROUTES)
-
-
-def said(about: RouteSnapshot, width: int = 60) -> str:
-    return "\n".join("".join(piece for piece, _ in line) for line in detail_lines(about, "10.0.0.20:49152", width))
 
 
 # -- the table -------------------------------------------------------------------------------------------------------
@@ -88,6 +83,11 @@ def test_the_columns_fit_and_leave_room_for_names(width: int, calls: bool, group
     titles = [column.title for column, _ in columns]
     assert ("KIND" in titles) is calls
     assert ("NODE" in titles) is (calls and width >= 100)
+
+
+@pytest.mark.parametrize("transport", ["zenoh", "zenoh-drop"])
+def test_the_column_of_transports_has_room_for_zenohs(transport: str) -> None:
+    assert len(via(route("/scan", transport=transport))) <= 7
 
 
 @on_main((200, 40))
@@ -231,11 +231,3 @@ async def test_what_stands_in_a_narrow_detail_is_whole(app: ConsoleApp, pilot: P
     await pilot.press("enter", "G")
     await shown(pilot, "given up    after 30 s")
     await gone(pilot, "Stages")
-
-
-@on_main()
-async def test_a_topic_among_calls_is_told_of_as_ever(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    put(app, *CALL_ROUTES, route("/broken", State.DOWN, reason="no publisher of /broken"))
-    await shown(pilot, "/broken")
-    await pilot.press("slash", *"broken", "enter")
-    await shown(pilot, "Rate  - Hz")

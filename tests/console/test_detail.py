@@ -120,8 +120,9 @@ async def test_no_latency_is_below_zero(app: ConsoleApp, pilot: Pilot[None]) -> 
 
 
 @pytest.mark.parametrize("about", ROUTES, ids=lambda about: about.state.value)
-def test_only_what_does_not_flow_has_a_why(about: RouteSnapshot) -> None:
+def test_only_what_does_not_flow_has_a_why_and_no_rate(about: RouteSnapshot) -> None:
     assert (DetailText.WHY_NOT_FLOWING() in said(about)) is (about.state is not State.OK)
+    assert ("Rate  - Hz" in said(about)) is (about.state not in {State.OK, State.STALE})
 
 
 def test_what_flows_with_a_fault_says_which_and_what_has_stopped_passes_no_stage() -> None:
@@ -149,11 +150,6 @@ def test_what_is_unknown_is_neither_delivered_nor_dropped() -> None:
     assert [line.split()[-1] for line in words.splitlines() if line.strip().startswith("dropped")] == ["0"]
     assert "60" in words
     assert "777" in words
-
-
-@pytest.mark.parametrize("about", ROUTES, ids=lambda about: about.state.value)
-def test_only_what_flows_has_a_rate(about: RouteSnapshot) -> None:
-    assert ("Rate  - Hz" in said(about)) is (about.state not in {State.OK, State.STALE})
 
 
 EVIL = "/ev\x1b[2Jil\x9b\n\x07\u202e"

@@ -10,7 +10,6 @@ import pytest
 from tests.console.driving import (
     NOWHERE,
     Decorator,
-    drive,
     engine_as,
     engine_of,
     gone,
@@ -18,7 +17,6 @@ from tests.console.driving import (
     notified,
     on_main,
     put,
-    scripted_app,
     shown,
     text,
     until,
@@ -274,13 +272,6 @@ async def test_a_stamped_velocity(app: ConsoleApp, pilot: Pilot[None], clock: Cl
 
 
 @driven()
-async def test_the_speed_of_a_key_is_changed(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
-    await pressed(pilot, clock, "plus", "up")
-    await until(pilot, lambda: sent(app), "a command")
-    assert velocities(app)[0] == velocity(TWIST, 1.25 * SPEED, 0.0)
-
-
-@driven()
 async def test_a_key_that_was_held_up_moves_nothing(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     """It counts from the time when it came to this process, however long the console was busy."""
     event = Key("up", None)
@@ -474,21 +465,18 @@ async def test_only_keys_on_the_screen_that_armed_a_topic_keep_it_armed(
     ("spec", "known"),
     [(Topic("/cmd_vel", "transmit", type="Twist"), True), (Topic("/cmd_vel", "transmit"), False)],
 )
-def test_the_type_may_have_a_short_name_or_be_known_to_the_bridge_only(clock: Clock, spec: Topic, known: bool) -> None:
-    unknown = replace(ARMED, type_name="", spec=spec)
-    app = scripted_app(make_engine=robot_of(unknown))
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/cmd_vel")
-        if not known:
-            engine_of(app).drafts["/cmd_vel"] = Draft(TWIST, "")
-        await pilot.press("D")
-        await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
-        await pressed(pilot, clock, "up")
-        await until(pilot, lambda: sent(app), "a command")
-        assert sent(app)[0].type_name == TWIST
-
-    drive(app, steps)
+@on_main(landmark="/cmd_vel", make_engine=robot_of(ARMED))
+async def test_the_type_may_have_a_short_name_or_be_known_to_the_bridge_only(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock, spec: Topic, known: bool
+) -> None:
+    put(app, replace(ARMED, type_name="", spec=spec))
+    if not known:
+        engine_of(app).drafts["/cmd_vel"] = Draft(TWIST, "")
+    await pilot.press("D")
+    await until(pilot, lambda: isinstance(app.screen, DriveScreen), "the screen")
+    await pressed(pilot, clock, "up")
+    await until(pilot, lambda: sent(app), "a command")
+    assert sent(app)[0].type_name == TWIST
 
 
 @on_main(landmark="/cmd_vel", make_engine=robot_of(replace(ARMED, max_age=0.0)))

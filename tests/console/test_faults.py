@@ -2,9 +2,10 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import pytest
-from tests.console.driving import drive, engine_of, gone, on_main, put, scripted_app, shown, text, until
+from tests.console.driving import engine_of, gone, on_main, put, selected_topic, settled, shown, text, until
 from tests.console.scripted import LINK, NOW, ROUTES, route
 from tests.support.long import long
 from textual.pilot import Pilot
@@ -17,18 +18,22 @@ from rsb_console.widgets.fault_pane import Heights, MoreKeys, fault_lines, fault
 
 QOS = "/camera offers best effort, but this topic asks for reliable: its messages are not received; set qos: auto"
 TYPO = route("/w_tpyo", State.WAITING, cause="similar_name", reason=no_publisher("/w_tpyo", 3, "/w_typo"))
-SIZES = [(200, 50), (120, 36), (80, 24), (60, 24), (39, 20)]
+CAMERA = route("/camera", State.DOWN, reason="refused there")
+SIZES = [pytest.param(size, id=str(size)) for size in ((200, 50), (120, 36), (80, 24), (60, 24), (39, 20))]
 
 
-def said(*routes: RouteSnapshot, links: tuple[LinkSnapshot, ...] = (LINK,), role: str = "client") -> list[str]:
+def snapshot(*routes: RouteSnapshot, links: tuple[LinkSnapshot, ...] = (LINK,), **changes: Any) -> Snapshot:
+    now = Snapshot(NOW, "robot1", "client", "10.0.0.20:49152", 3, True, links, routes)
+    return replace(now, **changes)
+
+
+def said(*routes: RouteSnapshot, **about: Any) -> list[str]:
     """The faults as they begin: sign and sentence."""
-    snapshot = Snapshot(NOW, "robot1", role, "10.0.0.20:49152", 3, True, links, routes)
-    return [f"{fault.sign} {fault.text}" for fault in faults_of(snapshot)]
+    return [f"{fault.sign} {fault.text}" for fault in faults_of(snapshot(*routes, **about))]
 
 
 def drawn(*routes: RouteSnapshot, width: int, most: int) -> list[str]:
-    snapshot = Snapshot(NOW, "robot1", "client", "10.0.0.20:49152", 3, True, (LINK,), routes)
-    lines = fault_lines(faults_of(snapshot), width, most, MoreKeys("c", "f"))
+    lines = fault_lines(faults_of(snapshot(*routes)), width, most, MoreKeys("c", "f"))
     made = ["".join(piece for piece, _ in line).rstrip() for line in lines]
     assert len(made) <= most
     assert all(len(line) <= width for line in made)
@@ -101,36 +106,25 @@ def test_a_long_one_hides_no_short_one() -> None:
     ]
 
 
-@pytest.mark.parametrize("size", SIZES, ids=str)
-def test_without_a_key_at_every_width(size: tuple[int, int]) -> None:
-    routes = (route("/camera", State.DOWN, reason="refused there"), TYPO, *ROUTES[:3])
-    app = scripted_app(routes=routes)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/camera: refused there")
-        await until(pilot, lambda: "did you mean /w_typo?" in " ".join(text(app).split()), "the name that was meant")
-        assert app.main.selected is not None
-        assert app.main.selected.topic == "/camera"
-
-    drive(app, steps, size)
+@on_main(*SIZES, landmark="/camera: refused there", routes=(CAMERA, TYPO, *ROUTES[:3]))
+async def test_without_a_key_at_every_width(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await until(pilot, lambda: "did you mean /w_typo?" in " ".join(text(app).split()), "the name that was meant")
+    assert selected_topic(app) == "/camera"
 
 
-def test_faults_only_gives_them_more_room() -> None:
-    many = [route(f"/{n}", State.DOWN, reason=f"reason number {n}") for n in range(10, 30)]
-    app = scripted_app(routes=tuple(many))
+MANY = tuple(route(f"/{n}", State.DOWN, reason=f"reason number {n}") for n in range(10, 30))
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "and 15 more: press f")
-        await pilot.press("f")
-        await shown(pilot, "and 9 more: press ⏎ on one")
-        put(app, *many[:1])
-        await shown(pilot, "/10: reason number 10")
-        await gone(pilot, "more: press")
-        engine_of(app).now = replace(engine_of(app).now, routes=(route("/fine"),))
-        await pilot.press("f")
-        await until(pilot, lambda: app.main.faults.size.height == 0, "no line for no fault")
 
-    drive(app, steps, (80, 24))
+@on_main((80, 24), landmark="and 15 more: press f", routes=MANY)
+async def test_faults_only_gives_them_more_room(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("f")
+    await shown(pilot, "and 9 more: press ⏎ on one")
+    put(app, *MANY[:1])
+    await shown(pilot, "/10: reason number 10")
+    await gone(pilot, "more: press")
+    engine_of(app).now = replace(engine_of(app).now, routes=(route("/fine"),))
+    await pilot.press("f")
+    await until(pilot, lambda: app.main.faults.size.height == 0, "no line for no fault")
 
 
 def pictures(*verdicts: Verdict, width: int, seconds: int = 90) -> list[list[str]]:
@@ -142,8 +136,7 @@ def pictures(*verdicts: Verdict, width: int, seconds: int = 90) -> list[list[str
             route(f"/{name}", verdict.state, cause=verdict.cause, reason=verdict.said(now))
             for name, verdict in zip("abcd", verdicts, strict=False)
         ]
-        snapshot = Snapshot(now, "robot1", "client", "10.0.0.20:49152", 3, True, (LINK,), tuple(routes))
-        faults = faults_of(snapshot)
+        faults = faults_of(snapshot(*routes, time=now))
         heights.look(faults, width, now)
         lines = fault_lines(faults, width, 9, MoreKeys("c", "f"), heights)
         found.append(["".join(piece for piece, _ in line).rstrip() for line in lines])
@@ -171,18 +164,14 @@ def test_figures_of_several_lines_change_together() -> None:
     assert all((number + 1) % 4 == 0 for number in changed), "at the full second"
 
 
-def test_a_fault_gives_its_room_back_in_time() -> None:
-    heights, keys = Heights(), MoreKeys("c", "f")
-    long, short = (
-        faults_of(
-            Snapshot(NOW, "robot1", "client", "", 3, True, (LINK,), (route("/a", State.SLOW, reason="word " * words),))
-        )
-        for words in (20, 2)
-    )
+@on_main((64, 24), landmark="/fine", routes=(route("/fine"),))
+async def test_a_fault_gives_its_room_back_in_time(app: ConsoleApp, pilot: Pilot[None]) -> None:
     taken = []
-    for now, faults in ((0.0, long), (1.0, short), (9.0, short), (11.0, short), (12.0, [])):
-        heights.look(faults, 60, now)
-        taken.append(len(fault_lines(faults, 60, 9, keys, heights)))
+    for later, words in ((0.0, 20), (1.0, 2), (9.0, 2), (11.0, 2), (12.0, 0)):
+        slow = route("/a", State.SLOW, reason="word " * words) if words else route("/fine")
+        put(app, slow, time=NOW + later)
+        await settled(pilot)
+        taken.append(app.main.faults.size.height)
     assert taken == [2, 2, 2, 1, 0]
 
 

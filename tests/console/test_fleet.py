@@ -60,7 +60,6 @@ ROBOTS = (
 
 
 def change_of(screen: RolloutScreen) -> ChangeField:
-    """Return the field for the change."""
     return screen.query_one(ChangeField)
 
 
@@ -118,14 +117,11 @@ def _now(monkeypatch: pytest.MonkeyPatch) -> None:
     surroundings.set_wall_clock(monkeypatch, lambda: NOW)
 
 
-def test_every_action_has_its_handler() -> None:
+def test_every_action_has_its_handler_and_keys_of_its_own() -> None:
     app = Bed().app
     for action in FLEET_ACTIONS:
         owner: object = {Group.MOVE: app.main.table, Group.CONSOLE: app}.get(action.group, app.main)
         assert callable(getattr(owner, f"action_{action.id}"))
-
-
-def test_no_key_twice() -> None:
     keys = [key for action in FLEET_ACTIONS for key in action.keys.split(",")]
     assert len(set(keys)) == len(keys)
 
@@ -349,19 +345,6 @@ async def planned(bed: Bed, change: str) -> RolloutScreen:
     return screen
 
 
-@on_fleet(lambda: with_cameras("robot1", "robot2", "robot3"))
-async def test_a_change_is_shown_then_made(bed: Bed) -> None:
-    screen = await planned(bed, "/camera max_rate=5")
-    await bed.until(lambda: screen.phase is RolloutPhase.ASKING, "a question")
-    await bed.shown("max_rate 30.0 → 5")
-    assert not any(engine.commands for engine in bed.source.engines.values())
-    await bed.press("y")
-    await bed.until(lambda: screen.phase is RolloutPhase.ENDED, "the end")
-    assert [len(bed.source.engines[name].commands) for name in ("robot1", "robot2", "robot3")] == [1, 1, 0]
-    await bed.press("escape")
-    await bed.until(lambda: bed.app.screen is bed.app.main, "the fleet")
-
-
 @on_fleet(lambda: with_cameras("robot1", "robot2"))
 async def test_a_change_is_not_made_without_a_yes(bed: Bed) -> None:
     screen = await planned(bed, "/camera max_rate=5")
@@ -413,8 +396,6 @@ async def picking(bed: Bed) -> RolloutScreen:
 
 @pytest.mark.parametrize("size", [*long(WIDE), NARROW], ids=["wide", "narrow"])
 def test_a_change_is_picked(size: tuple[int, int]) -> None:
-    """Pick a topic of the robots, then a key, then a value."""
-
     async def steps(bed: Bed) -> None:
         screen = await picking(bed)
         assert change_of(screen).list.keys == ["/camera", "/scan"]  # what most have comes first
@@ -432,9 +413,12 @@ def test_a_change_is_picked(size: tuple[int, int]) -> None:
         await bed.until(lambda: screen.phase is RolloutPhase.ASKING, "a question")
         await bed.shown("max_rate 30.0 → 5")
         assert not change_of(screen).list.display
+        assert not any(engine.commands for engine in bed.source.engines.values())
         await bed.press("y")
         await bed.until(lambda: screen.phase is RolloutPhase.ENDED, "the end")
         assert [len(bed.source.engines[name].commands) for name in ("robot1", "robot2", "robot3")] == [1, 1, 0]
+        await bed.press("escape")
+        await bed.until(lambda: bed.app.screen is bed.app.main, "the fleet")
 
     with_different_cameras().run(steps, size)
 

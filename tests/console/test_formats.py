@@ -1,12 +1,12 @@
 """Figures stay within their columns."""
 
+from collections.abc import Callable
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rsb_console.look import formats
-
-ANY = st.floats(0, 1e7)
 
 
 @pytest.mark.parametrize(
@@ -30,25 +30,25 @@ ANY = st.floats(0, 1e7)
         (formats.age(720), "12m"),
         (formats.age(3 * 86400), "3d"),
         (formats.clock(724), "00:12:04"),
+        (formats.retry(1, None), ""),
+        (formats.retry(1, 1.2), "retry 1 in 2 s"),
+        (formats.retry(4, 0.0), "retry 4 now"),
+        (formats.counted(1, "topic"), "1 topic"),
+        (formats.counted(0, "topic"), "0 topics"),
+        (formats.byte_count(0), "0 B"),
+        (formats.byte_count(999), "999 B"),
+        (formats.byte_count(29_392_800), "29 MB"),
+        (formats.byte_count(3_120_000_000_000), "3.1 TB"),
     ],
 )
 def test_words(made: str, expected: str) -> None:
     assert made == expected
 
 
+@pytest.mark.parametrize(
+    ("made", "most", "width"), [(formats.age, 1e7, 5), (formats.hertz, 99_999, 5), (formats.byte_rate, 999e6, 8)]
+)
 @settings(deadline=None)
-@given(ANY)
-def test_ages_fit_their_column(seconds: float) -> None:
-    assert len(formats.age(seconds)) <= 5
-
-
-@settings(deadline=None)
-@given(st.floats(0, 99_999))
-def test_rates_fit_their_column(rate: float) -> None:
-    assert len(formats.hertz(rate)) <= 5
-
-
-@settings(deadline=None)
-@given(st.floats(0, 999e6))
-def test_byte_rates_fit_the_status_bar(rate: float) -> None:
-    assert len(formats.byte_rate(rate)) <= 8
+@given(st.data())
+def test_figures_fit_their_columns(made: Callable[[float], str], most: float, width: int, data: st.DataObject) -> None:
+    assert len(made(data.draw(st.floats(0, most)))) <= width

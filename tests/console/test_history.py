@@ -3,14 +3,12 @@
 import csv
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.console.driving import (
     NARROW,
     WIDE,
     drive,
-    engine_as,
     engine_of,
     gone,
     on_main,
@@ -25,14 +23,10 @@ from tests.support.control import Machine
 from tests.support.long import long
 from textual.pilot import Pilot
 
-from rsb_bridge.model.history import Gap, HistoryReport
-from rsb_bridge.model.session import Session
+from rsb_bridge.model.history import Gap
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.history_screen import HELP, HistoryText
 from rsb_console.session.history_report import ReportText
-
-if TYPE_CHECKING:
-    from concurrent.futures import Future
 
 
 def spans(engine: ScriptedEngine) -> list[object]:
@@ -92,47 +86,30 @@ async def test_the_span_the_order_and_the_filter(app: ConsoleApp, pilot: Pilot[N
     await shown(pilot, "✗ DOWN")
 
 
-class Silent(ScriptedEngine):
-    """Does not answer any more."""
-
-    def history(self, seconds: float) -> "Future[HistoryReport]":
-        return refused("no bridge")
-
-
-@on_main(make_engine=Silent)
-async def test_what_is_not_known_is_said(app: ConsoleApp, pilot: Pilot[None]) -> None:
+@on_main()
+async def test_what_is_not_known_is_said(app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine_of(app), "history", lambda _: refused("no bridge"))
     await pilot.press("h")
     await shown(pilot, HistoryText.NOT_KNOWN, error="no bridge")
 
 
-class Slept(ScriptedEngine):
-    """Was away for half an hour, and nothing else happened."""
-
-    def __init__(self, session: Session, base: Path) -> None:
-        super().__init__(session, base)
-        self.remembered = replace(REMEMBERED, outages=(), actions=(), gaps=(Gap(NOW - 2000, 1800.0),))
-
-
-@on_main(make_engine=Slept)
+@on_main()
 async def test_a_time_that_nobody_watched_is_told(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine_of(app).remembered = replace(REMEMBERED, outages=(), actions=(), gaps=(Gap(NOW - 2000, 1800.0),))
     await pilot.press("h")
     await shown(pilot, ReportText.RAN_PARTLY, watched="30 min", share="50.0 %")
     await shown(pilot, HistoryText.GAP)
-    assert engine_as(app, Slept).remembered.gaps
 
 
-def test_export_as_text_and_csv(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@on_main()
+async def test_export_as_text_and_csv(
+    app: ConsoleApp, pilot: Pilot[None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("h")
-        await shown(pilot, "✗ DOWN")
-        await pilot.press("x")
-        await shown(pilot, "written to")
-
-    drive(app, steps)
+    await pilot.press("h")
+    await shown(pilot, "✗ DOWN")
+    await pilot.press("x")
+    await shown(pilot, "written to")
     (lines,) = tmp_path.glob("rsb-history-*.txt")
     assert "anna: /robot1/scan: edited (max_rate: 5 → max_rate: 2)" in lines.read_text()
     (table,) = tmp_path.glob("rsb-history-*.csv")

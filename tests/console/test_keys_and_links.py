@@ -1,6 +1,5 @@
 """Keys, links and Bluetooth: what an operator compares, never the key itself."""
 
-import asyncio
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,13 +8,11 @@ import pytest
 from tests.console.driving import (
     NARROW,
     WIDE,
-    drive,
     engine_of,
     fill,
     form_of,
     gone,
     on_main,
-    scripted_app,
     shown,
     text,
     until,
@@ -25,7 +22,7 @@ from tests.support import replaced
 from tests.support.long import long
 from textual.pilot import Pilot
 
-from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Adapter, ChannelUse, Device, Scan, scan
+from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Adapter, ChannelUse, Device, Scan
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import State
@@ -50,27 +47,21 @@ async def test_a_key_is_shown_by_fingerprint_and_mode_never_itself(
     assert (folder / "r.key").read_text().strip() not in text(app)
 
 
-@pytest.mark.parametrize("size", [(120, 36), NARROW])
-def test_a_key_is_replaced_only_with_a_yes(tmp_path: Path, size: tuple[int, int]) -> None:
-    old = write_key(tmp_path / "r.key")
-    app = scripted_app(path=tmp_path / "nav2.yaml")
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("K")
-        await shown(pilot, fingerprint(old))
-        await pilot.press("g", "enter")
-        await shown(pilot, KeyText.REPLACE, file="r.key")
-        await pilot.press("enter")  # the focus is on No
-        await gone(pilot, KeyText.REPLACE, file="r.key")
-        assert read_key(tmp_path / "r.key") == old
-        await pilot.press("enter", "y")
-        await gone(pilot, "Generate a key")
-        new = read_key(tmp_path / "r.key")
-        assert new != old
-        await shown(pilot, fingerprint(new))
-
-    drive(app, steps, size=size)
+@on_main(WIDE, NARROW)
+async def test_a_key_is_replaced_only_with_a_yes(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
+    old = write_key(folder / "r.key")
+    await pilot.press("K")
+    await shown(pilot, fingerprint(old))
+    await pilot.press("g", "enter")
+    await shown(pilot, KeyText.REPLACE, file="r.key")
+    await pilot.press("enter")  # the focus is on No
+    await gone(pilot, KeyText.REPLACE, file="r.key")
+    assert read_key(folder / "r.key") == old
+    await pilot.press("enter", "y")
+    await gone(pilot, "Generate a key")
+    new = read_key(folder / "r.key")
+    assert new != old
+    await shown(pilot, fingerprint(new))
 
 
 @on_main()
@@ -102,31 +93,35 @@ async def test_readonly_looks_at_keys_and_makes_none(app: ConsoleApp, pilot: Pil
 
 
 def test_each_of_a_servers_key_files_and_whose_it_is() -> None:
-    clients = (Client("robot1"), Client("robot2", key_file="/keys/two.key"), Client("robot3"))
+    clients = (
+        Client("robot1"),
+        Client("robot2", key_file="/keys/two.key"),
+        Client("robot3"),
+        Client("robot4", "old.key", "new.key"),
+    )
     server = msgspec.structs.replace(SESSION, role="server", clients=clients)
     assert key_files(server, Path("/base")) == {
         Path("/base/r.key"): "robot1, robot3",
         Path("/keys/two.key"): "robot2",
+        Path("/base/old.key"): "robot4",
+        Path("/base/new.key"): "robot4 (next)",
     }
 
 
-def test_a_key_says_whether_a_link_uses_it_and_when_it_was_written(tmp_path: Path) -> None:
-    key = write_key(tmp_path / "r.key")
-    app = scripted_app(path=tmp_path / "nav2.yaml")
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("K")
-        await shown(pilot, "written ")
-        await gone(pilot, KeyText.IN_USE)
-        await pilot.press("escape")
-        await gone(pilot, "Key files")
-        used = replace(LINK, fingerprint=fingerprint(key))
-        engine_of(app).now = replace(engine_of(app).now, links=(used,))
-        await pilot.press("K")
-        await shown(pilot, KeyText.IN_USE)
-
-    drive(app, steps)
+@on_main()
+async def test_a_key_says_whether_a_link_uses_it_and_when_it_was_written(
+    app: ConsoleApp, pilot: Pilot[None], folder: Path
+) -> None:
+    key = write_key(folder / "r.key")
+    await pilot.press("K")
+    await shown(pilot, "written ")
+    await gone(pilot, KeyText.IN_USE)
+    await pilot.press("escape")
+    await gone(pilot, "Key files")
+    used = replace(LINK, fingerprint=fingerprint(key))
+    engine_of(app).now = replace(engine_of(app).now, links=(used,))
+    await pilot.press("K")
+    await shown(pilot, KeyText.IN_USE)
 
 
 @on_main()
@@ -137,16 +132,6 @@ async def test_a_link_says_which_of_two_keys_is_in_use(app: ConsoleApp, pilot: P
     await shown(pilot, f"aaaa bbbb cccc dddd  {LinkText.NEXT_KEY_UNUSED()}")
     engine_of(app).now = replace(engine_of(app).now, links=(replace(valid, fingerprint=valid.next_fingerprint),))
     await shown(pilot, f"aaaa bbbb cccc dddd  {LinkText.NEXT_KEY_USED()}")
-
-
-def test_two_keys_of_a_client_are_listed() -> None:
-    clients = (Client("robot1", "old.key", "new.key"), Client("robot2", "two.key"))
-    server = msgspec.structs.replace(SESSION, role="server", clients=clients)
-    assert key_files(server, Path("/base")) == {
-        Path("/base/old.key"): "robot1",
-        Path("/base/new.key"): "robot1 (next)",
-        Path("/base/two.key"): "robot2",
-    }
 
 
 # -- links -----------------------------------------------------------------------------------------------------------
@@ -215,36 +200,19 @@ def radio(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     return calls
 
 
-def test_before_anything_is_found_the_dialog_has_no_empty_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+@on_main()
+async def test_before_anything_is_found_the_dialog_has_no_empty_lines(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     async def scan(own_channels: object) -> Scan:
         return Scan((), {}, (), ("no radio here",))
 
     replaced.BLUETOOTH_SCAN.set(monkeypatch, scan)
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("b")
-        await shown(pilot, "no radio here")
-        lines = text(app).splitlines()
-        title = next(number for number, line in enumerate(lines) if "─ Bluetooth ─" in line)
-        assert "no radio here" in lines[title + 2]
-
-    drive(app, steps)
-
-
-def test_without_bluetooth_the_screen_says_what_is_missing() -> None:
-    problems = asyncio.run(scan()).problems
-    if not problems:
-        pytest.skip("this machine has all that Bluetooth needs")
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("b")
-        await shown(pilot, problems[0][:40])
-
-    drive(app, steps)
+    await pilot.press("b")
+    await shown(pilot, "no radio here")
+    lines = text(app).splitlines()
+    title = next(number for number, line in enumerate(lines) if "─ Bluetooth ─" in line)
+    assert "no radio here" in lines[title + 2]
 
 
 @on_main(*long(WIDE), NARROW)

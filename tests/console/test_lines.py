@@ -3,10 +3,11 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
-from tests.console.driving import drive, scripted_app, shown, until
+from tests.console.driving import on_main, until
 from textual.pilot import Pilot
 from textual.strip import Strip
 
+from rsb_console.app import ConsoleApp
 from rsb_console.widgets.lines import LOOKS, Line, changed_width, clip, fit, width_of
 
 PIECES = st.tuples(st.text(st.sampled_from("ab ●日"), max_size=4), st.sampled_from(LOOKS))
@@ -43,24 +44,20 @@ def test_clip_never_cuts_a_wide_character_in_two() -> None:
     assert clip("日本", 3) == "日"
 
 
-def test_a_pane_keeps_what_it_has_drawn_until_its_look_changes() -> None:
+@on_main()
+async def test_a_pane_keeps_what_it_has_drawn_until_its_look_changes(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """The line under the cursor changes with the focus, and all of it with the theme; else it is the very same."""
-    app = scripted_app()
 
     def cursor_line() -> Strip:
         table = app.main.topics
         return table.render_lines(table.outer_size.region)[1 + table.sticky]  # below the border and the heading
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        focused = cursor_line()
-        assert cursor_line() is focused
-        await pilot.press("l")
-        await until(pilot, lambda: cursor_line() != focused, "a paler cursor")
-        assert cursor_line().text == focused.text
-        await pilot.press("l")
-        await until(pilot, lambda: cursor_line() == focused, "the cursor as it was")
-        await pilot.press("t")
-        await until(pilot, lambda: cursor_line() != focused, "the other theme's colours")
-
-    drive(app, steps)
+    focused = cursor_line()
+    assert cursor_line() is focused
+    await pilot.press("l")
+    await until(pilot, lambda: cursor_line() != focused, "a paler cursor")
+    assert cursor_line().text == focused.text
+    await pilot.press("l")
+    await until(pilot, lambda: cursor_line() == focused, "the cursor as it was")
+    await pilot.press("t")
+    await until(pilot, lambda: cursor_line() != focused, "the other theme's colours")

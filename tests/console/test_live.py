@@ -1,16 +1,13 @@
 """The console on a real engine, against a real other side in another process."""
 
 import os
-import time
 from pathlib import Path
 
 import pytest
 from tests.console.driving import gone, shown, until
 from tests.console.live import Pair, console, talker, watch
-from tests.support.forker import Forked
 from textual.pilot import Pilot
 
-from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_console.app import ConsoleApp
@@ -20,7 +17,6 @@ CHATTER = f"/console_{os.getpid()}/chatter"
 
 
 def state(app: ConsoleApp) -> State | None:
-    """Return the state of the topic under the cursor."""
     return None if app.main.selected is None else app.main.selected.state
 
 
@@ -60,31 +56,3 @@ def test_a_topics_life(tmp_path: Path) -> None:
 
     with pair.server():
         watch(app, steps)
-
-
-def test_a_wrong_key_is_said_with_its_fingerprint_and_nothing_flows(tmp_path: Path) -> None:
-    pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
-    app = console(pair.client_path)
-    with pair.server() as server, talker(CHATTER):
-        wait_for_port(pair.client.server_port, server)
-        write_key(tmp_path / "robot1.key", force=True)
-
-        async def steps(pilot: Pilot[None]) -> None:
-            await shown(pilot, fingerprint(read_key(tmp_path / "robot1.key"))[:9])  # as much as there is room for
-            assert not app.linked
-            assert app.snapshot().routes[0].ledger.delivered == 0
-
-        watch(app, steps)
-
-
-def wait_for_port(port: int, process: Forked) -> None:
-    """Wait until `process` listens."""
-    import socket
-
-    deadline = time.monotonic() + 60
-    while process.poll() is None and time.monotonic() < deadline:
-        with socket.socket() as sock:
-            if sock.connect_ex(("127.0.0.1", port)) == 0:
-                return
-        time.sleep(0.05)
-    pytest.fail("nobody listens there")

@@ -1,8 +1,6 @@
 """The console on a real engine: services and parameters of a node on the other side."""
 
-import contextlib
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -21,20 +19,11 @@ NODE = f"console_{os.getpid()}"
 MODE = f"/{NODE}/set_mode"
 
 
-@contextlib.contextmanager
-def answerer() -> Iterator[None]:
-    """The node, on the other side."""
-    with running("tests.console.answerer", str(THERE), NODE, MODE):
-        yield
-
-
 def found(app: ConsoleApp, name: str) -> RouteSnapshot | None:
-    """Return the routes of that name."""
     return next((route for route in app.snapshot().routes if route.topic == name), None)
 
 
 def is_offered(app: ConsoleApp, name: str) -> bool:
-    """Whether it can be called on this side."""
     route = found(app, name)
     return route is not None and next(stage for stage in route.stages if stage.name == "offered").done is True
 
@@ -78,5 +67,5 @@ def test_a_service_and_a_parameter_of_a_far_node(tmp_path: Path) -> None:
         await pilot.press("f9", "y")
         await shown(pilot, "double_value: 0.9")
 
-    with pair.server(), answerer():
+    with pair.server(), running("tests.console.answerer", str(THERE), NODE, MODE):
         watch(app, steps)

@@ -2,69 +2,21 @@
 
 import contextlib
 import os
-import time
 from pathlib import Path
 
 import pytest
 from tests.console.driving import NOWHERE, gone, shown, until
-from tests.console.live import HERE, THERE, Pair, console, flows, talker, watch
+from tests.console.live import Pair, console, flows, talker, watch
 from tests.support.locks import alone
 from textual.pilot import Pilot
 
-from rsb_bridge.config.session_file import load
-from rsb_bridge.engine import Engine
 from rsb_bridge.model.session import Topic
 from rsb_console.app import ConsoleApp
-from rsb_console.operations.session_operations import SessionQuestion
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.session.demo_session import running_demo
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 CHATTER = f"/dialogs_{os.getpid()}/chatter"
-
-
-@pytest.mark.parametrize(
-    ("domain", "sign", "direction"),
-    [pytest.param(HERE, "→", "transmit", marks=pytest.mark.long), (THERE, "←", "receive")],
-    ids=["here", "there"],
-)
-def test_a_topic_of_either_sides_graph_is_added_flows_and_is_saved(
-    tmp_path: Path, domain: int, sign: str, direction: str
-) -> None:
-    pair = Pair(tmp_path)
-    app = console(pair.client_path)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "● LINKED")
-        await pilot.press("a", *"chatter")
-        await shown(pilot, f"▌{sign} {CHATTER[:20]}")
-        await pilot.press("enter")
-        await shown(pilot, "std_msgs/msg/String")
-        await pilot.press("enter")
-        await until(pilot, lambda: flows(app.snapshot(), CHATTER), "20 Hz")
-        await pilot.press("q")
-        await shown(pilot, SessionQuestion.NOT_SAVED, changes=f"added {CHATTER}")
-        await pilot.press("n", "w", "y")
-        await shown(pilot, "saved:")
-
-    with pair.server(), talker(CHATTER, domain=domain):
-        watch(app, steps)
-        saved = load(pair.client_path)
-        assert saved.topics == (Topic(CHATTER, direction, "std_msgs/msg/String"),)  # type: ignore[arg-type]
-        assert_bridges_headless(pair.client_path)
-
-
-def assert_bridges_headless(path: Path) -> None:
-    """Run a session without the console, and wait for its topic."""
-    engine = Engine(load(path), base=path.parent)
-    engine.start()
-    try:
-        deadline = time.monotonic() + 60
-        while not flows(engine.snapshot(), CHATTER):
-            assert time.monotonic() < deadline, [route.reason for route in engine.snapshot().routes]
-            time.sleep(0.05)
-    finally:
-        engine.stop()
 
 
 def test_a_restart_shows_its_steps_and_then_all_flows_again(tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """The main screen, key by key, on an engine that plays a script."""
 
 import csv
-from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -334,31 +333,26 @@ def test_an_engine_that_has_died_says_why_and_can_be_started_anew(temporary: boo
     drive(app, steps)
 
 
-@on_main(NARROW, landmark="⏎ detail")
-async def test_the_footer_of_a_narrow_screen_has_the_key_of_the_details(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    footer = text(app).split("\n")[-1]
-    for words in ("a add", "p pause", "/ filter", "f ✗1 ▲1", "? help", "q quit"):
-        assert words in footer
+def touched() -> dict[str, Any]:
+    path = Path("demo.yaml").resolve()
+    path.touch()
+    return {"path": path}
 
 
-def test_what_vanishes_with_its_session_is_neither_unsaved_nor_recent(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("folder")
+@on_main(before=touched, temporary=True)
+async def test_what_vanishes_with_its_session_is_neither_unsaved_nor_recent(
+    app: ConsoleApp, pilot: Pilot[None]
+) -> None:
     from rsb_console.screens.session_files import recent_sessions
 
-    path = tmp_path / "demo.yaml"
-    path.touch()
-    app = scripted_app(path=path, temporary=True)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine_of(app).session = msgspec.structs.replace(engine_of(app).session, topics=(Topic("/new", "transmit"),))
-        assert recent_sessions() == []
-        await pilot.press("w")  # is kept elsewhere, if at all
-        await shown(pilot, "Save as")
-        await pilot.press("escape", "q")
-        await shown(pilot, "The bridge stops")
-        await gone(pilot, "Not saved")
-
-    drive(app, steps)
+    engine_of(app).session = msgspec.structs.replace(engine_of(app).session, topics=(Topic("/new", "transmit"),))
+    assert recent_sessions() == []
+    await pilot.press("w")  # is kept elsewhere, if at all
+    await shown(pilot, "Save as")
+    await pilot.press("escape", "q")
+    await shown(pilot, "The bridge stops")
+    await gone(pilot, "Not saved")
 
 
 @pytest.mark.parametrize(
@@ -425,15 +419,11 @@ def test_an_engine_that_cannot_start_says_why_and_the_console_stays() -> None:
     drive(app, steps)
 
 
-class Refusing(ScriptedEngine):
-    """An engine that pauses nothing."""
-
-    def pause(self, key: str, paused: bool) -> Future[None]:
-        return refused("route gone")
-
-
-@on_main(landmark="p pause", make_engine=Refusing)
-async def test_a_refused_command_is_said_in_words(app: ConsoleApp, pilot: Pilot[None]) -> None:
+@on_main(landmark="p pause")
+async def test_a_refused_command_is_said_in_words(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engine_of(app), "pause", lambda *_: refused("route gone"))
     await pilot.press("p")
     await shown(pilot, "route gone")
 

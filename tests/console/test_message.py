@@ -7,12 +7,10 @@ from typing import Any
 import pytest
 from tests.console.driving import (
     NARROW,
-    drive,
     engine_of,
     gone,
     on_main,
     put,
-    scripted_app,
     shown,
     shown_at_the_end,
     text,
@@ -106,8 +104,10 @@ async def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(
     await until(pilot, engine.looking.cancelled, "nobody looks any more")
 
 
-def test_keys_do_something_while_a_message_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    app = scripted_app(make_engine=TextEngine)
+@on_main(make_engine=TextEngine)
+async def test_keys_do_something_while_a_message_is_read(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     began, may_go_on = threading.Event(), threading.Event()
 
     def slow(*arguments: Any, **limits: Any) -> ReadMessage:
@@ -116,19 +116,14 @@ def test_keys_do_something_while_a_message_is_read(monkeypatch: pytest.MonkeyPat
         return read_message(*arguments, **limits)
 
     replaced.READ_MESSAGE.set(monkeypatch, slow)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        engine_of(app).described = installed_description("nav_msgs/msg/Odometry")
-        engine_of(app).peeked.append(peeked(odometry()))
-        await pilot.press("v")
-        await until(pilot, began.is_set, "reading begins")
-        await pilot.press("space")
-        await shown(pilot, "HELD")
-        may_go_on.set()
-        await shown(pilot, 'child_frame_id: "base"')
-
-    drive(app, steps)
+    engine_of(app).described = installed_description("nav_msgs/msg/Odometry")
+    engine_of(app).peeked.append(peeked(odometry()))
+    await pilot.press("v")
+    await until(pilot, began.is_set, "reading begins")
+    await pilot.press("space")
+    await shown(pilot, "HELD")
+    may_go_on.set()
+    await shown(pilot, 'child_frame_id: "base"')
 
 
 @on_main(make_engine=TextEngine, readonly=True)

@@ -33,7 +33,6 @@ from rsb_bridge.model.commands import Publish
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.main import MainText
 from rsb_console.screens.publish_screen import PublishScreen, PublishText
 from rsb_console.session.landing import LandingText
 
@@ -256,15 +255,6 @@ async def test_the_next_message_waits_for_the_one_before(app: ConsoleApp, pilot:
 
 
 # -- where nothing is published
-
-
-@on_main(readonly=True)
-async def test_a_read_only_console_has_no_key(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    for key in ("S", "D"):
-        await pilot.press(key)
-        await notified(pilot, MainText.READ_ONLY)
-        assert app.screen is app.main
-        app.clear_notifications()
 
 
 @on()

@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from tests.console.driving import engine_of, on_main, shown
-from tests.console.scripted import NOW
 
-from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Event, Level, Reloaded
+from rsb_bridge.model.snapshot import Reloaded
 from rsb_console.operations.bridge_operations import OperationText
 
 if TYPE_CHECKING:
@@ -43,11 +41,3 @@ async def test_what_cannot_change_is_said(app: ConsoleApp, pilot: Pilot[None]) -
     await pilot.press("f6")
     await shown(pilot, OperationText.AS_IN_FILE)
     assert engine_of(app).commands == [("reload", True, "drop_arm"), ("reload", True, "drop_arm")]
-
-
-@on_main()
-async def test_what_operators_did_is_in_the_log(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    text = "/chat: paused by anna (uid 1000, pid 7)"
-    engine_of(app).happened.append(Event(5, NOW, Level.INFO, EventCode.OPERATOR_PAUSED, text, topic="/chat"))
-    app.pull()
-    await shown(pilot, f"operator {text}")

@@ -2,10 +2,11 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
-from tests.console.driving import NARROW, drive, engine_of, fill, gone, on_main, scripted_app, shown, until
+from tests.console.driving import NARROW, Decorator, engine_of, fill, gone, on_main, shown, until
 from tests.console.scripted import SESSION
 from textual.pilot import Pilot
 
@@ -23,12 +24,25 @@ from rsb_console.session.saving import moved, unsaved
 pytestmark = pytest.mark.usefixtures("folder")
 
 
-@pytest.fixture
-def path(folder: Path) -> Path:
-    """A session file."""
-    path = folder / "nav2.yaml"
-    save(SESSION, path)
-    return path
+COMMENTED = f"# mine\n{dump(SESSION)}topics:\n- {{ topic: /a, direction: transmit }}   # ours\n# not yet: /b\n"
+LONG = f"{dump(SESSION)}topics:\n" + "".join(f"- {{topic: /a{at}, direction: transmit}}\n" for at in range(40))
+UNUSUAL = f"# mine\n{dump(SESSION)}? topics\n: - {{topic: /a, direction: transmit}}\n"
+SERVER = msgspec.structs.replace(SESSION, role="server")
+ONE_TOPIC = msgspec.structs.replace(SESSION, topics=(Topic("/a", "transmit"),))
+
+
+def on_file(text: str = dump(SESSION), *sizes: Any) -> Decorator:
+    """A test's steps run on the session of a file, and get its path."""
+
+    def written() -> dict[str, Any]:
+        path = Path("nav2.yaml").resolve()
+        path.write_text(text)
+        return {"path": path, "session": load(path)}
+
+    async def opened(pilot: Pilot[None]) -> dict[str, Any]:
+        return {"path": Path("nav2.yaml").resolve()}
+
+    return on_main(*sizes, before=written, opening=opened, makes=("path",))
 
 
 async def shut(pilot: Pilot[None]) -> None:
@@ -44,7 +58,16 @@ def changed(app: ConsoleApp, *topics: Topic) -> Session:
     return engine_of(app).session
 
 
-@on_main(given=("path",))
+async def saves_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    """Press the key, and wait for the notice, which is gone after 3 s."""
+    told: list[str] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(app, "notify", lambda words, **_: told.append(words))
+        await pilot.press("w")
+        await until(pilot, lambda: any("nothing to save:" in each for each in told), "the notice")
+
+
+@on_file()
 async def test_saving_asks_and_then_the_file_holds_what_runs(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
     now = changed(app, Topic("/new", "transmit"))
     await pilot.press("w")
@@ -57,44 +80,29 @@ async def test_saving_asks_and_then_the_file_holds_what_runs(app: ConsoleApp, pi
     assert load(path) == now
 
 
-def test_what_would_be_saved_as_it_is_leaves_the_file_with_its_comments(folder: Path) -> None:
-    path = folder / "nav2.yaml"
-    path.write_text(f"# mine\n{dump(SESSION)}")
-    app = scripted_app(path=path)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("w")
-        await shown(pilot, "nothing to save:")
-        assert path.read_text().startswith("# mine")
-
-    drive(app, steps)
+@on_file(f"# mine\n{dump(SESSION)}")
+async def test_what_would_be_saved_as_it_is_leaves_the_file_with_its_comments(
+    app: ConsoleApp, pilot: Pilot[None], path: Path
+) -> None:
+    await saves_nothing(app, pilot)
+    assert path.read_text().startswith("# mine")
 
 
-def test_comments_and_layout_survive_a_save(folder: Path) -> None:
-    path = folder / "nav2.yaml"
-    head = dump(SESSION)
-    text = f"# mine\n{head}topics:\n- {{ topic: /a, direction: transmit }}   # ours\n# not yet: /b\n"
-    path.write_text(text)
-    app = scripted_app(session=load(path), path=path)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        changed(app, Topic("/a", "transmit", protocol="udp"), Topic("/new", "transmit"))
-        await pilot.press("w")
-        await shown(pilot, "added /new; changed /a")
-        await pilot.press("y")
-        await shown(pilot, "saved:")
-        changed(app, Topic("/a", "transmit", protocol="udp"))
-        await pilot.press("w", "y")
-        await until(pilot, lambda: "/new" not in path.read_text(), "the second save")
-
-    drive(app, steps)
-    assert path.read_text() == text.replace("transmit }", "transmit, protocol: udp }")
+@on_file(COMMENTED)
+async def test_comments_and_layout_survive_a_save(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
+    changed(app, Topic("/a", "transmit", protocol="udp"), Topic("/new", "transmit"))
+    await pilot.press("w")
+    await shown(pilot, "added /new; changed /a")
+    await pilot.press("y")
+    await shown(pilot, "saved:")
+    changed(app, Topic("/a", "transmit", protocol="udp"))
+    await pilot.press("w", "y")
+    await until(pilot, lambda: "/new" not in path.read_text(), "the second save")
+    assert path.read_text() == COMMENTED.replace("transmit }", "transmit, protocol: udp }")
 
 
 @pytest.mark.parametrize("edited", ["name: [\n", "# mine, later\n{}stale_after: 3.0\n"])
-@on_main(given=("path",))
+@on_file()
 async def test_what_somebody_changed_on_disk_meanwhile_is_not_overwritten(
     app: ConsoleApp, pilot: Pilot[None], path: Path, edited: str
 ) -> None:
@@ -118,7 +126,7 @@ async def test_what_somebody_changed_on_disk_meanwhile_is_not_overwritten(
 
 
 @pytest.mark.parametrize("how", ["touched", "written anew", "commented"])
-@on_main(given=("path",))
+@on_file()
 async def test_a_file_that_says_the_same_as_before_was_changed_by_nobody(
     app: ConsoleApp, pilot: Pilot[None], path: Path, how: str
 ) -> None:
@@ -136,7 +144,7 @@ async def test_a_file_that_says_the_same_as_before_was_changed_by_nobody(
     assert path.read_text().startswith(text_now.splitlines()[0])
 
 
-@on_main(given=("path",))
+@on_file()
 async def test_a_file_that_was_changed_on_disk_can_be_overwritten_with_its_new_comments(
     app: ConsoleApp, pilot: Pilot[None], path: Path
 ) -> None:
@@ -155,7 +163,7 @@ async def test_a_file_that_was_changed_on_disk_can_be_overwritten_with_its_new_c
     assert path.with_name("nav2.yaml~").read_text() == edited
 
 
-@on_main(given=("path",))
+@on_file()
 async def test_a_file_that_was_changed_on_disk_can_be_reloaded(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
     later = msgspec.structs.replace(SESSION, stale_after=3.0)
     changed(app, Topic("/new", "transmit"))
@@ -170,7 +178,7 @@ async def test_a_file_that_was_changed_on_disk_can_be_reloaded(app: ConsoleApp, 
     assert load(path) == later
 
 
-@on_main(given=("path",))
+@on_file()
 async def test_quitting_does_not_ask_for_what_somebody_else_has_saved(
     app: ConsoleApp, pilot: Pilot[None], path: Path
 ) -> None:
@@ -180,138 +188,110 @@ async def test_quitting_does_not_ask_for_what_somebody_else_has_saved(
     await gone(pilot, "Not saved")
 
 
-def test_the_difference_is_shown_before_it_is_written(folder: Path) -> None:
-    path = folder / "nav2.yaml"
-    topics = "".join(f"- {{topic: /a{at}, direction: transmit}}\n" for at in range(40))
-    path.write_text(f"{dump(SESSION)}topics:\n{topics}")
-    app = scripted_app(session=load(path), path=path)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        first, *rest = load(path).topics
-        changed(app, msgspec.structs.replace(first, max_rate=5.0), *rest[20:])
-        await pilot.press("w")
-        await shown(pilot, "-- {topic: /a0, direction: transmit}")
-        await gone(pilot, "/a20, direction")
-        await pilot.press("pagedown")
-        await shown(pilot, "-- {topic: /a20, direction: transmit}")
-        await shown(pilot, "+- {topic: /a0, direction: transmit, max_rate: 5.0}")
-        await shown(pilot, "Save        No")
-
-    drive(app, steps, size=NARROW)
+@on_file(LONG, NARROW)
+async def test_the_difference_is_shown_before_it_is_written(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
+    first, *rest = load(path).topics
+    changed(app, msgspec.structs.replace(first, max_rate=5.0), *rest[20:])
+    await pilot.press("w")
+    await shown(pilot, "-- {topic: /a0, direction: transmit}")
+    await gone(pilot, "/a20, direction")
+    await pilot.press("pagedown")
+    await shown(pilot, "-- {topic: /a20, direction: transmit}")
+    await shown(pilot, "+- {topic: /a0, direction: transmit, max_rate: 5.0}")
+    await shown(pilot, "Save        No")
     assert "max_rate" not in path.read_text()
 
 
-def test_a_long_line_of_the_difference_is_shown_whole(folder: Path) -> None:
-    path = folder / "nav2.yaml"
-    save(msgspec.structs.replace(SESSION, topics=(Topic("/a", "transmit"),)), path)
-    app = scripted_app(session=load(path), path=path)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        changed(app, Topic("/a", "transmit", type="sensor_msgs/msg/LaserScan", protocol="udp", max_rate=12.5))
-        await pilot.press("w")
-        await shown(pilot, "Save nav2.yaml?")
-        await shown(pilot, "max_rate: 12.5}")
-
-    drive(app, steps, size=NARROW)
+@on_file(dump(ONE_TOPIC), NARROW)
+async def test_a_long_line_of_the_difference_is_shown_whole(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
+    changed(app, Topic("/a", "transmit", type="sensor_msgs/msg/LaserScan", protocol="udp", max_rate=12.5))
+    await pilot.press("w")
+    await shown(pilot, "Save nav2.yaml?")
+    await shown(pilot, "max_rate: 12.5}")
 
 
-def test_a_layout_that_cannot_be_edited_is_rewritten_only_after_a_question(folder: Path) -> None:
-    path = folder / "nav2.yaml"
-    before = f"# mine\n{dump(SESSION)}? topics\n: - {{topic: /a, direction: transmit}}\n"
-    path.write_text(before)
-    app = scripted_app(session=load(path), path=path)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        now = changed(app, Topic("/new", "transmit"))
-        await pilot.press("w")
-        await shown(pilot, SaveText.REWRITE, file="nav2.yaml")
-        await shown(pilot, SaveText.REWRITTEN)
-        await pilot.press("n")
-        await shut(pilot)
-        assert path.read_text() == before
-        await pilot.press("w")
-        await shown(pilot, SaveText.REWRITE, file="nav2.yaml")
-        await pilot.press("y")
-        await shown(pilot, "saved:")
-        assert load(path) == now
-        assert (folder / "nav2.yaml~").read_text() == before
-
-    drive(app, steps)
+@on_file(UNUSUAL)
+async def test_a_layout_that_cannot_be_edited_is_rewritten_only_after_a_question(
+    app: ConsoleApp, pilot: Pilot[None], path: Path
+) -> None:
+    now = changed(app, Topic("/new", "transmit"))
+    await pilot.press("w")
+    await shown(pilot, SaveText.REWRITE, file="nav2.yaml")
+    await shown(pilot, SaveText.REWRITTEN)
+    await pilot.press("n")
+    await shut(pilot)
+    assert path.read_text() == UNUSUAL
+    await pilot.press("w")
+    await shown(pilot, SaveText.REWRITE, file="nav2.yaml")
+    await pilot.press("y")
+    await shown(pilot, "saved:")
+    assert load(path) == now
+    assert path.with_name("nav2.yaml~").read_text() == UNUSUAL
 
 
 async def save_as(pilot: Pilot[None], path: str) -> None:
-    """Save the session to another file."""
     await pilot.press("W")
     await shown(pilot, "Save as")
     await fill(pilot, path=path)
     await pilot.press("enter")
 
 
-def test_a_server_saves_what_operators_added_under_its_client(folder: Path) -> None:
-    session = msgspec.structs.replace(SESSION, role="server")
-    path = folder / "pc.yaml"
-    path.write_text(f"# mine\n{dump(session)}")
-    app = scripted_app(session=session, path=path)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("w")
-        await shown(pilot, "nothing to save:")
-        now = msgspec.structs.replace(session, clients=(Client("robot1", topics=(Topic("/new", "transmit"),)),))
-        engine_of(app).session = now
-        await pilot.press("w")
-        await shown(pilot, "Changes: added /new for robot1.")
-        await pilot.press("y")
-        await shown(pilot, "saved:")
-        assert load(path) == now
-        assert path.read_text().startswith("# mine\n")
-
-    drive(app, steps)
+@on_file(f"# mine\n{dump(SERVER)}")
+async def test_a_server_saves_what_operators_added_under_its_client(
+    app: ConsoleApp, pilot: Pilot[None], path: Path
+) -> None:
+    await saves_nothing(app, pilot)
+    now = msgspec.structs.replace(SERVER, clients=(Client("robot1", topics=(Topic("/new", "transmit"),)),))
+    engine_of(app).session = now
+    await pilot.press("w")
+    await shown(pilot, "Changes: added /new for robot1.")
+    await pilot.press("y")
+    await shown(pilot, "saved:")
+    assert load(path) == now
+    assert path.read_text().startswith("# mine\n")
 
 
-def test_saved_to_another_folder_the_key_is_still_found(folder: Path) -> None:
+def at(path: str, **options: Any) -> Decorator:
+    """A test's steps run on a session that was read from there."""
+    return on_main(before=lambda: {"path": Path(path).resolve()}, **options)
+
+
+KEY_ELSEWHERE = msgspec.structs.replace(SESSION, key_file="safe/r.key")
+
+
+@at("nav2.yaml", session=KEY_ELSEWHERE)
+async def test_saved_to_another_folder_the_key_is_still_found(
+    app: ConsoleApp, pilot: Pilot[None], folder: Path
+) -> None:
     (folder / "robots").mkdir()
     (folder / "safe").mkdir()
     key = write_key(folder / "safe" / "r.key")
-    session = msgspec.structs.replace(SESSION, key_file="safe/r.key")
-    save(session, folder / "nav2.yaml")
-    app = scripted_app(session=session, path=folder / "nav2.yaml")
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await save_as(pilot, str(folder / "robots" / "r.yaml"))
-        await until(pilot, lambda: app.path == folder / "robots" / "r.yaml", "another file")
-        await pilot.press("w")  # once more, over itself
-        await shown(pilot, "nothing to save:")
-
-    drive(app, steps)
+    save(KEY_ELSEWHERE, folder / "nav2.yaml")
+    await save_as(pilot, str(folder / "robots" / "r.yaml"))
+    await until(pilot, lambda: app.path == folder / "robots" / "r.yaml", "another file")
+    await saves_nothing(app, pilot)  # once more, over itself
     saved = load(folder / "robots" / "r.yaml")
     assert saved.key_file == os.path.join("..", "safe", "r.key")  # noqa: PTH118 -- as the file has it
     assert read_key(folder / "robots" / saved.key_file) == key
 
 
-def test_what_ends_with_the_console_is_saved_with_its_key(folder: Path) -> None:
+DEMO = msgspec.structs.replace(SESSION, key_file="demo.key")
+
+
+@at("ends/demo.yaml", session=DEMO, temporary=True)
+async def test_what_ends_with_the_console_is_saved_with_its_key(
+    app: ConsoleApp, pilot: Pilot[None], folder: Path
+) -> None:
     old = folder / "ends"
     old.mkdir()
     key, other = write_key(old / "demo.key"), write_key(folder / "demo.key")
-    session = msgspec.structs.replace(SESSION, key_file="demo.key")
-    save(session, old / "demo.yaml")
-    app = scripted_app(session=session, path=old / "demo.yaml", temporary=True)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await save_as(pilot, "kept.yaml")
-        await shown(pilot, SaveText.KEY_SAVED)
-        await pilot.press("w")
-        await shown(pilot, "nothing to save:")
-        changed(app, Topic("/new", "transmit"))
-        await pilot.press("w", "y")
-        await until(pilot, lambda: load(folder / "kept.yaml").topics, "the topic")
-
-    drive(app, steps)
+    save(DEMO, old / "demo.yaml")
+    await save_as(pilot, "kept.yaml")
+    await shown(pilot, SaveText.KEY_SAVED)
+    await saves_nothing(app, pilot)
+    changed(app, Topic("/new", "transmit"))
+    await pilot.press("w", "y")
+    await until(pilot, lambda: load(folder / "kept.yaml").topics, "the topic")
     kept = load(folder / "kept.yaml")
     assert kept.key_file == "demo-2.key"
     assert read_key(folder / "demo-2.key") == key
@@ -320,34 +300,22 @@ def test_what_ends_with_the_console_is_saved_with_its_key(folder: Path) -> None:
     assert not (folder / "demo-3.key").exists()
 
 
-def test_a_key_that_cannot_be_saved_is_told(folder: Path) -> None:
-    session = msgspec.structs.replace(SESSION, key_file="gone.key")
-    app = scripted_app(session=session, path=folder / "demo.yaml", temporary=True)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await save_as(pilot, "kept.yaml")
-        await shown(pilot, SaveText.KEY_NOT_SAVED)
-        assert not (folder / "kept.yaml").exists()
-
-    drive(app, steps)
+@at("demo.yaml", session=DEMO, temporary=True)
+async def test_a_key_that_cannot_be_saved_is_told(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
+    await save_as(pilot, "kept.yaml")
+    await shown(pilot, SaveText.KEY_NOT_SAVED)
+    assert not (folder / "kept.yaml").exists()
 
 
-def test_what_cannot_be_saved_is_said(folder: Path) -> None:
-    path = folder / "nav2.yaml"
-    app = scripted_app(path=path)
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        changed(app, Topic("/a", "transmit"), Topic("/a", "transmit"))
-        await pilot.press("w")
-        await shown(pilot, "Not saved")
-        assert not path.exists()
-
-    drive(app, steps)
+@at("nav2.yaml")
+async def test_what_cannot_be_saved_is_said(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
+    changed(app, Topic("/a", "transmit"), Topic("/a", "transmit"))
+    await pilot.press("w")
+    await shown(pilot, "Not saved")
+    assert not (folder / "nav2.yaml").exists()
 
 
-@on_main(given=("path",))
+@on_file()
 async def test_quitting_names_what_is_not_saved(app: ConsoleApp, pilot: Pilot[None], path: Path) -> None:
     changed(app, Topic("/new", "transmit"))
     await pilot.press("q")
@@ -367,12 +335,11 @@ def test_differences_in_words() -> None:
 
 
 def test_differences_of_servers_in_words() -> None:
-    server = msgspec.structs.replace(SESSION, role="server")
     alone = Client(SESSION.name)
-    assert unsaved(server, msgspec.structs.replace(server, clients=(alone,))) == ""
+    assert unsaved(SERVER, msgspec.structs.replace(SERVER, clients=(alone,))) == ""
     robots = (Client("robot1", deny=("/a",)), Client("robot2", topics=(Topic("/b", "receive"),)))
-    now = msgspec.structs.replace(server, clients=robots, server_port=1234)
-    assert unsaved(server, now) == "added client robot2, /b for robot2; changed server_port, client robot1"
+    now = msgspec.structs.replace(SERVER, clients=robots, server_port=1234)
+    assert unsaved(SERVER, now) == "added client robot2, /b for robot2; changed server_port, client robot1"
 
 
 def test_an_absolute_key_file_stays_as_it_is(folder: Path) -> None:

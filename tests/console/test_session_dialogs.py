@@ -1,14 +1,13 @@
 """Sessions opened, written and imported from the console: real files, and words for what is wrong with them."""
 
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 from tests.console.driving import (
     NARROW,
     choose,
-    drive,
-    empty_app,
     engine_of,
     fill,
     form_of,
@@ -26,6 +25,7 @@ from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.model.session import Session, Topic
 from rsb_console.app import ConsoleApp
+from rsb_console.screens.new_session import MissingField
 from rsb_console.screens.session_files import FileText, WelcomeScreen, recent_sessions, remember
 from rsb_console.session.saving import PathProblem
 
@@ -77,45 +77,44 @@ async def test_readonly_begins_with_what_writes_nothing(app: ConsoleApp, pilot: 
     await shown(pilot, "Open a session")
 
 
-def test_a_digit_chooses_a_recent_session_and_enter_starts_it(folder: Path) -> None:
-    save(SESSION, folder / "nav2.yaml")
-    remember(folder / "nav2.yaml")
-    app = empty_app()
+def remembered() -> dict[str, Any]:
+    """A session that was opened before."""
+    save(SESSION, Path("nav2.yaml"))
+    remember(Path("nav2.yaml").resolve())
+    return {}
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "1  nav2")
-        assert isinstance(app.screen, WelcomeScreen)
-        assert app.screen.menu.keys[-2:] == [str(folder / "nav2.yaml"), "quit"]
-        await pilot.press("5")
-        await until(pilot, lambda: notices(app), "a notice: there is no fifth")
-        await pilot.press("1")
-        assert app.screen.menu.cursor_key == str(folder / "nav2.yaml")
-        await pilot.pause(0.1)
-        assert app.engine is None
-        await pilot.press("enter")
-        await until(pilot, lambda: app.engine is not None, "an engine")
-        assert engine_of(app).session == SESSION
-        assert engine_of(app).base == folder
 
-    drive(app, steps)
+@on_welcome(landmark="1  nav2", before=remembered)
+async def test_a_digit_chooses_a_recent_session_and_enter_starts_it(
+    app: ConsoleApp, pilot: Pilot[None], folder: Path
+) -> None:
+    assert isinstance(app.screen, WelcomeScreen)
+    assert app.screen.menu.keys[-2:] == [str(folder / "nav2.yaml"), "quit"]
+    await pilot.press("5")
+    await until(pilot, lambda: notices(app), "a notice: there is no fifth")
+    await pilot.press("1")
+    assert app.screen.menu.cursor_key == str(folder / "nav2.yaml")
+    await pilot.pause(0.1)
+    assert app.engine is None
+    await pilot.press("enter")
+    await until(pilot, lambda: app.engine is not None, "an engine")
+    assert engine_of(app).session == SESSION
+    assert engine_of(app).base == folder
 
 
 # -- open ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_session_is_found_by_a_few_letters_and_opened(folder: Path) -> None:
+@on_welcome(landmark="Open a session")
+async def test_a_session_is_found_by_a_few_letters_and_opened(
+    app: ConsoleApp, pilot: Pilot[None], folder: Path
+) -> None:
     for name in ("alpha", "beta"):
         save(msgspec.structs.replace(SESSION, name=name), folder / f"{name}.yaml")
-    app = empty_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "Open a session")
-        await pilot.press("o", *"bet", "enter")
-        await until(pilot, lambda: app.engine is not None, "an engine")
-        assert engine_of(app).session.name == "beta"
-        assert recent_sessions() == [folder / "beta.yaml"]
-
-    drive(app, steps)
+    await pilot.press("o", *"bet", "enter")
+    await until(pilot, lambda: app.engine is not None, "an engine")
+    assert engine_of(app).session.name == "beta"
+    assert recent_sessions() == [folder / "beta.yaml"]
 
 
 @pytest.mark.parametrize(
@@ -144,21 +143,17 @@ async def test_a_session_that_does_not_load_says_why_with_the_line(
 # -- new -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [*long((120, 36)), NARROW])
-def test_a_new_session_is_a_valid_file_with_a_key_of_its_own(folder: Path, size: tuple[int, int]) -> None:
-    app = empty_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "New session")
-        await pilot.press("n")
-        await shown(pilot, "Session file")
-        await fill(pilot, name="robot1", server_ip="10.0.0.20", domain_id="3")
-        await choose(pilot, "use_name", "yes")
-        await shown(pilot, "will be created")
-        await pilot.press("enter")
-        await until(pilot, lambda: app.engine is not None, "an engine")
-
-    drive(app, steps, size=size)
+@on_welcome(*long((120, 36)), NARROW)
+async def test_a_new_session_is_a_valid_file_with_a_key_of_its_own(
+    app: ConsoleApp, pilot: Pilot[None], folder: Path
+) -> None:
+    await pilot.press("n")
+    await shown(pilot, "Session file")
+    await fill(pilot, name="robot1", server_ip="10.0.0.20", domain_id="3")
+    await choose(pilot, "use_name", "yes")
+    await shown(pilot, "will be created")
+    await pilot.press("enter")
+    await until(pilot, lambda: app.engine is not None, "an engine")
     expected = Session(
         name="robot1", role="client", server_ip="10.0.0.20", server_port=7060, domain_id=3, use_name=True,
         key_file="robot1.key",
@@ -188,6 +183,7 @@ MISTAKES = [
     ("name", "", "missing: give one"),
     ("server_ip", "10.0.0", "is not an IPv4"),
     ("server_ip", "0.0.0.0", "a client cannot connect to 0.0.0.0"),
+    ("server_port", "", MissingField.PORT()),
     ("server_port", "x", "'x' is not"),
     ("server_port", "0", "missing, or 0: give a port"),
     ("domain_id", "233", "0 to 232"),
@@ -234,30 +230,25 @@ async def test_a_file_is_overwritten_only_with_a_yes(app: ConsoleApp, pilot: Pil
 # -- import ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_thesis_file_becomes_a_session(folder: Path) -> None:
+@on_welcome(landmark="Import")
+async def test_a_thesis_file_becomes_a_session(app: ConsoleApp, pilot: Pilot[None], folder: Path) -> None:
     (folder / "config").mkdir()
     (folder / "config" / "bringup.yaml").write_text(BRINGUP.format(protocol="UDP"))
-    app = empty_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "Import")
-        await pilot.press("i", *"bri", "enter")
-        await until(pilot, lambda: form_of(app).fields["name"].control.has_focus, "the next field")
-        await fill(pilot, name="robot1", path="robot1.yaml", domain_id="x")
-        await pilot.press("enter")
-        await shown(pilot, "'x' is not a whole number")
-        await fill(pilot, domain_id="7")
-        await pilot.press("enter")
-        await shown(pilot, "Imported. Run robot1.yaml?")
-        await pilot.press("n")
-        await gone(pilot, "Imported. Run robot1.yaml?")
-        assert form_of(app).values["name"] == "robot1", "the form is still there"
-        await pilot.press("enter")
-        await shown(pilot, "Imported. Run robot1.yaml?")
-        await pilot.press("y")
-        await until(pilot, lambda: app.engine is not None, "an engine")
-
-    drive(app, steps)
+    await pilot.press("i", *"bri", "enter")
+    await until(pilot, lambda: form_of(app).fields["name"].control.has_focus, "the next field")
+    await fill(pilot, name="robot1", path="robot1.yaml", domain_id="x")
+    await pilot.press("enter")
+    await shown(pilot, "'x' is not a whole number")
+    await fill(pilot, domain_id="7")
+    await pilot.press("enter")
+    await shown(pilot, "Imported. Run robot1.yaml?")
+    await pilot.press("n")
+    await gone(pilot, "Imported. Run robot1.yaml?")
+    assert form_of(app).values["name"] == "robot1", "the form is still there"
+    await pilot.press("enter")
+    await shown(pilot, "Imported. Run robot1.yaml?")
+    await pilot.press("y")
+    await until(pilot, lambda: app.engine is not None, "an engine")
     imported = load(folder / "robot1.yaml")
     expected = Topic("/scan", "transmit", "sensor_msgs/msg/LaserScan", "udp", 12004, "sensor_data")
     assert imported == engine_of(app).session

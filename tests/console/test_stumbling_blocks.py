@@ -2,13 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import msgspec
 import pytest
 from tests.console.driving import (
     AppSteps,
-    drive,
     engine_of,
     fill,
     form_of,
@@ -16,34 +15,21 @@ from tests.console.driving import (
     listed,
     on_main,
     put,
-    scripted_app,
     shown,
     text,
     until,
 )
-from tests.console.scripted import LINK, SESSION, ScriptedEngine, refused, route
+from tests.console.scripted import LINK, SESSION, refused, route
 from textual.pilot import Pilot
 
 from rsb_bridge.config.session_file import save
-from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_console.app import ConsoleApp
-from rsb_console.look import formats
 from rsb_console.look.glyphs import to_ascii
-from rsb_console.screens.new_session import FIELDS, MissingField
+from rsb_console.screens.new_session import FIELDS
 from rsb_console.widgets.filter import RowFilter
 from rsb_console.widgets.form_inputs import Choice
 from rsb_console.widgets.topics import TopicsTable
-
-if TYPE_CHECKING:
-    from concurrent.futures import Future
-
-
-class RefusingEngine(ScriptedEngine):
-    """An engine that refuses every topic."""
-
-    def add_topic(self, topic: Topic, link: str = "") -> "Future[str]":
-        return refused("robot1 does not allow /added")
 
 
 def test_what_is_chosen_and_what_is_not_differ_in_ascii() -> None:
@@ -52,8 +38,11 @@ def test_what_is_chosen_and_what_is_not_differ_in_ascii() -> None:
     assert chosen != other
 
 
-@on_main(make_engine=RefusingEngine)
-async def test_a_refused_topic_comes_back_with_its_values_and_the_reason(app: ConsoleApp, pilot: Pilot[None]) -> None:
+@on_main()
+async def test_a_refused_topic_comes_back_with_its_values_and_the_reason(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engine_of(app), "add_topic", lambda *_: refused("robot1 does not allow /added"))
     await pilot.press("a")
     await shown(pilot, "Add a topic")
     await fill(pilot, topic="/added", max_rate="7")
@@ -64,44 +53,32 @@ async def test_a_refused_topic_comes_back_with_its_values_and_the_reason(app: Co
     assert (values["topic"], values["max_rate"]) == ("/added", "7")
 
 
-@pytest.mark.usefixtures("folder")
-@pytest.mark.parametrize("dialog", ["open", "new", "save as"])
-def test_no_leads_back_to_the_dialog_that_asked(dialog: str) -> None:
+def two_files() -> dict[str, Any]:
     save(SESSION, Path("nav2.yaml"))
     save(msgspec.structs.replace(SESSION, name="other"), Path("other.yaml"))
+    return {"path": Path("nav2.yaml").resolve()}
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("dialog", ["open", "new", "save as"])
+@on_main(before=two_files)
+async def test_no_leads_back_to_the_dialog_that_asked(app: ConsoleApp, pilot: Pilot[None], dialog: str) -> None:
     keys, words, values, question = {
         "open": ("o", "Sessions", {"path": "./other.yaml"}, "Run other.yaml instead?"),
         "new": ("f2", "New session", {"name": "robot7", "server_ip": "10.0.0.20"}, "Run robot7.yaml instead?"),
         "save as": ("W", "Save as", {"path": "other.yaml"}, "Overwrite other.yaml?"),
     }[dialog]
-    app = scripted_app(path=Path("nav2.yaml").resolve())
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press(keys)
-        await shown(pilot, words)
-        await fill(pilot, **values)
-        await pilot.press("enter")
-        await shown(pilot, question)
-        await shown(pilot, "n no")  # the keys of the answers
-        await pilot.press("n")
-        await gone(pilot, question)
-        await until(pilot, lambda: app.screen is not app.main, "the dialog")
-        await shown(pilot, words)
-        assert form_of(app).values.items() >= {key: value.removeprefix("./") for key, value in values.items()}.items()
-
-    drive(app, steps)
-
-
-@on_main()
-async def test_an_empty_port_is_missing(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await pilot.press("f2")
-    await shown(pilot, "New session")
-    assert form_of(app).values["server_port"] == "7060"
-    await fill(pilot, server_port="")
-    form_of(app).fields["server_port"].touched = True
-    await fill(pilot, name="robot1")
-    await shown(pilot, MissingField.PORT)
+    await pilot.press(keys)
+    await shown(pilot, words)
+    await fill(pilot, **values)
+    await pilot.press("enter")
+    await shown(pilot, question)
+    await shown(pilot, "n no")  # the keys of the answers
+    await pilot.press("n")
+    await gone(pilot, question)
+    await until(pilot, lambda: app.screen is not app.main, "the dialog")
+    await shown(pilot, words)
+    assert form_of(app).values.items() >= {key: value.removeprefix("./") for key, value in values.items()}.items()
 
 
 @on_main(session=msgspec.structs.replace(SESSION, use_name=True))
@@ -203,21 +180,3 @@ def wide_screen(size: tuple[int, int]) -> AppSteps:
 
 test_a_wide_screen_gives_the_details_room = on_main((200, 50))(wide_screen((200, 50)))
 test_messages_cover_no_topic = on_main((120, 36))(wide_screen((120, 36)))
-
-
-@pytest.mark.parametrize(
-    ("made", "expected"),
-    [
-        (formats.retry(1, None), ""),
-        (formats.retry(1, 1.2), "retry 1 in 2 s"),
-        (formats.retry(4, 0.0), "retry 4 now"),
-        (formats.counted(1, "topic"), "1 topic"),
-        (formats.counted(0, "topic"), "0 topics"),
-        (formats.byte_count(0), "0 B"),
-        (formats.byte_count(999), "999 B"),
-        (formats.byte_count(29_392_800), "29 MB"),
-        (formats.byte_count(3_120_000_000_000), "3.1 TB"),
-    ],
-)
-def test_figures_in_words(made: str, expected: str) -> None:
-    assert made == expected

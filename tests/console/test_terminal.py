@@ -121,9 +121,6 @@ class FarSide:
     def lines(self) -> list[dict[str, Any]]:
         return [json.loads(line) for line in self.log.read_text().splitlines() if line.endswith("}")]
 
-    def said(self, words: str) -> bool:
-        return any(words in line.get("text", "") for line in self.lines())
-
     def assert_flowing(self, seconds: float = 120.0) -> None:
         """The topic flows on: between two statuses from now, something has been delivered."""
         begin, deadline = time.time(), time.monotonic() + seconds

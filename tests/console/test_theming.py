@@ -1,9 +1,10 @@
 """Themes: the shipped ones are readable, a user's mistake is explained."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
-from tests.console.driving import drive, notices, notified, on_main, scripted_app, shown
+from tests.console.driving import notices, notified, on_main
 from tests.support.wording import says
 from textual.color import Color
 from textual.pilot import Pilot
@@ -111,18 +112,19 @@ def test_a_users_theme_stands_beside_the_shipped_ones_and_may_replace_one(tmp_pa
     assert "light" in found
 
 
-def test_bad_themes_become_one_toast_and_the_rest_still_works(tmp_path: Path) -> None:
-    (tmp_path / "themes").mkdir()
-    (tmp_path / "themes" / "bad.yaml").write_text("primary: nope")
-    (tmp_path / "themes" / "mine.yaml").write_text('primary: "#ff00ff"')
-    app = scripted_app(config=tmp_path, theme="mine")
+def own_themes() -> dict[str, Any]:
+    """A folder of the user's with a good theme and a bad one."""
+    Path("themes").mkdir()
+    Path("themes/bad.yaml").write_text("primary: nope")
+    Path("themes/mine.yaml").write_text('primary: "#ff00ff"')
+    return {"config": Path().resolve()}
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "Themes skipped")
-        assert app.theme == "mine"
-        assert len(notices(app)) == 1
 
-    drive(app, steps)
+@pytest.mark.usefixtures("folder")
+@on_main(landmark="Themes skipped", theme="mine", before=own_themes)
+async def test_bad_themes_become_one_toast_and_the_rest_still_works(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    assert app.theme == "mine"
+    assert len(notices(app)) == 1
 
 
 @on_main(theme="nope")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import pytest
-from tests.console.driving import drive, scripted_app, shown, until
+from tests.console.driving import on_main, until
 from tests.support.long import long
 from textual.widgets._toast import Toast
 
@@ -15,6 +14,8 @@ if TYPE_CHECKING:
     from textual.geometry import Region
     from textual.pilot import Pilot
     from textual.screen import Screen
+
+    from rsb_console.app import ConsoleApp
 
 SIZES = [(200, 50), *long((120, 36), (100, 30)), (80, 24)]
 TEXT = "the session is saved, and one topic of it could not be added: it is bridged already by another client"
@@ -26,31 +27,16 @@ async def toast_on(pilot: Pilot[None], screen: Screen[Any]) -> Region:
     return screen.query_one(Toast).region
 
 
-@pytest.mark.parametrize("size", SIZES, ids=str)
-def test_on_the_main_screen(size: tuple[int, int]) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        region = await toast_on(pilot, app.main)
-        for pane in (app.main.log_pane, app.main.status, app.main.key_bar):
-            assert not region.overlaps(pane.region), pane
-
-    drive(app, steps, size=size)
-
-
-@pytest.mark.parametrize("size", SIZES, ids=str)
-def test_on_a_form(size: tuple[int, int]) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("a")
-        await until(pilot, lambda: isinstance(app.screen, TopicScreen), "the form")
-        await pilot.pause()
-        region = await toast_on(pilot, app.screen)
-        (dialog,) = app.screen.query(".dialog")
-        assert dialog.region.bottom <= size[1]
-        assert not region.overlaps(dialog.region)
-
-    drive(app, steps, size=size)
+@on_main(*SIZES)
+async def test_on_the_main_screen_and_on_a_form(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    region = await toast_on(pilot, app.main)
+    for pane in (app.main.log_pane, app.main.status, app.main.key_bar):
+        assert not region.overlaps(pane.region), pane
+    app.clear_notifications()
+    await pilot.press("a")
+    await until(pilot, lambda: isinstance(app.screen, TopicScreen), "the form")
+    await pilot.pause()
+    region = await toast_on(pilot, app.screen)
+    (dialog,) = app.screen.query(".dialog")
+    assert dialog.region.bottom <= app.size.height
+    assert not region.overlaps(dialog.region)

@@ -12,13 +12,6 @@ from rsb_console.widgets.filter import PatternProblem
 
 
 @on_main()
-async def test_faults_stand_first_and_totals_above(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    assert listed(app)[:2] == FAULTY
-    await shown(pilot, "✗ 1 down  ▲ 1 stale  ‖ 1 paused  ● 5 ok")
-    await shown(pilot, "● LINKED 00:12:04  encrypted ✓")
-
-
-@on_main()
 async def test_the_cursor_begins_with_the_worst_and_then_stays_on_its_topic(
     app: ConsoleApp, pilot: Pilot[None]
 ) -> None:

@@ -48,7 +48,6 @@ class Terminal:
 
     @property
     def is_silent(self) -> bool:
-        """Whether nothing has been written to it."""
         return not select.select([self._there], [], [], 0.2)[0]
 
     def send(self, text: str) -> None:
@@ -59,7 +58,6 @@ class Terminal:
             time.sleep(0.001)
 
     def _unread(self) -> int:
-        """Return how many bytes the program can read."""
         return int.from_bytes(fcntl.ioctl(self.here, termios.FIONREAD, bytes(4)), sys.byteorder)
 
     def answer(self, *columns: int) -> None:

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-import pytest
 from tests.console.changing import ARMED, SCAN, ChangingEngine
 from tests.console.driving import (
     NARROW,
@@ -27,7 +23,6 @@ from tests.console.driving import (
 )
 from tests.console.scripted import LINK, NOW, ScriptedEngine, route
 from tests.console.scripted import refused as refused_by
-from tests.console.tmux import Tmux
 from tests.support.long import long
 
 from rsb_bridge.model.codes import EventCode
@@ -38,9 +33,7 @@ from rsb_console.screens.dialog import ConfirmScreen, UndoScreen
 from rsb_console.session.changes import STEPS, Changes, Paused
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
+    import pytest
     from textual.pilot import Pilot
     from textual.screen import Screen
 
@@ -73,6 +66,15 @@ async def question(app: ConsoleApp, pilot: Pilot[None]) -> UndoScreen:
 def focus(screen: Screen[Any]) -> str:
     assert screen.focused is not None
     return screen.focused.id or ""
+
+
+async def slowed(app: ConsoleApp, pilot: Pilot[None], engine: ChangingEngine) -> None:
+    """Limit the topic's rate."""
+    await pilot.press("e")
+    await fill(pilot, max_rate="2.5")
+    await pilot.press("enter")
+    await until(pilot, lambda: engine.spec("/scan").max_rate == 2.5, "an edit")
+    await until(pilot, lambda: app.screen is app.main, "the form closed")
 
 
 async def removed(pilot: Pilot[None], topic: str) -> None:
@@ -133,11 +135,7 @@ async def test_what_has_to_be_armed_comes_back_disarmed(
 
 @on_scan()
 async def test_an_edit_is_put_back(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-    await pilot.press("e")
-    await fill(pilot, max_rate="2.5")
-    await pilot.press("enter")
-    await until(pilot, lambda: engine.spec("/scan").max_rate == 2.5, "an edit")
-    await until(pilot, lambda: app.screen is app.main, "the form closed")
+    await slowed(app, pilot, engine)
     await shown(pilot, "undo")
     screen = await question(app, pilot)
     assert focus(screen) == "yes"
@@ -244,11 +242,7 @@ async def test_what_somebody_else_has_changed_since_is_left_alone(
 async def test_what_somebody_changes_while_the_question_stands_is_left_alone(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
-    await pilot.press("e")
-    await fill(pilot, max_rate="2.5")
-    await pilot.press("enter")
-    await until(pilot, lambda: engine.spec("/scan").max_rate == 2.5, "an edit")
-    await until(pilot, lambda: app.screen is app.main, "the form closed")
+    await slowed(app, pilot, engine)
     await question(app, pilot)
     engine.put("/scan", msgspec.structs.replace(SCAN, max_rate=9.0))
     await pilot.press("y")
@@ -283,14 +277,6 @@ async def test_what_the_bridge_refuses_can_be_tried_again(
     await until(pilot, lambda: engine.undone, "an undo")
 
 
-@on_scan(readonly=True)
-async def test_who_may_only_look_undoes_nothing(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
-    app.changes.add(Paused("robot1", "/scan", 0, key="/scan", paused=False))
-    await pilot.press("u")
-    await shown(pilot, "read-only")
-    assert app.screen is app.main
-
-
 @on_scan()
 async def test_another_session_forgets_them(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
     await pilot.press("p")
@@ -311,15 +297,9 @@ def test_a_bounded_number_is_remembered() -> None:
 # --- patterns
 
 
-def _with_patterns(*specs: Topic) -> Callable[[ScriptedEngine], Snapshot]:
-    def make(engine: ScriptedEngine) -> Snapshot:
-        patterns = tuple(
-            PatternSnapshot(f"pattern {spec.topic}", "robot1", spec, State.OK, "", here=True, source=spec.topic)
-            for spec in specs
-        )
-        return replace(engine.now, links=(replace(LINK, patterns=patterns),))
-
-    return make
+def with_pattern(engine: ScriptedEngine, spec: Topic) -> Snapshot:
+    pattern = PatternSnapshot(f"pattern {spec.topic}", "robot1", spec, State.OK, "", here=True, source=spec.topic)
+    return replace(engine.now, links=(replace(LINK, patterns=(pattern,)),))
 
 
 @on_scan()
@@ -329,13 +309,13 @@ async def test_what_a_pattern_has_made_is_its_again(
     """A removal makes an exception in the pattern; an undo takes only that back."""
     pattern = Topic("/camera/**", "receive", excepts=("/camera/raw",), max_rate=4.0)
     left_out = msgspec.structs.replace(pattern, excepts=("/camera/raw", "/camera/a"))
-    engine.now = _with_patterns(pattern)(engine)
+    engine.now = with_pattern(engine, pattern)
     made = route("/camera/a", pattern="/camera/**", spec=Topic("/camera/a", "receive", max_rate=4.0))
     engine.show(made, *engine.now.routes)
     app.pull()
     app.main.topics.move_to(next(n for n, each in enumerate(app.main.topics.listed) if each.topic == "/camera/a"))
     await removed(pilot, "/camera/a")
-    engine.now = _with_patterns(msgspec.structs.replace(left_out, max_rate=3.0))(engine)
+    engine.now = with_pattern(engine, msgspec.structs.replace(left_out, max_rate=3.0))
     await question(app, pilot)
     await pilot.press("y")
     await until(pilot, lambda: engine.undone, "an undo")
@@ -345,21 +325,3 @@ async def test_what_a_pattern_has_made_is_its_again(
 
 
 # --- in a terminal
-
-
-def test_in_a_terminal(tmp_path: Path) -> None:
-    if shutil.which("tmux") is None:
-        pytest.skip("needs tmux")
-    command = (
-        f"PYTHONPATH={os.environ.get('PYTHONPATH', '')} {sys.executable} -m tests.console.scripted_console --changing"
-    )
-    with Tmux(tmp_path, "sh", "-c", command, size=NARROW) as tmux:
-        tmux.wait_for("/cmd_vel")
-        tmux("send-keys", "d")
-        tmux.agree("Remove /")
-        tmux("send-keys", "u")
-        tmux.agree("Undo the removal")
-        tmux.wait_for("/scan")
-        tmux.wait_for("/cmd_vel")
-        tmux("send-keys", "u")
-        tmux.wait_for(OperationText.NOTHING_MORE_TO_UNDO())

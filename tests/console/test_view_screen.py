@@ -9,6 +9,7 @@ import time
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -16,13 +17,11 @@ import msgspec
 import pytest
 from tests.console.driving import (
     NARROW,
-    drive,
     engine_of,
     form_of,
     notified,
     on_main,
     put,
-    scripted_app,
     selected_topic,
     send,
     shown,
@@ -107,19 +106,12 @@ def drawn(app: ConsoleApp) -> list[str]:
 
 
 def placing(app: ConsoleApp) -> Goal | None:
-    """Return the goal that the operator is placing."""
     return screen_of(app)._goal
 
 
 def title(app: ConsoleApp) -> str:
     pane_title = screen_of(app).pane._border_title
     return "" if pane_title is None else pane_title.plain
-
-
-def colours(app: ConsoleApp) -> list[tuple[str, str]]:
-    """Return the colours of the first cells of the picture's first row, above and below."""
-    styles = (segment.style for segment in app.screen.query_one(PicturePane).render_line(0))
-    return [(style.color.name, style.bgcolor.name) for style in styles if style and style.color and style.bgcolor]
 
 
 # -- pictures
@@ -138,13 +130,6 @@ async def test_a_picture_is_asked_for_and_shown(app: ConsoleApp, pilot: Pilot[No
         assert part in title(app)
 
 
-@looking()
-async def test_an_image_has_two_pixels_in_a_cell(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    await comes(pilot, viewed(IMAGE))
-    await shown(pilot, "▀▀")
-    assert colours(app)[:2] == [("#ff0000", "#0000ff"), ("#00ff00", "#ffffff")]
-
-
 @looking(theme="terminal")
 async def test_without_true_colour_an_image_is_ascii(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await comes(pilot, viewed(Pixels(3, 2, bytes(9) + b"\xff" * 9)))
@@ -152,15 +137,6 @@ async def test_without_true_colour_an_image_is_ascii(app: ConsoleApp, pilot: Pil
     rows = "".join(drawn(app))
     assert rows.strip()
     assert rows.isascii() == bool(app.ansi_color)
-
-
-@looking()
-async def test_a_plot_fills_the_pane(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    wish = await comes(pilot, viewed(CURVES))
-    await until(pilot, lambda: screen_of(app).has_content, "the plot")
-    rows = [row for row in drawn(app) if row.strip()]
-    assert len(rows) == wish.height
-    assert max(len(row.rstrip()) for row in rows) == wish.width
 
 
 @looking()
@@ -564,19 +540,16 @@ async def test_the_cursor_of_a_plot_shows_values(app: ConsoleApp, pilot: Pilot[N
 
 
 @pytest.mark.parametrize(("content", "suffix"), [(IMAGE, ".png"), (CHARACTERS, ".svg"), (CURVES, ".csv")])
-def test_a_picture_is_written_to_a_file(folder: Path, content: Any, suffix: str) -> None:
-    app = scripted_app()
-
-    async def steps(pilot: Pilot[None]) -> None:
-        await opened(pilot)
-        await pilot.press("p")
-        await notified(pilot, ViewText.NO_PICTURE)
-        await comes(pilot, viewed(content))
-        await until(pilot, lambda: screen_of(app).has_content, "the picture")
-        await pilot.press("p")
-        await notified(pilot, ViewText.WRITTEN)
-
-    drive(app, steps)
+@looking()
+async def test_a_picture_is_written_to_a_file(
+    app: ConsoleApp, pilot: Pilot[None], folder: Path, content: Any, suffix: str
+) -> None:
+    await pilot.press("p")
+    await notified(pilot, ViewText.NO_PICTURE)
+    await comes(pilot, viewed(content))
+    await until(pilot, lambda: screen_of(app).has_content, "the picture")
+    await pilot.press("p")
+    await notified(pilot, ViewText.WRITTEN)
     (file,) = folder.iterdir()
     assert re.fullmatch(rf"robot2_scan-\d{{8}}-\d{{6}}\{suffix}", file.name)
     if suffix == ".png":
@@ -587,21 +560,18 @@ def test_a_picture_is_written_to_a_file(folder: Path, content: Any, suffix: str)
         assert len([*csv.reader(file.read_text(encoding="utf-8").splitlines())]) == 3
 
 
-def test_a_file_that_cannot_be_written_is_reported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    app = scripted_app()
-
+@looking()
+async def test_a_file_that_cannot_be_written_is_reported(
+    app: ConsoleApp, pilot: Pilot[None], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fails(*_: object) -> None:
         raise OSError("no space")
 
-    async def steps(pilot: Pilot[None]) -> None:
-        await opened(pilot)
-        await comes(pilot, viewed())
-        await until(pilot, lambda: screen_of(app).has_content, "the picture")
-        replaced.VIEW_REPLACE_FILE.set(monkeypatch, fails)
-        await pilot.press("p")
-        await notified(pilot, ViewText.NOT_WRITTEN, error="no space")
-
-    drive(app, steps)
+    await comes(pilot, viewed())
+    await until(pilot, lambda: screen_of(app).has_content, "the picture")
+    replaced.VIEW_REPLACE_FILE.set(monkeypatch, fails)
+    await pilot.press("p")
+    await notified(pilot, ViewText.NOT_WRITTEN, error="no space")
     assert not [*folder.iterdir()]
 
 
@@ -613,7 +583,7 @@ async def test_the_age_of_an_old_picture_grows(
     app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     late = [0.0]
-    replaced.VIEW_TIME.set(monkeypatch, _Clock(late))
+    replaced.VIEW_TIME.set(monkeypatch, SimpleNamespace(monotonic=lambda: time.monotonic() + late[0]))
     await comes(pilot, viewed(age=0.5))
     await until(pilot, lambda: screen_of(app).has_content, "the picture")
     late[0] = 3600.0
@@ -622,16 +592,6 @@ async def test_the_age_of_an_old_picture_grows(
     late[0] = 0.0
     await comes(pilot, viewed(age=None))
     assert ViewText.OLD(age="") not in title(app)
-
-
-class _Clock:
-    """The module `time`, with a monotonic clock that can be put forward."""
-
-    def __init__(self, late: list[float]) -> None:
-        self._late = late
-
-    def monotonic(self) -> float:
-        return time.monotonic() + self._late[0]
 
 
 # -- problems

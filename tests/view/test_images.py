@@ -33,17 +33,13 @@ def pixels(picture: Picture) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("encoding", "pixel"),
-    [("rgb8", (255, 0, 0)), ("bgr8", (0, 0, 255)), ("rgba8", (255, 0, 0, 9)), ("bgra8", (0, 0, 255, 9)),
-     ("8UC3", (0, 0, 255)), ("8UC4", (0, 0, 255, 9))],
+    ("encoding", "pixel", "expected"),
+    [("rgb8", b"\xff\0\0", RED), ("bgr8", b"\0\0\xff", RED), ("rgba8", b"\xff\0\0\t", RED),
+     ("bgra8", b"\0\0\xff\t", RED), ("8UC3", b"\0\0\xff", RED), ("8UC4", b"\0\0\xff\t", RED),
+     ("mono8", b"\x80", 128), ("8UC1", b"\x80", 128), ("mono16", b"\x00\x80", 128)],
 )  # fmt: skip
-def test_colours(encoding: str, pixel: tuple[int, ...]) -> None:
-    assert (pixels(drawn(WISH, image(encoding, bytes(pixel) * 64))) == RED).all()
-
-
-@pytest.mark.parametrize(("encoding", "pixel"), [("mono8", b"\x80"), ("8UC1", b"\x80"), ("mono16", b"\x00\x80")])
-def test_greys(encoding: str, pixel: bytes) -> None:
-    assert (pixels(drawn(WISH, image(encoding, pixel * 64))) == 128).all()
+def test_colours_and_greys(encoding: str, pixel: bytes, expected: int | tuple[int, ...]) -> None:
+    assert (pixels(drawn(WISH, image(encoding, pixel * 64))) == expected).all()
 
 
 def test_big_endian() -> None:

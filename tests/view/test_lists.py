@@ -99,10 +99,6 @@ def test_the_worst_diagnostics_come_first_with_their_values() -> None:
 
 
 def test_stale_diagnostics() -> None:
-    from tests.view.samples import task
-
-    from rsb_bridge.view.worker import Artist
-
     old, new = (DiagnosticArray(status=[DiagnosticStatus(name=name)]) for name in ("old", "new"))
     picture = Artist().do(task(WISH, old, new, every=60.0))
     assert picture is not None

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rsb_bridge.model.pictures import STYLES, Cells, Curve, Picture, PictureError, Pixels, Series, decode_picture
+from rsb_bridge.model.pictures import STYLES, Cells, Curve, Picture, Pixels, Series, decode_picture
 from rsb_bridge.model.pictures import encode_picture as encoded
 from rsb_console.session.picture_files import FORMATS, formats_of, picture_file
 
@@ -120,12 +120,3 @@ def test_a_picture_is_written_in_its_formats_and_in_no_others(content: Cells | P
         else:
             with pytest.raises(ValueError, match=own[0]):
                 picture_file(content, suffix)
-
-
-def test_curves_of_different_lengths_are_no_picture() -> None:
-    for curves in (
-        (Curve("x", (1.0,), (1.0, 2.0)),),
-        (Curve("x", (1.0,), (1.0,)), Curve("y", (1.0, 2.0), (1.0, 2.0))),
-    ):
-        with pytest.raises(PictureError):
-            decode_picture(encoded(Picture(Series(0.0, 1.0, curves))))

@@ -17,7 +17,6 @@ RED, GREEN, BLUE, WHITE, BLACK = b"\xff\0\0", b"\0\xff\0", b"\0\0\xff", b"\xff\x
 
 
 def rows(content: Cells | Pixels | Series, width: int = 80, height: int = 24, **how: int) -> list[str]:
-    """Return the characters of a picture."""
     return ["".join(part.text for part in row) for row in picture_rows(content, width, height, **how)]
 
 
@@ -27,24 +26,23 @@ def webp(width: int, height: int, **how: object) -> bytes:
     return file.getvalue()
 
 
-def test_a_cell_shows_one_pixel_above_another() -> None:
-    assert picture_rows(Pixels(2, 2, RED + GREEN + BLUE + WHITE), 80, 24) == [
-        (Part("▀", "#ff0000", "#0000ff"), Part("▀", "#00ff00", "#ffffff"))
-    ]
-
-
-def test_cells_of_the_same_colours_are_one_part() -> None:
-    rgb = RED * 3 + GREEN + (BLUE * 4)
-    assert picture_rows(Pixels(4, 2, rgb), 80, 24) == [
-        (Part("▀▀▀", "#ff0000", "#0000ff"), Part("▀", "#00ff00", "#0000ff"))
-    ]
-
-
-def test_below_an_odd_last_row_it_is_black() -> None:
-    assert picture_rows(Pixels(1, 3, RED + GREEN + BLUE), 80, 24) == [
-        (Part("▀", "#ff0000", "#00ff00"),),
-        (Part("▀", "#0000ff", "#000000"),),
-    ]
+@pytest.mark.parametrize(
+    ("pixels", "expected"),
+    [
+        (
+            Pixels(2, 2, RED + GREEN + BLUE + WHITE),
+            [(Part("▀", "#ff0000", "#0000ff"), Part("▀", "#00ff00", "#ffffff"))],
+        ),
+        (
+            Pixels(4, 2, RED * 3 + GREEN + BLUE * 4),
+            [(Part("▀▀▀", "#ff0000", "#0000ff"), Part("▀", "#00ff00", "#0000ff"))],
+        ),
+        (Pixels(1, 3, RED + GREEN + BLUE), [(Part("▀", "#ff0000", "#00ff00"),), (Part("▀", "#0000ff", "#000000"),)]),
+    ],
+    ids=["each", "of the same colours", "an odd last row"],
+)
+def test_a_cell_shows_one_pixel_above_another(pixels: Pixels, expected: list[tuple[Part, ...]]) -> None:
+    assert picture_rows(pixels, 80, 24) == expected
 
 
 def test_without_colours_a_character_is_as_bright_as_its_two_pixels() -> None:

@@ -95,12 +95,6 @@ def test_rows_fit_the_window(width: int, height: int) -> None:
         assert all(sum(len(text) for text, _ in row) <= width for row in rows)
 
 
-def test_the_cursor_shows_values() -> None:
-    rows = plot_rows(Series(0.0, 0.25, CURVES), 80, 24, cursor=10)
-    without = plot_rows(Series(0.0, 0.25, CURVES), 80, 24)
-    assert rows[-2] != without[-2]
-
-
 @pytest.mark.parametrize("value", [1.7e308, -1.7e308, math.inf, math.nan, 5e-324])
 def test_extreme_values_are_drawn_or_left_out(value: float) -> None:
     content = series(decode_picture(encode_picture(drawn(WISH, Float64(data=value), Float64(data=1.0)))))
