@@ -13,7 +13,7 @@ pytest.importorskip("test_msgs", reason="no package with an action is installed 
 from action_msgs.msg import GoalStatus, GoalStatusArray
 from rclpy.qos import qos_profile_action_status_default
 from rclpy.serialization import deserialize_message
-from tests.support.bridge import feedback_listeners, linked, route
+from tests.support.bridge import feedback_listeners, route
 from tests.support.fibonacci import ACTION, FibonacciClient, FibonacciProcess, FibonacciServer, fibonacci, id_of
 from tests.support.inside import inside
 from tests.support.waiting import eventually
@@ -23,29 +23,11 @@ from rsb_bridge.model.session import Topic
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain, Listener
-    from tests.support.relay import Relay
 
     from rsb_bridge.engine import Engine
 
 FIBONACCI = Topic(ACTION, "receive", kind="action")
 """The robot provides it."""
-
-
-def test_a_goal_its_feedback_and_its_result_cross(
-    bridge: Bridge, server: FibonacciServer, client: FibonacciClient
-) -> None:
-    engines = bridge.both(FIBONACCI)
-    goal = client.send(5)
-    assert goal.handle().accepted
-    goal.ask()
-    eventually(lambda: server.is_heard and feedback_listeners(engines[0]))
-    server.feedback(0, 1)
-    server.feedback(0, 1, 1)
-    eventually(lambda: len(goal.feedbacks) == 2)
-    server.finish(0, 1, 1, 2, 3)
-    assert goal.result() == ("succeeded", [0, 1, 1, 2, 3])
-    assert goal.feedbacks == [[0, 1], [0, 1, 1]]
-    assert server.orders == [5]
 
 
 def test_goals_of_many_clients_at_once(
@@ -69,17 +51,6 @@ def test_goals_of_many_clients_at_once(
     ]
     assert all(by_id[id_of(server.goal(number))].feedbacks == [[number]] for number in range(8))
     other.close()
-
-
-def test_a_goal_is_cancelled(bridge: Bridge, server: FibonacciServer, client: FibonacciClient) -> None:
-    bridge.both(FIBONACCI)
-    goal = client.send(5)
-    goal.ask()
-    answer = goal.cancel()
-    eventually(answer.done)
-    assert [id_of(each) for each in answer.result().goals_canceling] == [id_of(goal.handle())]
-    server.finish(1, state="canceled")
-    assert goal.result() == ("canceled", [1])
 
 
 def test_a_goal_that_is_not_accepted_harms_nobody(bridge: Bridge, client: FibonacciClient, robot: Domain) -> None:
@@ -178,42 +149,6 @@ def test_a_server_that_was_killed_and_started_again_serves_at_once(
         eventually(lambda: len(servers(robot_engine) - dead) == 3, what="the new server is seen, too")
         for order in range(3):
             assert client.send(order).ask().result() == ("succeeded", fibonacci(order))
-
-
-# --- the link drops
-
-
-def test_a_result_that_was_on_its_way_when_the_link_went_comes(
-    bridge: Bridge, relay: Relay, client: FibonacciClient, robot: Domain
-) -> None:
-    """It was sent into a connection that nobody reads, and is forgotten by its server before the link is back."""
-    server = FibonacciServer(robot.id, result_timeout=0.2)
-    engines = bridge.both(FIBONACCI)
-    goal = client.send(5).ask()
-    relay.stall(new=True)
-    server.finish(0, 1, 1)
-    eventually(lambda: server.forgot)
-    relay.cut()
-    eventually(lambda: not any(linked(engine) for engine in engines))
-    relay.stall(False)
-    assert goal.result() == ("succeeded", [0, 1, 1])
-    server.close()
-
-
-def test_a_cancel_that_the_cut_has_swallowed_is_delivered(
-    bridge: Bridge, relay: Relay, server: FibonacciServer, client: FibonacciClient
-) -> None:
-    """The five seconds until a dead link is noticed are when somebody is most likely to cancel."""
-    engines = bridge.both(FIBONACCI)
-    goal = client.send(5)
-    goal.handle()
-    relay.stall(new=True)
-    answer = goal.cancel()
-    eventually(lambda: not any(linked(engine) for engine in engines))
-    relay.stall(False)
-    eventually(answer.done)
-    assert server.cancels == [id_of(goal.handle())]
-    server.finish(state="canceled")
 
 
 def states(engine: Engine) -> list[str]:

@@ -197,16 +197,6 @@ def test_a_command_that_disarms_ends_once_nothing_is_published_any_more(
     assert not half.settling.under_way
 
 
-def test_a_link_that_drops_disarms_and_comes_back_disarmed(both_armed: tuple[Engine, Engine], relay: Relay) -> None:
-    server, client = both_armed
-    relay.cut()
-    for side in (server, client):
-        event = eventually(lambda side=side: happened(side, EventCode.ROUTE_DISARMED))
-        assert event.cause in (Disarmed.LINK_LOST, Disarmed.CHANNEL_LOST)
-    eventually(lambda: linked(client) and is_set_up(server, client))
-    holds(lambda: armed(server, client) == [False, False], 0.5)
-
-
 def test_while_the_other_side_is_not_heard_nobody_is_told_to_arm_what_is_armed(
     both_armed: tuple[Engine, Engine], relay: Relay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -277,13 +267,6 @@ def test_the_robot_publishes_nothing_of_its_own_marked_topic_that_its_peer_sends
     inside(server).context.call(liar.advance)
     publish_for(joystick, "forged", lambda: route(client, "/cmd").ledger.dropped.get("disarmed", 0) >= 5)
     assert not motors.payloads
-
-
-def test_what_is_not_marked_cannot_be_armed(bridge: Bridge, consoles: Consoles) -> None:
-    server, client = bridge.both(Topic("/cmd", "receive", type="String"))
-    with pytest.raises(EngineError, match="demands"):
-        consoles.arm(server)
-    assert route(client, "/cmd").arming is None
 
 
 def test_the_first_type_that_is_loaded_does_not_end_the_lease(

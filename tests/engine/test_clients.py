@@ -74,20 +74,6 @@ def test_changes_that_wait_for_each_other_undo_nothing(bridge: Bridge) -> None:
     assert sorted(server.session.listed_clients, key=lambda each: each.name) == [Client("robot1"), *new]
 
 
-def test_a_key_is_changed(bridge: Bridge) -> None:
-    server, client = bridge.both()
-    path = bridge.folder / "renewed.key"
-    key = write_key(path)
-    server.change_client(Client("robot1", "renewed.key")).result(60)
-    eventually(lambda: not linked(client))
-    eventually(lambda: " differ: " in link(client).reason, what="the old key is refused")
-    client.stop()
-    bridge.client(key_file="renewed.key")
-    eventually(lambda: linked(server))
-    assert link(server).fingerprint == fingerprint(key)
-    assert server.session.clients == (Client("robot1", "renewed.key"),)
-
-
 def test_the_same_file_with_another_key_counts(bridge: Bridge) -> None:
     server, client = bridge.both()
     write_key(bridge.folder / bridge.key_file, force=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -27,12 +26,16 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain, Listener
 
     from rsb_bridge.engine import Engine
-    from rsb_bridge.model.session import Direction, Kind
+    from rsb_bridge.model.session import Kind
 
-WAYS = ("by name", "pattern", "shadowed", "armed")
-DIRECTIONS: tuple[Direction, Direction] = ("transmit", "receive")
 COMMANDS = Topic("/cmd_vel", "receive", arm=True, deadman=0.0)
 FREE = Topic("/free", "receive")
+DEMANDING: dict[str, tuple[tuple[Topic, ...], tuple[str, ...]]] = {
+    "by name": ((Topic("/cmd_vel", "receive", arm=True),), ()),
+    "pattern": ((Topic("/cmd_*", "receive", arm=True),), ()),
+    "armed": ((), ("/cmd_vel",)),
+}
+"""Entries, and what `armed` has, of a session that demands /cmd_vel."""
 
 
 class Yard:
@@ -43,10 +46,9 @@ class Yard:
         self._out: list[Publisher] = []
         self.heard: dict[str, Listener] = {}
 
-    def add(self, name: str, direction: Direction = "receive") -> None:
-        near, far = (self._robot, self._pc) if direction == "transmit" else (self._pc, self._robot)
-        self._out.append(near.publisher(name))
-        self.heard[name] = far.listener(name)
+    def add(self, name: str) -> None:
+        self._out.append(self._pc.publisher(name))
+        self.heard[name] = self._robot.listener(name)
 
     def publish(self) -> None:
         for out in self._out:
@@ -83,58 +85,6 @@ def set_up(engines: tuple[Engine, Engine], name: str) -> bool:
     of_name = [each for engine in engines for each in now(engine).routes if each.topic == name]
     states = {each.state for each in of_name if each.link == "robot1"}
     return states == {"disarmed"} and all(required(each, name) for each in engines)
-
-
-def demanding(way: str, name: str, direction: Direction) -> tuple[tuple[Topic, ...], tuple[str | ArmedName, ...]]:
-    """Entries, and what `armed` has, of a session that demands a name."""
-    stem = name.rsplit("_", 1)[0]
-    if way == "armed":
-        return (), (name,)
-    if way == "by name":
-        return (Topic(name, direction, arm=True),), ()
-    pattern = Topic(f"{stem}_*", direction, arm=True)
-    return ((Topic(f"{stem}*", direction), pattern) if way == "shadowed" else (pattern,)), ()
-
-
-@pytest.mark.parametrize(
-    ("demands", "lists"),
-    [("client", "server"), ("server", "client"), *long_cases(("client", "client"), ("server", "server"))],
-)
-def test_a_name_that_either_session_demands_never_crosses_unarmed(
-    demands: str, lists: str, bridge: Bridge, yard: Yard
-) -> None:
-    names: list[str] = []
-    topics: dict[str, list[Topic]] = {"client": [], "server": []}
-    armed: dict[str, list[str | ArmedName]] = {"client": [], "server": []}
-    for number, (way, said, listed) in enumerate(product(WAYS, DIRECTIONS, DIRECTIONS)):
-        if demands == lists and way == "by name" and said == listed:
-            continue  # the entry itself
-        name = f"/group{number}_cmd"
-        entries, also = demanding(way, name, said)
-        topics[demands] += entries
-        armed[demands] += also
-        topics[lists].append(Topic(name, listed))
-        yard.add(name, listed)
-        names.append(name)
-    topics[lists].append(FREE)
-    yard.add("/free")
-    server = bridge.server(clients=(Client("robot1", topics=tuple(topics["server"])),), armed=tuple(armed["server"]))
-    client = bridge.client(*topics["client"], armed=tuple(armed["client"]), allow=("/*",))
-    eventually(lambda: linked(client) and linked(server))
-    yard.publish_until({"/free"})
-    for name in names:
-        eventually(lambda name=name: required(client, name) and required(server, name))
-
-    def nothing_demanded() -> bool:
-        yard.publish()
-        return yard.crossed() == {"/free"}
-
-    holds(nothing_demanded, 2.0)
-    for name in names:
-        for engine, role in ((client, "client"), (server, "server")):
-            arming = route(engine, name).arming
-            assert arming is not None
-            assert (PEER_DEMANDS in arming.demanded_by) == (role != demands)
 
 
 def by_server(bridge: Bridge, yard: Yard, *entries: Topic, **changes: Any) -> tuple[Engine, Engine]:
@@ -309,7 +259,7 @@ def test_a_reload_drops_a_demand_only_if_an_operator_agrees(side: str, way: str,
     yard.add("/cmd_vel")
     yard.add("/free")
     plain = Topic("/cmd_vel", "receive")
-    entries, armed = demanding(way, "/cmd_vel", "receive")
+    entries, armed = DEMANDING[way]
     clients = (Client("robot1"),)
     if side == "client":
         server, engine = bridge.server(clients=clients), bridge.client(FREE, *(entries or (plain,)), armed=armed)

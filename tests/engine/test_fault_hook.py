@@ -207,7 +207,8 @@ def test_what_it_leaves_running_ends_with_it(hooked: Hooked) -> None:
     eventually(lambda: hooked.told and not runs(hooked.folder / "child"))
 
 
-def test_the_end_of_the_engine_ends_it(hooked: Hooked) -> None:
+def test_the_end_of_the_engine_ends_it(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
+    constants.FAULT_COMMAND_RUNS_FOR.set(monkeypatch, 1e6)  # its own time does not end it
     hooked.open("echo $$ > parent; cat >> told; exec sleep 1000")
     hooked.sees(SLOW)
     eventually(lambda: hooked.told)

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from typing import TYPE_CHECKING, Any
 
-from tests.support.bridge import carries, happened, linked, route
-from tests.support.domain import text
+from tests.support.bridge import happened, linked
 from tests.support.inside import break_waiting, role_of
 from tests.support.offline import loop, make_context
-from tests.support.participants import KnownNode
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import Snapshot, State
+from rsb_bridge.model.snapshot import Snapshot
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
@@ -29,45 +25,8 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.ros.ros_interface import Endpoint
 
 __all__ = ["loop", "make_context"]
-
-
-class CountingNode(KnownNode):
-    """Counts how often the graph is asked for a topic's endpoints."""
-
-    asked = 0
-
-    def publishers(self, topic: str) -> list[Endpoint]:
-        self.asked += 1
-        return super().publishers(topic)
-
-    def subscriptions(self, topic: str) -> list[Endpoint]:
-        self.asked += 1
-        return super().subscriptions(topic)
-
-
-def test_routes_that_wait_do_not_ask_the_graph_again_and_again(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """And yet they see at once what they wait for."""
-    nodes = CountingNode(robot.id, "robot1"), CountingNode(pc.id, "pc")
-    topics = [Topic(f"/waits{number}", "transmit", protocol=("tcp", "udp")[number % 2]) for number in range(50)]
-    server = bridge.start(bridge.server_session(), nodes[1])
-    client = bridge.start(bridge.client_session(*topics), nodes[0])
-    eventually(lambda: linked(client) and all(each.stages[5].done for each in client.snapshot().routes))
-    # Once on each side; four times a second is 1,800. Nodes that come and go in the domain have them asked, too.
-    eventually(lambda: asked_within(3.0, nodes) <= 51 + 1 + 2 * 50, what="three seconds without many questions")
-    there, out = pc.listener("/waits7"), robot.publisher("/waits7")
-    carries([out], server, ["/waits7"])
-    out.publish(text("at last"))
-    eventually(lambda: there.payloads)
-    assert route(client, "/waits8").state is State.WAITING
-
-
-def asked_within(seconds: float, nodes: tuple[CountingNode, ...]) -> int:
-    before = sum(node.asked for node in nodes)
-    time.sleep(seconds)
-    return sum(node.asked for node in nodes) - before
 
 
 def test_snapshots_are_renewed_four_times_a_second_while_somebody_looks_often(

@@ -63,47 +63,12 @@ def test_it_comes_back_when_either_side_is_started_again(
     assert server.session.clients == (Client("robot1", topics=(CHAT,)),)
 
 
-def test_an_edit_that_the_server_has_forgotten_leaves_the_clients_topic(
-    bridge: Bridge, robot: Domain, pc: Domain
-) -> None:
-    """The server is started again without having saved it."""
-    there, out = pc.listener("/chat"), robot.publisher("/chat")
-    server, client = bridge.both(CHAT)
-    carries([out], server, ["/chat"])
-    server.edit_topic(route(server, "/chat").key, replace(route(server, "/chat").spec, qos=7)).result(60)
-    eventually(lambda: find(client, "/chat") and route(client, "/chat").spec.qos != "auto")
-    carries([out], server, ["/chat"])
-    assert client.session.topics == (CHAT,)
-
-    server.stop()
-    eventually(lambda: not linked(client))
-    eventually(lambda: not out.get_subscription_count())
-    server = bridge.server()
-    eventually(lambda: find(server, "/chat") and route(server, "/chat").spec.qos == "auto")
-    assert happened(client, EventCode.ROUTE_ABANDONED, "/chat")
-    carries([out], server, ["/chat"])
-    out.publish(text("after the server"))
-    heard(there, 1)
-    assert server.session.clients == bridge.server_session().clients
-
-
 def test_each_client_has_its_own_and_the_rest_of_the_session_stays(bridge: Bridge) -> None:
     clients = (Client("robot1", allow=("/chat",)), Client("robot2", topics=(Topic("/map", "transmit"),)))
     server = bridge.server(clients=clients, shared_keys=True)
     assert server.session.clients == clients
     server.add_topic(CHAT, "robot1").result(60)
     assert server.session.clients == (replace(clients[0], topics=(CHAT,)), clients[1])
-
-
-def test_removed_on_either_side_it_is_gone_on_both(bridge: Bridge) -> None:
-    server = bridge.server(clients=(Client("robot1", topics=(CHAT, Topic("/map", "transmit"))),))
-    client = bridge.client()
-    eventually(lambda: find(client, "/chat") and find(client, "/map"))
-    server.remove_topic(route(server, "/chat").key).result(60)
-    eventually(lambda: not find(client, "/chat"))
-    client.remove_topic(route(client, "/map").key).result(60)
-    eventually(lambda: not find(server, "/map"))
-    assert server.session.clients == (Client("robot1"),)
 
 
 def test_the_clients_own_takes_its_place_and_it_stays_in_the_session(bridge: Bridge) -> None:

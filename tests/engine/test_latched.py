@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tests.support import constants
-from tests.support.bridge import balance, connections, linked, listeners, route, settled
+from tests.support.bridge import connections, linked, listeners, route, settled
 from tests.support.domain import Domain, text
 from tests.support.inside import inside, outputs_of
 from tests.support.long import long
@@ -153,21 +153,6 @@ def test_tf_static_of_many_nodes(count: int, bridge: Bridge, robot: Domain, pc: 
     same_on_both_sides(robot, pc, "/tf_static", kept)
 
 
-def test_a_map_that_is_published_again_and_again(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    out = robot.publisher("/map", qos=latched(1))
-    there, volatile = pc.listener("/map", qos=JOINS_LATE), pc.listener("/map")
-    server, client = bridge.both(Topic("/map", "transmit"))
-    eventually(lambda: out.get_subscription_count() == 1 and there.matched and volatile.matched)
-    eventually(lambda: listeners(server, "/map") == 2)
-    maps = publish(out, "map", range(50))
-    assert eventually(lambda: list(map(bytes, there.payloads)) == maps)
-    eventually(lambda: list(map(bytes, volatile.payloads)) == maps)
-    same_on_both_sides(robot, pc, "/map", maps[-1:])
-    ledger = settled(client, "/map", 50)
-    assert (ledger.delivered, ledger.dropped, ledger.lost_in_dds) == (50, {}, 0)
-    assert len(pc.node.get_publishers_info_by_topic("/map")) == 1
-
-
 @pytest.mark.parametrize("published_before", [3, *long(12, 0)])
 def test_a_deeper_history(published_before: int, bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """Five of 12 messages are kept, wherever the bridge starts; both sides always keep the same."""
@@ -193,32 +178,6 @@ def test_a_deeper_history(published_before: int, bridge: Bridge, robot: Domain, 
     same_on_both_sides(robot, pc, "/path", messages[-5:])
     restart(bridge, server)
     same_on_both_sides(robot, pc, "/path", messages[-5:])
-
-
-def test_a_link_that_is_cut(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
-    """Earlier messages are not published again; those from meanwhile are, as far as they are kept."""
-    out = robot.publisher("/path", qos=latched(3))
-    server, client = bridge.both(Topic("/path", "transmit"))
-    steady = pc.listener("/path", qos=JOINS_LATE)
-    eventually(lambda: out.get_subscription_count() == 1 and steady.matched and listeners(server, "/path"))
-    messages = publish(out, "pose", range(4))
-    eventually(lambda: len(steady.payloads) == 4)
-    relay.stall(new=True)
-    relay.cut()
-    eventually(lambda: not linked(client) and not linked(server))
-    messages += publish(out, "pose", range(4, 6))
-    relay.stall(False)
-    eventually(lambda: linked(client) and linked(server))
-    eventually(lambda: len(steady.payloads) == 6)
-    same_on_both_sides(robot, pc, "/path", messages[-3:])
-    before = connections(client)
-    relay.cut()
-    eventually(lambda: connections(client) > before and linked(client) and linked(server))
-    messages += publish(out, "pose", range(6, 20))
-    eventually(lambda: list(map(bytes, steady.payloads))[-1] == messages[-1])
-    same_on_both_sides(robot, pc, "/path", messages[-3:])
-    assert Counter(map(bytes, steady.payloads)).most_common(1)[0][1] == 1
-    assert balance(route(client, "/path").ledger) == route(client, "/path").ledger.offered
 
 
 def is_fine(shown: RouteSnapshot) -> bool:

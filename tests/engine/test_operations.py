@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import pytest
 from std_msgs.msg import String
-from tests.support.bridge import carries, find, happened, heard, linked, protocol_of, route
+from tests.support.bridge import carries, happened, heard, linked, route
 from tests.support.domain import LATCHED, text
 from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
@@ -18,7 +18,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting
 from rsb_bridge.model.commands import AnyCommand, History, Restart, Stop
 from rsb_bridge.model.names import TypeNameProblem
-from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import LinkCause
 
 if TYPE_CHECKING:
@@ -67,28 +67,6 @@ def test_topics_are_added_edited_paused_and_removed(operator: str, bridge: Bridg
         engine.remove_topic(key).result(60)
 
 
-def test_a_topic_that_one_side_opened_the_other_may_remove(bridge: Bridge, robot: Domain) -> None:
-    robot.publisher("/chat")
-    server, client = bridge.both(Topic("/chat", "transmit"))
-    eventually(lambda: find(server, "/chat"))
-    server.remove_topic(route(server, "/chat").key).result(60)
-    eventually(lambda: not client.snapshot().routes)
-    assert client.session.topics == ()
-    assert happened(client, EventCode.ROUTE_REMOVED, "/chat: removed by the other side")
-
-
-def test_both_sides_add_the_same_topic_while_apart(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """The client's stays: it is in its file."""
-    there, out = pc.listener("/chat"), robot.publisher("/chat")
-    server = bridge.server()
-    server.add_topic(Topic("/chat", "transmit", protocol="udp")).result(60)
-    client = bridge.client(Topic("/chat", "transmit", protocol="tcp"))
-    carries([out], server, ["/chat"])
-    out.publish(text("once"))
-    assert heard(there, 1) == [text("once")]
-    assert route(server, "/chat").transport == route(client, "/chat").transport == "tcp"
-
-
 def test_the_other_sides_topics(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     robot.publisher("/odom", qos=LATCHED)
     pc.listener("/goal")
@@ -109,64 +87,6 @@ def test_the_other_sides_topics(bridge: Bridge, robot: Domain, pc: Domain) -> No
     eventually(lambda: not linked(server))
     with pytest.raises(EngineError, match="robot1 is not linked"):
         server.topics("robot1").result(60)
-
-
-@pytest.mark.parametrize(
-    ("client", "shown"),
-    [
-        (Client("robot1", deny=("/secret*",)), {"/open", "/robot1/open"}),
-        (Client("robot1", allow=("/secret*", "/robot1/*")), {"/secret", "/robot1/secret", "/robot1/open"}),
-        (Client("robot1", deny=("/secret*",), use_name=True), {"/robot1/open"}),
-        (Client("robot1", use_name=True), {"/robot1/open", "/robot1/secret"}),
-    ],
-    ids=["denied", "allowed", "denied under a prefix", "under a prefix"],
-)
-def test_a_client_is_not_shown_the_topics_that_it_may_not_have(
-    client: Client, shown: set[str], bridge: Bridge, pc: Domain
-) -> None:
-    topics = {"/open", "/secret", "/robot1/open", "/robot1/secret"}
-    for name in topics:
-        pc.publisher(name)
-    server, engine = bridge.server(name="pc", clients=(client,)), bridge.client()
-    eventually(lambda: {each.topic for each in server.topics().result(60)} >= topics)
-    eventually(lambda: linked(engine))
-    assert {each.topic for each in engine.topics("robot1").result(60)} & topics == shown
-
-
-def test_a_fleet(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """Two robots, a key each, on one server: what each may and under which name; one goes, the other stays."""
-    clients = (
-        Client("robot1", key_file=bridge.make_key("one"), use_name=True, deny=("/secret*",)),
-        Client("robot2", key_file=bridge.make_key("two"), allow=("/chat", "/back")),
-    )
-    server = bridge.server(name="pc", clients=clients, use_name=False)
-    names = ("/chat", "/secret_door", "/back")
-    topics = [Topic("/chat", "transmit"), Topic("/secret_door", "transmit"), Topic("/back", "receive")]
-    for name in names:
-        robot.publisher(name)
-        pc.publisher(name)
-    one = bridge.client(*topics, name="robot1", key_file="one.key", use_name=True)
-    two = bridge.client(*topics, name="robot2", key_file="two.key", allow=("/more",))
-    heard_one, heard_two = pc.listener("/robot1/chat"), pc.listener("/chat")
-    carries([], server, ["/robot1/chat", "/chat"])
-    out = robot.publisher("/chat")
-    eventually(lambda: out.get_subscription_count() == 2)
-    out.publish(text("both"))
-    assert heard(heard_one, 1) == heard(heard_two, 1) == [text("both")]
-    eventually(lambda: route(one, "/back").remote_topic == "/robot1/back")
-    eventually(lambda: route(two, "/back").remote_topic == "/back")
-    eventually(lambda: "the server denies /robot1/secret_door to robot1" in route(one, "/secret_door").reason)
-    eventually(lambda: "does not let robot2 publish /secret_door" in route(two, "/secret_door").reason)
-    with pytest.raises(EngineError, match=pattern(Denied.WHICH_CLIENT, clients="robot1, robot2")):
-        server.add_topic(Topic("/more", "receive")).result(60)
-    server.add_topic(Topic("/more", "receive"), "robot2").result(60)
-    eventually(lambda: find(two, "/more"))
-    one.stop()
-    eventually(lambda: not linked(server, "robot1"))
-    out.publish(text("one left"))
-    heard(heard_two, 2)
-    assert linked(server, "robot2")
-    assert find(one, "/more") is None
 
 
 def test_a_topic_that_is_edited_keeps_its_place_in_the_session(bridge: Bridge) -> None:
@@ -198,30 +118,6 @@ def test_a_prefix_that_makes_a_name_too_long_is_refused_in_words_and_the_link_st
     with pytest.raises(EngineError, match="has 254 characters with its prefix, and ROS allows at most 247"):
         client.add_topic(Topic("/" + "c" * 246, "transmit")).result(60)
     assert linked(client)
-
-
-def test_a_topic_both_ways_does_not_loop(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """On either transport, also where the server hands one robot's words to another."""
-    names = ("/tcp", "/udp")
-    topics = [
-        Topic(name, direction, protocol=protocol_of(name), type="String", qos="default")
-        for name in names
-        for direction in ("transmit", "receive")
-    ]
-    sides = [(domain.publisher(name), domain.listener(name)) for domain in (robot, pc) for name in names]
-    server, client = bridge.both(*topics)
-    eventually(lambda: len(server.snapshot().routes) == len(client.snapshot().routes) == 4)
-    for publisher, listener in sides:
-        eventually(lambda publisher=publisher: publisher.get_subscription_count() == 2)
-        eventually(lambda listener=listener: listener.matched == 2)
-    for engine in (server, client):
-        carries([], engine, names)
-    for publisher, _ in sides:
-        publisher.publish(text("hello"))
-    for _, listener in sides:
-        heard(listener, 2)
-    holds(lambda: all(len(listener.payloads) == 2 for _, listener in sides), 1.0)
-    assert all(each.ledger.offered <= 1 for engine in (server, client) for each in engine.snapshot().routes)
 
 
 def shut_down_there(client: Engine, server: Engine) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import threading
 import time
 from typing import TYPE_CHECKING, Any
@@ -18,12 +17,10 @@ from tests.support.filled import filled
 from tests.support.inside import inside
 from tests.support.participants import KnownNode
 from tests.support.waiting import eventually
-from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import hash_of_text, read_description
-from rsb_bridge.link.errors import Denied
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PEEK_LIMIT
 from rsb_bridge.route import peeking
@@ -135,42 +132,6 @@ def test_of_a_large_message_the_beginning_is_shown(bridge: Bridge, robot: Domain
     assert (message.size, message.payload) == (len(payload), payload[:PEEK_LIMIT])
 
 
-def test_lookers_share_a_message_every_half_second(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    publisher = robot.publisher("/chat")
-    pc.listener("/chat")
-    server, client = bridge.both(Topic("/chat", "transmit"))
-    carries([publisher], server, ["/chat"])
-    running = inside(client)
-    assert running is not None
-    ends = threading.Event()
-
-    def talk() -> None:
-        while not ends.wait(0.005):
-            publisher.publish(text("again"))
-
-    both: list[Future[PeekedMessage | None]] = []
-
-    def ask() -> None:
-        """In one turn of the loop, so that no message comes between the two."""
-        both.extend([client.peek(route_key), client.peek(route_key)])
-
-    talking = threading.Thread(target=talk)
-    talking.start()
-    try:
-        route_key, times = key(client, "/chat"), []
-        for _ in range(4):
-            both.clear()
-            running.context.call(ask)
-            eventually(lambda: len(both) == 2)
-            messages = [seen(future) for future in both]
-            assert messages[0] is messages[1]
-            times.append(messages[0].time)
-        assert all(later - earlier > 0.9 * peeking.EVERY for earlier, later in itertools.pairwise(times))
-    finally:
-        ends.set()
-        talking.join()
-
-
 def test_nobody_waits_for_ever_nor_in_numbers(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     _, client = bridge.both(Topic("/chat", "transmit"))
     route_key = key(client, "/chat")
@@ -218,13 +179,6 @@ def pair(bridge: Bridge, topic: Topic, *, client_lacks: bool = False, server_lac
     return engines
 
 
-def test_an_installed_type_is_described(bridge: Bridge, robot: Domain) -> None:
-    robot.publisher("/odom", Odometry)
-    _, client = bridge.both(Topic("/odom", "transmit"))
-    described_here = described(client, "/odom")
-    assert hash_of_text(described_here) == route(client, "/odom").type_hash
-
-
 @pytest.mark.parametrize("direction", ["transmit", "receive"])
 def test_the_other_side_describes_a_type_that_is_not_installed_here(
     direction: Any, bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
@@ -269,34 +223,6 @@ def test_a_node_describes_a_type_that_is_installed_on_neither_side(bridge: Bridg
     server, client = pair(bridge, Topic("/odom", "transmit"), client_lacks=True, server_lacks=True)
     for engine in (server, client):
         assert hash_of_text(described(engine, "/odom")) == route(client, "/odom").type_hash
-
-
-def test_where_nobody_describes_it_that_is_said(bridge: Bridge, robot: Domain) -> None:
-    robot.publisher("/odom", Odometry)  # of a node that answers nothing
-    server, client = pair(bridge, Topic("/odom", "transmit"), client_lacks=True, server_lacks=True)
-    for engine in (server, client):
-        eventually(lambda engine=engine: route(engine, "/odom").type_hash)
-        began = time.monotonic()
-        with pytest.raises(EngineError, match=pattern(Denied.TYPE_NOT_INSTALLED, type_name="nav_msgs/msg/Odometry")):
-            engine.describe(key(engine, "/odom")).result(30)
-        with pytest.raises(EngineError, match=pattern(Denied.TYPE_NOT_INSTALLED)):
-            engine.describe(key(engine, "/odom")).result(30)
-        assert time.monotonic() - began < 25
-
-
-def test_a_wrong_description_is_not_believed(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    class Lies(KnownNode):
-        def installed_description(self, type_name: str) -> str | None:
-            text = super().installed_description(type_name)
-            return text and text.replace("child_frame_id", "\x1b]0;frame_id")
-
-    robot.publisher("/odom", Odometry)
-    server = bridge.start(bridge.server_session(), Lacks(bridge.pc.id, "pc"))
-    client = bridge.start(bridge.client_session(Topic("/odom", "transmit")), Lies(bridge.robot.id, "robot"))
-    eventually(lambda: linked(client) and route(server, "/odom").type_hash)
-    for engine in (client, server):
-        with pytest.raises(EngineError, match=pattern(Denied.TYPE_NOT_INSTALLED)):
-            engine.describe(key(engine, "/odom")).result(30)
 
 
 def test_the_engine_stops_in_time_while_somebody_looks(bridge: Bridge, robot: Domain) -> None:

@@ -21,7 +21,6 @@ from rsb_bridge.model.command_origin import OWN_CONSOLE, acting
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
-from rsb_bridge.wire.preamble import RefusalText
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -229,47 +228,6 @@ def test_clients_are_added_changed_and_removed_without_the_others_noticing(
     second.retry().result(60)
     eventually(lambda: linked(second, "robot2"))
     assert link(first).since == since
-
-
-def test_a_client_whose_key_changes_comes_back_with_the_new_one(bridge: Bridge, tmp_path: Path) -> None:
-    bridge.make_key("robot2")
-    clients = (Client("robot1", key_file="robot1.key"), Client("robot2", key_file="robot2.key"))
-    server = bridge.server(clients=clients, name="pc")
-    there = Edited(server, tmp_path / "pc.yaml")
-    first, second = bridge.client(), bridge.client(name="robot2", key_file="robot2.key")
-    here = Edited(second, tmp_path / "robot2.yaml")
-    eventually(lambda: linked(first) and linked(second, "robot2"))
-    since = link(first).since
-    old = link(second, "robot2").fingerprint
-    (tmp_path / "robot2.key").unlink()
-    bridge.make_key("robot2")  # the same file name: the session file does not differ
-
-    (change,) = there.reload().changed
-    new = link(server, "robot2").fingerprint
-    closed = "its link is closed, and comes back once the client has the new key"
-    assert change == f"client robot2: key {old} → {new}: {closed}"
-    differ = RefusalText.KEYS_DIFFER(name="robot2", theirs=old, there="client", ours=new, here="server")
-    eventually(lambda: happened(second, EventCode.LINK_REFUSED, differ))
-    assert happened(second, EventCode.LINK_CLOSED_BY_PEER, "the server has another key for robot2 now")
-    assert happened(server, EventCode.LINK_WRONG_KEY, differ)
-
-    assert here.reload().changed == (f"key {old} → {new}: the link is closed, and connects again with the new key",)
-    eventually(lambda: linked(second, "robot2"))
-    assert link(second, "robot2").fingerprint == new
-    assert link(first).since == since
-
-
-def test_topics_get_other_names_where_use_name_changes(bridge: Bridge, robot: Domain, tmp_path: Path) -> None:
-    robot.publisher("/chat")
-    server, client = bridge.both(Topic("/chat", "transmit"))
-    file = Edited(server, tmp_path / "pc.yaml")
-    eventually(lambda: find(server, "/chat"))
-    assert file.reload(use_name=True).changed == (
-        "client robot1: use_name false → true: its link is closed, and comes back at once",
-    )
-    eventually(lambda: find(server, "/robot1/chat"))
-    assert find(server, "/chat") is None
-    assert linked(client)
 
 
 def test_topics_that_a_server_proposes_follow_its_file(bridge: Bridge, pc: Domain, tmp_path: Path) -> None:

@@ -9,12 +9,14 @@ from unittest.mock import patch
 
 from tests.simulation.conditions import STILL
 from tests.simulation.episodes import type_differs_for
+from tests.simulation.node import Node
 from tests.simulation.world import World
 
 from rsb_bridge.link.link import Link
 from rsb_bridge.wire.messages import Ping, Propose, Report
 
 if TYPE_CHECKING:
+    from rsb_bridge.ros.ros_interface import Endpoint
     from rsb_bridge.wire.messages import ControlMessage
 
 _WHILE = 600.0
@@ -37,8 +39,17 @@ def count_messages(world: World, seconds: float, *doings: object) -> Counter[typ
 
 
 def test_a_link_on_which_nothing_happens_only_pings() -> None:
-    """Counts that the peer knows are not reported again."""
-    sent = count_messages(World(1, replace(STILL, topics=(4,), periods=(1e9, 1e9))), _WHILE)
+    """Counts that the peer knows are not reported again, and routes do not ask the graph again and again."""
+    asked: list[str] = []
+    publishers = Node.publishers
+
+    def asking(self: Node, topic: str) -> list[Endpoint]:
+        asked.append(topic)
+        return publishers(self, topic)
+
+    with patch.object(Node, "publishers", asking):
+        sent = count_messages(World(1, replace(STILL, topics=(4,), periods=(1e9, 1e9))), _WHILE)
+    assert len(asked) < 2 * 4 * _WHILE / 5.0, "each route on either side once in ten seconds"
     assert sent[Ping] > 1.9 * (_WHILE - _SETTLED_AFTER)
     assert not sent[Report]
 

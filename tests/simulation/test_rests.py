@@ -107,21 +107,21 @@ class Motors(Drivers):
             await asyncio.sleep(0.5)
             if driver.stands_still:
                 continue
-            await self._do(driver, lambda _: KeepArmed(pressed=True))
+            await self.do(driver, lambda _: KeepArmed(pressed=True))
             route = self._route(driver.host)
             if route is not None and not route.arming.held:
                 await asyncio.sleep(self.random.uniform(0.0, 3.0))
-                await self._do(driver, lambda route: ArmTopic(route.key))
+                await self.do(driver, lambda route: ArmTopic(route.key))
 
     async def change(self, driver: Driver) -> None:
         while True:
             await asyncio.sleep(self.random.uniform(4.0, 15.0))
             if self.random.random() < 0.5:
-                await self._do(driver, lambda route: DisarmTopic(route.key))
+                await self.do(driver, lambda route: DisarmTopic(route.key))
                 continue
-            await self._do(driver, lambda route: PauseTopics(route.key, True))
+            await self.do(driver, lambda route: PauseTopics(route.key, True))
             await asyncio.sleep(self.random.uniform(0.5, 2.0))
-            await self._do(driver, lambda route: PauseTopics(route.key, False))
+            await self.do(driver, lambda route: PauseTopics(route.key, False))
 
     async def end_a_bridge(self, seconds: float) -> None:
         """Kill the server's bridge, or stop either side's in good order."""

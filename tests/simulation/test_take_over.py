@@ -17,6 +17,7 @@ from unittest.mock import patch
 
 import msgspec
 import pytest
+from tests.simulation.beds import until
 from tests.simulation.conditions import STILL
 from tests.simulation.mutations import nothing
 from tests.simulation.ros import Reader, Writer, hash_of
@@ -124,7 +125,7 @@ class Drivers:
         links = host.run.links() if host.run is not None else []
         return next((route for link in links for route in link.routes.values()), None)
 
-    async def _do(self, driver: Driver, make: Callable[[Route], Command[Any]]) -> Any:
+    async def do(self, driver: Driver, make: Callable[[Route], Command[Any]]) -> Any:
         """Give a command about the topic; None if it is refused."""
         run, route = driver.host.run, self._route(driver.host)
         if run is None or route is None:
@@ -136,19 +137,28 @@ class Drivers:
         route = self._route(driver.host)
         return route is not None and route.arming.console == driver.name
 
+    def is_asked(self, driver: Driver) -> bool:
+        route = self._route(driver.host)
+        return route is not None and route.arming.question is not None
+
+    async def stay(self, driver: Driver) -> None:
+        """Give signs of life."""
+        while True:
+            await asyncio.sleep(_SIGN_OF_LIFE_EVERY)
+            await self.do(driver, lambda _: KeepArmed(pressed=True))
+
     async def sit(self, driver: Driver) -> None:
         """Give signs of life, and answer others' questions now and then."""
         while True:
             await asyncio.sleep(_SIGN_OF_LIFE_EVERY)
             if driver.stands_still:
                 continue
-            await self._do(driver, lambda _: KeepArmed(pressed=True))
-            route = self._route(driver.host)
-            if route is None or not self._holds(driver) or route.arming.question is None:
+            await self.do(driver, lambda _: KeepArmed(pressed=True))
+            if not self._holds(driver) or not self.is_asked(driver):
                 continue
             if self.random.random() < 0.3:
                 gives = self.random.random() < 0.7
-                await self._do(driver, lambda route, gives=gives: AnswerAsker(route.key, gives=gives))  # type: ignore[misc]
+                await self.do(driver, lambda route, gives=gives: AnswerAsker(route.key, gives=gives))  # type: ignore[misc]
 
     async def drive(self, driver: Driver) -> None:
         """Drive while it is this driver's, and even if it is not, as hands do that have not read the screen."""
@@ -161,7 +171,7 @@ class Drivers:
 
     async def publish(self, driver: Driver, ticket: int = 0, rest: str = "") -> int:
         """Have a driver give a command, and return the ticket for the next one; the first gets only that."""
-        published = await self._do(
+        published = await self.do(
             driver,
             lambda route: Publish(
                 route.local_topic,
@@ -174,6 +184,12 @@ class Drivers:
         )
         return published.ticket if published is not None else ticket
 
+    async def drive_shortly(self, driver: Driver) -> None:
+        ticket = 0
+        for _ in range(5):  # of which the first brings a ticket
+            ticket = await self.publish(driver, ticket)
+            await asyncio.sleep(1 / _RATE)
+
     async def want(self, driver: Driver) -> None:
         random = self.random
         while True:
@@ -184,7 +200,7 @@ class Drivers:
             await self.command(driver, random.choice(wants))
 
     async def command(self, driver: Driver, command: Callable[[str], Command[Any]]) -> None:
-        await self._do(driver, lambda route: command(route.key))
+        await self.do(driver, lambda route: command(route.key))
 
     def local_name(self, host: EngineHost) -> str:
         route = self._route(host)
@@ -264,10 +280,7 @@ async def goes_over(drivers: Drivers, first: int, second: int, pause: float = 2.
     await asyncio.sleep(8.0)
     for driver, command in zip(both, (ArmTopic, TakeArming), strict=True):
         await drivers.command(driver, command)
-        ticket = 0
-        for _ in range(5):  # of which the first brings a ticket
-            ticket = await drivers.publish(driver, ticket)
-            await asyncio.sleep(1 / _RATE)
+        await drivers.drive_shortly(driver)
         name = drivers.local_name(drivers.server)
         Writer(drivers.server.domain, "/node", name, _TWIST, hash_of(_TWIST), Qos(depth=3, deadline=5.0))
         await asyncio.sleep(pause)
@@ -287,6 +300,41 @@ def test_it_goes_over_through_a_rest(life: Any) -> None:
     drivers = Drivers(1, "tcp")
     drivers.play(life)
     assert drivers.changes == 1
+
+
+@pytest.mark.parametrize("gives", [True, False], ids=["gives", "keeps"])
+@pytest.mark.parametrize("asker", [1, 2], ids=["beside", "from the robot's side"])
+def test_the_holder_decides(asker: int, gives: bool) -> None:
+    """Who does not hold it disarms nothing by leaving a drive screen, and drives nothing."""
+    drivers = Drivers(1, "tcp")
+    anna, other = drivers.drivers[0], drivers.drivers[asker]
+
+    async def held(driver: Driver) -> int:
+        return len((await drivers.do(driver, lambda _: KeepArmed(pressed=True))).keys)
+
+    async def live() -> None:
+        staying = [asyncio.ensure_future(drivers.stay(each)) for each in (anna, other)]
+        await asyncio.sleep(8.0)
+        await drivers.command(anna, ArmTopic)
+        await drivers.command(other, partial(DisarmTopic, own=True))
+        assert (await held(anna), await held(other)) == (1, 0)
+        asking = asyncio.ensure_future(drivers.command(other, AskHolder))
+        await until(lambda: drivers.is_asked(anna), 1.0)
+        assert not asking.done()
+        await drivers.command(anna, partial(AnswerAsker, gives=gives))
+        await asking
+        assert (await held(anna), await held(other)) == (not gives, gives)
+        holder, before = (other, anna) if gives else (anna, other)
+        for driver in (before, holder):
+            await drivers.drive_shortly(driver)
+        assert drivers.heard[holder.name]
+        assert not drivers.heard[before.name]
+        await drivers.command(holder, partial(DisarmTopic, own=True))
+        assert not await held(holder)
+        for each in staying:
+            each.cancel()
+
+    drivers.play(lambda _: live())
 
 
 # --- each rule is needed

@@ -245,10 +245,6 @@ def _publish(domain_id: int, topic: str, depth: int) -> None:
                 return
             if line.startswith("rate"):
                 rate, due = float(line.split()[1]), time.monotonic()
-            elif line.startswith("burst"):
-                for _ in range(int(line.split()[1])):
-                    publisher.publish(text(f"{count}"))
-                    count += 1
             _say(json.dumps({"published": count, "matched": publisher.get_subscription_count()}))
         while rate and due <= time.monotonic():
             publisher.publish(text(f"{count}"))

@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING
 
 import pytest
-from rclpy.qos import QoSHistoryPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 from tests.support.domain import BEST_EFFORT, text
@@ -90,18 +90,6 @@ def test_a_topic_whose_stream_is_stuck(relay: Relay, robot: Domain, pc: Domain) 
     holds(lambda: len(slow_there.payloads) == heard, 0.2)
     stuck.stall(False)
     eventually(lambda: len(slow_there.payloads) > heard)
-
-
-@pytest.mark.usefixtures("both")
-def test_a_topic_whose_subscriber_never_takes(robot: Domain, pc: Domain) -> None:
-    """A reliable subscriber that asks for all and reads nothing: DDS must not make the bridge wait for it."""
-    fast, slow = robot.publisher("/fast", qos=BEST_EFFORT), robot.publisher("/slow")
-    there, slow_there = pc.listener("/fast", qos=BEST_EFFORT), pc.listener("/slow", qos=QoSProfile(depth=5))
-    crosses(fast, there)
-    crosses(slow, slow_there, BIG)
-    usual = delay(fast, there, slow)
-    pc.listener("/slow", qos=QoSProfile(depth=1, history=QoSHistoryPolicy.KEEP_ALL))
-    assert delay(fast, there, slow) < usual + _HELD_UP
 
 
 def test_a_hundred_topics_at_20_hz(bridge: Bridge, programs: Programs, robot: Domain, pc: Domain) -> None:
