@@ -109,7 +109,6 @@ class Scene:
         return time.monotonic() - began
 
     def hears_again(self) -> bool:
-        """Whether the client gets feedback."""
         before = len(self.runs.feedbacks)
         self._compute_until(lambda: len(self.runs.feedbacks) > before, "feedback")
         return True
@@ -139,7 +138,6 @@ class Scene:
             self.server.feedback(*fibonacci(self._computed), number=self._numbers[1])
 
     def close(self) -> None:
-        """Leave both domains."""
         for number in self._numbers:
             self.server.finish(number=number)
         self.client.close()

@@ -30,7 +30,6 @@ def called(name: str, **more: object) -> Topic:
 
 
 def counts(engine: EngineApi, name: str) -> CallsSnapshot:
-    """Return a side's counts of a service's calls."""
     found = route(engine, name).calls
     assert found is not None
     return found

@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter
 from tests.calls.test_by_hand import ready
 from tests.support import constants
 from tests.support.bridge import happened
-from tests.support.commands import parser_and_commands
+from tests.support.commands import Ran
 from tests.support.waiting import eventually
 
 from rsb_bridge.control import bridges
@@ -43,31 +43,19 @@ VALUES: dict[str, tuple[Parameter.Type, Any]] = {
 """All nine types of parameter."""
 
 
-class Said:
-    """The exit code and the output of a command."""
-
-    def __init__(self, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
-        parsed = parser_and_commands()[0].parse_args(words)
-        self.code = parsed.command(parsed)
-        self.out, self.err = capsys.readouterr()
-
-    def __repr__(self) -> str:
-        return f"Said(code={self.code}, err={self.err!r}, out={self.out!r})"
-
-
 @pytest.fixture
 def run(
     request: pytest.FixtureRequest,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     machine: Machine,
-) -> Callable[..., Said]:
+) -> Callable[..., Ran]:
     """Run a command against what `machine` serves; a test that fails shows what all of them said."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
     constants.BRIDGES_ASKED_FOR.set(monkeypatch, 60.0)  # s: how soon a busy machine answers is not what is tested
 
-    def said(*words: str) -> Said:
-        done = Said(capsys, words)
+    def said(*words: str) -> Ran:
+        done = Ran(capsys, *words)
         request.node.add_report_section("call", f"output of {' '.join(words)}", repr(done))
         return done
 
@@ -94,7 +82,7 @@ def camera(start: Callable[..., Spun], robot: Domain) -> Spun:
 
 @pytest.mark.parametrize("on_server", [True, False])
 def test_parameters_are_listed_read_set_and_dumped_on_either_side(
-    bridge: Bridge, machine: Machine, camera: Spun, run: Callable[..., Said], on_server: bool
+    bridge: Bridge, machine: Machine, camera: Spun, run: Callable[..., Ran], on_server: bool
 ) -> None:
     server, client = bridge.both(Topic("/camera", "receive", kind="parameters"), use_name=True)
     ready(server, "/robot1/camera")
@@ -129,7 +117,7 @@ def test_parameters_are_listed_read_set_and_dumped_on_either_side(
 
 
 def test_what_a_node_refuses_is_told_in_its_own_words(
-    bridge: Bridge, machine: Machine, camera: Spun, run: Callable[..., Said]
+    bridge: Bridge, machine: Machine, camera: Spun, run: Callable[..., Ran]
 ) -> None:
     server, _ = bridge.both(Topic("/camera", "receive", kind="parameters"))
     ready(server, "/camera")
@@ -146,7 +134,7 @@ def test_what_a_node_refuses_is_told_in_its_own_words(
 
 
 def test_who_may_not_call_sets_nothing(
-    bridge: Bridge, machine: Machine, camera: Spun, start: Callable[..., Spun], pc: Domain, run: Callable[..., Said]
+    bridge: Bridge, machine: Machine, camera: Spun, start: Callable[..., Spun], pc: Domain, run: Callable[..., Ran]
 ) -> None:
     """A client whose server lets it serve and not call; its own node can be set from there."""
     start(pc, "planner").node.declare_parameter("speed", 1)
@@ -165,7 +153,7 @@ def test_who_may_not_call_sets_nothing(
 
 
 def test_a_goal_is_sent_its_result_waited_for_and_cancelled_by_commands(
-    bridge: Bridge, machine: Machine, pc: Domain, run: Callable[..., Said]
+    bridge: Bridge, machine: Machine, pc: Domain, run: Callable[..., Ran]
 ) -> None:
     """It takes longer than the route's timeout; a command that stops waiting reports that the goal goes on."""
     fibonacci: Any = pytest.importorskip("tests.support.fibonacci")
@@ -183,9 +171,9 @@ def test_a_goal_is_sent_its_result_waited_for_and_cancelled_by_commands(
             hurried = run("call", "/fibonacci", goal, "--lane", "get_result", "--timeout", "3")
             assert hurried.code == 1
             assert "the goal goes on" in hurried.err
-            results: list[Said] = []
+            results: list[Ran] = []
 
-            def wait(goal: str = goal, results: list[Said] = results) -> None:
+            def wait(goal: str = goal, results: list[Ran] = results) -> None:
                 results.append(run("call", "/fibonacci", goal, "--lane", "get_result", "--json"))
 
             waiting = threading.Thread(target=wait)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.msg import ParameterType as Type
+from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.parameter_event_handler import ParameterEventHandler
@@ -79,6 +80,12 @@ def events_of(domain: Domain) -> Listener:
     return domain.listener("/parameter_events", ParameterEvent, qos_profile_parameter_events)
 
 
+def subscriptions(domain: Domain) -> int:
+    """Return the bridges' subscriptions to events, without those of rclpy's nodes."""
+    found = domain.node.get_subscriptions_info_by_topic("/parameter_events")
+    return sum(each.node_name.startswith("rsb_robot1") for each in found)
+
+
 def test_a_client_of_parameters_does_all_that_it_does_beside_the_node(
     bridge: Bridge, start: Callable[..., Spun], camera: Spun, pc: Domain
 ) -> None:
@@ -114,11 +121,11 @@ def test_a_client_of_parameters_does_all_that_it_does_beside_the_node(
 def test_the_events_of_that_node_alone_come_under_its_name_there(
     bridge: Bridge, start: Callable[..., Spun], camera: Spun, robot: Domain, pc: Domain
 ) -> None:
-    """Two nodes are bridged, and one is not."""
+    """Two nodes are bridged, and one is not; one subscription brings the events of all of them."""
     lidar, other = start(robot, "lidar"), start(robot, "other")
     for each in (lidar, other):
         each.node.declare_parameter("rate", 1)
-    server, _ = bridge.both(
+    server, client = bridge.both(
         parameters("/camera"), parameters("/lidar", remote_topic="/robot1/front/lidar"), use_name=True
     )
     program = start(pc, "program")
@@ -151,6 +158,14 @@ def test_the_events_of_that_node_alone_come_under_its_name_there(
     eventually(lambda: [each for each in told if each < 1000] == wanted)
     assert happened(server, EventCode.ROUTE_EVENT_LEFT_OUT) is None
 
+    assert subscriptions(robot) == 1
+    client.remove_topic(route(client, "/lidar").key).result(60)
+    camera.node.set_parameters([Parameter("rate", value=20)])
+    eventually(lambda: numbers()["/robot1/camera"][-1] == 20)
+    assert subscriptions(robot) == 1
+    client.remove_topic(route(client, "/camera").key).result(60)
+    eventually(lambda: subscriptions(robot) == 0)
+
 
 def test_what_is_no_event_is_left_out(
     bridge: Bridge, start: Callable[..., Spun], camera: Spun, robot: Domain, pc: Domain
@@ -172,32 +187,24 @@ def test_what_is_no_event_is_left_out(
     assert {event.node for event in heard(listener)} == {"/robot1/camera"}
 
 
-def test_a_node_without_parameters_is_not_offered_and_that_is_said(
+def test_a_node_without_all_the_services_is_not_offered_and_what_is_missing_is_said(
     bridge: Bridge, start: Callable[..., Spun], robot: Domain, pc: Domain
 ) -> None:
     start(robot, "plain", start_parameter_services=False)
-    server, client = bridge.both(parameters("/plain"), parameters("/nobody"))
+    half = start(robot, "half", start_parameter_services=False)
+    for kind, name in ((ListParameters, "list_parameters"), (GetParameters, "get_parameters")):
+        half.node.create_service(kind, f"/half/{name}", lambda _, response: response)
+    server, client = bridge.both(parameters("/plain"), parameters("/half"), parameters("/nobody"))
     eventually(lambda: says(route(client, "/plain").reason, NoParameters.NO_SERVICES, node="/plain"))
     assert route(client, "/plain").state == State.DOWN
     eventually(lambda: says(route(server, "/plain").reason, NoParameters.NO_SERVICES, node="/plain"))
+    for engine in (client, server):
+        eventually(lambda engine=engine: says(route(engine, "/half").reason, NoParameters.SOME_SERVICES, node="/half"))
+    assert "/half/get_parameter_types" in route(client, "/half").reason
     eventually(lambda: "no server of /nobody/list_parameters" in route(server, "/nobody").reason)
     program = start(pc, "program")
     assert not AsyncParameterClient(program.node, "/plain").services_are_ready()
     assert program.node.count_services("/plain/list_parameters") == 0
-
-
-def test_a_node_with_some_of_the_services_is_not_offered_and_what_is_missing_is_said(
-    bridge: Bridge, start: Callable[..., Spun], robot: Domain
-) -> None:
-    from rcl_interfaces.srv import GetParameters, ListParameters
-
-    half = start(robot, "half", start_parameter_services=False)
-    for kind, name in ((ListParameters, "list_parameters"), (GetParameters, "get_parameters")):
-        half.node.create_service(kind, f"/half/{name}", lambda _, response: response)
-    server, client = bridge.both(parameters("/half"))
-    for engine in (client, server):
-        eventually(lambda engine=engine: says(route(engine, "/half").reason, NoParameters.SOME_SERVICES, node="/half"))
-    assert "/half/get_parameter_types" in route(client, "/half").reason
 
 
 def test_when_the_node_goes_its_parameters_go_and_come_back_with_it(
@@ -215,29 +222,3 @@ def test_when_the_node_goes_its_parameters_go_and_come_back_with_it(
     eventually(far.services_are_ready)
     (value,) = program.result(far.get_parameters(["gain"])).values
     assert value.double_value == 3.5
-
-
-def test_a_client_of_parameters_hears_its_node_and_sets_what_is_not_there_back(
-    bridge: Bridge, start: Callable[..., Spun], camera: Spun, pc: Domain
-) -> None:
-    """rclpy's `on_parameter_event`, and `delete_parameters`, which a node refuses for what has one type only."""
-    from rcl_interfaces.msg import ParameterDescriptor
-
-    camera.node.declare_parameter("note", "x", ParameterDescriptor(dynamic_typing=True))
-    bridge.both(parameters("/camera"))
-    program = start(pc, "program")
-    far = client_of(program, "/camera")
-    told: list[ParameterEvent] = []
-    far.on_parameter_event(told.append)
-    numbers = itertools.count(1)
-
-    def hears() -> bool:
-        camera.node.set_parameters([Parameter("rate", value=next(numbers))])
-        return any(each.changed_parameters for each in told)
-
-    eventually(hears)
-    (gone, refused) = program.result(far.delete_parameters(["note", "gain"])).results
-    assert (gone.successful, refused.successful) == (True, False)
-    assert refused.reason
-    eventually(lambda: any(each.name == "note" for event in told for each in event.deleted_parameters))
-    assert {event.node for event in told} == {"/camera"}

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import msgspec
-from tests.calls.ledgers import AT_ONCE, called, counts, nothing_left, settled
-from tests.support.bridge import find, happened, linked, route
+from tests.calls.ledgers import AT_ONCE, called, counts, nothing_left
+from tests.support.bridge import find, happened, reloaded, route
 from tests.support.waiting import eventually
 
-from rsb_bridge.config.session_file import load_file, save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Grant, Topic
 
@@ -19,22 +18,8 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.calls import CallNode
 
-    from rsb_bridge.engine import Engine
-    from rsb_bridge.model.snapshot import Reloaded
-
-
-def reloaded(engine: Engine, path: Path, **changes: object) -> Reloaded:
-    if path.exists():
-        opened = load_file(path)
-        save(msgspec.structs.replace(opened.session, **changes), path, opened)
-    else:
-        save(msgspec.structs.replace(engine.session, **changes), path)
-    engine.use_file(path)
-    return engine.reload().result(60)
-
 
 def of_the_robot(name: str) -> Topic:
-    """A service of the robot's domain, which the server's may call."""
     return Topic(name, "receive", kind="service")
 
 
@@ -90,33 +75,4 @@ def test_a_client_calls_and_serves_what_the_server_allows(
     client.add_topic(of_the_robot(f"{service}/other")).result(60)
     eventually(lambda: route(client, f"{service}/other").cause == "refused")
     assert "may: serve" in route(client, f"{service}/other").reason
-    nothing_left(server, client)
-
-
-def test_a_reload_adds_changes_and_removes_services(
-    bridge: Bridge, near: CallNode, far: CallNode, service: str, tmp_path: Path
-) -> None:
-    """Only the route whose timeout changes is replaced."""
-    file, other = tmp_path / "robot1.yaml", f"{service}/other"
-    far.serve(service, other)
-    server, client = bridge.both()
-    eventually(lambda: linked(client))
-    changed = reloaded(client, file, topics=(called(service), called(other))).changed
-    assert [change.partition(": added")[0] for change in changed] == [
-        f"service {service} (provider: server)",
-        f"service {other} (provider: server)",
-    ]
-    near.waits_for(service, other)
-    assert near.call(service, 5).right
-    assert near.call(other, 3).right
-    (change,) = reloaded(client, file, topics=(called(service), called(other, timeout=2.0))).changed
-    assert change.startswith(f"service {other} (provider: server): timeout none → 2.0")
-    settled(client, service, asked=5, answered=5)
-    eventually(lambda: near.call(other, quiet=0.5).right, what="the old offer is no longer taken for the new one")
-    assert near.call(other, 3).right
-    (change,) = reloaded(client, file, topics=(called(service),)).changed
-    assert change.startswith(f"service {other} (provider: server): removed")
-    near.waits_for_none(other, AT_ONCE)
-    assert near.ready(service)
-    assert file.read_text().count("service:") == 1
     nothing_left(server, client)

@@ -136,7 +136,6 @@ class Side:
 
 
 def routes_of(outgoing: Route) -> Route:
-    """Return the other side's half of a route."""
     return Route(outgoing.id, outgoing.rank, outgoing=False, duplex=outgoing.duplex)
 
 
@@ -174,7 +173,6 @@ async def connected(
 
 
 async def by_sockets() -> tuple[Stream, Stream]:
-    """Return both ends of a stream over a pair of sockets."""
     loop = asyncio.get_running_loop()
     ends = []
     for sock in socket.socketpair():
@@ -206,8 +204,6 @@ class Radio:
 
 
 class _Way:
-    """One direction."""
-
     def __init__(self, radio: Radio) -> None:
         self.radio = radio
         self.free_at = 0.0

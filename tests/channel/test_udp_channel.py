@@ -78,7 +78,6 @@ class Server:
         return self.channels[link_id]
 
     def connect(self, link_id: bytes, on_ready: Callable[[], None] = lambda: None) -> tuple[ClientUdpChannel, DataKeys]:
-        """A client's end of a new connection."""
         self.keys[link_id] = _keys(link_id, "server")
         self._probes[link_id] = PathProbe(self.keys[link_id])
         keys = _keys(link_id, "client")
@@ -160,7 +159,6 @@ def _heard_more(channel: ClientUdpChannel, before: int) -> bool:
 
 @contextmanager
 def elsewhere() -> Iterator[socket.socket]:
-    """A socket of somebody else."""
     with socket.socket(type=socket.SOCK_DGRAM) as thief:
         thief.bind((_HOST, 0))
         thief.setblocking(False)

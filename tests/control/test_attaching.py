@@ -98,8 +98,6 @@ def test_commands_go_to_the_engine_and_their_results_come_back(machine: Machine)
 
 
 class Refusing(ScriptedEngine):
-    """Refuses to add topics."""
-
     def do(self, command: Command[R], step: Any = None) -> Future[R]:
         assert isinstance(command, AddTopic)
         return refused(f"no such topic: {command.topic.topic}")
@@ -202,7 +200,6 @@ def test_a_command_that_fails_once_its_console_has_gone_is_no_internal_error(
 
 
 def consoles(machine: Machine) -> int:
-    """How many are attached."""
     return len(attached_to(machine.served[-1]))
 
 

@@ -47,7 +47,6 @@ while True:
 
 
 def shown(remote: RemoteEngine, topic: str) -> RouteSnapshot | None:
-    """A topic, as a console shows it at this moment."""
     return next((route for route in remote.snapshot().routes if route.topic == topic), None)
 
 
@@ -105,7 +104,6 @@ class Traffic:
 
     @property
     def delivered(self) -> int:
-        """Messages so far."""
         return len(self._listeners) * self._published
 
 

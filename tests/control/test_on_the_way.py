@@ -9,7 +9,6 @@ import pytest
 from tests.support.operators import ANNA, Reachable
 from tests.support.waiting import eventually
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.control.control_sockets import ControlError
 from rsb_bridge.control.sealed import OperatorConnector
 from rsb_bridge.model.codes import EventCode
@@ -97,14 +96,6 @@ def test_what_is_changed_is_noticed_and_the_console_attaches_again(reachable: Re
     between.change = bytes
     eventually(lambda: [each for each in remote.events() if each.code == EventCode.ATTACH_AGAIN])
     eventually(lambda: not remote.unreachable)
-
-
-def test_who_forwards_to_another_engine_is_found_out(reachable: Reachable, between: Between) -> None:
-    """Both engines have the same operator with the same key."""
-    with pytest.raises(EngineError, match="robot2"):
-        reachable.attach(engine="robot2", port=between.port)
-    assert reachable.events(EventCode.ATTACH_UNKNOWN_NAME)
-    assert reachable.server.attached() == 0
 
 
 def test_a_connection_that_is_cut_is_said_on_both_sides(reachable: Reachable, between: Between) -> None:

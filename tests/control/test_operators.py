@@ -8,12 +8,11 @@ import pytest
 from tests.console.scripted import ScriptedEngine
 from tests.support.operators import ANNA, BOB, Reachable, granted
 from tests.support.waiting import eventually
-from tests.support.wording import pattern, says
+from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import save
 from rsb_bridge.control.attached_console import RequestRefused
-from rsb_bridge.control.sealed import OperatorRefused
 from rsb_bridge.model.codes import EventCode
 from rsb_console.session.attaching import attach, attached
 
@@ -36,16 +35,6 @@ def test_an_operator_attaches_and_changes(reachable: Reachable) -> None:
     assert came.who.startswith("anna (operator key)")
     remote.stop()
     eventually(lambda: reachable.events(EventCode.ATTACH_OPERATOR_LEFT))
-
-
-def test_who_may_look_changes_nothing(reachable: Reachable, machine: Machine) -> None:
-    remote = reachable.attach("bob", BOB)
-    assert remote.read_only
-    with pytest.raises(EngineError, match=pattern(RequestRefused.READ_ONLY)):
-        remote.retry().result(60)
-    with pytest.raises(EngineError, match=pattern(RequestRefused.READ_ONLY)):
-        remote.stop_bridge().result(60)
-    assert machine.stopped == 0
 
 
 def test_only_who_may_take_takes_an_arming_without_asking(reachable: Reachable) -> None:
@@ -84,19 +73,6 @@ def test_who_may_not_is_told_so_on_both_sides(
     assert repr(name if engine == "robot1" else engine) in str(refused.value)
     assert repr(name if engine == "robot1" else engine) in event.text
     assert reachable.server.attached() == 0
-
-
-def test_an_operator_who_is_removed_is_detached_at_once(reachable: Reachable) -> None:
-    anna, bob = reachable.attach(), reachable.attach("bob", BOB)
-    reachable.access.grant(granted("bob", BOB, "look"))
-    eventually(
-        lambda: any(
-            says(anna.unreachable, why, name="anna") for why in (OperatorRefused.REMOVED, OperatorRefused.UNKNOWN)
-        )
-    )
-    assert not bob.unreachable
-    with pytest.raises(EngineError, match=pattern(RequestRefused.READ_ONLY)):
-        bob.retry().result(60)
 
 
 def test_a_file_of_another_machine_is_not_taken_for_one_of_this(machine: Machine, tmp_path: Path) -> None:

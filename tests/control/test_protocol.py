@@ -45,7 +45,6 @@ COMMANDS: tuple[commands.AnyCommand, ...] = (
 
 
 def fed(data: bytes, *, to_bridge: bool, at_once: int = 1 << 20) -> list[Any]:
-    """The messages in `data`, which comes in pieces of so many bytes."""
     frames: protocol.Frames[Any] = protocol.frames_to_bridge() if to_bridge else protocol.frames_to_console()
     return [each for at in range(0, len(data), at_once) for each in frames.feed(data[at : at + at_once])]
 

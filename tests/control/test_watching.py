@@ -87,8 +87,6 @@ def test_who_does_not_take_them_skips_some() -> None:
 
 
 def seen(way: Connector, count: int) -> list[bytes]:
-    """The first figures on a way."""
-
     async def see() -> list[bytes]:
         contents: list[bytes] = []
         figures = watch(way)

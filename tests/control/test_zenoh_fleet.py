@@ -65,16 +65,6 @@ def seen_with(fleet: Fleet, *names: str) -> ZenohFleet:
     return seen
 
 
-def test_engines_are_seen_as_they_come_and_go(fleet: Fleet) -> None:
-    seen = seen_with(fleet, "robot1")
-    assert not seen.problem
-    fleet.add("robot2")
-    eventually(lambda: has_spoken(seen, "robot2"))
-    fleet.servers["robot1"].close()
-    eventually(lambda: is_in(seen, "robot1", RobotState.MISSING))
-    assert has_spoken(seen, "robot2")
-
-
 def test_how_long_it_has_been_so_is_by_the_engines_own_clock(fleet: Fleet) -> None:
     fleet.add("robot1")
     own = decode(SummaryBuilder(fleet.engines["robot1"], "0.1.0")())
@@ -207,18 +197,6 @@ def test_robots_that_come_and_go_under_new_names_have_a_budget(fleet: Fleet, mon
             token.undeclare()
             eventually(lambda name=name: is_in(seen, name, RobotState.MISSING))
     assert {each.name for each in seen.robots()} == {"robot1", "stranger3", "stranger4"}
-
-
-def test_who_has_no_key_keeps_no_operator_out_by_a_robots_name(fleet: Fleet) -> None:
-    with stranger(fleet.router) as somebody:
-        live = somebody.liveliness()
-        token = live.declare_token(f"rsb_console/lab/here/engine/{'0' * 16}/client%200.1%20robot1")
-        fleet.add("robot1")
-        seen = fleet.seen_by()
-        eventually(lambda: len(seen.robots()) == 2)
-        fleet.attach("robot1").retry().result(60)
-        assert fleet.engines["robot1"].commands == [("retry", "")]
-        del token
 
 
 @pytest.mark.parametrize("count", [30, *long(300)])

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 import msgspec
 import pytest
 from tests.support import constants
-from tests.support.bridge import carries, find, happened, heard, linked, now, protocol_of, route, stage
+from tests.support.bridge import carries, find, happened, heard, linked, now, protocol_of, reloaded, route, stage
 from tests.support.domain import text
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
-from rsb_bridge.config.session_file import load_file, save
 from rsb_bridge.link.errors import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
@@ -26,23 +25,10 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
 
-    from rsb_bridge.engine import Engine
     from rsb_bridge.model.session import Direction
-    from rsb_bridge.model.snapshot import Reloaded
     from rsb_bridge.wire.records import ReceivedReport
 
 CMD_VEL = Topic("/cmd_vel", "receive", type="std_msgs/msg/String")
-
-
-def reloaded(engine: Engine, path: Path, **changes: object) -> Reloaded:
-    """Change the session file of an engine that runs, and have it read again."""
-    if path.exists():
-        opened = load_file(path)
-        save(msgspec.structs.replace(opened.session, **changes), path, opened)
-    else:
-        save(msgspec.structs.replace(engine.session, **changes), path)
-    engine.use_file(path)
-    return engine.reload().result(60)
 
 
 def test_a_server_publishes_on_a_robot_only_what_its_file_lists(bridge: Bridge, robot: Domain, pc: Domain) -> None:

@@ -24,7 +24,6 @@ from rsb_bridge.wire.codec import (
     WHOLE,
     ReportParts,
     TopicListParts,
-    decode,
     decode_in_parts,
     encode,
     report_entries,
@@ -209,19 +208,6 @@ async def test_a_peer_whose_messages_wait_here_is_not_silent(loop: VirtualLoop) 
         channel._go_on()
         assert stream.received_at == loop.time()
     assert not stream.paused
-
-
-@pytest.mark.parametrize("entries", [1, 100, ROUTES_PER_LINK])
-def test_parts_decode_as_the_whole_does(entries: int) -> None:
-    data = encode(long_report(entries))
-    whole, parts = decode(data), decode_in_parts(data)
-    assert isinstance(whole, Report)
-    assert isinstance(parts, Report if len(data) <= WHOLE else ReportParts)
-    assert [entry for entry, _ in report_entries(parts)] == [*whole.sent]
-    topics = TopicList(7, (TopicEntry("/a", "a/msg/B", "", Qos(depth=1), 1, 1),) * entries)
-    told: Any = decode_in_parts(encode(topics))
-    assert told.request == 7
-    assert tuple(entry for entry, _ in topic_entries(told)) == topics.topics
 
 
 def test_no_more_routes_are_reported_than_a_link_may_have() -> None:

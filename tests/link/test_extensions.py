@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 @pytest.fixture(params=["client", "server"])
 def link(request: pytest.FixtureRequest, make_context: Callable[..., Context]) -> Link:
-    """Either side's end of a link."""
     role = ClientRole if request.param == "client" else ServerRole
     return role(make_context(role=request.param), {"robot1": ()}).links()[0]
 

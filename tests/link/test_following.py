@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import pytest
 
@@ -22,8 +22,6 @@ TYPE = "std_msgs/msg/String"
 
 
 class Side:
-    """The side that is asked."""
-
     def __init__(self) -> None:
         self.sent: list[Followed] = []
         self.changes = 0
@@ -38,19 +36,16 @@ class Side:
         self.changes += 1
 
     def look(self, names: Names) -> list[Followed]:
-        """Poll the graph, and return the messages that are sent."""
         self.sent.clear()
         self.followed.patterns_here()
         self.followed.look(names)
         return self.sent
 
     def ask(self, *patterns: NamePattern, request: int = 1) -> None:
-        """The peer asks."""
         self.followed.asked(Follow(request, patterns))
 
 
 def topics(*names: str) -> Names:
-    """A graph."""
     return {("topic", name): TYPE for name in names}
 
 
@@ -110,32 +105,26 @@ def test_a_name_that_was_not_asked_for_is_no_topic(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "options", "source", "name", "made"),
+    ("remote", "prefixed", "always_prefixed", "source", "name", "made"),
     [
-        ({}, {"prefixed": False}, "/a/*", "/a/x", ("/a/x", None)),
-        ({}, {"prefixed": True}, "/robot1/a/*", "/robot1/a/x", ("/a/x", None)),
-        ({}, {"prefixed": False, "always_prefixed": True}, "/robot1/a/*", "/robot1/a/x", ("/a/x", None)),
-        ({"remote_topic": "/b/*"}, {"prefixed": True}, "/b/*", "/b/x", ("/a/x", "/b/x")),
-        (
-            {"remote_topic": "/b/*"},
-            {"prefixed": False, "always_prefixed": True},
-            "/robot1/b/*",
-            "/robot1/b/x",
-            ("/a/x", "/b/x"),
-        ),
-        (
-            {"remote_topic": "/robot1/*"},
-            {"prefixed": False, "always_prefixed": True},
-            "/robot1/*",
-            "/robot1/x",
-            ("/a/x", "/robot1/x"),
-        ),
+        (None, False, False, "/a/*", "/a/x", ("/a/x", None)),
+        (None, True, False, "/robot1/a/*", "/robot1/a/x", ("/a/x", None)),
+        (None, False, True, "/robot1/a/*", "/robot1/a/x", ("/a/x", None)),
+        ("/b/*", True, False, "/b/*", "/b/x", ("/a/x", "/b/x")),
+        ("/b/*", False, True, "/robot1/b/*", "/robot1/b/x", ("/a/x", "/b/x")),
+        ("/robot1/*", False, True, "/robot1/*", "/robot1/x", ("/a/x", "/robot1/x")),
     ],
 )
 def test_the_server_s_names_are_those_that_the_route_will_have(
-    changes: dict[str, Any], options: dict[str, bool], source: str, name: str, made: tuple[str, str | None]
+    remote: str | None,
+    prefixed: bool,
+    always_prefixed: bool,
+    source: str,
+    name: str,
+    made: tuple[str, str | None],
 ) -> None:
-    entry = PatternEntry(Topic("/a/*", "receive", **changes), client="robot1", **options)
+    pattern = Topic("/a/*", "receive", remote_topic=remote)
+    entry = PatternEntry(pattern, client="robot1", prefixed=prefixed, always_prefixed=always_prefixed)
     assert entry.source.text == source
     topic = entry.match(name, TYPE)
     assert topic is not None

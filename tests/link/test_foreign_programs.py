@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 
 def caused(engine: Engine, cause: LinkCause) -> bool:
-    """Whether some event of an engine has a cause."""
     return any(event.cause == cause for event in engine.events())
 
 

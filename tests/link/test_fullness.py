@@ -120,7 +120,8 @@ def test_a_link_that_carries_what_is_asked_is_not_full(asked: float) -> None:
 
 def test_a_smaller_figure_has_a_smaller_text() -> None:
     assert [rates_text(14.9e3, 15e3), rates_text(15e3, 15e3)] == ["14 of 15 kB/s", "15 of 15 kB/s"]
-    assert rates_text(25e3, 48e3) == "25 of 48 kB/s"
+    assert rates_text(1.1e6, 3e6) == "1.1 of 3.0 MB/s"
+    assert rates_text(1, 400) == "1 of 400 B/s"
     assert rates_text(30e3, 68e6) == "0.03 of 68 MB/s"
     assert rates_text(0.0, 68e6) == "0 of 68 MB/s"
 

@@ -29,12 +29,10 @@ CAMERA = Topic("/camera/**", "transmit", excepts=("/camera/**/compressed", "/cam
 
 
 def topics(engine: Engine) -> set[str]:
-    """The names of an engine's routes, on its side."""
     return {route.topic for route in now(engine).routes}
 
 
 def pattern(engine: Engine, name: str) -> PatternSnapshot:
-    """An engine's pattern."""
     return next(each for each in link(engine).patterns if each.spec.topic == name)
 
 

@@ -95,8 +95,6 @@ class Robot(NoRos):
 
 
 class Voice:
-    """A publisher."""
-
     subscriber_count = 1
     acknowledged = True
 

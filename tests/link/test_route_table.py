@@ -330,7 +330,10 @@ def test_a_change_of_a_limit_goes_on_with_the_same_opening(
         assert said == ["/chat: max_rate none → 2 Hz"]
 
 
-@pytest.mark.parametrize("apart", [0, 1], ids=["client", "server"])
+either_apart = pytest.mark.parametrize("apart", [0, 1], ids=["client", "server"])
+
+
+@either_apart
 def test_a_limit_that_changed_while_apart_keeps_the_route(
     apart: int, make_pair: Callable[[], Pair], loop: VirtualLoop
 ) -> None:
@@ -348,6 +351,27 @@ def test_a_limit_that_changed_while_apart_keeps_the_route(
     settle(pair, loop)
     assert next(iter(pair[1 - apart].routes.values())) is kept
     assert kept.spec.max_rate == kept.proposal.max_rate == 2.0
+
+
+@either_apart
+def test_a_pause_while_apart_holds_on_both_sides_and_the_other_one_records_whose_it_is(
+    apart: int, make_pair: Callable[[], Pair], loop: VirtualLoop
+) -> None:
+    pair = make_pair()
+    pair[0].add()
+    settle(pair, loop)
+    for side in pair:
+        side.table.disconnected()
+        side.inbox.clear()
+    pair[apart].pause(True)
+    for side in pair:
+        side.table.connected()
+    settle(pair, loop)
+    assert [route.paused for side in pair for route in side.routes.values()] == [True, True]
+    events = pair[1 - apart].context.events.after(0)
+    (paused,) = [event for event in events if event.code == EventCode.OPERATOR_PAUSED]
+    assert paused.from_peer
+    assert " says: " in paused.who
 
 
 def test_at_the_limit_of_topics_one_may_take_the_place_of_another(

@@ -166,8 +166,6 @@ def described(name: str, field: str) -> str:
 
 
 class Installed(Ros):
-    """A side on which types are installed."""
-
     def __init__(self, *texts: str) -> None:
         super().__init__()
         self.texts = {name_in(text): text for text in texts}

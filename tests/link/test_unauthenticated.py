@@ -12,7 +12,6 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support import constants
 from tests.support.bridge import carries, happened, heard, link, linked, now, settled
 from tests.support.domain import text
 from tests.support.inside import inside
@@ -101,22 +100,6 @@ def test_a_name_that_differs_from_the_servers(bridge: Bridge) -> None:
     eventually(
         lambda: [(each.name, each.cause) for each in now(server).refused] == [("robot1", LinkCause.UNKNOWN_NAME)]
     )
-
-
-def test_a_refused_client_is_shown_for_as_long_as_it_tries(friend: Any, bridge: Bridge, monkeypatch: Any) -> None:
-    """An unknown name, and another key under the name of a robot that is linked."""
-    server, *_ = friend
-    unknown = bridge.client(name="robot9")
-    wrong_key = bridge.client(name="robot1", key_file="other.key")
-    causes = {"robot9": LinkCause.UNKNOWN_NAME, "robot1": LinkCause.WRONG_KEY}
-    eventually(lambda: {each.name: each.cause for each in now(server).refused} == causes)
-    eventually(lambda: all(each.attempts > 1 for each in now(server).refused))
-    assert {each.host for each in now(server).refused} == {"127.0.0.1"}
-    assert set(causes.values()) <= {event.cause for event in server.events()}
-    unknown.stop()
-    wrong_key.stop()
-    constants.REFUSED_FORGOTTEN_AFTER.set(monkeypatch, 1.0)
-    eventually(lambda: not now(server).refused)
 
 
 def test_a_refused_client_that_is_added_is_shown_no_more(friend: Any, bridge: Bridge) -> None:

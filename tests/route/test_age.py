@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.support.offline import FakePeer
 
-from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RawMessage
-from rsb_bridge.route.age import Expired, MessageAge, expired_verdict
+from rsb_bridge.route.age import MessageAge
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -101,12 +100,6 @@ def test_many_expired_messages_make_a_topic_late(make_context: Callable[..., Con
     for second in range(22, 33):
         age.tick(100 * second, float(second))
     assert age.late() is None
-
-
-@pytest.mark.parametrize("cause", [Cause.LINK_SLOW, Cause.CLOCK_UNKNOWN, Cause.PUBLISHER_STAMPS_OLD])
-def test_its_verdict_is_late(cause: Cause) -> None:
-    verdict = expired_verdict(Expired(cause, 84, 100, 0.5, 7.0))
-    assert (verdict.state, verdict.cause, verdict.since) == (State.LATE, cause, 7.0)
 
 
 def test_no_stamp_is_below_0_whatever_a_clock_is_set_to(

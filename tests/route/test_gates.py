@@ -47,10 +47,8 @@ from rsb_bridge.route.gates import (
 from rsb_bridge.route.history_depth import Sample
 from rsb_bridge.route.lease import LASTS, LeaseHalf
 from rsb_bridge.route.ledger import RouteLedger
-from rsb_bridge.route.lifecycle import PauseState, Revisions
 from rsb_bridge.route.peer import CallBudget
 from rsb_bridge.route.rate_limit import AllowedRates
-from rsb_bridge.route.throttle import Throttle
 from rsb_bridge.wire.framing import LEASED
 from rsb_bridge.wire.headers import CallFrame, HistoryHeader, What, frame_size, with_number
 
@@ -68,17 +66,6 @@ __all__ = ["world"]
 A_SECOND = 10**9
 
 
-def armed(arming: Arming, context: Context) -> LeaseHalf:
-    """Arm by the other side; return the lease, which both sides have answered."""
-    lease = arming.lease = LeaseHalf(context.clock.steady, RosTurns(), lambda: None)
-    arming.demand(required=True, deadman=0.0)
-    lease.begin()
-    arming.take("anna", context.now())
-    for newest in range(1, 3):  # the second shows that the other side knows that it is heard
-        lease.hear(newest, lease.beat()[0])
-    return lease
-
-
 def leased(arming: Arming, context: Context) -> LeaseHalf:
     """Give an arming a lease that both sides have answered."""
     lease = arming.lease = LeaseHalf(context.clock.steady, RosTurns(), lambda: None)
@@ -88,8 +75,15 @@ def leased(arming: Arming, context: Context) -> LeaseHalf:
     return lease
 
 
+def armed(arming: Arming, context: Context) -> LeaseHalf:
+    """Arm by the other side; return the lease, which both sides have answered."""
+    arming.demand(required=True, deadman=0.0)
+    lease = leased(arming, context)
+    arming.take("anna", context.now())
+    return lease
+
+
 def taken(number: int) -> GatedMessage:
-    """Return a message that was taken from ROS under a number of the lease."""
     return GatedMessage(0, number)
 
 
@@ -158,14 +152,6 @@ def test_the_young_gate_asks_the_clock_of_the_side_that_took_it(make_context: Ca
     gate, now = YoungGate(age), context.stamps.now()
     assert gate.check(GatedMessage(now - A_SECOND // 4, 0), 0.0) is None
     assert gate.check(GatedMessage(now - A_SECOND, 0), 0.0) is Refused.TOO_OLD
-
-
-def test_the_pause_gate_asks_each_time() -> None:
-    pausing = PauseState(Revisions(), paused=False, is_client=True)
-    gate = PauseGate(pausing)
-    assert gate.check(NO_SAMPLE, 0.0) is None
-    pausing.paused = True
-    assert gate.check(NO_SAMPLE, 0.0) is Refused.PAUSED
 
 
 def test_what_passes_the_budget_has_its_place_in_it() -> None:
@@ -264,13 +250,6 @@ def test_without_a_sure_clock_nothing_passes_that_has_to_be_young(
     assert (None if late is None else late.cause) is (None if passed else Cause.CLOCK_UNKNOWN)
 
 
-def test_the_throttle_sieve_keeps_to_the_rate() -> None:
-    ledger, throttle = RouteLedger(), Throttle(10.0)
-    batch = [RawMessage(b"", number * A_SECOND // 100) for number in range(100)]
-    assert len(ThrottleSieve(throttle, ledger).passing(batch)) == 10
-    assert (ledger.offered, ledger.throttled) == (0, 90)  # they count as offered before
-
-
 @pytest.mark.parametrize(("replayed", "cause"), [(True, Cause.PUBLISHER_STAMPS_OLD), (False, Cause.LINK_SLOW)])
 def test_what_was_kept_too_long_names_who_kept_it(
     replayed: bool, cause: Cause, make_context: Callable[..., Context]
@@ -289,30 +268,6 @@ def test_what_was_kept_is_asked_once_more_whether_it_would_loop(world: World) ->
     known, unknown = sample_of(1), sample_of(1, SECOND)
     assert sieve.passing([unknown, known]) == [known]
     assert world.ledger.dropped == {"would loop": 1}
-
-
-def test_the_loop_sieve_holds_what_is_not_known_yet(world: World) -> None:
-    world.graph.nodes[SECOND] = ""
-    (sieve,) = world.path.gates.arriving
-    known, unknown = RawMessage(b"known", 1, FIRST), RawMessage(b"unknown", 1, SECOND)
-    assert sieve.passing([known]) == [known]
-    assert sieve.passing([unknown, known]) == [known]
-    assert (world.held, world.ledger.offered) == (1, 0)
-
-
-class _CarriesFiveBytes(_CarriesFive):
-    def __init__(self) -> None:
-        self.left_out: list[int] = []
-
-    def too_large(self, size: int) -> None:
-        self.left_out.append(size)
-
-
-def test_the_size_sieve_passes_what_the_transport_carries() -> None:
-    outbox = _CarriesFiveBytes()
-    messages: list[Message] = [(bytes(size), 1, 0) for size in (4, 6, 5, 7)]
-    assert SizeSieve(outbox).passing(messages) == [messages[0], messages[2]]
-    assert outbox.left_out == [6, 7]
 
 
 def test_the_young_sieve_asks_the_clock_of_the_side_that_took_them(make_context: Callable[..., Context]) -> None:
@@ -396,7 +351,6 @@ Calls = TypeVar("Calls", CallingActionRoute, ProvidingActionRoute)
 
 
 def calls(context: Context, half: type[Calls]) -> Calls:
-    """Return a half of an action's route."""
     return half_of(half, context, Topic("/dock", "transmit", kind="action"), here=False)
 
 

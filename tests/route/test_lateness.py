@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.route.test_topic_verdict import NOW, RECEIVER, SENDER, verdict_on
 
-from rsb_bridge.model.capacity import Fullness, rates_text
+from rsb_bridge.model.capacity import Fullness
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.lateness import (
@@ -168,13 +168,8 @@ def test_the_recent_latency_is_of_the_last_second() -> None:
     assert (meter.recent, meter.p50) == (None, 0.003)
 
 
-def test_figures() -> None:
+def test_seconds_have_two_figures() -> None:
     assert [seconds_text(each) for each in (0.003, 1.42, 12.3, 185)] == ["0.003 s", "1.4 s", "12 s", "3 min"]
-    assert [rates_text(25e3, 48e3), rates_text(1.1e6, 3e6), rates_text(1, 400)] == [
-        "25 of 48 kB/s",
-        "1.1 of 3.0 MB/s",
-        "1 of 400 B/s",
-    ]
 
 
 def test_the_shown_latency_is_of_the_last_ten_seconds() -> None:

@@ -125,8 +125,6 @@ class Peer(FakePeer):
 
 
 class World(NamedTuple):
-    """A route that sends, and what is around it."""
-
     route: OutgoingRoute
     graph: Graph
     peer: Peer

@@ -22,7 +22,6 @@ SECOND = 10**9
 
 
 def publish(world: World, count: int, rate: int = 100, size: int = 100) -> int:
-    """Publish messages at a rate (Hz), and return the number that was sent."""
     before, now = len(world.sent), world.context.stamps.now()
     for number in range(count):
         world.path.offer([RawMessage(bytes(size), now + number * SECOND // rate, FIRST)])
@@ -55,23 +54,6 @@ def test_a_rate_limit_is_on_the_path_while_it_is_on(world: World) -> None:
     assert not path.gates.sourced
     assert publish(world, 10) == 10
     assert ledger.offered == 70 == ledger.sent_now + ledger.throttled
-
-
-def test_a_demand_to_arm_holds_from_the_next_message_on(world: World) -> None:
-    """For demands of either side, and all other events."""
-    assert publish(world, 1) == 1
-    world.route.arming.demand(required=True, deadman=0.0)
-    assert publish(world, 3) == 0
-    assert world.ledger.dropped["disarmed"] == 3
-
-
-def test_a_limit_of_age_holds_from_the_next_message_on(world: World) -> None:
-    path, context, ledger = world.path, world.context, world.ledger
-    old = RawMessage(b"old", context.stamps.now() - SECOND, FIRST)
-    path.offer([old])
-    world.route.age.settle((0.5,), armed=False)
-    path.offer([old])
-    assert (ledger.offered, ledger.sent_now, ledger.expired) == (2, 1, 1)
 
 
 def test_age_is_asked_again_when_a_message_leaves_the_queue(world: World) -> None:

@@ -164,7 +164,6 @@ class World:
     # --- messages
 
     def publish(self, place: Place, gid: bytes, origin: bytes, trail: tuple[str, ...]) -> None:
-        """Hand one copy to everybody who takes messages there."""
         self.copies[origin, place] += 1
         for route in self.routes:
             own = route.link.near.own.get(gid)
@@ -174,7 +173,6 @@ class World:
                 route.waiting.append(RawMessage(origin, number, gid))
 
     def take(self, route: Route) -> None:
-        """The sending half takes what waits."""
         batch = tuple(route.waiting)
         route.waiting.clear()
         messages = route.loop_filter.release()
@@ -299,7 +297,6 @@ def ways_from(world: World, start: Place) -> Iterator[Way]:
 
 
 def check(world: World) -> None:
-    """Check the invariants that hold once all news is everywhere."""
     ways = [way for user in world.users for way in ways_from(world, user)]
     for user in world.users:
         origin = world.say(user)

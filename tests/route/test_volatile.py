@@ -70,7 +70,6 @@ def unwanted() -> Refused:
 
 
 def fill(topic: VolatileTopic) -> None:
-    """Publish until it is refused."""
     with contextlib.suppress(SlowSubscriberError):
         for _ in range(1000):
             topic.publish(bytes(1_000_000))
@@ -179,14 +178,12 @@ class Burst:
         return self.renew(depth)
 
     def renew(self, depth: int) -> Pool:
-        """Make the next publisher."""
         self.pools.append(Pool(depth))
         self.pools[-1].stopped = self.pools[-2].stopped
         self.pools[-1].subscriber_count = self.matched
         return self.pools[-1]
 
     def publish(self, count: int, size: int, rate: float) -> None:
-        """Publish messages for some time."""
         for _ in range(count):
             self.topic.publish(bytes(size))
             self.now.s += 1 / rate

@@ -7,6 +7,7 @@ import time
 from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakSet
 
+import msgspec
 from tests.support.inside import inside, is_running, offers_of, outputs_of, renew_snapshot
 from tests.support.participants import KnownNode, agree
 from tests.support.ports import free_port
@@ -14,6 +15,7 @@ from tests.support.waiting import eventually
 from tests.support.wording import has_text
 
 from rsb_bridge.config.keys import write_key
+from rsb_bridge.config.session_file import load_file, save
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.calls import FEEDBACK
 from rsb_bridge.model.codes import EventCode
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Protocol
-    from rsb_bridge.model.snapshot import Event, Ledger, LinkSnapshot, RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import Event, Ledger, LinkSnapshot, Reloaded, RouteSnapshot, Snapshot
     from rsb_bridge.model.wording import Wording
     from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.route.route import Route
@@ -287,6 +289,17 @@ def feedback_listeners(engine: Engine) -> int:
     (found,) = (route for route in _routes(engine) if isinstance(route, CallingActionRoute))
     offered = offers_of(found).publishers.get(FEEDBACK)
     return offered.subscriber_count if offered else 0
+
+
+def reloaded(engine: Engine, path: Path, **changes: object) -> Reloaded:
+    """Change the session file of an engine that runs, and have it read again."""
+    if path.exists():
+        opened = load_file(path)
+        save(msgspec.structs.replace(opened.session, **changes), path, opened)
+    else:
+        save(msgspec.structs.replace(engine.session, **changes), path)
+    engine.use_file(path)
+    return engine.reload().result(60)
 
 
 def settled(engine: Engine, topic: str, offered: int, within: float = 180.0) -> Ledger:

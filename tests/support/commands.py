@@ -39,6 +39,9 @@ class Ran:
         self.code = parsed.command(parsed)
         self.out, self.err = capsys.readouterr()
 
+    def __repr__(self) -> str:
+        return f"Ran(code={self.code}, err={self.err!r}, out={self.out!r})"
+
     @property
     def json(self) -> Any:
         """The output, one object."""

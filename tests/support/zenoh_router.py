@@ -16,34 +16,11 @@ from tests.support.stopping import stop
 _PROGRAM = """
 import sys, zenoh
 session = zenoh.open(zenoh.Config.from_json5(sys.argv[1]))
-tokens = [session.liveliness().declare_token(key) for key in sys.argv[2:]]
 print("up", flush=True)
 sys.stdin.read()
 """
 _NO_SHARED_MEMORY = {"shared_memory": {"enabled": False}}
 """A process that is killed would leave some behind."""
-
-
-class _Process:
-    """A Zenoh session in a process of its own."""
-
-    def __init__(self, *arguments: str) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", _PROGRAM, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        assert self._process.stdout is not None
-        assert self._process.stdout.readline() == "up\n", "it does not start"
-
-    def signal(self, number: int) -> None:
-        os.kill(self._process.pid, number)
-
-    def stop(self) -> None:
-        stop(self._process.pid)
-
-    def kill(self) -> None:
-        """End it as a power cut does."""
-        with self._process:  # waits, and closes its pipes
-            self._process.kill()
 
 
 class Router:
@@ -61,7 +38,7 @@ class Router:
         self.port = free_port()
         self._protocol = protocol
         self._settings = settings
-        self._process: _Process | None = None
+        self._process: subprocess.Popen[str] | None = None
         self.start()
 
     @property
@@ -78,44 +55,36 @@ class Router:
             **self._settings,
             "transport": {**_NO_SHARED_MEMORY, **self._settings.get("transport", {})},
         }
-        self._process = _Process(json.dumps(config))
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", _PROGRAM, json.dumps(config)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == "up\n", "it does not start"
 
     def kill(self) -> None:
         """End it as a power cut does."""
         process, self._process = self._process, None
         assert process is not None
-        process.kill()
+        with process:  # waits, and closes its pipes
+            process.kill()
 
     def pause(self) -> None:
         """Have it take nothing any more, with all its connections open; returns once it stands still."""
         assert self._process is not None
-        self._process.stop()
+        stop(self._process.pid)
 
     def go_on(self) -> None:
         """Undo `pause`."""
-        self._signal(signal.SIGCONT)
+        assert self._process is not None
+        os.kill(self._process.pid, signal.SIGCONT)
 
     def close(self) -> None:
         """Be gone, whether it runs or not."""
         if self._process is not None:
             self.kill()
-
-    def _signal(self, number: int) -> None:
-        assert self._process is not None
-        self._process.signal(number)
-
-
-class Announced(_Process):
-    """A process that announces something until it is killed."""
-
-    def __init__(self, router: Router, key: str) -> None:
-        config = {
-            "mode": "client",
-            "connect": {"endpoints": [router.endpoint]},
-            "scouting": {"multicast": {"enabled": False}},
-            "transport": _NO_SHARED_MEMORY,
-        }
-        super().__init__(json.dumps(config), key)
 
 
 def stranger(router: Router, **settings: Any) -> Any:

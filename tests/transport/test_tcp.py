@@ -19,7 +19,7 @@ from tests.support.wording import pattern, says
 
 from rsb_bridge.transport import streams
 from rsb_bridge.transport.streams import Stream, StreamHandler, StreamProblem, os_error_message
-from rsb_bridge.transport.tcp import BBR, LookUpProblem, Tcp, TcpStream, congestion_control, prefer_bbr
+from rsb_bridge.transport.tcp import LookUpProblem, Tcp, TcpStream, congestion_control, prefer_bbr
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Iterator
@@ -277,11 +277,3 @@ def test_a_congestion_control_that_the_machine_lacks_changes_nothing(monkeypatch
         constants.TCP_PREFERRED_CONGESTION_CONTROL.set(monkeypatch, "unheard_of")
         prefer_bbr(sock)
         assert congestion_control(sock) == "reno"
-
-
-def test_bbr_is_used_where_everybody_may() -> None:
-    allowed = Path("/proc/sys/net/ipv4/tcp_allowed_congestion_control").read_text(encoding="ascii").split()
-    with socket.socket() as sock:
-        sock.setsockopt(socket.IPPROTO_TCP, 13, b"reno")
-        prefer_bbr(sock)
-        assert congestion_control(sock) in ({BBR} if BBR in allowed else {BBR, "reno"})

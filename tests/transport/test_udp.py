@@ -36,7 +36,6 @@ def address_of(host: str, port: int) -> Any:
 
 @asynccontextmanager
 async def server_on(host: str) -> AsyncIterator[tuple[UdpSocket, list[bytes]]]:
-    """Return a bound socket, and its datagrams."""
     came: list[bytes] = []
     acceptor = Acceptor(StreamHandler, lambda _, datagrams: came.extend(bytes(each) for each, _ in datagrams), print)
     bound = await Udp().listen(host, 0, acceptor)
@@ -196,14 +195,6 @@ async def test_a_wake_up_reads_once_unless_they_follow_one_another(
             loop.held_at += pause
         assert done == reads
         assert len(came) == min(4, reads[-1])
-
-
-async def test_what_was_not_read_at_once_comes_next() -> None:
-    async with pair("127.0.0.1") as (_, client, came, _):
-        client.send([b"a"], None)
-        client.send([b"bc"], None)
-        await until(lambda: len(came) == 2)
-        assert came == [b"a", b"bc"]
 
 
 async def test_nothing_waits_in_a_socket_that_is_closed() -> None:

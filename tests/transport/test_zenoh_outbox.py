@@ -35,7 +35,6 @@ class FakeSession:
         self.closed = False
 
     def put(self, key: str, payload: bytes, *, priority: Any, congestion_control: Any, **_: Any) -> None:
-        """Take a sample, like `zenoh.Session.put`."""
         if self.closed:
             raise zenoh.ZError("closed")
         if priority in self.held_back and congestion_control == zenoh.CongestionControl.BLOCK:
@@ -43,7 +42,6 @@ class FakeSession:
         self.put_by.append((payload, priority, threading.get_ident()))
 
     def payloads(self) -> list[bytes]:
-        """Return the payloads that were taken."""
         return [payload for payload, _, _ in self.put_by]
 
 

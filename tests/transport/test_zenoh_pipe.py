@@ -32,7 +32,6 @@ def pair(loop: VirtualLoop) -> Pair:
 
 
 def held(pipe: Pipe) -> int:
-    """Return the bytes that came and that its protocol has not read."""
     return len(pipe._held)
 
 

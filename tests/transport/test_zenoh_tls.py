@@ -30,7 +30,6 @@ EXPIRED = datetime.timedelta(days=-1)
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
-    """Starts routers with certificates of a folder."""
     made: list[Router] = []
 
     def begin(

@@ -62,7 +62,6 @@ def contents(events: list[Event]) -> bytes:
 
 
 def first_message(*, header: bytes | None = None, host: bytes = b"") -> bytes:
-    """Return a console's first message, with a given header and host."""
     header = header or operator_header(VERSION, "anna", "robot1", fingerprint_of(KEY))
     return pack_frame(header, NoiseHandshake(SUITE, KEY, header).write(host))
 

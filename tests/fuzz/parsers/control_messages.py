@@ -10,7 +10,7 @@ import msgspec
 from tests.fuzz.editing import behind, edit_frames, edit_msgpack, split_frames
 from tests.fuzz.parser import Parser, check_text
 from tests.wire.links import CONTROL_HEADER, established
-from tests.wire.test_messages import EXAMPLES, HELLO, WELCOME
+from tests.wire.test_messages import HELLO, PLAIN, WELCOME
 
 from rsb_bridge.model.limits import REASON_LENGTH
 from rsb_bridge.model.text import is_clean
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.events import Event
 
 
-_EXAMPLES: list[Any] = list(EXAMPLES)
+_EXAMPLES = [decode(msgspec.msgpack.encode(each)) for each in PLAIN]
 
 
 def _leaves(value: Any) -> Iterator[Any]:

@@ -20,15 +20,12 @@ ONE, TWO = "RIHS01_1", "RIHS01_2"
 
 
 class Graph(NoRos):
-    """One that has what a test puts into it."""
-
     def __init__(self) -> None:
         self.at: defaultdict[str, list[Endpoint]] = defaultdict(list)
         self.calls: defaultdict[str, list[Endpoint]] = defaultdict(list)
         self.installed: dict[str, str] = {}
 
     def serve_by(self, service: str, node: str, type_name: str = SET, type_hash: str = ONE) -> None:
-        """Put a server, or a publisher, there."""
         gid = f"{node}{service}{len(self.at[service])}".encode()
         self.at[service].append(Endpoint(node, type_name, type_hash, Qos(), gid))
 

@@ -68,12 +68,10 @@ def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingA
 
 
 def respond(route: ProvidingActionRoute, lane: int, payload: bytes, number: int) -> None:
-    """Let the server respond to a request."""
     route._responded(lane, [Response(payload, number, 0)])
 
 
 def accept(route: ProvidingActionRoute, number: int) -> None:
-    """Let the server accept a goal."""
     respond(route, SEND_GOAL, goal_response(True), number)
 
 

@@ -10,8 +10,6 @@ from rsb_bridge.route.calls.goals import MOST_GOALS, OVER, STATES, Goals, GoalSt
 
 
 class Wall:
-    """A clock."""
-
     def __init__(self) -> None:
         self.time = 100.0
 

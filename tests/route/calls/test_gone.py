@@ -27,8 +27,6 @@ LAMP = Endpoint("/lamp", "std_srvs/srv/SetBool", "RIHS01_0", Qos(), b"lamp")
 
 
 class _Graph(NoRos):
-    """One with a service."""
-
     def __init__(self) -> None:
         self.found: list[Endpoint] = []
 
@@ -65,6 +63,9 @@ def test_a_server_that_is_not_known_yet_has_not_gone(make_context: Callable[...,
         ros.found = found
         causes.append(looks(route))
     assert causes == [Cause.NO_SERVER, None, Cause.SERVER_GONE, Cause.NO_SERVER, Cause.SERVER_GONE]
+    peer: Any = route.peer
+    peer.connections += 1
+    assert looks(route) is Cause.NO_SERVER, "a new link knows of none before it"
     route.close("over")
 
 
