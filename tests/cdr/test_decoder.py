@@ -191,61 +191,43 @@ EMPTY_ELEMENTS = TypeDescription(
 
 
 @pytest.mark.parametrize(
-    ("description", "payload", "field", "problem", "parameters"),
+    ("of_what", "payload", "field", "problem", "parameters"),
     [
-        (of(("a", 6, 0, 0, "")), b"", "", Unreadable.NO_BYTES, {}),
+        (("a", 6, 0, 0, ""), b"", "", Unreadable.NO_BYTES, {}),
+        (("a", 6, 0, 0, ""), b"\x00\x07\x00\x00" + bytes(8), "", Unreadable.NOT_XCDR1, {"beginning": "00 07 00 00"}),
+        (("a", 6, 0, 0, ""), header(b"\x01\x02"), "a", Unreadable.ENDS_EARLY, {"expected": 4, "left": 2}),
+        (("a", 153, 0, 0, ""), header(b"\xff\xff\xff\x7f"), "a", Unreadable.ENDS_EARLY, {"expected": 17_179_869_176}),
+        (("s", 17, 0, 0, ""), header(b"\xff\xff\xff\xff"), "s", Unreadable.ENDS_EARLY, {"expected": 4_294_967_295}),
+        (("s", 18, 0, 0, ""), header(b"\xff\xff\xff\xff"), "s", Unreadable.ENDS_EARLY, {"expected": 17_179_869_180}),
+        (("s", 17, 0, 0, ""), header(b"\x02\x00\x00\x00ab"), "s", Unreadable.STRING_WITHOUT_END, {}),
+        (("s", 18, 0, 0, ""), header(b"\x01\x00\x00\x00\x00\x00\x01\x00"), "s", Unreadable.CHARACTER_TOO_WIDE, {}),
         (
-            of(("a", 6, 0, 0, "")),
-            b"\x00\x07\x00\x00" + bytes(8),
-            "",
-            Unreadable.NOT_XCDR1,
-            {"beginning": "00 07 00 00"},
-        ),
-        (of(("a", 6, 0, 0, "")), header(b"\x01\x02"), "a", Unreadable.ENDS_EARLY, {"expected": 4, "left": 2}),
-        (
-            of(("a", 153, 0, 0, "")),
-            header(b"\xff\xff\xff\x7f"),
-            "a",
-            Unreadable.ENDS_EARLY,
-            {"expected": 17_179_869_176},
-        ),
-        (of(("s", 17, 0, 0, "")), header(b"\xff\xff\xff\xff"), "s", Unreadable.ENDS_EARLY, {"expected": 4_294_967_295}),
-        (
-            of(("s", 18, 0, 0, "")),
-            header(b"\xff\xff\xff\xff"),
-            "s",
-            Unreadable.ENDS_EARLY,
-            {"expected": 17_179_869_180},
-        ),
-        (of(("s", 17, 0, 0, "")), header(b"\x02\x00\x00\x00ab"), "s", Unreadable.STRING_WITHOUT_END, {}),
-        (of(("s", 18, 0, 0, "")), header(b"\x01\x00\x00\x00\x00\x00\x01\x00"), "s", Unreadable.CHARACTER_TOO_WIDE, {}),
-        (
-            of(("s", 21, 0, 3, "")),
+            ("s", 21, 0, 3, ""),
             header(b"\x05\x00\x00\x00abcd\x00"),
             "s",
             Unreadable.STRING_TOO_LONG,
             {"length": 4, "limit": 3},
         ),
         (
-            of(("a", 102, 2, 0, "")),
+            ("a", 102, 2, 0, ""),
             header(b"\x03\x00\x00\x00" + bytes(12)),
             "a",
             Unreadable.SEQUENCE_TOO_LONG,
             {"length": 3, "limit": 2},
         ),
-        (of(("n", 1, 0, 0, "t/msg/None")), header(), "n", Unreadable.TYPE_MISSING, {"type": "t/msg/None"}),
-        (of(("x", 12, 0, 0, "")), header(bytes(16)), "x", Unreadable.TYPE_UNKNOWN, {"type": 12}),
-        (of(("x", 0, 0, 0, "")), header(bytes(16)), "x", Unreadable.TYPE_UNKNOWN, {"type": 0}),
-        (of(("x", 250, 0, 0, "")), header(bytes(16)), "x", Unreadable.TYPE_UNKNOWN, {"type": 250}),
+        (("n", 1, 0, 0, "t/msg/None"), header(), "n", Unreadable.TYPE_MISSING, {"type": "t/msg/None"}),
+        (("x", 12, 0, 0, ""), header(bytes(16)), "x", Unreadable.TYPE_UNKNOWN, {"type": 12}),
+        (("x", 0, 0, 0, ""), header(bytes(16)), "x", Unreadable.TYPE_UNKNOWN, {"type": 0}),
+        (("x", 250, 0, 0, ""), header(bytes(16)), "x", Unreadable.TYPE_UNKNOWN, {"type": 250}),
         (ENDLESS, header(bytes(8)), None, Unreadable.TOO_DEEP, {"limit": 64}),
         (EMPTY_ELEMENTS, header(b"\xff\xff\xff\xff"), None, Unreadable.TOO_MANY_VALUES, {}),
     ],
 )
 def test_what_cannot_be_read_is_said(
-    description: TypeDescription, payload: bytes, field: str | None, problem: Unreadable, parameters: dict[str, object]
+    of_what: Any, payload: bytes, field: str | None, problem: Unreadable, parameters: dict[str, object]
 ) -> None:
     began = time.process_time()
-    found = decode(description, payload).problem
+    found = decode(of_what if isinstance(of_what, TypeDescription) else of(of_what), payload).problem
     assert says(found, problem, **parameters)
     assert field is None or found.startswith(f"{field}: " if field else "it ")
     assert time.process_time() - began < 1.0
