@@ -44,9 +44,6 @@ def bench(*arguments: str) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
-# --- the arguments
-
-
 @pytest.mark.parametrize(
     ("parse", "text", "parsed"),
     [
@@ -102,9 +99,6 @@ def test_a_bridge_that_does_not_run_is_named() -> None:
     )
 
 
-# --- on this machine
-
-
 def test_a_short_run_on_this_machine(tmp_path: Path, spare_domains: int) -> None:
     near = spare_domains
     plot = tmp_path / "plot.svg"
@@ -125,9 +119,6 @@ def test_a_short_run_on_this_machine(tmp_path: Path, spare_domains: int) -> None
     assert 0 < receiving.listening <= receiving.first
     ET.fromstring(plot.read_text())
     assert not list(tmp_path.glob("rsb-bench-*"))
-
-
-# --- over a link
 
 
 @pytest.fixture

@@ -55,9 +55,6 @@ def field_of(payload: bytes, description: TypeDescription) -> str:
     return caught.value.field
 
 
-# --- what publishers send passes
-
-
 def drawn(draw: Callable[[Any], Any], message_class: Any, depth: int = 0) -> Any:
     slots = zip(message_class.get_fields_and_field_types(), message_class.SLOT_TYPES, strict=True)
     return message_class(**{name: _value(draw, slot, depth) for name, slot in slots})
@@ -123,9 +120,6 @@ def test_a_changed_word_passes_only_if_it_can_be_read(name: str, data: st.DataOb
         assert not decoded.problem or "without its end" in decoded.problem
     else:
         assert decoded.problem
-
-
-# --- what does not
 
 
 def test_eight_bytes_are_refused() -> None:

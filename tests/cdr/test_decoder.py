@@ -76,7 +76,6 @@ def tree(value: Any) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """Return the decoded message in plain values."""
     if isinstance(value, Items):
         assert len(value.shown) == value.total
         return [plain(each) for each in value.shown]
@@ -141,9 +140,6 @@ def test_big_endian() -> None:
     assert plain(decode(description, payload).message) == {"a": 1, "b": -2, "w": "hé", "s": [-5, 6]}
 
 
-# --- large messages
-
-
 def test_arrays_of_none_are_not_free() -> None:
     """They have no bytes, so that only the steps bound what a hostile description makes of a message of four."""
     many = tuple(MessageField(f"f{number}", FieldType(1 + 48, 0, 0, "t/msg/Inner")) for number in range(600))
@@ -175,9 +171,6 @@ def test_the_beginning_of_a_message_shows_what_is_in_it() -> None:
     assert decoded.message["data"] == Items("uint8", 6_220_800, [0, 0, 0, 0, 0])
     assert says(decoded.problem, Unreadable.FIELD, field="data")
     assert says(decoded.problem, Unreadable.ENDS_EARLY, expected=6_220_800)
-
-
-# --- hostile
 
 
 def header(*parts: bytes) -> bytes:
@@ -262,9 +255,6 @@ def test_whatever_comes_it_ends_and_raises_nothing(
     description: TypeDescription, encapsulation: bytes, content: bytes
 ) -> None:
     decode(description, encapsulation + content, steps=2000)
-
-
-# --- descriptions
 
 
 def test_a_description_shows_by_its_hash_that_it_is_the_right_one() -> None:

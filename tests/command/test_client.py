@@ -171,15 +171,6 @@ def test_a_bridge_is_named_as_elsewhere(path: Path, run: Run, machine: Machine, 
     assert run("list", "nobody").code == 2
 
 
-def test_a_key_is_renewed(path: Path, run: Run) -> None:
-    before = read_key(path.with_name("robot1.key"))
-    ran = run("rekey", "robot1", str(path), "--json")
-    now = read_key(path.with_name("robot1.key"))
-    assert now != before
-    assert ran.json["fingerprint"] == fingerprint(now)
-    assert path.read_text() == TEXT
-
-
 def test_a_key_is_replaced_while_both_count(path: Path, run: Run, machine: Machine) -> None:
     old = read_key(path.with_name("robot1.key"))
     engine = ScriptedEngine(SERVER)

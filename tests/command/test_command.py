@@ -3,7 +3,6 @@
 import json
 import os
 import pty
-import re
 import signal
 import stat
 import subprocess
@@ -97,13 +96,6 @@ def test_closed_outputs_change_nothing_but_what_is_said(closed: str, name: str, 
     rsb_console("keygen")
     run = subprocess.run(["sh", "-c", f'exec "$0" check {name}.yaml {closed}', COMMAND], timeout=120, check=False)
     assert run.returncode == code
-
-
-def test_version_and_help() -> None:
-    assert re.fullmatch(r"rsb-console \d+\.\d+\.\d+(\.dev\d+)?\n", process("--version").stdout)
-    for command in ("run", "check", "keygen", "import", "bt-scan", "demo"):
-        assert command in rsb_console("--help").stdout
-        assert rsb_console(command, "--help").stdout.startswith(f"usage: rsb-console {command}")
 
 
 def test_check_says_what_would_be_bridged_and_warns() -> None:
@@ -277,17 +269,6 @@ def test_a_key_file_that_is_none_is_warned_of_and_never_shown() -> None:
     assert key not in run.stdout + run.stderr
     problem = FileRefused.NOT_A_FILE(kind="a FIFO")
     assert says(rsb_console("keygen", "--force").stderr, KeyFileProblem.NOT_WRITTEN, problem=problem)
-
-
-def test_check_warns_of_what_is_allowed_but_unwise() -> None:
-    Path("open.yaml").write_text(
-        SESSION.replace("key_file: key.txt", "use_encryption: false\ndomain_id: 150\nshutdown_topic: /scan")
-    )
-    warnings = [line for line in rsb_console("check", "open.yaml").stdout.splitlines() if line.startswith("warning: ")]
-    assert len(warnings) == 3
-    assert Advice.NO_ENCRYPTION() in warnings[0]
-    assert "domain 150" in warnings[1]
-    assert f"topic /scan: {Advice.SHUTDOWN_TOPIC()}" in warnings[2]
 
 
 def test_check_warns_of_types_that_are_not_installed() -> None:

@@ -293,9 +293,6 @@ def test_a_benchmark_without_permission_has_its_own_remedy() -> None:
     assert says(refusal.remedy, DeniedRemedy.ADD_BENCH)
 
 
-# -- services, actions and parameters
-
-
 @pytest.mark.parametrize(
     ("denied", "use"),
     [

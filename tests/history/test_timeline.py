@@ -321,9 +321,6 @@ def test_operators_actions_are_remembered() -> None:
     ]
 
 
-# --- the clock
-
-
 @pytest.mark.parametrize("jump", [3 * HOUR, -3 * HOUR])
 def test_a_clock_that_is_set_moves_what_this_run_has_seen(jump: float) -> None:
     world = World("/scan")
@@ -385,9 +382,6 @@ def test_an_engine_that_hangs_or_has_ended_is_not_known_to_be_fine() -> None:
         world.recorder.look()
     assert world.report(800).gaps[-1].seconds >= 700
     assert len(world.events.after(0)) == 1, "the cause is shown"
-
-
-# --- from one process to the next
 
 
 def next_process(world: World, away: float) -> World:

@@ -204,9 +204,6 @@ def test_a_server_that_is_stopped() -> None:
     assert on_server(running=False).state is RobotState.MISSING
 
 
-# --- loss
-
-
 def ledgers(time: float, *counts: tuple[int, dict[str, int]], expired: int = 0) -> Snapshot:
     """Return topics ``/0``, ``/1`` and so on, with the delivered and dropped messages of each."""
     routes = tuple(
@@ -251,9 +248,6 @@ def test_loss_of_a_topic_that_counts_anew_or_is_gone() -> None:
     assert window.take(ledgers(NOW + 2, (9, {"queue full": 1}))) == {"robot1": LostMessages(1 / 5, 1.0)}
     assert window.take(ledgers(NOW + 3)) == {}
     assert window.take(ledgers(NOW + 4, (900, {"queue full": 1}))) == {}
-
-
-# --- from elsewhere
 
 
 def test_what_another_says_is_bounded() -> None:

@@ -82,7 +82,6 @@ def _hosts_can_be_made() -> None:
 
 @pytest.fixture
 def network(_hosts_can_be_made: None, tmp_path: Path) -> Iterator[Network]:
-    """An empty network."""
     made = Network(tmp_path)
     yield made
     made.close()

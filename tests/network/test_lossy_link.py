@@ -58,19 +58,6 @@ def test_every_third_packet_lost_is_one_cause_on_both_sides(bridge: Bridge, cabl
             assert sum(one != other for one, other in pairwise(states)) <= 3, states  # it was about ten
 
 
-def test_a_cut_cable_is_the_links_fault(bridge: Bridge, cable: Cable) -> None:
-    began = time.time()
-    cable.cut()
-    for side in (bridge.client, bridge.server):
-        eventually(lambda side=side: side.link().get("state") == "down", what="the link is down")
-        assert {link["cause"] for link in _links(side, began)} <= {
-            LinkCause.NONE, LinkCause.SILENT, LinkCause.TIMED_OUT, LinkCause.UNREACHABLE,
-        }  # fmt: skip
-        reasons = {(route["cause"], route["reason"]) for route in _routes(side, began)}
-        assert not [reason for _, reason in reasons if "MTU" in reason]
-    cable.mend()
-
-
 def _statuses(side: Program, since: float) -> list[dict[str, Any]]:
     return [each["status"] for each in side.log if "status" in each and each["time"] > since]
 

@@ -36,8 +36,6 @@ DOWN = replace(LINK, state=State.DOWN, cause="unreachable", since=NOW - 60)
 
 
 class Table:
-    """Acknowledgements, and the snapshots that they mark."""
-
     def __init__(self) -> None:
         self.clock = ManualClock()
         self.ended: list[object] = []
