@@ -407,10 +407,7 @@ def test_a_restart_is_a_gap_and_everything_else_is_still_there() -> None:
     world = next_process(world, 300)
     world.go(600)
     report = world.report()
-    assert brief(report.outages) == [
-        ("/scan", 60, "down", "no publisher"),
-        ("/map", 60, "stale", "nothing for 15 s"),
-    ]
+    assert brief(report.outages) == [("/scan", 60, "down", "no publisher"), ("/map", 60, "stale", "nothing for 15 s")]
     assert report.outages[1].cut_off
     assert [each.who for each in report.actions] == ["anna"]
     assert [(gap.start, round(gap.seconds)) for gap in report.gaps][1:] == [(EPOCH + 720, 300)]

@@ -46,12 +46,7 @@ class Heard(NamedTuple):
 class Node:
     def __init__(self, host: Host, domain_id: int) -> None:
         self._process = host.start(
-            sys.executable,
-            "-m",
-            "tests.network.node",
-            str(domain_id),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
+            sys.executable, "-m", "tests.network.node", str(domain_id), stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
 
     def talk(

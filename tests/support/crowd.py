@@ -42,6 +42,7 @@ class Crowd:
         self.nodes[number].set_parameters([Parameter("rate", value=rate)])
 
     def close(self) -> None:
+        """Leave the domain."""
         self._context.shutdown()
         self._thread.join()
         self._executor.shutdown()

@@ -66,6 +66,7 @@ class Router:
 
     @property
     def endpoint(self) -> str:
+        """Return its address."""
         return f"{self._protocol}/127.0.0.1:{self.port}"
 
     def start(self) -> None:
