@@ -60,7 +60,6 @@ SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit", max_rate=5.
 
 @pytest.fixture
 def engine(machine: Machine) -> ScriptedEngine:
-    """A served one with a topic and no fault."""
     made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,))
     machine.serve(made)
     return made

@@ -36,7 +36,6 @@ class Network:
         return host
 
     def router(self, name: str = "router") -> Host:
-        """A machine that forwards."""
         host = self.host(name)
         host.run("sh", "-c", "echo 1 > /proc/sys/net/ipv4/ip_forward")
         return host

@@ -85,12 +85,6 @@ def test_it_counts_again_where_it_went_away_and_came_back_between_two_snapshots(
     assert table.mark(replace(SCAN, since=NOW + 20)) == [False, False]
 
 
-def test_what_has_not_changed_stays_the_same_object(table: Table) -> None:
-    _, (first,) = table.known.mark([LINK], [SCAN], NOW)
-    _, (second,) = table.known.mark([LINK], [SCAN], NOW)
-    assert first is second
-
-
 def test_what_is_gone_is_forgotten(table: Table) -> None:
     assert table.mark() == [False]
     assert not held_by(table.known)
