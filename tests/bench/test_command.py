@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
+import msgspec
 import pytest
 from tests.support.commands import rsb_console
 from tests.support.waiting import eventually
@@ -153,6 +154,16 @@ def test_over_the_link_of_a_running_bridge(socket: Callable[..., str]) -> None:
         assert point.best.rate <= LEAVE.max_rate
         assert point.best.wire_per_byte is not None
         assert 1.0 < point.best.wire_per_byte < 1.2
+
+
+def test_both_directions_of_a_named_link_are_measured_and_drawn(socket: Callable[..., str], tmp_path: Path) -> None:
+    plot = tmp_path / "link.svg"
+    options = ("--link", "robot1", "--direction", "both", "--transports", "tcp", "--plot", str(plot))
+    leave = msgspec.structs.replace(LEAVE, seconds=600.0, megabytes=1000.0)
+    code, report = over_link(socket(to_client=leave), *options, seconds="12")
+    assert code == 0
+    assert {point.direction for point in report.points} == {"transmit", "receive"}
+    ET.fromstring(plot.read_text())
 
 
 def test_without_the_peer_s_leave_nothing_is_measured(socket: Callable[..., str]) -> None:

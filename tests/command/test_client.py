@@ -115,10 +115,7 @@ def test_nothing_is_closed_of_a_client_that_was_not_linked(path: Path, run: Run,
     machine.serve(engine, file=path)
     run("add", "robot2", str(path))
     assert says(run("rekey", "robot1", str(path)).err, ClientEffect.REKEYED_LINK_CLOSED)
-    for command, words in (
-        ("rekey", f"{ClientEffect.REKEYED()}\n"),
-        ("remove", ClientEffect.REMOVED(name="robot2")),
-    ):
+    for command, words in (("rekey", f"{ClientEffect.REKEYED()}\n"), ("remove", ClientEffect.REMOVED(name="robot2"))):
         said = run(command, "robot2", str(path)).err
         assert words in said
         assert not says(said, ClientEffect.REKEYED_LINK_CLOSED)

@@ -205,6 +205,13 @@ def test_figures_begin_with_a_snapshot_of_their_own() -> None:
     assert found.rate == 10.0
 
 
+def test_info_of_a_service_and_of_a_topic_whose_type_is_not_known_yet(ran: Any, engine: Running) -> None:
+    assert "2 asked" in ran("info", "/dock").out
+    assert ran("info", "/dock", "--json").json["calls"]["asked"] == 2
+    engine.now = replace(engine.now, routes=(replace(SCAN, spec=Topic("/scan", "transmit"), type_name=""),))
+    assert "Type: not known yet" in ran("info", "/scan").out
+
+
 @pytest.mark.parametrize(
     ("cause", "word"), [(LinkCause.NONE, "OK"), (LinkCause.FULL, "FULL"), (LinkCause.NAME_TAKEN, "WARN")]
 )

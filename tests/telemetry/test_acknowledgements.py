@@ -66,11 +66,7 @@ def test_a_fault_is_marked_with_who_and_when_and_needs_no_attention(table: Table
 
 @pytest.mark.parametrize(
     "changed",
-    [
-        replace(SCAN, state=State.DOWN),
-        replace(SCAN, cause="no_publisher"),
-        replace(SCAN, state=State.OK, cause=""),
-    ],
+    [replace(SCAN, state=State.DOWN), replace(SCAN, cause="no_publisher"), replace(SCAN, state=State.OK, cause="")],
 )
 def test_it_counts_again_once_its_state_or_cause_has_changed(table: Table, changed: RouteSnapshot) -> None:
     assert table.mark(SCAN) == [False, True]
