@@ -476,6 +476,11 @@ def started_headless(before: str, *arguments: str) -> subprocess.Popen[str]:
     )
 
 
+def own_lines(errors: str) -> list[str]:
+    """Leave out what Fast DDS says of ports in shared memory that killed processes of other tests left."""
+    return [line for line in errors.splitlines() if "RTPS_TRANSPORT_SHM" not in line]
+
+
 @pytest.mark.parametrize("number", [*long(signal.SIGINT), signal.SIGTERM])
 def test_a_signal_while_the_engine_starts_ends_it_cleanly(number: signal.Signals) -> None:
     """The engine's start says when it begins, so that the signal meets it."""
@@ -489,7 +494,7 @@ def test_a_signal_while_the_engine_starts_ends_it_cleanly(number: signal.Signals
         assert run.stdout.readline() == "starting\n"
         run.send_signal(number)
         output, errors = run.communicate(timeout=120)
-    assert (run.returncode, errors) == (0, "")
+    assert (run.returncode, own_lines(errors)) == (0, [])
     assert f"stopping: {number.name}" in output
 
 
@@ -519,7 +524,7 @@ def test_more_interrupts_while_it_stops_change_nothing_and_json_lines_are_alike(
             run.send_signal(signal.SIGINT)
             time.sleep(0.01)  # a hand on Ctrl-C
         output, errors = run.communicate(timeout=120)
-    assert (run.returncode, errors) == (0, "")
+    assert (run.returncode, own_lines(errors)) == (0, [])
     lines += [json.loads(line) for line in output.splitlines()]
     assert [line["text"] for line in lines if line["code"] == "engine.stopping"] == ["stopping: SIGINT"]
     assert all({"time", "level", "code", "text"} <= line.keys() and "number" not in line for line in lines)
@@ -552,7 +557,7 @@ def test_the_demo_bridges_and_leaves_one_topic_to_add() -> None:
             seen += line
         os.killpg(run.pid, signal.SIGINT)
         output, errors = run.communicate(timeout=120)
-    assert (run.returncode, errors) == (0, "")
+    assert (run.returncode, own_lines(errors)) == (0, [])
     assert "refused" not in seen
     assert "/goal_pose" in output
     assert "NOTHING CAME" not in output
