@@ -6,10 +6,8 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from collections import Counter
 from pathlib import Path
-from random import Random
 from typing import TYPE_CHECKING
 
 import pytest
@@ -19,8 +17,8 @@ from tests.support.waiting import eventually
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import read_description
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.known_messages import BATTERY_STATE, STRING, STRING_HASH, made_at, stamped_string, string_bytes
-from rsb_bridge.ros.stand_in import Metronome, StandIn, Talk
+from rsb_bridge.ros.known_messages import BATTERY_STATE, STRING, STRING_HASH
+from rsb_bridge.ros.stand_in import StandIn, Talk
 from rsb_console.bench.simulated_fleet import USUAL
 
 if TYPE_CHECKING:
@@ -71,13 +69,6 @@ def processes_of(folder: Path) -> list[str]:
     return found
 
 
-def test_a_message_of_the_stand_in_is_a_string_of_its_size_that_says_when_it_was_made() -> None:
-    first, second = stamped_string(200), stamped_string(200)
-    assert {len(string_bytes(each)) for each in (first, second)} == {200}
-    assert 0 < made_at(first) <= made_at(second)
-    assert len(string_bytes(stamped_string(1))) == 20
-
-
 def test_a_battery_of_the_stand_in_is_a_message_whose_charge_falls() -> None:
     pytest.importorskip("rclpy", reason="needs ROS 2")
     from rclpy.serialization import deserialize_message
@@ -126,16 +117,3 @@ def test_what_a_node_publishes_reaches_subscriptions_and_what_it_hears_is_counte
     goal.publish(b"")
     other.publish(b"")
     assert ros.received == {"/goal": 1}
-
-
-def test_a_metronome_publishes_each_topic_until_it_is_stopped() -> None:
-    nodes = [StandIn(f"robot{number}", [Talk("/fast", 500.0, 20), Talk("/slow", 50.0, 20)]) for number in range(3)]
-    metronome = Metronome(Random(1))
-    for ros in nodes:
-        metronome.add(ros)
-    eventually(lambda: all(min(ros.published.values()) >= 3 for ros in nodes), WITHIN, "messages of all topics")
-    before = nodes[0].published["/slow"]
-    metronome.flood(nodes[0], Talk("/slow", 0.0, 20))
-    eventually(lambda: nodes[0].published["/slow"] - before > 1000, WITHIN, "a flood")
-    metronome.stop()
-    assert not {"rsb-metronome", "rsb-flood"} & {thread.name for thread in threading.enumerate()}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 import pytest
 from tests.support.wording import says
 
-from rsb_console.bench.presentation import USUAL, JudgingText, capacity, in_words, judge
+from rsb_console.bench.presentation import JudgingText, capacity, in_words, judge
 from rsb_console.bench.results import Load, Point, Run
 from rsb_console.bench.suite import loads_of_all
 
@@ -88,12 +88,6 @@ def test_what_is_too_much_together_is_said() -> None:
     judged = judge(loads, MEASURED)
     assert any("150 %" in line for line in in_words(judged, "this link", together=True))
     assert not any("150 %" in line for line in in_words(judged, "this link", together=False))
-
-
-def test_without_topics_or_figures_there_is_a_sentence_all_the_same() -> None:
-    assert in_words([], "this link", together=True)
-    assert judge(USUAL, []) == []
-    assert judge(USUAL, [point(1_000, None, limit="time")]) == []
 
 
 def snapshot(role: str, link: str) -> Snapshot:

@@ -65,15 +65,12 @@ class QuietRos(NoRos):
 
 
 def on_bridge(engine: Engine, ask: Callable[[Bridge], Coroutine[None, None, T]]) -> T:
-    """Run a coroutine on the thread of an engine's bridge."""
     bridge = inside(engine)
     assert bridge is not None
     return asyncio.run_coroutine_threadsafe(ask(bridge), bridge.context.loop).result(WITHIN)
 
 
 class Pair:
-    """A server and its client."""
-
     def __init__(self, server: Engine, client: Engine) -> None:
         self.server = server
         self.client = client

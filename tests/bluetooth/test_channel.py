@@ -162,7 +162,6 @@ class Pair(NamedTuple):
             assert ledger.offered == ledger.delivered + sum(ledger.dropped.values())
 
     def faults(self) -> list[Event]:
-        """Return the warnings for operators."""
         events = [event for engine in (self.server, self.client) for event in engine.events()]
         return [event for event in events if event.level in (Level.WARNING, Level.ERROR)]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.bluetooth.vm import debian, machine
+from tests.bluetooth.vm import machine
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,14 +31,3 @@ def test_a_dead_machine_is_told_from_a_failed_test(boots_from: Layers, tmp_path:
 def test_a_hung_machine_is_ended(boots_from: Layers) -> None:
     with pytest.raises(machine.DiedError, match="it was ended after 2 s"):
         machine.run(boots_from, ["any"], time_limit=2)
-
-
-def test_an_unknown_kernel_is_named(boots_from: Layers) -> None:
-    with pytest.raises(debian.UnavailableError, match=r"none of the kernels 1\.0\.0-no-amd64"):
-        debian.release(("1.0.0-no-amd64",))
-
-
-def test_a_missing_tool_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PATH", "/nonexistent")
-    with pytest.raises(debian.UnavailableError, match=r"qemu-system-x86_64 is missing .*apt install"):
-        debian.release()

@@ -13,13 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from rosidl_parser.definition import AbstractGenericString as AnyString
-from rosidl_parser.definition import (
-    AbstractNestedType,
-    Array,
-    BasicType,
-    BoundedSequence,
-    NamespacedType,
-)
+from rosidl_parser.definition import AbstractNestedType, Array, BasicType, BoundedSequence, NamespacedType
 from tests.cdr.test_decoder import TYPES, described, of
 from tests.support.filled import filled
 
@@ -53,9 +47,6 @@ def field_of(payload: bytes, description: TypeDescription) -> str:
     with pytest.raises(MalformedError) as caught:
         Checker(description).check(payload)
     return caught.value.field
-
-
-# --- what publishers send passes
 
 
 def drawn(draw: Callable[[Any], Any], message_class: Any, depth: int = 0) -> Any:
@@ -125,9 +116,6 @@ def test_a_changed_word_passes_only_if_it_can_be_read(name: str, data: st.DataOb
         assert decoded.problem
 
 
-# --- what does not
-
-
 def test_eight_bytes_are_refused() -> None:
     payload = bytes.fromhex("00 01 00 00 00 00 00 10")
     with pytest.raises(MalformedError) as caught:
@@ -136,8 +124,7 @@ def test_eight_bytes_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "field"),
-    [((2, 4), "in.some"), ((1, 8, 1, 30), "names[]"), ((1, 8, 2**30), "names"), ((1, 8), "names")],
+    ("value", "field"), [((2, 4), "in.some"), ((1, 8, 1, 30), "names[]"), ((1, 8, 2**30), "names"), ((1, 8), "names")]
 )
 def test_the_field_is_named(value: tuple[int, ...], field: str) -> None:
     inner = MessageType("t/msg/In", (MessageField("some", FieldType(INT + SEQUENCE, 0, 0, "")),))

@@ -60,9 +60,6 @@ def answer(engine: ScriptedEngine, text: str) -> None:
     engine.called.set_result(text)
 
 
-# --- adding, and naming
-
-
 @pytest.mark.parametrize(
     ("words", "topic"),
     [
@@ -159,9 +156,6 @@ def test_a_command_that_is_not_for_a_kind_says_what_there_is_instead(ran: Any, e
     assert says(misspelt, RouteChoice.NOT_BRIDGED, topic="/contrller", hint="; did you mean /controller?")
 
 
-# --- what is printed
-
-
 def test_status_and_topics_tell_of_calls(ran: Any, engine: ScriptedEngine) -> None:
     refused = replace(NODE, state=State.DOWN, reason="no server of /controller/get_parameters")
     armed = replace(NAVIGATE, arming=ArmingSnapshot(armed=True, by="anna"))
@@ -198,9 +192,6 @@ def test_a_service_flows_once_it_can_be_called(
     waits = replace(DOCK, state=State.WAITING, reason="not called yet", stages=stages)
     engine.now = replace(engine.now, routes=(waits,))
     assert ran("wait", "--for", "flowing", "/dock", "--timeout", "0").code == code
-
-
-# --- calling
 
 
 def test_a_call_prints_the_response(ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -115,10 +115,7 @@ def test_nothing_is_closed_of_a_client_that_was_not_linked(path: Path, run: Run,
     machine.serve(engine, file=path)
     run("add", "robot2", str(path))
     assert says(run("rekey", "robot1", str(path)).err, ClientEffect.REKEYED_LINK_CLOSED)
-    for command, words in (
-        ("rekey", f"{ClientEffect.REKEYED()}\n"),
-        ("remove", ClientEffect.REMOVED(name="robot2")),
-    ):
+    for command, words in (("rekey", f"{ClientEffect.REKEYED()}\n"), ("remove", ClientEffect.REMOVED(name="robot2"))):
         said = run(command, "robot2", str(path)).err
         assert words in said
         assert not says(said, ClientEffect.REKEYED_LINK_CLOSED)
@@ -169,15 +166,6 @@ def test_a_bridge_is_named_as_elsewhere(path: Path, run: Run, machine: Machine, 
     for words in (("list", "pc"), ("list",), ("list", "--bridge", "pc"), ("show", "robot1", "pc")):
         assert run(*words).code == 0, words
     assert run("list", "nobody").code == 2
-
-
-def test_a_key_is_renewed(path: Path, run: Run) -> None:
-    before = read_key(path.with_name("robot1.key"))
-    ran = run("rekey", "robot1", str(path), "--json")
-    now = read_key(path.with_name("robot1.key"))
-    assert now != before
-    assert ran.json["fingerprint"] == fingerprint(now)
-    assert path.read_text() == TEXT
 
 
 def test_a_key_is_replaced_while_both_count(path: Path, run: Run, machine: Machine) -> None:

@@ -3,7 +3,6 @@
 import json
 import os
 import pty
-import re
 import signal
 import stat
 import subprocess
@@ -95,13 +94,6 @@ def test_closed_outputs_change_nothing_but_what_is_said(closed: str, name: str, 
     rsb_console("keygen")
     run = subprocess.run(["sh", "-c", f'exec "$0" check {name}.yaml {closed}', COMMAND], timeout=120, check=False)
     assert run.returncode == code
-
-
-def test_version_and_help() -> None:
-    assert re.fullmatch(r"rsb-console \d+\.\d+\.\d+(\.dev\d+)?\n", process("--version").stdout)
-    for command in ("run", "check", "keygen", "import", "bt-scan", "demo"):
-        assert command in rsb_console("--help").stdout
-        assert rsb_console(command, "--help").stdout.startswith(f"usage: rsb-console {command}")
 
 
 def test_check_says_what_would_be_bridged_and_warns() -> None:
@@ -275,17 +267,6 @@ def test_a_key_file_that_is_none_is_warned_of_and_never_shown() -> None:
     assert key not in run.stdout + run.stderr
     problem = FileRefused.NOT_A_FILE(kind="a FIFO")
     assert says(rsb_console("keygen", "--force").stderr, KeyFileProblem.NOT_WRITTEN, problem=problem)
-
-
-def test_check_warns_of_what_is_allowed_but_unwise() -> None:
-    Path("open.yaml").write_text(
-        SESSION.replace("key_file: key.txt", "use_encryption: false\ndomain_id: 150\nshutdown_topic: /scan")
-    )
-    warnings = [line for line in rsb_console("check", "open.yaml").stdout.splitlines() if line.startswith("warning: ")]
-    assert len(warnings) == 3
-    assert Advice.NO_ENCRYPTION() in warnings[0]
-    assert "domain 150" in warnings[1]
-    assert f"topic /scan: {Advice.SHUTDOWN_TOPIC()}" in warnings[2]
 
 
 def test_check_warns_of_types_that_are_not_installed() -> None:
@@ -493,6 +474,11 @@ def started_headless(before: str, *arguments: str) -> subprocess.Popen[str]:
     )
 
 
+def own_lines(errors: str) -> list[str]:
+    """Leave out what Fast DDS says of ports in shared memory that killed processes of other tests left."""
+    return [line for line in errors.splitlines() if "RTPS_TRANSPORT_SHM" not in line]
+
+
 @pytest.mark.parametrize("number", [*long(signal.SIGINT), signal.SIGTERM])
 def test_a_signal_while_the_engine_starts_ends_it_cleanly(number: signal.Signals) -> None:
     """The engine's start says when it begins, so that the signal meets it."""
@@ -506,7 +492,7 @@ def test_a_signal_while_the_engine_starts_ends_it_cleanly(number: signal.Signals
         assert run.stdout.readline() == "starting\n"
         run.send_signal(number)
         output, errors = run.communicate(timeout=120)
-    assert (run.returncode, errors) == (0, "")
+    assert (run.returncode, own_lines(errors)) == (0, [])
     assert f"stopping: {number.name}" in output
 
 
@@ -536,7 +522,7 @@ def test_more_interrupts_while_it_stops_change_nothing_and_json_lines_are_alike(
             run.send_signal(signal.SIGINT)
             time.sleep(0.01)  # a hand on Ctrl-C
         output, errors = run.communicate(timeout=120)
-    assert (run.returncode, errors) == (0, "")
+    assert (run.returncode, own_lines(errors)) == (0, [])
     lines += [json.loads(line) for line in output.splitlines()]
     assert [line["text"] for line in lines if line["code"] == "engine.stopping"] == ["stopping: SIGINT"]
     assert all({"time", "level", "code", "text"} <= line.keys() and "number" not in line for line in lines)
@@ -562,7 +548,7 @@ def test_the_demo_bridges_and_leaves_one_topic_to_add() -> None:
             seen += line
         os.killpg(run.pid, signal.SIGINT)
         output, errors = run.communicate(timeout=120)
-    assert (run.returncode, errors) == (0, "")
+    assert (run.returncode, own_lines(errors)) == (0, [])
     assert "refused" not in seen
     assert "/goal_pose" in output
     assert "NOTHING CAME" not in output

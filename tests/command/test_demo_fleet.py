@@ -50,10 +50,7 @@ def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize(
     ("program", "engines"),
-    [
-        (("-m", "rsb_console"), ["control", "robot1", "robot2"]),
-        (("-c", WITHOUT_ZENOH), ["robot1", "robot2"]),
-    ],
+    [(("-m", "rsb_console"), ["control", "robot1", "robot2"]), (("-c", WITHOUT_ZENOH), ["robot1", "robot2"])],
     ids=["zenoh", "tcp"],
 )
 def test_each_engine_is_linked_and_has_a_line(program: tuple[str, ...], engines: list[str], temporary: Path) -> None:

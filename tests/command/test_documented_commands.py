@@ -138,8 +138,6 @@ def test_it_is_taken(line: Line, capsys: pytest.CaptureFixture[str]) -> None:
     assert lacks_arguments(line) or not capsys.readouterr().err
 
 
-# --- running them
-
 _ELSEWHERE = {
     "bench": ("bench/test_command.py", "test_ctrl_c_prints_what_was_measured_and_leaves_no_process"),
     "bench --quick": ("bench/test_command.py", "test_a_short_run_on_this_machine"),

@@ -35,7 +35,6 @@ _PROGRAMS = _OWN | set(_OTHERS)
 
 
 def blocks(language: str) -> Iterator[tuple[str, str]]:
-    """The blocks of a language, with their pages."""
     for page, text in _TEXTS.items():
         for indent, found, block in re.findall(r"^( *)```(\w*)\n(.*?)^ *```$", text, re.MULTILINE | re.DOTALL):
             if found == language:

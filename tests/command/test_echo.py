@@ -176,9 +176,3 @@ def test_where_nothing_comes_it_says_why(ran: Any, engine: ScriptedEngine) -> No
     assert says(late.err, RemoteProblem.NO_MORE_MESSAGES, topic="/scan", seconds=0.2)
     assert "no publisher of /scan in domain 4" in late.err
     assert ran("echo", "/scn", "--once").code == 2
-
-
-def test_it_is_a_read(ran: Any, engine: ScriptedEngine) -> None:
-    """It attaches read-only, and the control socket lets it."""
-    shows(engine, peeked(String(data="hello")))
-    assert 'data: "hello"' in ran("echo", "/scan", "--once").out

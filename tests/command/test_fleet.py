@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING, TypeAlias
 import pytest
 from tests.console.scripted import NOW, ScriptedEngine, call_route
 from tests.support import surroundings
-from tests.support.commands import parser_and_commands
 from tests.support.fleet import ServerEngine
 
 from rsb_bridge.model.by_hand import Published
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
-from rsb_console.command.remote_arguments import IN_FLEET
 from rsb_console.fleet.fleet import Memory, Remembered, memory_path
 
 if TYPE_CHECKING:
@@ -52,9 +50,6 @@ def answers(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     surroundings.set_stdin(monkeypatch, text, is_terminal=True)
 
 
-# --- how they are
-
-
 def test_all_is_well(engine: ServerEngine, fleet: Fleet) -> None:
     ran = fleet("--json", *QUICK)
     assert ran.code == 0
@@ -66,17 +61,6 @@ def test_all_is_well(engine: ServerEngine, fleet: Fleet) -> None:
     assert (first["flowing"], first["routes"], first["links_up"], first["links"]) == (2, 2, 1, 1)
     assert (first["messages_from_robot"], first["battery"]) == (20.0, None)
     assert first["since"] == NOW - 300.0
-
-
-def test_something_is_wrong(engine: ServerEngine, fleet: Fleet) -> None:
-    engine.link("robot2", state=State.DOWN, reason="no answer")
-    ran = fleet("--json", *QUICK)
-    assert ran.code == 1
-    assert (ran.json["ok"], ran.json["robots"][0]["name"], ran.json["robots"][0]["state"]) == (
-        False,
-        "robot2",
-        "missing",
-    )
 
 
 def test_a_robot_that_has_gone_is_dismissed(engine: ServerEngine, fleet: Fleet) -> None:
@@ -113,9 +97,6 @@ def test_the_fields_that_are_documented_are_printed(engine: ServerEngine, fleet:
     rows = [line.split("|")[1] for line in section.partition("\n\n")[0].splitlines()[2:]]
     printed = fleet("--json", *QUICK).json["robots"][0]
     assert {field for row in rows for field in re.findall(r"`(\w+)`", row)} == printed.keys()
-
-
-# --- a command for some robots
 
 
 def test_a_command_for_each(engine: ServerEngine, fleet: Fleet) -> None:
@@ -205,13 +186,6 @@ def test_each_robot_gets_what_standard_input_has(
     published = [each[1].fields for each in engine.commands if each[0] == "publish"]  # type: ignore[attr-defined]
     called = [each[2] for each in engine.commands if each[0] == "call"]
     assert published + called == ["data: true"] * 2
-
-
-def test_every_command_that_is_allowed_exists() -> None:
-    assert set(IN_FLEET) <= set(parser_and_commands()[1])
-
-
-# --- a change from robot to robot
 
 
 def test_what_would_change(engine: ServerEngine, fleet: Fleet) -> None:

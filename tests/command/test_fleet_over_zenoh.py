@@ -38,7 +38,6 @@ def bob(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> Run:
 
 
 def as_operator(fleet: Fleet, capsys: pytest.CaptureFixture[str], name: str) -> Run:
-    """Runs a command with the fleet file of an operator."""
     path = fleet.write_file(name, {"anna": ANNA, "bob": BOB}[name])
 
     def run(command: str, *words: str) -> Ran:
@@ -115,16 +114,6 @@ def test_all_robots_are_reported(fleet: Fleet, anna: Run) -> None:
     assert robots["robot2"]["state"] == "fault"
     assert robots["robot2"]["seen"] is None
     assert {robot["server"] for robot in robots.values()} == {"lab"}
-
-
-def test_a_command_runs_for_some_robots(fleet: Fleet, anna: Run, bob: Run) -> None:
-    for name in ("robot1", "robot2", "robot3"):
-        fleet.add(name)
-    done = anna("fleet exec", "robot1", "robot3", "--json", "--", "retry")
-    assert (done.code, [robot["code"] for robot in done.json["robots"]]) == (0, [0, 0])
-    assert [fleet.engines[name].commands for name in sorted(fleet.engines)] == [[("retry", "")], [], [("retry", "")]]
-    assert bob("fleet exec", "robot2", "--", "retry").code == 1
-    assert fleet.engines["robot2"].commands == []
 
 
 def test_a_robot_that_is_not_reached_is_not_done(fleet: Fleet, anna: Run) -> None:

@@ -17,7 +17,6 @@ from tests.support import constants, replaced, surroundings
 from rsb_bridge.model.pictures import Pixels
 from rsb_console.command import graphics
 from rsb_console.command.graphics import ImagePrinter, protocol_of_terminal, why_not
-from rsb_console.look.picture_rows import UnreadableError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -128,9 +127,3 @@ def test_sixels_select_each_colour_that_they_define(monkeypatch: pytest.MonkeyPa
     assert re.search(r"#([0-9]+);2;100;0;0(#\1)+!", printed)
     assert printed.endswith("\x1b\\")
     assert ImagePrinter("sixel").closed() == ""
-
-
-def test_a_damaged_image(monkeypatch: pytest.MonkeyPatch) -> None:
-    for protocol_name in ("kitty", "sixel"):
-        with pytest.raises(UnreadableError):
-            ImagePrinter(protocol_name).printed(Pixels(2, 2, b"RIFFxxxxWEBP", "webp"), 10, 10)

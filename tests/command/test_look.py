@@ -114,8 +114,6 @@ def test_before_the_first_message(drawn: Callable[..., list[str]]) -> None:
     assert has_text(first, LookText.NO_MESSAGE)
 
 
-# -- one picture
-
 IMAGE = Pixels(2, 2, b"\xff\0\0\0\xff\0\0\0\xff\xff\xff\xff")
 CHARACTERS = Cells(("a row", "──▶"), bytes((1,) * 8), ("", "robot"))
 CURVES = Series(0.0, 0.5, (Curve("x", (1.0, 2.0), (1.0, 3.0), 3.0, 2.0),))
@@ -247,9 +245,6 @@ def test_the_command_ends_its_view(ran: Any, engine: ScriptedEngine, answer: Vie
     eventually(lambda: engine.commands[-1] == ("end_look",))
 
 
-# -- colours
-
-
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     def make(**variables: str) -> None:
@@ -302,9 +297,6 @@ def test_styles_have_colours_on_a_terminal(ran: Any, engine: ScriptedEngine, ter
     assert row == "a\x1b[1;31mb\x1b[0m\x1b[38;2;1;2;3mc\x1b[0m"
 
 
-# -- files
-
-
 @pytest.mark.parametrize(
     ("content", "suffix"), [(IMAGE, ".png"), (CHARACTERS, ".svg"), (CHARACTERS, ".txt"), (CURVES, ".csv")]
 )
@@ -352,9 +344,6 @@ def test_a_picture_that_cannot_be_written(
     assert done.code == 1
     assert says(done.err, LookText.NOT_WRITTEN, file=tmp_path / name)
     assert not [*tmp_path.glob("**/a.*")]
-
-
-# -- no picture
 
 
 def test_a_reason_instead_of_a_picture(ran: Any, engine: ScriptedEngine) -> None:

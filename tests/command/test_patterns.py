@@ -27,7 +27,6 @@ def pattern(spec: Topic, state: State = State.OK, **changes: Any) -> PatternSnap
 
 @pytest.fixture
 def engine(machine: Machine) -> ScriptedEngine:
-    """A served one with two patterns, one of which has made a route."""
     made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=(CAMERA, NAV)), routes=(IMAGE,))
     link = replace(LINK, patterns=(pattern(CAMERA, routes=1), pattern(NAV, State.WAITING)))
     made.now = replace(made.now, links=(link,))

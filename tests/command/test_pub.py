@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -10,19 +9,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.console.scripted import ScriptedEngine, route
 from tests.support import replaced, surroundings
-from tests.support.bridge import linked
 from tests.support.commands import rsb_console
-from tests.support.consoles import Consoles
-from tests.support.domain import text
-from tests.support.waiting import eventually
 from tests.support.wording import says
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.engine.publishing import PublishProblem
 from rsb_bridge.model.by_hand import Draft, Published
 from rsb_bridge.model.calls import FIELDS_LENGTH
-from rsb_bridge.model.command_origin import acting
-from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_console.command import pub_command
 from rsb_console.command.pub_command import _LOOK_EVERY, PubText
@@ -30,11 +22,7 @@ from rsb_console.session.landing import REPORTED_WITHIN, LandingText
 from rsb_console.session.manual_messages import ByHandText
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from tests.support.bridge import Bridge
     from tests.support.control import Machine
-    from tests.support.domain import Domain
 
     from rsb_bridge.model.commands import Publish
 
@@ -84,9 +72,6 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 def sent(engine: ScriptedEngine) -> list[Publish]:
     return [command[1] for command in engine.commands if command[0] == "publish"]  # type: ignore[misc]
-
-
-# -- what is published
 
 
 def test_one_message(ran: Any, engine: ScriptedEngine) -> None:
@@ -184,9 +169,6 @@ def test_after_the_last_message_it_does_not_wait(
     assert clock.slept == []
 
 
-# -- results
-
-
 def test_where_it_does_not_go_is_named(ran: Any, engine: ScriptedEngine) -> None:
     down = route("/words", State.DOWN, outgoing=True, link="robot2", reason="no link \x1b[2J")
     engine.now = replace(engine.now, routes=(down,))
@@ -205,12 +187,6 @@ def test_nobody_gets_it(ran: Any, engine: ScriptedEngine) -> None:
     engine.published = [ALONE]
     done = ran("/words", "", "--json")
     assert (done.code, done.json["ok"], done.json["count"]) == (1, False, 1)
-
-
-def test_nobody_gets_the_last_of_several(ran: Any, engine: ScriptedEngine, clock: Clock) -> None:
-    engine.published = [TAKEN, ALONE]
-    assert ran("/words", "data: hello", "--count", "2").code == 1
-    assert len(clock.slept) == 1
 
 
 def test_the_result_for_programs(ran: Any, engine: ScriptedEngine, clock: Clock) -> None:
@@ -263,9 +239,6 @@ def test_wrong_usage(engine: ScriptedEngine, arguments: tuple[str, ...]) -> None
     assert engine.commands == []
 
 
-# -- tickets
-
-
 def test_a_new_ticket_for_each_message(ran: Any, engine: ScriptedEngine, clock: Clock) -> None:
     """Once a second, each ticket may have become too old."""
     engine.published = [OLD, TAKEN, OLD, TAKEN]
@@ -282,9 +255,6 @@ def test_a_bridge_that_answers_too_slowly(ran: Any, engine: ScriptedEngine) -> N
     assert len(sent(engine)) == 3
 
 
-# -- templates
-
-
 def test_a_message_to_begin_with(ran: Any, engine: ScriptedEngine) -> None:
     engine.drafts["/words"] = Draft(STRING, "data: ''\n")
     done = ran("/words", "--template")
@@ -299,33 +269,3 @@ def test_no_message_to_begin_with(ran: Any, engine: ScriptedEngine) -> None:
     done = ran("/words", "--template")
     assert (done.code, done.out) == (1, "")
     assert "\x1b" not in done.err
-
-
-# -- a bridge that runs
-
-
-@pytest.fixture
-def consoles() -> Iterator[Consoles]:
-    made = Consoles()
-    yield made
-    made.close()
-
-
-def test_an_armed_topic_of_a_bridge_that_runs(
-    bridge: Bridge, robot: Domain, pc: Domain, machine: Machine, ran: Any, consoles: Consoles
-) -> None:
-    motors = robot.listener("/cmd")
-    publisher = pc.publisher("/cmd")
-    server, client = bridge.both(Topic("/cmd", "receive", arm=True, deadman=0.0))
-    machine.serve(server)
-    eventually(lambda: linked(client) and any(each.state == "disarmed" for each in server.snapshot().routes))
-    refused = ran("/cmd", "data: go", "--type", STRING)
-    assert refused.code == 1
-    assert says(refused.err, PublishProblem.NOT_ARMED, topic="/cmd")
-    eventually(lambda: all(each.snapshot().routes[0].state == "disarmed" for each in (server, client)))
-    with acting(f"{getpass.getuser()} on pts/9"):
-        consoles.arm(server, shared=True)  # as `rsb-console arm` does
-    assert ran("/cmd", "data: go", "--count", "3", "--rate", "20").code == 0
-    eventually(lambda: motors.texts(10) == ["go"] * 3)
-    publisher.publish(text("by a node"))
-    eventually(lambda: motors.texts(10)[-1] == "by a node")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 import pytest
-from tests.console.scripted import EVENTS, ROUTES, SESSION, ScriptedEngine, route
+from tests.console.scripted import ROUTES, SESSION, ScriptedEngine, route
 from tests.support import constants, replaced
 from tests.support.forker import Forked
 from tests.support.ports import free_port
@@ -60,7 +60,6 @@ SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit", max_rate=5.
 
 @pytest.fixture
 def engine(machine: Machine) -> ScriptedEngine:
-    """A served one with a topic and no fault."""
     made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,))
     machine.serve(made)
     return made
@@ -337,12 +336,6 @@ def test_a_topic_of_a_server_has_two_names(ran: Any, engine: ScriptedEngine) -> 
     assert engine.commands == [("pause", "k", True), changed, ("remove", "k")] * 2
 
 
-def test_events_prints_what_is_remembered(ran: Any, engine: ScriptedEngine) -> None:
-    texts = [json.loads(line)["text"] for line in ran("events", "--json").out.splitlines()]
-    assert texts == [event.text for event in EVENTS]
-    assert len(ran("events").out.splitlines()) == len(EVENTS)
-
-
 def test_wait_waits(ran: Any, engine: ScriptedEngine) -> None:
     assert ran("wait", "--for", "flowing", "/scan", "--timeout", "10").code == 0
     assert ran("wait", "--for", "linked", "robot1", "--json").json["ok"]
@@ -360,16 +353,6 @@ def test_a_server_waits_for_a_topic_that_a_client_may_bring(ran: Any, machine: M
     assert late.code == 1
     assert says(late.err, RemoteProblem.NOT_REACHED, condition="flowing /scna", seconds=0)
     assert says(late.err, RemoteProblem.NOT_BROUGHT, topic="/scna", hint="; did you mean /scan?")
-
-
-def test_what_is_not_understood_is_refused_with_the_commands_own_usage(
-    ran: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit):
-        ran("echo", "/scan", "/map")
-    refused = capsys.readouterr().err
-    assert refused.startswith("usage: rsb-console echo ")
-    assert refused.endswith("unrecognized arguments: /map\n")
 
 
 def test_on_a_server_of_several_the_client_has_to_be_named(ran: Any, machine: Machine) -> None:
@@ -467,9 +450,6 @@ def test_of_two_bridges_of_one_name_the_sockets_are_named(
     for folder in (machine.folder, services):
         assert f"--control {folder / 'robot1.sock'}" in both.err
         assert ran("topics", "--control", str(folder / "robot1.sock")).code == 0
-
-
-# --- with real processes
 
 
 @pytest.fixture

@@ -215,15 +215,9 @@ def test_a_quiet_night_is_short() -> None:
 
 
 @pytest.mark.parametrize(
-    ("reason", "times"),
-    [
-        ("10.0.0.20:49152: Connection refused", 1),
-        ("10.0.0.20:49152 answers as HTTP", 1),
-        ("no answer", 1),
-        ("", 1),
-    ],
+    "reason", ["10.0.0.20:49152: Connection refused", "10.0.0.20:49152 answers as HTTP", "no answer", ""]
 )
-def test_a_link_names_its_peer_once(reason: str, times: int) -> None:
+def test_a_link_names_its_peer_once(reason: str) -> None:
     said = where_and_why(replace(LINK, state=State.DOWN, reason=reason, peer="10.0.0.20:49152"))
-    assert said.count("10.0.0.20:49152") == times
+    assert said.count("10.0.0.20:49152") == 1
     assert reason.removeprefix("10.0.0.20:49152: ") in said

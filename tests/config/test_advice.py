@@ -8,19 +8,23 @@ from tests.support import surroundings
 from tests.support.wording import says
 
 from rsb_bridge.config.advice import Advice, advise
-from rsb_bridge.config.rights import DeniedText
 from rsb_bridge.config.validation import SessionMistake, validate
 from rsb_bridge.model.limits import KEPT_DEPTH, LATCHED_DEPTH, PORTS_PER_CLIENT, ROUTES_PER_LINK
-from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.wording import Wording
 
 CLIENT: dict[str, Any] = {"name": "a", "role": "client", "server_ip": "10.0.0.1", "server_port": 49152, "key_file": "k"}
 SERVER: dict[str, Any] = {**CLIENT, "role": "server"}
+LATCHED = {"profile": "latched", "depth": LATCHED_DEPTH + 1}
 MAC = "5C:F3:70:9A:1B:2E"
 
 
 def topics(*some: Topic, **session: Any) -> dict[str, Any]:
     return {**CLIENT, "topics": some, **session}
+
+
+def one(**fields: Any) -> dict[str, Any]:
+    return topics(Topic("/a", "transmit", **fields))
 
 
 def many(count: int, port: int | None = None) -> list[Topic]:
@@ -36,72 +40,17 @@ def many(count: int, port: int | None = None) -> list[Topic]:
         (CLIENT, "150", "domain_id", Advice.DOMAIN_COLLIDES, {"domain": 150}),
         (CLIENT, "300", "domain_id", SessionMistake.DOMAIN_VARIABLE_INVALID, {"value": "'300'"}),
         ({**SERVER, "server_port": 80}, None, "server_port", Advice.LOW_PORT, {"limit": 1024}),
-        (
-            {**SERVER, "server_port": 7649, "domain_id": 0},
-            None,
-            "server_port",
-            Advice.PORT_OF_DOMAIN,
-            {"port": 7649, "domain": 0, "ports": "7400 to 7649"},
-        ),
-        (
-            {**SERVER, "ports": (12001, 7650)},
-            "1",
-            "ports[1]",
-            Advice.PORT_OF_DOMAIN,
-            {"port": 7650, "domain": 1, "ports": "7650 to 7899"},
-        ),
-        (
-            {**SERVER, "server_port": 9900, "domain_id": 0},
-            None,
-            "server_port",
-            Advice.PORT_OF_DISCOVERY,
-            {"domain": 10},
-        ),
-        (
-            topics(Topic("/a", "transmit", port=7660)),
-            None,
-            "topics[0].port",
-            Advice.TOPIC_PORT_OF_DISCOVERY,
-            {"domain": 1},
-        ),
+        ({**SERVER, "server_port": 7649, "domain_id": 0}, None, "server_port", Advice.PORT_OF_DOMAIN, {"domain": 0}),
+        ({**SERVER, "ports": (12001, 7650)}, "1", "ports[1]", Advice.PORT_OF_DOMAIN, {"ports": "7650 to 7899"}),
+        ({**SERVER, "server_port": 9900}, "0", "server_port", Advice.PORT_OF_DISCOVERY, {"domain": 10}),
+        (one(port=7660), None, "topics[0].port", Advice.TOPIC_PORT_OF_DISCOVERY, {"domain": 1}),
         ({**CLIENT, "metrics": "0.0.0.0:9464"}, None, "metrics", Advice.METRICS_OPEN, {}),
         (topics(Topic("/shutdown", "transmit")), None, "topics[0]", Advice.SHUTDOWN_TOPIC, {}),
-        (
-            topics(Topic("/a", "transmit", port=80)),
-            None,
-            "topics[0].port",
-            Advice.TOPIC_PORT_LOW,
-            {"kind": "port", "limit": 1024},
-        ),
-        (
-            {**SERVER, "clients": (Client("r", deny=("/cmd*",), topics=(Topic("/cmd_vel", "receive"),)),)},
-            None,
-            "clients[0].topics[0]",
-            Advice.CROSSES_ALTHOUGH_DENIED,
-            {"reason": DeniedText.DENIED(owner="the server", use="/cmd_vel", peer="r")},
-        ),
+        (one(port=80), None, "topics[0].port", Advice.TOPIC_PORT_LOW, {"limit": 1024}),
         (topics(*many(ROUTES_PER_LINK + 1)), None, "topics", Advice.TOO_MANY_TOPICS, {"limit": ROUTES_PER_LINK}),
-        (
-            topics(*many(PORTS_PER_CLIENT + 1, 5000)),
-            None,
-            "topics",
-            Advice.TOO_MANY_PORTS,
-            {"count": PORTS_PER_CLIENT + 1, "limit": PORTS_PER_CLIENT},
-        ),
-        (
-            topics(Topic("/a", "transmit", qos={"profile": "latched", "depth": LATCHED_DEPTH + 1})),
-            None,
-            "topics[0].qos",
-            Advice.DEPTH_OF_LATCHED,
-            {"limit": LATCHED_DEPTH},
-        ),
-        (
-            topics(Topic("/a", "transmit", qos=KEPT_DEPTH + 1)),
-            None,
-            "topics[0].qos",
-            Advice.DEPTH,
-            {"limit": KEPT_DEPTH},
-        ),
+        (topics(*many(PORTS_PER_CLIENT + 1, 5000)), None, "topics", Advice.TOO_MANY_PORTS, {"limit": PORTS_PER_CLIENT}),
+        (one(qos=LATCHED), None, "topics[0].qos", Advice.DEPTH_OF_LATCHED, {"limit": LATCHED_DEPTH}),
+        (one(qos=KEPT_DEPTH + 1), None, "topics[0].qos", Advice.DEPTH, {"limit": KEPT_DEPTH}),
     ],
 )
 def test_advice_has_its_location(
@@ -120,8 +69,8 @@ def test_advice_has_its_location(
         {**SERVER, "server_port": 1024},
         topics(*many(ROUTES_PER_LINK)),
         topics(*many(PORTS_PER_CLIENT, 5000)),
-        topics(Topic("/a", "transmit", qos={"profile": "latched", "depth": LATCHED_DEPTH})),
-        topics(Topic("/a", "transmit", qos={"history": "keep_all", "depth": 20_000})),
+        one(qos={"profile": "latched", "depth": LATCHED_DEPTH}),
+        one(qos={"history": "keep_all", "depth": 20_000}),
     ],
 )
 def test_what_is_right_needs_no_advice(session: dict[str, Any]) -> None:

@@ -1,7 +1,6 @@
 """Mistakes in session files: each has a location, a line and a code."""
 
 import errno
-import math
 import os
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from rsb_bridge.config.session_file import SessionError, load, parse, validate, 
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import AddressProblem, SessionMistake
 from rsb_bridge.config.yaml_text import FileProblem, YamlMistake
-from rsb_bridge.model.limits import CHANNEL, DEPTH, DOMAIN, PORT, QOS_TIME, RATE, TOPIC_PORT
+from rsb_bridge.model.limits import CHANNEL, DEPTH, DOMAIN, PORT, RATE
 from rsb_bridge.model.names import TypeNameProblem
 from rsb_bridge.model.qos import QosProblem
 from rsb_bridge.model.session import Problem, Session, Topic
@@ -57,23 +56,10 @@ def clients(entry: str) -> str:
     return f"{SERVER}clients:\n  - {entry}\n"
 
 
-@pytest.mark.parametrize("text", [CLIENT, SERVER, BLUETOOTH])
-def test_the_bases_of_these_tests_are_right(text: str) -> None:
-    assert parse(text, FILE).server_ip in text
-
-
 @pytest.mark.parametrize(
     ("fields", "code", "parameters"),
     [
-        (
-            "protocol: tpc",
-            ValueMistake.MISFIT,
-            {
-                "value": "'tpc'",
-                "expected": "one of tcp, udp, bluetooth, zenoh, zenoh-drop",
-                "hint": Hint.DID_YOU_MEAN(name="tcp"),
-            },
-        ),
+        ("protocol: tpc", ValueMistake.MISFIT, {}),
         ("protocol: TCP", ValueMistake.MISFIT, {"hint": Hint.DID_YOU_MEAN(name="tcp")}),
         ("protcol: tcp", ValueMistake.MISSPELT_KEY, {"hint": Hint.DID_YOU_MEAN(name="protocol")}),
         ("qos: sensor-data", Hint.DID_YOU_MEAN, {"name": "sensor_data"}),
@@ -81,22 +67,14 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
         ("qos: {depth: -1}", QosProblem.DEPTH_OUT_OF_RANGE, {"depth": -1}),
         ("qos: {profile: sensor-data}", QosProblem.UNKNOWN_PROFILE, {"value": "sensor-data"}),
         ("qos: {profile: [latched]}", QosProblem.UNKNOWN_PROFILE, {"value": ["latched"]}),
-        (
-            "qos: {deadline: 1e400}",
-            QosProblem.TIME_OUT_OF_RANGE,
-            {"policy": "deadline", "seconds": math.inf, "range": QOS_TIME},
-        ),
+        ("qos: {deadline: 1e400}", QosProblem.TIME_OUT_OF_RANGE, {}),
         ("qos: 99999999999999999999", QosProblem.DEPTH_OUT_OF_RANGE, {"depth": 99999999999999999999}),
         ("qos: [1]", ValueMistake.MISFIT, {"value": "[1]", "expected": "text or a whole number or a mapping"}),
         ("type: LaserScann", TypeNameProblem.SHORT_NAME_MISSPELT, {"names": CLOSE_TO_LASER_SCAN}),
         ("type: sensor_msgs.msg.LaserScan", TypeNameProblem.SHORT_NAME_UNKNOWN, {}),
         ("port: 0", TopicMistake.INVALID_PORT, {"port": 0, "kind": "port", "range": PORT}),
         ("port: 65536", TopicMistake.INVALID_PORT, {"port": 65536, "kind": "port"}),
-        (
-            "port: '49153'",
-            ValueMistake.MISFIT,
-            {"value": "'49153'", "expected": "a whole number", "hint": Hint.NO_QUOTES()},
-        ),
+        ("port: '49153'", ValueMistake.MISFIT, {}),
         ("port: 49152", SessionMistake.PORT_OF_LINK, {"port": 49152}),
         ("protocol: bluetooth", TopicMistake.NEEDS_ADAPTER, {}),
         ("max_rate: 0", TopicMistake.OUT_OF_RANGE, {"value": 0.0}),
@@ -124,22 +102,8 @@ def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, p
 @pytest.mark.parametrize(
     ("text", "place", "code", "parameters"),
     [
-        (
-            topic("qos: {reliability: reliabel}"),
-            "7 topics[0].qos.reliability",
-            ValueMistake.MISFIT,
-            {
-                "value": "'reliabel'",
-                "expected": "one of reliable, best_effort",
-                "hint": Hint.DID_YOU_MEAN(name="reliable"),
-            },
-        ),
-        (
-            topic("qos: {realiability: reliable}"),
-            "7 topics[0].qos.realiability",
-            ValueMistake.MISSPELT_KEY,
-            {"hint": Hint.DID_YOU_MEAN(name="reliability")},
-        ),
+        (topic("qos: {reliability: reliabel}"), "7 topics[0].qos.reliability", ValueMistake.MISFIT, {}),
+        (topic("qos: {realiability: reliable}"), "7 topics[0].qos.realiability", ValueMistake.MISSPELT_KEY, {}),
         (topic("port: 31", BLUETOOTH), "7 topics[0].port", TopicMistake.INVALID_PORT, {}),
         (topic("protocol: udp", BLUETOOTH), "7 topics[0].protocol", TopicMistake.NOT_ON_BLUETOOTH, {"protocol": "udp"}),
         (
@@ -154,34 +118,14 @@ def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, p
             TopicMistake.INVALID_PORT,
             {"port": 31},
         ),
-        (
-            f"{CLIENT}bluetooth_address: 10.0.0.1\n",
-            "6 bluetooth_address",
-            SessionMistake.ADAPTER_INVALID,
-            {"address": "'10.0.0.1'"},
-        ),
+        (f"{CLIENT}bluetooth_address: 10.0.0.1\n", "6 bluetooth_address", SessionMistake.ADAPTER_INVALID, {}),
         (f"{BLUETOOTH}bluetooth_address: {MAC}\n", "6 bluetooth_address", SessionMistake.ADAPTER_TWICE, {}),
         (CLIENT + "stale_after: 1e300\n", "6 stale_after", TopicMistake.OUT_OF_RANGE, {"value": 1e300}),
         (topic("arm: true, deadman: 1"), "7 topics[0].deadman", TopicMistake.OUT_OF_RANGE, {}),
-        (
-            topic(f"remote_topic: {ANNOUNCEMENT_TOPIC}"),
-            "7 topics[0].remote_topic",
-            TopicMistake.ANNOUNCEMENT,
-            {"name": "'/_rsb_bridge/published'"},
-        ),
+        (topic(f"remote_topic: {ANNOUNCEMENT_TOPIC}"), "7 topics[0].remote_topic", TopicMistake.ANNOUNCEMENT, {}),
         (topics('{topic: "", direction: transmit}'), "7 topics[0].topic", TopicMistake.NO_NAME, {}),
-        (
-            topics("{topic: scan, direction: transmit}"),
-            "7 topics[0].topic",
-            TopicMistake.NOT_ABSOLUTE,
-            {"hint": Hint.DID_YOU_MEAN(name="/scan")},
-        ),
-        (
-            topics("topic: /scan"),
-            "7 topics[0].direction",
-            ValueMistake.MISSING,
-            {"expected": "one of transmit, receive"},
-        ),
+        (topics("{topic: scan, direction: transmit}"), "7 topics[0].topic", TopicMistake.NOT_ABSOLUTE, {}),
+        (topics("topic: /scan"), "7 topics[0].direction", ValueMistake.MISSING, {}),
         (topics("/scan"), "7 topics[0]", ValueMistake.NOT_A_MAPPING, {"value": "'/scan'", "keys": "topic, direction"}),
         (CLIENT + "topics[2]server_ip: x\n", "6 topics[2]server_ip", ValueMistake.MISSPELT_KEY, {}),
         (CLIENT + "topics: /scan\n", "6 topics", ValueMistake.NOT_A_LIST, {"value": "'/scan'"}),
@@ -190,12 +134,7 @@ def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, p
         (CLIENT + "domain_id: 233\n", "6 domain_id", SessionMistake.DOMAIN_INVALID, {"domain": 233, "range": DOMAIN}),
         (CLIENT + "stale_after: .inf\n", "6 stale_after", ValueMistake.MISFIT, {}),
         (CLIENT + "ports: none\n", "6 ports", SessionMistake.KEY_OF_SERVER, {}),
-        (
-            SERVER + "ports: [12001, 80]\n",
-            "6 ports[1]",
-            SessionMistake.TOPIC_PORT_INVALID,
-            {"port": 80, "range": TOPIC_PORT},
-        ),
+        (SERVER + "ports: [12001, 80]\n", "6 ports[1]", SessionMistake.TOPIC_PORT_INVALID, {}),
         (SERVER + "ports: nine\n", "6 ports", ValueMistake.MISFIT, {"value": "'nine'"}),
         (CLIENT + "stale_warnings: -1\n", "6 stale_warnings", SessionMistake.STALE_WARNINGS_NEGATIVE, {"count": -1}),
         (CLIENT + "shutdown_topic: shutdown\n", "6 shutdown_topic", TopicMistake.NOT_ABSOLUTE, {}),
@@ -230,61 +169,21 @@ def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, p
         (CLIENT + "clients: [{name: robot2}]\n", "2 role", SessionMistake.CLIENTS_OF_CLIENT, {}),
         (CLIENT + "encryption_key: abc\n", "6 encryption_key", ValueMistake.SECRET_KEY, {}),
         (CLIENT.replace("robot1", "robot-1") + "use_name: true\n", "1 name", SessionMistake.NAME_NOT_A_PREFIX, {}),
-        (
-            CLIENT.replace("robot1", "12"),
-            "1 name",
-            ValueMistake.MISFIT,
-            {"value": 12, "expected": "text", "hint": Hint.QUOTES()},
-        ),
+        (CLIENT.replace("robot1", "12"), "1 name", ValueMistake.MISFIT, {}),
         (CLIENT.replace("robot1", "' '"), "1 name", SessionMistake.NAME_UNPRINTABLE, {}),
         (CLIENT.replace("robot1", "r" * 256), "1 name", SessionMistake.NAME_TOO_LONG, {"length": 256, "limit": 255}),
-        (
-            CLIENT.replace("192.168.1.10", "192.168.1"),
-            "3 server_ip",
-            SessionMistake.ADDRESS_INVALID,
-            {"address": "'192.168.1'"},
-        ),
+        (CLIENT.replace("192.168.1.10", "192.168.1"), "3 server_ip", SessionMistake.ADDRESS_INVALID, {}),
         (CLIENT.replace("192.168.1.10", "192.168.1.256"), "3 server_ip", SessionMistake.ADDRESS_INVALID, {}),
-        (
-            CLIENT.replace("192.168.1.10", "0.0.0.0"),
-            "3 server_ip",
-            SessionMistake.ADDRESS_OF_CLIENT,
-            {"address": "0.0.0.0"},
-        ),
-        (
-            CLIENT.replace("192.168.1.10", "5C-F3-70-9A-1B-2E"),
-            "3 server_ip",
-            SessionMistake.ADDRESS_WITH_DASHES,
-            {"hint": Hint.DID_YOU_MEAN(name="5C:F3:70:9A:1B:2E")},
-        ),
+        (CLIENT.replace("192.168.1.10", "0.0.0.0"), "3 server_ip", SessionMistake.ADDRESS_OF_CLIENT, {}),
+        (CLIENT.replace("192.168.1.10", "5C-F3-70-9A-1B-2E"), "3 server_ip", SessionMistake.ADDRESS_WITH_DASHES, {}),
         (BLUETOOTH.replace("port: 5", "port: 31"), "4 server_port", TopicMistake.INVALID_PORT, {}),
-        (
-            CLIENT.replace("role: client", "role: cleint"),
-            "2 role",
-            ValueMistake.MISFIT,
-            {"value": "'cleint'", "expected": "one of client, server", "hint": Hint.DID_YOU_MEAN(name="client")},
-        ),
+        (CLIENT.replace("role: client", "role: cleint"), "2 role", ValueMistake.MISFIT, {}),
         (CLIENT.replace("key_file: key.txt\n", ""), "1 key_file", SessionMistake.KEY_FILE_MISSING, {}),
         (CLIENT.replace("key_file: key.txt", "key_file: ''"), "5 key_file", SessionMistake.KEY_FILE_INVALID, {}),
         (CLIENT.replace("key_file: key.txt", r'key_file: "k\0y"'), "5 key_file", SessionMistake.KEY_FILE_INVALID, {}),
-        (
-            clients('{name: a, allow: ["/\\ud800"]}'),
-            "7 clients[0].allow[0]",
-            RightsMistake.NO_MATCH,
-            {"pattern": "'/\\ud800'", "noun": "topic"},
-        ),
-        (
-            SERVER + "topics: [{topic: /a, direction: receive}]\n",
-            "2 role",
-            SessionMistake.TOPICS_OF_SERVER,
-            {"list": "topics"},
-        ),
-        (
-            clients("{name: a}\n  - {name: a}"),
-            "8 clients[1].name",
-            SessionMistake.CLIENT_TWICE,
-            {"name": "'a'", "number": 1},
-        ),
+        (clients('{name: a, allow: ["/\\ud800"]}'), "7 clients[0].allow[0]", RightsMistake.NO_MATCH, {}),
+        (SERVER + "topics: [{topic: /a, direction: receive}]\n", "2 role", SessionMistake.TOPICS_OF_SERVER, {}),
+        (clients("{name: a}\n  - {name: a}"), "8 clients[1].name", SessionMistake.CLIENT_TWICE, {}),
         (
             SERVER + "clients:\n  - name: a\n    topics:\n      - {topic: /b, direction: transmit, protocol: tpc}\n",
             "9 clients[0].topics[0].protocol",
@@ -299,24 +198,14 @@ def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, p
         ),
         (clients("{name: a, allow: [scan]}"), "7 clients[0].allow[0]", RightsMistake.NO_MATCH, {}),
         (clients("{name: a, deny: scan}"), "7 clients[0].deny", ValueMistake.NOT_A_LIST, {}),
-        (
-            clients("{name: a b, use_name: true}"),
-            "7 clients[0].name",
-            SessionMistake.NAME_NOT_A_PREFIX,
-            {"name": "'a b'"},
-        ),
+        (clients("{name: a b, use_name: true}"), "7 clients[0].name", SessionMistake.NAME_NOT_A_PREFIX, {}),
         (
             SERVER.replace("key_file: key.txt\n", "clients: [{name: a}]\n"),
             "5 clients[0].key_file",
             SessionMistake.KEY_FILE_MISSING,
             {},
         ),
-        (
-            SERVER + "next_key_file: key.txt\n",
-            "6 next_key_file",
-            SessionMistake.NEXT_KEY_IS_CURRENT,
-            {"name": "'key.txt'"},
-        ),
+        (SERVER + "next_key_file: key.txt\n", "6 next_key_file", SessionMistake.NEXT_KEY_IS_CURRENT, {}),
         (SERVER + "next_key_file: ''\n", "6 next_key_file", SessionMistake.KEY_FILE_INVALID, {"name": "''"}),
         (CLIENT + "next_key_file: new.key\n", "6 next_key_file", SessionMistake.NEXT_KEY_ON_CLIENT, {}),
         (
@@ -343,6 +232,23 @@ def test_a_mistake_has_its_line_and_place(text: str, place: str, code: Wording, 
     (problem,) = problems(text)
     assert f"{problem.line} {problem.location}" == place
     assert says(problem.message, code, **parameters)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (topic("protocol: tpc"), "one of tcp, udp, bluetooth, zenoh, zenoh-drop"),
+        (topic("qos: {reliability: reliabel}"), Hint.DID_YOU_MEAN(name="reliable")),
+        (topic("port: '49153'"), Hint.NO_QUOTES()),
+        (topics("{topic: scan, direction: transmit}"), Hint.DID_YOU_MEAN(name="/scan")),
+        (CLIENT.replace("robot1", "12"), Hint.QUOTES()),
+        (CLIENT.replace("role: client", "role: cleint"), Hint.DID_YOU_MEAN(name="client")),
+        (CLIENT.replace("192.168.1.10", "5C-F3-70-9A-1B-2E"), Hint.DID_YOU_MEAN(name=MAC)),
+    ],
+)
+def test_a_mistake_says_what_can_be_written_instead(text: str, words: str) -> None:
+    (problem,) = problems(text)
+    assert words in problem.message
 
 
 @pytest.mark.parametrize(

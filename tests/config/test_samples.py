@@ -19,15 +19,6 @@ PAGES = [CONFIGS.parent / "README.md", CONFIGS.parent / "CHANGELOG.md", *sorted(
 UNIT = CONFIGS / "rsb-console@.service"
 
 
-def test_there_are_samples_for_each_kind() -> None:
-    sessions = {path.stem: load(path) for path in SAMPLES}
-    assert sessions["robot1"].role == "client"
-    assert sessions["control-pc"].role == "server"
-    assert sessions["bluetooth"].is_bluetooth
-    assert sessions["robot1"].server_port == sessions["control-pc"].server_port
-    assert sessions["robot1"].name in {client.name for client in sessions["control-pc"].listed_clients}
-
-
 def test_the_two_sides_of_the_readmes_first_bridge_fit() -> None:
     readme = (CONFIGS.parent / "README.md").read_text(encoding="utf-8")
     server, client = (parse(block.partition("```")[0], Path("README.md")) for block in readme.split("```yaml\n")[1:])

@@ -72,9 +72,6 @@ def topics(*changes: tuple[int, Topic | dict[str, Any] | None]) -> Callable[[Ses
     return change
 
 
-# --- files as people write them
-
-
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
 def test_saving_what_did_not_change_changes_nothing(path: Path, tmp_path: Path) -> None:
     text = path.read_text()
@@ -253,9 +250,6 @@ def test_a_layout_that_cannot_be_edited_is_said_and_left_alone(tmp_path: Path, t
     assert files_in(tmp_path) == ["robot1.yaml"]
 
 
-# --- the file itself
-
-
 def test_what_a_file_said_before_is_kept_once(tmp_path: Path) -> None:
     path, backup = tmp_path / "robot1.yaml", tmp_path / "robot1.yaml~"
     path.write_text(HEAD)
@@ -345,9 +339,6 @@ def test_what_a_server_proposes_is_kept_under_the_client(
 ) -> None:
     now = edited(SERVER, tmp_path, lambda session: replace(session, clients=change(*session.listed_clients)))
     assert now == SERVER.replace(old, new)
-
-
-# --- any file
 
 
 @dataclass
@@ -603,9 +594,6 @@ def test_a_save_is_a_merge(sessions: st.SearchStrategy[Session], line_break: str
 def merged(text: str, session: Session) -> str:
     path = Path("robot1.yaml")
     return merge(text, read_yaml(text, path).root, parse(text, path), session)
-
-
-# --- files and disks
 
 
 def test_a_file_that_was_changed_on_disk_is_not_overwritten(tmp_path: Path) -> None:

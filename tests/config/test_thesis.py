@@ -106,10 +106,7 @@ def test_bluetooth_leaves_out_what_rfcomm_or_the_session_does_itself(bringup: Pa
     session, notes = import_bringup(bringup, name="robot1", key_file="key.txt")
     assert session.is_bluetooth
     assert [(topic.topic, topic.port) for topic in session.topics] == [("/scan", None), ("/goal_pose", 14)]
-    assert notes == [
-        BringupNote.NOT_A_CHANNEL(name="/scan", port=12001),
-        BringupNote.SHUTDOWN_LEFT_OUT(),
-    ]
+    assert notes == [BringupNote.NOT_A_CHANNEL(name="/scan", port=12001), BringupNote.SHUTDOWN_LEFT_OUT()]
 
 
 def test_what_changed_is_said(bringup: Path) -> None:
@@ -155,13 +152,7 @@ def test_what_changed_is_said(bringup: Path) -> None:
     ],
 )  # fmt: skip
 def test_mistakes_are_placed_in_the_thesis_file(
-    bringup: Path,
-    old: str,
-    new: str,
-    line: int | None,
-    location: str | None,
-    code: Wording,
-    parameters: dict[str, Any],
+    bringup: Path, old: str, new: str, line: int | None, location: str | None, code: Wording, parameters: dict[str, Any]
 ) -> None:
     bringup.write_text(CLIENT.replace(old, new))
     with pytest.raises(SessionError) as caught:

@@ -104,10 +104,7 @@ def test_ros_that_is_sourced_and_for_another_python(tmp_path: Path, monkeypatch:
     spec = importlib.machinery.PathFinder.find_spec("rclpy", [str(opt_ros(tmp_path, "jazzy", "3.1"))])
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: spec)
     finding = found_in(tmp_path)
-    assert (finding.grade, finding.facts) == (
-        Grade.ERROR,
-        {"python": "3.1", "prefix": str(tmp_path / "opt/ros/jazzy")},
-    )
+    assert (finding.grade, finding.facts) == (Grade.ERROR, {"python": "3.1", "prefix": str(tmp_path / "opt/ros/jazzy")})
     assert "python3.1" in finding.remedy
 
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def engine(machine: Machine) -> ServerEngine:
-    """A server of three robots, served."""
     made = ServerEngine("robot1", "robot2", "robot3")
     machine.serve(made)
     return made
@@ -62,11 +61,6 @@ def test_a_server_that_ends_leaves_its_robots_missing(fleet: ServerFleet, machin
     machine.served[0].close()
     eventually(lambda: fleet.problem)
     eventually(lambda: [each.state for each in fleet.robots()] == [RobotState.MISSING] * 3)
-
-
-def test_no_server_no_fleet(machine: Machine) -> None:
-    with pytest.raises(EngineError):
-        ServerFleet("control", machine.folder / "control.sock").start()
 
 
 def test_an_opened_robot_is_all_there_is(robot2: RobotEngine, engine: ServerEngine) -> None:

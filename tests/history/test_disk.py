@@ -179,9 +179,6 @@ def test_events_that_were_lost_meanwhile_are_counted(tmp_path: Path) -> None:
     assert "2,001 events are missing" in world.events.after(0)[-1].text, "the warning among them"
 
 
-# --- the time line
-
-
 def test_the_last_events_of_a_killed_process_are_not_forgotten(tmp_path: Path) -> None:
     world = World("/scan")
     disk = disk_of(world, tmp_path)
@@ -269,9 +266,6 @@ def test_a_file_that_cannot_be_replaced_is_read_all_the_same(tmp_path: Path) -> 
     assert brief(again.outages())[0] == ("/scan", 60, "down", "no publisher")
 
 
-# --- whose files
-
-
 def test_two_bridges_of_one_name_have_files_of_their_own(tmp_path: Path) -> None:
     client, server = Claim(tmp_path, "robot1", "client"), Claim(tmp_path, "robot1", "server")
     assert (client.files.stem, server.files.stem) == ("robot1", "robot1-2")
@@ -288,8 +282,6 @@ def test_the_folder(tmp_path: Path) -> None:
     assert state_folder({}) == Path("~/.local/state/rsb-console").expanduser()
     assert Path("/var/lib/rsb-console") in searched_folders({})
 
-
-# --- a process that is killed
 
 RUNS = """
 import sys, time

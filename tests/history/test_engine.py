@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import threading
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.console.scripted import REMEMBERED, ScriptedEngine
 from tests.support.bridge import carries, linked
 from tests.support.waiting import eventually
 
@@ -29,15 +27,6 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 
 def out(report: HistoryReport, topic: str = "") -> Outage | None:
     return next((each for each in report.outages if each.topic == topic), None)
-
-
-def test_an_attached_console_asks_the_engine(machine: Machine) -> None:
-    engine = ScriptedEngine()
-    machine.serve(engine)
-    for read_only in (False, True):
-        report = machine.attach(read_only=read_only).history(1800.0).result(60)
-        assert report == replace(REMEMBERED, span=1800.0)
-    assert engine.commands == [("history", 1800.0)] * 2
 
 
 def test_an_outage_of_a_real_link_is_remembered_and_kept(

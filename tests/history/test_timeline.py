@@ -321,9 +321,6 @@ def test_operators_actions_are_remembered() -> None:
     ]
 
 
-# --- the clock
-
-
 @pytest.mark.parametrize("jump", [3 * HOUR, -3 * HOUR])
 def test_a_clock_that_is_set_moves_what_this_run_has_seen(jump: float) -> None:
     world = World("/scan")
@@ -387,9 +384,6 @@ def test_an_engine_that_hangs_or_has_ended_is_not_known_to_be_fine() -> None:
     assert len(world.events.after(0)) == 1, "the cause is shown"
 
 
-# --- from one process to the next
-
-
 def next_process(world: World, away: float) -> World:
     """The next one, after so many s, on what the first one saved."""
     world.timeline.cut()
@@ -413,10 +407,7 @@ def test_a_restart_is_a_gap_and_everything_else_is_still_there() -> None:
     world = next_process(world, 300)
     world.go(600)
     report = world.report()
-    assert brief(report.outages) == [
-        ("/scan", 60, "down", "no publisher"),
-        ("/map", 60, "stale", "nothing for 15 s"),
-    ]
+    assert brief(report.outages) == [("/scan", 60, "down", "no publisher"), ("/map", 60, "stale", "nothing for 15 s")]
     assert report.outages[1].cut_off
     assert [each.who for each in report.actions] == ["anna"]
     assert [(gap.start, round(gap.seconds)) for gap in report.gaps][1:] == [(EPOCH + 720, 300)]

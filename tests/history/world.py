@@ -72,7 +72,6 @@ class World:
         self.recorder.look()
 
     def begin(self, topic: str, state: State, reason: str = "") -> None:
-        """A topic that was not there before."""
         self.routes[topic] = route(topic, ledger=Ledger())
         self.put(topic, state, reason)
 

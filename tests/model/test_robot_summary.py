@@ -138,11 +138,7 @@ def test_a_fault_of_a_client_is_listed_once_at_that_client() -> None:
     assert decode(encode(server)) == server
     rows = [RobotSummary(name=name, role="client", state=RobotState.FAULT, why="it") for name in ("robot1", "robot2")]
     states = [each.state for each in drop_repeated_faults([server, *rows])]
-    assert states == [
-        RobotState.OK,
-        RobotState.FAULT,
-        RobotState.FAULT,
-    ]
+    assert states == [RobotState.OK, RobotState.FAULT, RobotState.FAULT]
     # robot2 has never been in the fleet: only the server knows that it is missing
     alone, _ = drop_repeated_faults([server, rows[0]])
     assert alone.state is server.state
@@ -204,9 +200,6 @@ def test_a_server_that_is_stopped() -> None:
     assert on_server(running=False).state is RobotState.MISSING
 
 
-# --- loss
-
-
 def ledgers(time: float, *counts: tuple[int, dict[str, int]], expired: int = 0) -> Snapshot:
     """Return topics ``/0``, ``/1`` and so on, with the delivered and dropped messages of each."""
     routes = tuple(
@@ -220,16 +213,9 @@ def test_loss_is_of_the_last_minute() -> None:
     window = LossWindow()
     assert window.take(ledgers(NOW, (100, {"queue full": 900}))) == {}  # before this console looked
     assert window.take(ledgers(NOW + 5, (200, {"queue full": 900}))) == {"robot1": LostMessages(0.0, 5.0)}
-    assert window.take(
-        ledgers(
-            NOW + 10,
-            (
-                275,
-                {"queue full": 900},
-            ),
-            expired=25,
-        )
-    ) == {"robot1": LostMessages(25 / 200, 10.0)}
+    assert window.take(ledgers(NOW + 10, (275, {"queue full": 900}), expired=25)) == {
+        "robot1": LostMessages(25 / 200, 10.0)
+    }
     for second in range(11, 200):
         loss = window.take(ledgers(NOW + second, (275 + second, {"queue full": 900}), expired=25))
     assert loss == {"robot1": LostMessages(0.0, LOSS_SPAN)}
@@ -251,9 +237,6 @@ def test_loss_of_a_topic_that_counts_anew_or_is_gone() -> None:
     assert window.take(ledgers(NOW + 2, (9, {"queue full": 1}))) == {"robot1": LostMessages(1 / 5, 1.0)}
     assert window.take(ledgers(NOW + 3)) == {}
     assert window.take(ledgers(NOW + 4, (900, {"queue full": 1}))) == {}
-
-
-# --- from elsewhere
 
 
 def test_what_another_says_is_bounded() -> None:

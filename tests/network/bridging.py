@@ -92,6 +92,17 @@ class Program:
         found = next((each["status"] for each in reversed(self.log) if "status" in each), None)
         return found or {"links": {}, "routes": []}
 
+    def links_since(self, moment: float) -> list[dict[str, Any]]:
+        """Return the links of each status since a moment, s since the epoch."""
+        return [link for status in self._statuses(moment) for link in status["links"].values()]
+
+    def routes_since(self, moment: float) -> list[dict[str, Any]]:
+        """Return the routes of each status since a moment, s since the epoch."""
+        return [route for status in self._statuses(moment) for route in status["routes"]]
+
+    def _statuses(self, since: float) -> list[dict[str, Any]]:
+        return [each["status"] for each in self.log if "status" in each and each["time"] > since]
+
     def link(self) -> dict[str, Any]:
         """The link in the newest status, or an empty dict."""
         return next(iter(self.status()["links"].values()), {})

@@ -36,7 +36,6 @@ class Network:
         return host
 
     def router(self, name: str = "router") -> Host:
-        """A machine that forwards."""
         host = self.host(name)
         host.run("sh", "-c", "echo 1 > /proc/sys/net/ipv4/ip_forward")
         return host
@@ -82,7 +81,6 @@ def _hosts_can_be_made() -> None:
 
 @pytest.fixture
 def network(_hosts_can_be_made: None, tmp_path: Path) -> Iterator[Network]:
-    """An empty network."""
     made = Network(tmp_path)
     yield made
     made.close()

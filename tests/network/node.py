@@ -44,16 +44,9 @@ class Heard(NamedTuple):
 
 
 class Node:
-    """A node on a host."""
-
     def __init__(self, host: Host, domain_id: int) -> None:
         self._process = host.start(
-            sys.executable,
-            "-m",
-            "tests.network.node",
-            str(domain_id),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
+            sys.executable, "-m", "tests.network.node", str(domain_id), stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
 
     def talk(
@@ -99,7 +92,6 @@ class Node:
         return eventually(new, within, f"anything new on {topic}")
 
     def close(self) -> None:
-        """End it."""
         self._process.communicate(timeout=60)
 
     def _ask(self, **request: Any) -> Any:
@@ -129,7 +121,6 @@ class _Talker:
         self._left = float("inf") if count is None else count
 
     def work(self) -> None:
-        """Publish if it is time."""
         from tests.support.domain import text
 
         now = time.monotonic()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tests.support.waiting import eventually
 
@@ -47,7 +47,7 @@ def test_what_owes_nothing_is_not_down_after_a_bad_minute(
         eventually(lambda side=side: _link_is_well(side), what="the link is well")
     _stays(bridge, _settled(bridge) + _CALM_FOR)
     for side in (bridge.client, bridge.server):
-        assert not [each for each in _routes(side, bad) if "MTU" in each["reason"]]
+        assert not [each for each in side.routes_since(bad) if "MTU" in each["reason"]]
 
     bridge.client.close()
     bridge.client = bridge.client.again()
@@ -80,9 +80,4 @@ def _stays(bridge: Bridge, until: float) -> None:
     since = time.time()
     for side in (bridge.client, bridge.server):
         eventually(lambda side=side: any(each["time"] > until for each in side.log if "status" in each))
-        assert {each["state"] for each in _routes(side, since)} <= {State.OK, State.WAITING}
-
-
-def _routes(side: Program, since: float) -> list[dict[str, Any]]:
-    statuses = [each["status"] for each in side.log if "status" in each and each["time"] > since]
-    return [route for status in statuses for route in status["routes"]]
+        assert {each["state"] for each in side.routes_since(since)} <= {State.OK, State.WAITING}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.waiting import eventually
@@ -12,7 +12,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.model.verdict import Cause, LinkCause
 
 if TYPE_CHECKING:
-    from tests.network.bridging import Bridge, Program
+    from tests.network.bridging import Bridge
     from tests.network.conftest import Network
     from tests.network.hosts import Cable, Host
 
@@ -43,41 +43,16 @@ def test_every_third_packet_lost_is_one_cause_on_both_sides(bridge: Bridge, cabl
         eventually(lambda side=side: side.link().get("cause") == LinkCause.LOSSY, what="the link is lossy")
     began = time.time()
     for side in (bridge.client, bridge.server):
-        eventually(lambda side=side: len(_links(side, began)) >= 60, what="half a minute")
-        links = _links(side, began)
+        eventually(lambda side=side: len(side.links_since(began)) >= 60, what="half a minute")
+        links = side.links_since(began)
         assert {link["cause"] for link in links} <= {LinkCause.LOSSY, LinkCause.NONE, LinkCause.SILENT}
         lossy = [link for link in links if link["cause"] == LinkCause.LOSSY]
         assert len(lossy) >= 0.9 * len(links)
         assert len({link["reason"] for link in lossy}) <= 4
         assert 0.2 < lossy[-1]["loss"]["out"] < 0.45
-        for route in _routes(side, began):
+        for route in side.routes_since(began):
             if route["state"] not in ("ok", "waiting"):
                 assert route["cause"] in (Cause.LOSSY, Cause.LINK_DOWN), route["reason"]
-        for topic in {route["topic"] for route in _routes(side, began)}:
-            states = [route["state"] for route in _routes(side, began) if route["topic"] == topic]
+        for topic in {route["topic"] for route in side.routes_since(began)}:
+            states = [route["state"] for route in side.routes_since(began) if route["topic"] == topic]
             assert sum(one != other for one, other in pairwise(states)) <= 3, states  # it was about ten
-
-
-def test_a_cut_cable_is_the_links_fault(bridge: Bridge, cable: Cable) -> None:
-    began = time.time()
-    cable.cut()
-    for side in (bridge.client, bridge.server):
-        eventually(lambda side=side: side.link().get("state") == "down", what="the link is down")
-        assert {link["cause"] for link in _links(side, began)} <= {
-            LinkCause.NONE, LinkCause.SILENT, LinkCause.TIMED_OUT, LinkCause.UNREACHABLE,
-        }  # fmt: skip
-        reasons = {(route["cause"], route["reason"]) for route in _routes(side, began)}
-        assert not [reason for _, reason in reasons if "MTU" in reason]
-    cable.mend()
-
-
-def _statuses(side: Program, since: float) -> list[dict[str, Any]]:
-    return [each["status"] for each in side.log if "status" in each and each["time"] > since]
-
-
-def _links(side: Program, since: float) -> list[dict[str, Any]]:
-    return [link for status in _statuses(side, since) for link in status["links"].values()]
-
-
-def _routes(side: Program, since: float) -> list[dict[str, Any]]:
-    return [route for status in _statuses(side, since) for route in status["routes"]]

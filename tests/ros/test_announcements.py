@@ -132,9 +132,7 @@ def bridge_announcement(*gids: bytes, via: str = "rsb_there/chat") -> bytes:
     return json.dumps({"version": 1, "publishers": publishers}).encode()
 
 
-def test_an_announcement_is_read_as_soon_as_it_comes_and_nothing_is_asked_while_nothing_happens(
-    domain: Domain,
-) -> None:
+def test_an_announcement_is_read_as_soon_as_it_comes_and_nothing_is_asked_while_nothing_happens(domain: Domain) -> None:
     other, chat = endpoint("rsb_other", b"other"), endpoint("rsb_other", b"chat")
     domain.ros.announcers = [other]
     domain.announcements.look()

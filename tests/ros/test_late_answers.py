@@ -121,9 +121,7 @@ def test_who_cannot_be_answered_is_given_up_alone(callers: Callers) -> None:
 
 
 def test_a_caller_that_dds_will_never_match_holds_up_nobody(
-    open_node: Callable[..., RosNode],
-    stock: Node,
-    monkeypatch: pytest.MonkeyPatch,
+    open_node: Callable[..., RosNode], stock: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It wants answers that were published before; nobody waits 100 ms for it, again and again."""
     sent: list[bytes] = []

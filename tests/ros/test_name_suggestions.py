@@ -1,4 +1,4 @@
-"""Suggestions for a name that nobody serves."""
+"""Suggestions for a name that nobody serves, or that nobody publishes, at a bounded cost."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from rsb_bridge.model.calls import LANES
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.ros_graph import NameSuggester
+from rsb_bridge.ros.ros_graph import NameSuggester, SimilarTopics
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.stand_in import NoRos
 
@@ -63,3 +63,38 @@ def test_it_is_not_searched_for_at_each_question() -> None:
     meant = NameSuggester(graph, lambda: 0.0)
     assert [meant.by("service", name) for name in ("/dokc", "/dokc", "/navigate")] == ["did you mean /dock?"] * 2 + [""]
     assert graph.asked == 1
+
+
+class _Topics(NoRos):
+    def __init__(self, *published: str) -> None:
+        self.published = published
+        self.asked = 0
+
+    def topics(self) -> dict[str, list[str]]:
+        self.asked += 1
+        return {topic: [] for topic in (*self.published, "/w_typ", "/rosout")}
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        return [Endpoint("/talker", "", "", Qos())] if topic in self.published else []
+
+
+def test_only_what_is_published_and_alike_is_named() -> None:
+    graph = _Topics("/w_typo", "/robot1/camera/image_raw", "/odom")
+    for topic, similar in (
+        ("/w_tpyo", "/w_typo"),
+        ("/camera/image_raw", "/robot1/camera/image_raw"),
+        ("/odom", ""),
+        ("/battery_state", ""),
+    ):
+        assert SimilarTopics(graph, lambda: 0.0).of(topic) == similar
+
+
+def test_one_search_a_second_whoever_asks() -> None:
+    graph, now = _Topics("/topic0"), 0.0
+    similar = SimilarTopics(graph, lambda: now)
+    for step in range(100):
+        now = step / 10
+        for number in range(1, 50):
+            similar.of(f"/topic{number}")
+    assert graph.asked <= 10
+    assert similar.of("/topic1") == "/topic0"

@@ -35,11 +35,7 @@ VALUES = st.builds(
 )
 PARAMETERS = st.lists(st.builds(Parameter, name=TEXTS, value=VALUES), max_size=3)
 EVENTS = st.builds(
-    ParameterEvent,
-    node=NAMES,
-    new_parameters=PARAMETERS,
-    changed_parameters=PARAMETERS,
-    deleted_parameters=PARAMETERS,
+    ParameterEvent, node=NAMES, new_parameters=PARAMETERS, changed_parameters=PARAMETERS, deleted_parameters=PARAMETERS
 )
 
 

@@ -186,23 +186,6 @@ def test_a_made_type_is_asked_by_none_but_the_thread_that_creates_endpoints(
     assert set(asked_by) == {threading.get_ident()}
 
 
-def test_a_made_type_is_made_once_and_renamed_for_the_next_once_nobody_uses_it() -> None:
-    types = named_types.NamedTypes()
-    first, second = (types.borrow("a_msgs/msg/B", MADE_UP_HASH) for _ in range(2))
-    assert first.interface is second.interface
-    assert hash_of(first.interface) == MADE_UP_HASH
-    assert (types.used, types.made) == (1, 1)
-    first.give_back()
-    other = types.borrow("a_msgs/msg/C", MADE_UP_HASH)
-    assert other.interface is not second.interface
-    second.give_back()
-    other_hash = "RIHS01_" + "0f" * 32
-    renamed = types.borrow("a_msgs/msg/D", other_hash)
-    assert renamed.interface is first.interface
-    assert hash_of(renamed.interface) == other_hash
-    assert (types.used, types.made) == (2, 2)
-
-
 def test_months_of_reconnects_with_other_types_make_none(
     open_node: Callable[..., RosNode], monkeypatch: pytest.MonkeyPatch
 ) -> None:

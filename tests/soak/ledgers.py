@@ -15,8 +15,6 @@ _MOST_MISTAKES = 20
 
 
 class Book:
-    """Ledgers of one process."""
-
     def __init__(self, process: str) -> None:
         self.newest: dict[Key, Row] = {}
         self.checked = 0

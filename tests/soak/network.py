@@ -16,8 +16,6 @@ SERVER = "127.0.0.2"
 
 
 class ClientNetwork(Relay):
-    """The network of one client."""
-
     def __init__(self, number: int, port: int) -> None:
         super().__init__((SERVER, port), f"127.0.1.{number}", port, room=128 * 1024)
 

@@ -85,11 +85,9 @@ class Bridge:
         return (self.folder / self.key_file).read_text().strip()
 
     def server_session(self, **changes: Any) -> Session:
-        """A server's session."""
         return self._session("server", self.pc.id, changes)
 
     def client_session(self, *topics: Topic, **changes: Any) -> Session:
-        """A client's session."""
         return self._session("client", self.robot.id, {"topics": topics, **changes})
 
     def _session(self, role: str, domain_id: int, changes: dict[str, Any]) -> Session:
@@ -104,11 +102,9 @@ class Bridge:
         return Session(**{**common, **changes})
 
     def server(self, **changes: Any) -> Engine:
-        """A server that runs."""
         return self.start(self.server_session(**changes))
 
     def client(self, *topics: Topic, **changes: Any) -> Engine:
-        """A client that runs."""
         return self.start(self.client_session(*topics, **changes))
 
     def both(self, *topics: Topic, **changes: Any) -> tuple[Engine, Engine]:
@@ -118,7 +114,6 @@ class Bridge:
         return server, client
 
     def start(self, session: Session, ros: RosInterface | None = None) -> Engine:
-        """An engine that runs."""
         known = KnownNode(session.domain_id or 0, session.name)
         engine = Engine(session, base=self.folder, ros=ros or known)
         self._engines.append(engine)
@@ -144,7 +139,6 @@ class Bridge:
 
 
 def _threads() -> set[threading.Thread]:
-    """Return the threads of all engines."""
     return {each for each in threading.enumerate() if each.name in THREADS}
 
 
@@ -177,7 +171,6 @@ def connections(engine: Engine, name: str = "robot1") -> int:
 
 
 def _routes(engine: Engine) -> list[Route]:
-    """Return the routes of all links."""
     return [route for link in inside(engine).links() for route in tuple(link.routes.values())]
 
 

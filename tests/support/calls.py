@@ -90,7 +90,6 @@ class CallNode:
 
     @property
     def pid(self) -> int:
-        """Its process id."""
         pid: int = self._process.pid
         return pid
 
@@ -188,12 +187,10 @@ class CallNode:
         self._ask(do="clear", service="")
 
     def kill(self) -> None:
-        """kill -9."""
         self._process.kill()
         self._process.communicate()
 
     def close(self) -> None:
-        """End it."""
         if self._process.returncode is None:
             self._process.communicate(timeout=60)
 
@@ -316,7 +313,6 @@ class _Calls:
         return self._began + self._asked / self._rate if self._rate else 0.0
 
     def take(self, key: str, since: float, response: Any) -> None:
-        """An answer to a call."""
         self._last = time.monotonic()
         grid = response.map
         if grid.header.frame_id == key and grid.data == _bytes(key, self._response):
@@ -363,7 +359,6 @@ class _Client:
         return self.calls.due
 
     def close(self) -> None:
-        """Call no more."""
         self._node.destroy_client(self.client)
 
 

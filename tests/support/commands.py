@@ -32,8 +32,6 @@ def subcommands_of(parser: argparse.ArgumentParser) -> dict[str, argparse.Argume
 
 
 class Ran:
-    """The result of a command."""
-
     def __init__(self, capsys: pytest.CaptureFixture[str], *words: str) -> None:
         parsed = parser_and_commands()[0].parse_args(words)
         self.code = parsed.command(parsed)

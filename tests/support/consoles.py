@@ -22,7 +22,6 @@ class Consoles:
         self._thread.start()
 
     def arm(self, engine: Engine, topic: str = "/cmd", *, shared: bool = False) -> None:
-        """Arm a topic on an engine's console."""
         self._engines.add(engine)
         eventually(lambda: is_accepted(engine, topic))
         engine.arm(route(engine, topic).key, shared=shared).result(30)

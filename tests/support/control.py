@@ -43,14 +43,12 @@ class Machine:
         return server
 
     def attach(self, name: str = "robot1", *, read_only: bool = False) -> RemoteEngine:
-        """Attach to a socket by its name."""
         remote = RemoteEngine(self.folder / f"{name}.sock", read_only=read_only)
         remote.start()
         self.in_the_end(remote.stop)
         return remote
 
     def attach_to(self, engine: Any = None, *, read_only: bool = False) -> RemoteEngine:
-        """Serve an engine as robot1, and attach to it."""
         self.serve(engine)
         return self.attach(read_only=read_only)
 

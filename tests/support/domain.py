@@ -23,8 +23,6 @@ LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Domain(Joined):
-    """One domain."""
-
     joined: ClassVar[WeakSet[Domain]] = WeakSet()
     """All of this process."""
 
@@ -49,7 +47,6 @@ class Domain(Joined):
         self.node.create_service(kind, service, lambda _, response: response)
 
     def clear(self) -> None:
-        """Destroy all publishers, subscriptions, servers and clients."""
         self.listeners.clear()
         for publisher in tuple(self.node.publishers):
             self.node.destroy_publisher(publisher)
@@ -62,7 +59,6 @@ class Domain(Joined):
             self.node.destroy_client(client)
 
     def close(self) -> None:
-        """Leave the domain."""
         self.clear()
         super().close()
 

@@ -106,11 +106,9 @@ class FibonacciServer(Spun):
 
     @property
     def forgot(self) -> bool:
-        """Whether it has forgotten all goals."""
         return bool(self.goals) and not self.remembers
 
     def feedback(self, *sequence: int, number: int = 0) -> None:
-        """Publish feedback of a goal."""
         self.goal(number).publish_feedback(Fibonacci.Feedback(sequence=sequence))
 
     @property
@@ -119,7 +117,6 @@ class FibonacciServer(Spun):
         return bool(self.node.count_subscribers(f"{ACTION}/_action/feedback"))
 
     def finish(self, *sequence: int, number: int = 0, state: str = "succeeded") -> None:
-        """End a goal."""
         goal = id_of(self.goal(number))
         self._results[goal] = (state, list(sequence))
         self._ends[goal].set()
@@ -247,11 +244,9 @@ class Goal:
 
     @property
     def has_result(self) -> bool:
-        """Whether its result has come."""
         return self._result is not None and self._result.done()
 
     def cancel(self) -> Future:
-        """Have it cancelled."""
         return self.handle().cancel_goal_async()
 
 
@@ -281,8 +276,6 @@ class _ActionClient(ActionClient):  # type: ignore[misc]  # rclpy has no types
 
 
 class FibonacciClient(Spun):
-    """Sends goals."""
-
     threads = 8
 
     def __init__(self, domain_id: int) -> None:
@@ -299,7 +292,6 @@ class FibonacciClient(Spun):
         return ready
 
     def send(self, order: int = 5) -> Goal:
-        """Send a goal to a server that is there."""
         eventually(lambda: self.ready, what="an action server")
         return Goal(self.client, order)
 

@@ -69,7 +69,6 @@ class ScriptedSource:
         return self.given
 
     def put(self, name: str, **changes: Any) -> None:
-        """Change a robot."""
         self.given = [msgspec.structs.replace(each, **changes) if each.name == name else each for each in self.given]
 
     def open(self, robot: str, *, read_only: bool) -> RemoteEngine:
@@ -79,7 +78,6 @@ class ScriptedSource:
 
 
 def fleet_of(*sources: ScriptedSource, path: Path | None = None, clock: SetClock | None = None) -> RobotFleet:
-    """A fleet of scripted sources."""
     return RobotFleet(sources, Memory(path), cast("Any", clock or SetClock()))
 
 

@@ -19,28 +19,23 @@ def goal_request(goal_id: bytes, order: str = "<", fields: bytes = b"") -> bytes
 
 
 def goal_response(accepted: bool, order: str = "<") -> bytes:
-    """A send_goal response."""
     return _HEADERS[order] + struct.pack(f"{order}?3xiI", accepted, 1700000000, 5)
 
 
 def cancel_request(goal_id: bytes = bytes(16), seconds: int = 0, order: str = "<") -> bytes:
-    """A cancel_goal request."""
     return _HEADERS[order] + goal_id + struct.pack(f"{order}iI", seconds, 0)
 
 
 def cancel_response(*canceling: bytes, order: str = "<") -> bytes:
-    """A cancel_goal response."""
     goals = b"".join(each + struct.pack(f"{order}iI", 1700000000, 5) for each in canceling)
     return _HEADERS[order] + struct.pack(f"{order}b3xI", 0 if canceling else 1, len(canceling)) + goals
 
 
 def result_response(state: str, fields: bytes = b"", order: str = "<") -> bytes:
-    """A get_result response."""
     return _HEADERS[order] + bytes((STATES[state],)) + fields
 
 
 def statuses(*goals: tuple[bytes, str], order: str = "<") -> bytes:
-    """A status message."""
     body = bytearray(struct.pack(f"{order}I", len(goals)))
     for goal_id, state in goals:
         body += goal_id

@@ -86,9 +86,6 @@ def socket_of(stream: Stream) -> socket.socket:
     return found
 
 
-# --- topics
-
-
 def ledger_of(route: OutgoingRoute) -> RouteLedger:
     """Return a route's own counts, which a snapshot has up to a second later."""
     return route._ledger
@@ -100,9 +97,6 @@ def outputs_of(route: IncomingRoute) -> SourcePublishers:
 
 def views_drawn_by(link: Link) -> dict[Any, Any]:
     return link.views._drawing
-
-
-# --- calls
 
 
 def pending_calls(route: CallsRoute) -> Any:
@@ -146,9 +140,6 @@ def offers_of(route: CallsRoute) -> Any:
 def clients_of(route: CallsRoute) -> Any:
     """Return the endpoints of the provider's half."""
     return route._clients  # type: ignore[attr-defined]
-
-
-# --- attached consoles
 
 
 def attached_to(server: ControlServer) -> set[AttachedConsole]:

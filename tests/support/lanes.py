@@ -31,7 +31,6 @@ def folder_of(nodeid: str) -> str:
 
 
 def lane_of(nodeid: str) -> str:
-    """Return the lane of a test."""
     folder, file = folder_of(nodeid), nodeid.split("::", 1)[0]
     if folder in COMPUTING:
         return COMPUTING[folder]

@@ -16,5 +16,4 @@ def long(*values: Any) -> list[ParameterSet]:
 
 
 def long_cases(*cases: tuple[Any, ...]) -> list[ParameterSet]:
-    """Mark cases of several parameters as long."""
     return [pytest.param(*case, marks=pytest.mark.long) for case in cases]

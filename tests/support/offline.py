@@ -42,8 +42,6 @@ def loop() -> Iterator[VirtualLoop]:
 
 @pytest.fixture
 def make_context(loop: VirtualLoop) -> Callable[..., Context]:
-    """Makes the context of a session with these fields."""
-
     def make(ros: Any = None, transports: Transports | None = None, **fields: Any) -> Context:
         session = Session(**{"name": "robot1", "role": "client", "server_ip": "127.0.0.1", "server_port": 1, **fields})
         clock = VirtualClock(loop)
@@ -115,7 +113,6 @@ class FakePeer:
 
 
 def proposal_for(topic: Topic, context: Context, purpose: Purpose = ORDINARY) -> Propose:
-    """Return the proposal of a topic by TCP, on a link of robot1."""
     return proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False, purpose=purpose)
 
 

@@ -100,14 +100,12 @@ class Reachable:
         return connect
 
     def attach(self, name: str = "anna", key: Key = ANNA, **how: Any) -> RemoteEngine:
-        """Attach as an operator."""
         remote = RemoteEngine(self.way(name, key, **how))
         remote.start()
         self._machine.in_the_end(remote.stop)
         return remote
 
     def events(self, *codes: EventCode) -> list[Event]:
-        """Return the operators' events with these codes."""
         return [event for event in self.access.events.after(0) if event.code in codes]
 
 
@@ -131,7 +129,6 @@ class Stranger:
         self.socket.close()
 
     def send(self, data: bytes) -> None:
-        """Send bytes as they are."""
         self.socket.sendall(data)
 
     def hear(self) -> list[WireEvent]:
@@ -155,7 +152,6 @@ class Stranger:
         return True
 
     def attach(self, *, read_only: bool = False) -> None:
-        """Be admitted and welcomed."""
         self.send(self.console.start())
         assert self.hear() == [Admitted()]
         self.say(ConsoleHello(VERSION, __version__, read_only))

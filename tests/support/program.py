@@ -89,7 +89,6 @@ class Program:
 
     @property
     def said(self) -> list[str]:
-        """The texts of its events."""
         return [line["text"] for line in self._lines() if "text" in line]
 
     def wait_for(self, words: str) -> None:
@@ -97,7 +96,6 @@ class Program:
         eventually(lambda: any(words in text for text in self.said), what=f"{words!r} in {self.output}")
 
     def signal(self, number: signal.Signals) -> None:
-        """Send it a signal."""
         self._handle.signal(number)
 
     def kill(self) -> None:

@@ -164,7 +164,6 @@ class Relay:
         self._call(self._refuse if refuses else self._listen)
 
     def close(self) -> None:
-        """End everything."""
         self._call(self._end)
         self._thread.join()
         for sock in (self._wake, self._wakes):  # the thread may end before it is woken

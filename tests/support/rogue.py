@@ -168,7 +168,6 @@ class Rogue:
             self.udp.send(datagram)
 
     def datagrams(self, route: int) -> DatagramWriter:
-        """Return a writer of a route's datagrams."""
         return DatagramWriter(self.keys.route_sealer(route, "client"), self.keys.link_id, route)
 
     def __enter__(self) -> Self:

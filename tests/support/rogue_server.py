@@ -45,7 +45,6 @@ class RogueServer:
             pass
 
     def say(self, *messages: ControlMessage) -> None:
-        """Send control messages, all at once."""
         assert self._control is not None
         self._control.sendall(b"".join(self._connection.send(message) for message in messages))
 

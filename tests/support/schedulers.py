@@ -10,5 +10,4 @@ from rsb_bridge.channel.window import Window
 
 
 def lone_scheduler() -> Scheduler:
-    """Return a scheduler on the running loop."""
     return Scheduler(ReceiptBook(asyncio.get_running_loop(), lambda _: None), Window(0))

@@ -37,7 +37,6 @@ class Joined:
         join(domain_id, enter, self._leave)
 
     def close(self) -> None:
-        """Leave the domain."""
         self._leave()
 
     def _leave(self) -> None:
@@ -76,7 +75,6 @@ class Spun(Joined):
         return future.result()
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
-        """Call a service once it is there."""
         client = self.node.create_client(kind, service)
         eventually(client.service_is_ready, what=service)
         try:

@@ -185,7 +185,6 @@ class Attacker:
         return counts
 
     def close(self) -> None:
-        """Kill it."""
         self._process.kill()
         self._process.communicate()
 

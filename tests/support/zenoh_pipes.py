@@ -82,7 +82,6 @@ class Recorder(asyncio.Protocol):
 
     @property
     def data(self) -> bytes:
-        """All that came."""
         return b"".join(self.pieces)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -109,8 +108,6 @@ class Recorder(asyncio.Protocol):
 
 
 class Side:
-    """One end."""
-
     def __init__(self, address: str, peer: str, *, stranger: bool = False) -> None:
         self.network = FakeEndpoint(address)
         self.told = Recorder()

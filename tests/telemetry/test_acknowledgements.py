@@ -36,8 +36,6 @@ DOWN = replace(LINK, state=State.DOWN, cause="unreachable", since=NOW - 60)
 
 
 class Table:
-    """Acknowledgements, and the snapshots that they mark."""
-
     def __init__(self) -> None:
         self.clock = ManualClock()
         self.ended: list[object] = []
@@ -68,11 +66,7 @@ def test_a_fault_is_marked_with_who_and_when_and_needs_no_attention(table: Table
 
 @pytest.mark.parametrize(
     "changed",
-    [
-        replace(SCAN, state=State.DOWN),
-        replace(SCAN, cause="no_publisher"),
-        replace(SCAN, state=State.OK, cause=""),
-    ],
+    [replace(SCAN, state=State.DOWN), replace(SCAN, cause="no_publisher"), replace(SCAN, state=State.OK, cause="")],
 )
 def test_it_counts_again_once_its_state_or_cause_has_changed(table: Table, changed: RouteSnapshot) -> None:
     assert table.mark(SCAN) == [False, True]
@@ -85,12 +79,6 @@ def test_it_counts_again_where_it_went_away_and_came_back_between_two_snapshots(
     table.clock.moved = 30.0
     assert table.mark(SCAN) == [False, True]
     assert table.mark(replace(SCAN, since=NOW + 20)) == [False, False]
-
-
-def test_what_has_not_changed_stays_the_same_object(table: Table) -> None:
-    _, (first,) = table.known.mark([LINK], [SCAN], NOW)
-    _, (second,) = table.known.mark([LINK], [SCAN], NOW)
-    assert first is second
 
 
 def test_what_is_gone_is_forgotten(table: Table) -> None:

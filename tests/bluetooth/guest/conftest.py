@@ -34,7 +34,6 @@ sys.stdin.read()
 
 @pytest.fixture(scope="session")
 def addresses() -> tuple[str, str]:
-    """Return the addresses of hci0 and hci1."""
     first, second = hci.adapters()
     return first.address, second.address
 
@@ -53,7 +52,6 @@ def holding(*channels: tuple[str, int, str]) -> Iterator[None]:
 
 
 def wait_until(condition: Callable[..., object], what: str, seconds: float = 180.0) -> None:
-    """Wait for a condition, with a deadline."""
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, f"not within {seconds} s: {what}"

@@ -95,11 +95,9 @@ class StandIn(NoRos):
         self._threads[-1].start()
 
     def subscribed(self, *topics: str) -> bool:
-        """Whether the engine subscribes to all of them."""
         return all(topic in self._sinks for topic in topics)
 
     def serves(self, *services: str) -> bool:
-        """Whether the engine serves all of them."""
         return all(service in self._servers for service in services)
 
     def call(self, service: str, payload: bytes, within: float) -> bytes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import signal
 import struct
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from msgspec import structs
 
-from rsb_bridge.bluetooth.scan import ChannelUse, Scan, held_channels, scan
+from rsb_bridge.bluetooth.scan import held_channels
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
@@ -25,7 +24,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.snapshot import State
 
-from .conftest import bare_rate, holding, wait_until
+from .conftest import bare_rate, wait_until
 from .stand_in import StandIn
 
 if TYPE_CHECKING:
@@ -214,27 +213,6 @@ def test_a_wrong_key_is_refused_in_words(addresses: tuple[str, str], base: Path)
         assert not linked(server)
 
 
-def test_a_topic_with_a_channel_of_its_own(addresses: tuple[str, str], base: Path) -> None:
-    """And the scan tells the bridge's channels from others'."""
-    client_side, server_side = StandIn(scan=Qos()), StandIn()
-    topics = [Topic("/scan", "transmit", port=11)]
-    listening = session("server", addresses[0])
-    with (
-        running(listening, base, server_side) as server,
-        running(session("client", addresses[0], *topics), base, client_side) as client,
-    ):
-        wait_until(lambda: client_side.subscribed("/scan"), "open")
-        client_side.publish("/scan", b"1" * 10_000)
-        _let_arrive(server_side, "/scan", 1)
-        assert route(client, "/scan").port == 11
-        wait_until(lambda: len(held_channels(listening, server.snapshot())) == 2, "the snapshot has both")
-        with holding((addresses[0], 12, "listen")):
-            found = asyncio.run(scan(own_channels=held_channels(listening, server.snapshot())))
-        assert _channels(found, addresses[0], ChannelUse.OWN) == {_CHANNEL, 11}
-        assert _channels(found, addresses[0], ChannelUse.BUSY) == {12}
-    assert not _channels(asyncio.run(scan()), addresses[0], ChannelUse.BUSY)
-
-
 def test_a_topic_over_bluetooth_on_an_ip_link(addresses: tuple[str, str], base: Path) -> None:
     client_side, server_side = StandIn(scan=Qos(), odom=Qos()), StandIn()
     topics = (Topic("/scan", "transmit", protocol="bluetooth", port=11), Topic("/odom", "transmit"))
@@ -315,10 +293,6 @@ def test_topics_share_a_channel_beside_an_ip_link(addresses: tuple[str, str], ba
         _all_flow(client_side, server_side)
         _all_cross(client_side, server_side)
         assert link(client).since == before
-
-
-def _channels(found: Scan, address: str, use: ChannelUse) -> set[int]:
-    return {number for number, what in found.channels[address].items() if what is use}
 
 
 _SERVERS = """

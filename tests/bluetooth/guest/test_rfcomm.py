@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import sys
 import time
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
@@ -18,7 +17,7 @@ from rsb_bridge.transport.rfcomm import Rfcomm, RfcommProblem
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.transport import Acceptor, ListenError
 
-from .conftest import bare_rate, holding
+from .conftest import holding
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
@@ -202,20 +201,3 @@ def test_what_cannot_be_bound(addresses: tuple[str, str]) -> None:
             await Rfcomm().listen(addresses[0].lower(), 3, _streams_to(Recorder))
 
     asyncio.run(main())
-
-
-def test_throughput_beside_a_bare_socket(addresses: tuple[str, str]) -> None:
-    """The transport's cost over blocking sockets that do nothing else."""
-    size = 500_000
-
-    async def ours() -> float:
-        async with listening(addresses[0], 4) as pair:
-            client, server = await pair.connect()
-            started = time.monotonic()
-            await client.send(bytes(size))
-            await server.until(lambda end: len(end.data) == size)
-            return size / (time.monotonic() - started)
-
-    by_transport, by_socket = asyncio.run(ours()), bare_rate(addresses[0])
-    sys.stdout.write(f"transport: {by_transport / 1e3:.0f} kB/s, a bare socket {by_socket / 1e3:.0f} kB/s\n")
-    assert by_transport > 0.25 * by_socket

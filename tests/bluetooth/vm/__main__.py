@@ -9,7 +9,6 @@ from tests.bluetooth.vm import debian, layers, machine
 
 
 def main() -> int:
-    """Run, print the output, return pytest's exit code."""
     parser = argparse.ArgumentParser(
         prog="bluetooth-vm", description="Run pytest in a machine with two Bluetooth adapters."
     )

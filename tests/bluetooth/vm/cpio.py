@@ -9,7 +9,7 @@ import stat
 from typing import TYPE_CHECKING, BinaryIO
 
 if TYPE_CHECKING:
-    from pathlib import Path, PurePosixPath
+    from pathlib import PurePosixPath
 
 _BLOCK = 512
 
@@ -42,15 +42,6 @@ class Archive:
         """Add a symbolic link, and the folders above it."""
         self._add_parents(path)
         self._entry(str(path), stat.S_IFLNK | 0o777, target.encode())
-
-    def add_tree(self, source: Path, path: PurePosixPath) -> None:
-        """Add what is in the folder `source`, files and links, as the folder `path`."""
-        for found in sorted(source.rglob("*")):
-            inside = path / found.relative_to(source)
-            if found.is_symlink():
-                self.add_symlink(inside, str(found.readlink()))
-            elif found.is_file():
-                self.add(inside, found.read_bytes(), stat.S_IMODE(found.stat().st_mode))
 
     def _add_parents(self, path: PurePosixPath) -> None:
         for folder in reversed(path.parents[:-1]):

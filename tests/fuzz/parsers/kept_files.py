@@ -92,10 +92,5 @@ _BOMB = b"\x28\xb5\x2f\xfd\xe0" + (1 << 40).to_bytes(8, "little") + b"\1\0\0"
 PARSERS = (
     Parser("history_content", partial(_read_history, zstandard.compress), (_saved(),), edit_msgpack),
     Parser("history_file", partial(_read_history, bytes), (zstandard.compress(_saved()[:60]), b"", _BOMB)),
-    Parser(
-        "event_file",
-        _read_events,
-        (b"".join(map(history_files.encode_event, _EVENTS)),),
-        edit_json_lines,
-    ),
+    Parser("event_file", _read_events, (b"".join(map(history_files.encode_event, _EVENTS)),), edit_json_lines),
 )

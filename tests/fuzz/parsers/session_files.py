@@ -116,10 +116,7 @@ PARSERS = (
         "session_file", _read_session, tuple(path.read_bytes() for path in sorted(_CONFIGS.glob("*.yaml"))), edit_text
     ),
     Parser(
-        "thesis_file",
-        _read_thesis,
-        (_THESIS, b"server_node:\n  ros__parameters:\n    server_ip: 0.0.0.0\n"),
-        edit_text,
+        "thesis_file", _read_thesis, (_THESIS, b"server_node:\n  ros__parameters:\n    server_ip: 0.0.0.0\n"), edit_text
     ),
     Parser("key_file", _read_key, (_KEY, b"2021-03-04 12:00:00\n" + _KEY + b"\n", _KEY[:-1])),
 )

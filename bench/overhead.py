@@ -1,4 +1,7 @@
-"""Bytes that the radio carries for a message, next to those of the thesis's Fernet and pickle, without a radio."""
+"""Prints the bytes that the radio carries for a message, next to those of the thesis's Fernet and pickle.
+
+``python -m bench.overhead`` computes the sizes in docs/bluetooth.md, without a radio.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +11,16 @@ import sys
 from array import array
 from typing import Any
 
-import pytest
 import zstandard
 from cryptography.fernet import Fernet
-from tests.support.frames import write_chunks
-
-from rsb_bridge.wire.framing import ZSTD, DataWriter
-from rsb_bridge.wire.sealing import CipherSuite, Sealer
-
-pytest.importorskip("rclpy", reason="the messages are ROS's own: pip install 'rsb-console[ros]'")
-
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import LaserScan
+from tests.support.frames import write_chunks
+
+from rsb_bridge.wire.framing import ZSTD, DataWriter
+from rsb_bridge.wire.sealing import CipherSuite, Sealer
 
 _SEPARATOR = b"_split_"
 _CHUNK = 1400
@@ -58,22 +57,24 @@ def _goal(noise: random.Random) -> PoseStamped:
     return goal
 
 
-@pytest.mark.parametrize("make", [_scan, _odometry, _map, _goal])
-def test_fewer_bytes_than_fernet_and_pickle(make: Any) -> None:
-    message = make(random.Random(1))
-    payload = serialize_message(message)
-    thesis = len(Fernet(Fernet.generate_key()).encrypt(pickle.dumps(message))) + len(_SEPARATOR)
-    smaller = zstandard.ZstdCompressor(3).compress(payload)
-    plain, packed = _on_the_wire(payload, 0), _on_the_wire(smaller, ZSTD)
-    ours = min(plain, packed)
-    size = len(payload)
-    sys.stdout.write(
-        f"{type(message).__name__}, {size:,} B: on the wire {ours / size:.2f} of it (uncompressed {plain / size:.2f}), "
-        f"the thesis's {thesis / size:.2f}: {thesis / ours:.1f} times as much\n"
-    )
-    assert plain < thesis
-    assert ours < 0.75 * thesis
+def main() -> None:
+    """Print a line for each message."""
+    for make in (_scan, _odometry, _map, _goal):
+        message: Any = make(random.Random(1))
+        payload = serialize_message(message)
+        thesis = len(Fernet(Fernet.generate_key()).encrypt(pickle.dumps(message))) + len(_SEPARATOR)
+        smaller = zstandard.ZstdCompressor(3).compress(payload)
+        plain, packed = _on_the_wire(payload, 0), _on_the_wire(smaller, ZSTD)
+        ours, size = min(plain, packed), len(payload)
+        sys.stdout.write(
+            f"{type(message).__name__}, {size:,} B: on the wire {ours / size:.2f} of it"
+            f" (uncompressed {plain / size:.2f}), the thesis's {thesis / size:.2f}: {thesis / ours:.1f} times as much\n"
+        )
 
 
 def _on_the_wire(content: bytes, flags: int) -> int:
     return sum(map(len, write_chunks(DataWriter(Sealer(CipherSuite.AESGCM, bytes(32)), 1), content, 0, flags, _CHUNK)))
+
+
+if __name__ == "__main__":
+    main()
