@@ -195,8 +195,8 @@ def test_a_mistake_of_an_entry_has_its_line_and_key(
         (
             service("protocol: tcp", BLUETOOTH),
             "7 services[0].protocol",
-            TopicMistake.NOT_ON_BLUETOOTH,
-            {"protocol": "tcp"},
+            TopicMistake.NOT_CROSSING,
+            {"protocol": "tcp", "crossing": "bluetooth"},
         ),
         (
             entry("services", "/d"),

@@ -132,22 +132,22 @@ def _how(session: Session, ends: Ends, kind: Kind, begun: str | None) -> Iterato
         f"Its name there. Empty: the same{f', with /{ends.client} before it' if ends.use_name else ''}.",
         blank=f"/{ends.client} and its name" if ends.use_name else "same name",
     )
-    bluetooth = session.is_bluetooth
+    link = transports.of_link(session.server_ip)
     has_radio = session.bluetooth_address is not None or begun == "bluetooth"
-    if not bluetooth:
+    if len(session.crossing) > 1:
         yield _protocol(kind, session, has_radio=has_radio)
-    if transports.of_link(session.server_ip).topic_ports is not NO_PORT:
-        port = "Channel" if bluetooth else "Port"
-        channel = f" Bluetooth: a channel, {CHANNEL}, which several may share." if has_radio and not bluetooth else ""
+    if link.topic_ports is not NO_PORT:
+        port = link.port_kind.split()[-1].capitalize()
+        channel = f" Bluetooth: a channel, {CHANNEL}, which several may share." if has_radio and link.ip_ports else ""
         yield Spec("port", port, f"A {port.lower()} of its own. Empty: it shares the link's.{channel}", blank="shared")
     packed = "maps and clouds" if kind == "topic" else "large requests and answers"
-    packing = (("", f"the link's ({'zstd' if bluetooth else 'none'})"), ("none", "none"), ("zstd", "zstd"))
+    packing = (("", f"the link's ({link.compression})"), ("none", "none"), ("zstd", "zstd"))
     yield Spec("compression", "Compression", f"zstd is worth it for {packed}, and on slow links.", options=packing)
 
 
 def _protocol(kind: Kind, session: Session, *, has_radio: bool) -> Spec:
     link = transports.of_link(session.server_ip)
-    names = dict.fromkeys((*transports.crossing(session), *(("bluetooth",) if has_radio else ())))
+    names = dict.fromkeys((*session.crossing, *(("bluetooth",) if has_radio else ())))
     carriers = [transports.named(name) for name in names]
     lossy = [each.name for each in carriers if not each.reliable]
     if kind != "topic":
