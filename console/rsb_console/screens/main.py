@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.snapshot import Event, RouteSnapshot, Snapshot
     from rsb_console.console_api import Console
+    from rsb_console.look.formats import Row
     from rsb_console.widgets.lines import Line
     from rsb_console.widgets.selectable_list import SelectableList
 
@@ -55,6 +56,7 @@ class MainText(Wording):
 
     READ_ONLY = "read-only: nothing can be changed here"
     STARTS_AGAIN = "{restart} starts it again"
+    IS_PATTERN = "{topic} is a pattern: choose a topic that it matches"
     NO_MESSAGES = "{topic} has calls, no messages"
     NO_MESSAGES_BUT_CALLS = "{topic} has calls, no messages: {key} calls it by hand"
 
@@ -178,7 +180,7 @@ class MainScreen(Screen[None]):
 
     def _why_empty(self, snapshot: Snapshot) -> str:
         """Return the reason why the table is empty, and the key to press."""
-        if self.topics.routes:
+        if self.topics.rows:
             return EmptyTable.NO_MATCH(back=self._key("back"))
         if self.console.engine is None and self.console.readonly:
             return EmptyTable.NO_SESSION_READ_ONLY()
@@ -201,7 +203,7 @@ class MainScreen(Screen[None]):
     def show_keys(self) -> None:
         """Show the keys that are possible now, if they have changed."""
         counts = {"faults": self._topic_counts, "links": self._link_counts}
-        route = self.selected
+        route = self.topics.route
         can = () if route is None else (route.arming is not None, is_armed(route), route.lanes)
         reads_log, here = self.log_pane.has_focus, self.app.screen is self
         undoes = len(self.console.changes)
@@ -235,9 +237,10 @@ class MainScreen(Screen[None]):
             return super().check_action(action, parameters)
         if known.group is Group.OPERATE and self.console.engine is None:
             return None
-        if action == "arm" and (self.selected is None or self.selected.arming is None):
+        route = self.topics.route
+        if action == "arm" and (route is None or route.arming is None):
             return False
-        if action == "call" and (self.selected is None or not self.selected.lanes):
+        if action == "call" and (route is None or not route.lanes):
             return False
         if known.needs_topic and self.topics.selected is None and not (action == "detail" and self.log_pane.has_focus):
             return None
@@ -258,7 +261,7 @@ class MainScreen(Screen[None]):
         self.show_keys()
 
     @property
-    def selected(self) -> RouteSnapshot | None:
+    def selected(self) -> Row | None:
         return self.topics.selected
 
     def on_selectable_list_cursor_moved(self, event: SelectableList.CursorMoved) -> None:
@@ -300,7 +303,7 @@ class MainScreen(Screen[None]):
         if self.topics.pattern is not None:
             parts.append(f"/{self.topics.pattern.text}")
         if len(parts) > 1:
-            parts.append(f"{len(self.topics.keys)} of {len(self.topics.routes)}")
+            parts.append(f"{len(self.topics.keys)} of {len(self.topics.rows)}")
         self.topics.entitle(f" {' ▸ '.join(parts)} ")
 
     def action_next_match(self) -> None:
@@ -372,7 +375,7 @@ class MainScreen(Screen[None]):
         if route is None or self.console.engine is None:
             return
         if isinstance(route, PatternRow):
-            self.notify(f"{route.topic} is a pattern: choose a topic that it matches", markup=False, timeout=4)
+            self.notify(MainText.IS_PATTERN(topic=route.topic), markup=False, timeout=4)
         elif route.calls is None:
             self._show_messages(route, as_picture=has_picture(route.type_name))
         else:

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Kind, Session, Topic
     from rsb_bridge.model.snapshot import RouteSnapshot, TopicInfo
+    from rsb_console.look.formats import Row
 
 KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
 _WHICH = ("topic", "kind", "direction", "provider")
@@ -57,7 +58,7 @@ _ENDS: dict[Kind, tuple[str, str]] = {
 """The endpoints of each kind on the providing side, and on the other."""
 
 
-def fields_by_kind(session: Session, ends: Ends, route: RouteSnapshot | None) -> dict[Kind, dict[str, Spec]]:
+def fields_by_kind(session: Session, ends: Ends, route: Row | None) -> dict[Kind, dict[str, Spec]]:
     """Return the fields of each kind that the form may have, by their keys.
 
     Args:
@@ -78,7 +79,7 @@ def _with_value(spec: Spec, value: str) -> Spec:
     return replace(spec, value=value, edited=value.startswith("{"))  # QoS policies are changed one by one
 
 
-def _specs(session: Session, ends: Ends, kind: Kind, route: RouteSnapshot | None) -> Iterator[Spec]:
+def _specs(session: Session, ends: Ends, kind: Kind, route: Row | None) -> Iterator[Spec]:
     yield from _which(ends, kind, new=route is None)
     yield from _how(session, ends, kind, None if route is None else route.spec.protocol)
     for key in TOPIC_KEYS.values():
@@ -177,13 +178,13 @@ class TopicScreen(FormScreen[TopicDraft]):
     Args:
         engine: whose graphs and links it is about.
         do: carries out the result; if the engine refuses it, the form stays open and shows the reason.
-        route: the route to edit, or None for something new.
+        route: the route or the pattern to edit, or None for something new.
     """
 
     BINDINGS: ClassVar = [Binding("f8", "unfold", show=False)]
 
     def __init__(
-        self, engine: EngineApi, do: Callable[[TopicDraft], Awaitable[object]], route: RouteSnapshot | None = None
+        self, engine: EngineApi, do: Callable[[TopicDraft], Awaitable[object]], route: Row | None = None
     ) -> None:
         self._engine, self._do, self._route = engine, do, route
         now = engine.snapshot()
