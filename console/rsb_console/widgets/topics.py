@@ -48,11 +48,6 @@ class TopicsTable(SelectableList):
         """Number of lines: the heading and a line for each route, or a text for an empty table."""
         return self.sticky + (len(self.keys) or len(self._empty))
 
-    @property
-    def subject(self) -> str:
-        """The name of the contents, for a title."""
-        return "Topics and calls" if self._calls else "Topics"
-
     def explain(self, empty: str) -> None:
         """Set the text shown while the table is empty: why it is, and what to do."""
         lines = textwrap.wrap(empty, max(20, self.size.width - 4))
@@ -73,6 +68,17 @@ class TopicsTable(SelectableList):
         if self.grouped:
             shown.sort(key=lambda row: row.link)
         self.show_keys([row.key for row in shown])
+        self._show_title()
+
+    def _show_title(self) -> None:
+        parts = [f"{'Topics and calls' if self._calls else 'Topics'}{' by robot' if self.grouped else ''}"]
+        if self.faults_only:
+            parts.append("faults only")
+        if self.pattern is not None:
+            parts.append(f"/{self.pattern.text}")
+        if len(parts) > 1:
+            parts.append(f"{len(self.keys)} of {len(self.rows)}")
+        self.entitle(f" {' ▸ '.join(parts)} ")
 
     def _wanted(self, row: Row) -> bool:
         if self.faults_only and row.state not in FAULTS:
