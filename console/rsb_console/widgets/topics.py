@@ -160,7 +160,7 @@ def _searched(row: Row) -> dict[str, str]:
     """Return the texts of a row that a filter looks into."""
     texts = {
         "kind": f"{row.spec.kind} {KIND_SHORT[row.spec.kind]}",
-        "topic": f"{row.topic} {row.pattern}",
+        "topic": f"{row.topic} {row.pattern}".rstrip(),  # as a filter's $ means the end of the name
         "robot": row.link,
         "state": f"{STATE_WORD[row.state]}{f' {ACK_WORD}' if row.acknowledged is not None else ''}",
         "via": via(row),
@@ -169,7 +169,7 @@ def _searched(row: Row) -> dict[str, str]:
     }
     if not isinstance(row, PatternRow):
         texts["via"] += f" {row.port or ''}"
-        texts["why"] += f" {last_failure(row)}"
+        texts["why"] = f"{row.reason} {last_failure(row)}".rstrip()
     return texts
 
 
