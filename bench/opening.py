@@ -32,7 +32,8 @@ from rsb_bridge.ros.node import RosNode
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from rsb_bridge.model.session import Direction, Protocol, Role
+    from rsb_bridge.model.session import Direction, Role
+    from rsb_bridge.model.transports import Protocol
     from rsb_bridge.ros.ros_interface import RosInterface
 
 TOPICS = 500

@@ -111,7 +111,7 @@ class EngineApi(ABC):
             step: called with each step of a restart, on a thread of the engine.
         """
 
-    # --- the same for each command; `rsb_bridge.model.commands` documents them
+    # --- the same for each command with several users; `rsb_bridge.model.commands` documents them
 
     def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
         return self.do(commands.AddTopic(topic, link))
@@ -146,9 +146,6 @@ class EngineApi(ABC):
     def keep_armed(self, *, pressed: bool) -> Future[Held]:
         return self.do(commands.KeepArmed(pressed))
 
-    def release_armed(self) -> Future[None]:
-        return self.do(commands.ReleaseArmed())
-
     def add_client(self, client: Client) -> Future[None]:
         return self.do(commands.AddClient(client))
 
@@ -179,9 +176,6 @@ class EngineApi(ABC):
     def look(self, viewer: str, topics: tuple[str, ...], wish: Wish, link: str = "") -> Future[Viewed | None]:
         return self.do(commands.LookAtTopics(viewer, topics, wish, link))
 
-    def end_look(self, viewer: str) -> Future[None]:
-        return self.do(commands.EndLook(viewer))
-
     def draft_message(self, topic: str, type_name: str = "") -> Future[Draft]:
         return self.do(commands.DraftMessage(topic, type_name))
 
@@ -200,9 +194,6 @@ class EngineApi(ABC):
 
     def describe(self, key: str) -> Future[str]:
         return self.do(commands.DescribeType(key))
-
-    def template(self, key: str, lane: str = "") -> Future[str]:
-        return self.do(commands.Template(key, lane))
 
     def call(self, key: str, request: str, lane: str = "") -> Future[str]:
         return self.do(commands.Call(key, request, lane))

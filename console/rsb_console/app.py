@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console_api import Console
+    from rsb_console.look.formats import Row
 
     MakeEngine = Callable[[Session, Path], EngineApi]
     Attach = Callable[[], RemoteEngine]
@@ -270,7 +271,7 @@ class ConsoleApp(TerminalApp[None]):
             return Snapshot(time.time(), "", "", "", 0, running=False)
         return self.engine.snapshot()
 
-    def peer_of(self, route: RouteSnapshot) -> str:
+    def peer_of(self, route: Row) -> str:
         now = self.snapshot()
         return now.address if now.role == "client" else route.link
 

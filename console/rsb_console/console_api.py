@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.config.session_file import SessionFile
     from rsb_bridge.model.session import Session
-    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import Snapshot
     from rsb_console.actions import Action
+    from rsb_console.look.formats import Row
     from rsb_console.preferences import Preferences
     from rsb_console.session.changes import Changes
 
@@ -136,7 +137,7 @@ class Console(ConsoleShell, Protocol):
         """Return the engine's state, or an empty one without an engine."""
         ...
 
-    def peer_of(self, route: RouteSnapshot) -> str:
+    def peer_of(self, route: Row) -> str:
         """Return the name of a route's other side, or its address on a client, whose link has the client's own name."""
         ...
 

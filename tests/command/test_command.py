@@ -24,7 +24,7 @@ from rsb_bridge.config.keys import KeyFileProblem, KeyWarning
 from rsb_bridge.config.session_file import SavingProblem, load
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.config.yaml_text import YamlMistake
-from rsb_bridge.model.session import Protocol
+from rsb_bridge.model.transports import Protocol
 from rsb_console.command.argument_values import ValueProblem
 from rsb_console.command.check import SessionCheckText
 from rsb_console.command.local_commands import LocalText

@@ -172,7 +172,12 @@ def test_a_mistake_of_an_entry_has_its_line_and_key(
     ("text", "place", "code", "parameters"),
     [
         (service("protocol: udp", BLUETOOTH), "7 services[0].protocol", TopicMistake.CALL_NEEDS_RELIABLE, {}),
-        (service("protocol: tcp", BLUETOOTH), "7 services[0].protocol", TopicMistake.NOT_ON_BLUETOOTH, {}),
+        (
+            service("protocol: tcp", BLUETOOTH),
+            "7 services[0].protocol",
+            TopicMistake.NOT_CROSSING,
+            {"protocol": "tcp", "crossing": "bluetooth"},
+        ),
         (entry("services", "/d"), "7 services[0]", ValueMistake.NOT_A_MAPPING, {}),
         (CLIENT + "services: /d\n", "6 services", ValueMistake.NOT_A_LIST, {"value": "'/d'"}),
         (CLIENT + "service: []\n", "6 service", ValueMistake.MISSPELT_KEY, {}),

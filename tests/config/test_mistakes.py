@@ -105,7 +105,12 @@ def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, p
         (topic("qos: {reliability: reliabel}"), "7 topics[0].qos.reliability", ValueMistake.MISFIT, {}),
         (topic("qos: {realiability: reliable}"), "7 topics[0].qos.realiability", ValueMistake.MISSPELT_KEY, {}),
         (topic("port: 31", BLUETOOTH), "7 topics[0].port", TopicMistake.INVALID_PORT, {}),
-        (topic("protocol: udp", BLUETOOTH), "7 topics[0].protocol", TopicMistake.NOT_ON_BLUETOOTH, {"protocol": "udp"}),
+        (
+            topic("protocol: udp", BLUETOOTH),
+            "7 topics[0].protocol",
+            TopicMistake.NOT_CROSSING,
+            {"crossing": "bluetooth"},
+        ),
         (
             topic("protocol: bluetooth", f"{CLIENT}bluetooth_address: {MAC}\n"),
             "8 topics[0].port",

@@ -15,8 +15,9 @@ from rsb_bridge.config.file_form import LISTS
 from rsb_bridge.config.keys import generate
 from rsb_bridge.config.topic_rules import entry_problems
 from rsb_bridge.config.validation import validate
-from rsb_bridge.model.session import RANKS, Direction, Protocol, Session, Topic
+from rsb_bridge.model.session import RANKS, Direction, Session, Topic
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.transports import Protocol
 from rsb_bridge.model.velocity_limits import VelocityLimits
 
 if TYPE_CHECKING:

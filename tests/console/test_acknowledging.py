@@ -50,7 +50,7 @@ async def test_it_is_listed_after_the_other_faults_dimmed_with_a_mark(app: Conso
     table = app.main.topics
     assert listed(app)[0] != FIRST.topic
     at = listed(app).index(FIRST.topic)
-    states = [table.routes[key].state for key in table.keys]
+    states = [table.rows[key].state for key in table.keys]
     assert all(state.severity for state in states[:at])
     assert not any(state.severity for state in states[at + 1 :])
     _, state, *cells = table.line(at + 1)

@@ -23,7 +23,7 @@ def state(app: ConsoleApp) -> State | None:
 async def flowing(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """Wait until the selected topic carries what its talker says, which nobody listens to on the other side."""
     await until(
-        pilot, lambda: state(app) is State.UNHEARD and (route := app.main.selected) and route.rate > 0, "messages"
+        pilot, lambda: state(app) is State.UNHEARD and (route := app.main.topics.route) and route.rate > 0, "messages"
     )
 
 

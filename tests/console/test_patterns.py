@@ -1,8 +1,11 @@
 """Patterns among the topics: their rows, their details, and what is asked before one is removed."""
 
+import csv
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import pytest
 from tests.console.driving import engine_of, listed, on_main, put, shown, until
 from tests.console.scripted import LINK, ROUTES, route
 from textual.pilot import Pilot
@@ -11,6 +14,8 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.look.formats import pattern_rows
+from rsb_console.session.history_report import export_topics
+from rsb_console.widgets.columns import COLUMNS
 from rsb_console.widgets.fault_pane import faults_of
 
 SPEC = Topic("/aa/**", "transmit", remote_topic="/robot1/**", excepts=("/aa/raw",))
@@ -75,6 +80,24 @@ async def test_a_pattern_has_no_messages(app: ConsoleApp, pilot: Pilot[None]) ->
     await pilot.press("v")
     await shown(pilot, "is a pattern")
     assert engine_of(app).commands == []
+
+
+@on_main()
+async def test_a_pattern_has_no_figures(
+    app: ConsoleApp, pilot: Pilot[None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It comes last where a figure sorts the table, and an export leaves the figures empty."""
+    monkeypatch.chdir(tmp_path)
+    with_pattern(app)
+    await until(pilot, lambda: "/aa/**" in listed(app), "the pattern")
+    app.main.topics.sort_column = next(column for column in COLUMNS if column.title == "HZ/EXP")
+    app.main.topics.relist()
+    assert listed(app)[-1] == "/aa/**"
+    rows = list(csv.DictReader(export_topics(app.main.topics.listed).read_text().splitlines()))
+    assert [rows[-1][name] for name in ("topic", "outgoing", "rate", "bytes_per_second", "offered")] == [
+        "/aa/**", "True", "", "", ""
+    ]  # fmt: skip
+    assert all(row["rate"] for row in rows[:-1])
 
 
 @on_main()

@@ -27,8 +27,9 @@ from textual.pilot import Pilot
 from rsb_bridge.config.topic_rules import entry_problems
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.session import Client, Kind, Protocol, Session, Topic
+from rsb_bridge.model.session import Client, Kind, Session, Topic
 from rsb_bridge.model.snapshot import TopicInfo
+from rsb_bridge.model.transports import Protocol
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.screens.topic_form import KINDS, fields_by_kind, suggestions_for

@@ -6,7 +6,7 @@ from tests.console.driving import gone, listed, on_main, put, selected_topic, sh
 from tests.console.scripted import FAULTY, LINK, ROUTES, route
 from textual.pilot import Pilot
 
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console.app import ConsoleApp
 from rsb_console.widgets.filter import PatternProblem
 
@@ -74,7 +74,7 @@ async def test_sorting(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("s")
     assert listed(app) == sorted(listed(app), reverse=True)
     await pilot.press("s", "greater_than_sign", "greater_than_sign")
-    rates = [app.main.topics.routes[key].rate for key in app.main.topics.keys]
+    rates = [route.rate for route in app.main.topics.listed if isinstance(route, RouteSnapshot)]
     assert rates == sorted(rates, reverse=True)
     await pilot.press("less_than_sign", "less_than_sign", "less_than_sign")
     assert listed(app)[:2] == FAULTY

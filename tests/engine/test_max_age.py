@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain, Listener
 
     from rsb_bridge.engine import Engine
-    from rsb_bridge.model.session import Protocol
     from rsb_bridge.model.snapshot import Ledger
+    from rsb_bridge.model.transports import Protocol
 
 MAX_AGE = 0.5
 TOLERANCE = 0.15

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.engine import Engine
     from rsb_bridge.model.capacity import Fullness
-    from rsb_bridge.model.session import Protocol
+    from rsb_bridge.model.transports import Protocol
 
 _STARTS = {Cause.PUBLISHER_SILENT, Cause.NO_MESSAGE}
 _OVERLOADED = {Cause.LATE, Cause.LOSSY, Cause.QUEUE_FULL}

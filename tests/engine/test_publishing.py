@@ -29,7 +29,7 @@ from rsb_bridge.engine.publishing import AT_ONCE, ENDS_AFTER, TOPICS, PublishPro
 from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting, on_console
-from rsb_bridge.model.commands import PauseTopics, Publish, RemoveTopic, Restart, ShutDownLinks
+from rsb_bridge.model.commands import PauseTopics, Publish, ReleaseArmed, RemoveTopic, Restart, ShutDownLinks
 from rsb_bridge.model.purposes import VIEW
 from rsb_bridge.model.session import ArmedName, Client, Topic
 from rsb_console.session.landing import Landing, LandingText
@@ -419,7 +419,7 @@ def test_whatever_disarms_ends_the_motion_first(bridge: Bridge, robot: Domain, p
         eventually(lambda: changes(motors)[-2:] == changes(near)[-2:] == [speed, 0.0])
 
     ends_by(server.disarm)
-    ends_by(lambda _: server.release_armed())  # its console goes
+    ends_by(lambda _: server.do(ReleaseArmed()))  # its console goes
     assert not armed(server)
     ends_by(lambda key: server.do(PauseTopics(key, True)))
     server.pause(route(server, "/cmd").key, paused=False).result(30)

@@ -30,6 +30,7 @@ from rsb_bridge.engine.viewing import LookProblem
 from rsb_bridge.link.link_views import VIEWS_OF_PEER, ViewRefused
 from rsb_bridge.link.topic_view import TopicView, ViewProblem
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.commands import EndLook
 from rsb_bridge.model.pictures import Cells, Picture, Wish
 from rsb_bridge.model.purposes import VIEW
 from rsb_bridge.model.session import Grant, Topic
@@ -130,7 +131,7 @@ def pair(both: tuple[Engine, Engine], robot: Domain, pc: Domain) -> Iterator[tup
     """Those two, on which no view is left afterwards."""
     yield both
     for engine in both:
-        engine.end_look("me").result(30)
+        engine.do(EndLook("me")).result(30)
     eventually(lambda: not any(map(views, both)))
 
 
@@ -326,7 +327,7 @@ def test_a_view_that_is_ended_makes_room_for_the_next_one(pair: tuple[Engine, En
     server, client = pair
     for number in range(VIEWS_OF_PEER + 2):
         looked_while(talker, server, "/pose", viewer=f"viewer{number}")
-        server.end_look(f"viewer{number}").result(30)
+        server.do(EndLook(f"viewer{number}")).result(30)
         assert views(server) == []
     eventually(lambda: not views(client))
     said = [event for engine in pair for event in engine.events()]
@@ -337,7 +338,7 @@ def test_a_view_that_is_ended_while_it_opens_leaves_nothing(pair: tuple[Engine, 
     publisher = robot.publisher("/pose", PoseStamped)
     server, client = pair
     asked = server.look("me", ("/pose",), WISH, "robot1")
-    server.end_look("me").result(30)
+    server.do(EndLook("me")).result(30)
     eventually(lambda: asked.done() or publisher.publish(pose(1.0)))
     eventually(lambda: not views(server) and not views(client))
 

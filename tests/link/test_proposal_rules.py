@@ -19,8 +19,9 @@ from rsb_bridge.link.proposals import authorized, proposal_of, topic_of
 from rsb_bridge.model.limits import TOPIC_LENGTH
 from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.patterns import is_pattern
-from rsb_bridge.model.session import Client, Problem, Protocol, Session, Topic
+from rsb_bridge.model.session import Client, Problem, Session, Topic
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
+from rsb_bridge.model.transports import Protocol
 from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.codec import decode, encode

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.session import Client, Protocol, Session, Topic
+from rsb_bridge.model.session import Client, Session, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from random import Random
+
+    from rsb_bridge.model.transports import Protocol
 
 PORT = 49_152
 SERVER_NAME = "control-pc"

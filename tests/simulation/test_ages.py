@@ -21,7 +21,7 @@ from rsb_bridge.route.age import MessageAge, PublisherClocks
 if TYPE_CHECKING:
     from tests.simulation.topic_flow import TopicFlow
 
-    from rsb_bridge.model.session import Protocol
+    from rsb_bridge.model.transports import Protocol
 
 MAX_AGE = 0.5
 _AGES = replace(STILL, checks=(5.0, 5.0), patience=20.0)

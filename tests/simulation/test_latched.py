@@ -17,7 +17,7 @@ from rsb_bridge.model.qos import Qos
 if TYPE_CHECKING:
     from tests.simulation.topic_flow import TopicFlow
 
-    from rsb_bridge.model.session import Protocol
+    from rsb_bridge.model.transports import Protocol
 
 _BURST = 7
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from tests.simulation.engine_host import EngineHost, Run
     from tests.simulation.machine import Machine
 
-    from rsb_bridge.model.session import Protocol
+    from rsb_bridge.model.transports import Protocol
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire import messages as wire
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from tests.simulation.engine_host import Run
     from tests.simulation.test_take_over import Driver
 
-    from rsb_bridge.model.session import Protocol
+    from rsb_bridge.model.transports import Protocol
     from rsb_bridge.ros.ros_interface import RawMessage
 
 _SECONDS = 240.0

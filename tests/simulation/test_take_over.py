@@ -37,7 +37,7 @@ from rsb_bridge.model.commands import (
     TakeArming,
 )
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.session import Protocol, Topic
+from rsb_bridge.model.session import Topic
 from rsb_bridge.route.arming import Arming
 from rsb_bridge.route.rest_message import RestMessage
 
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.commands import Command
+    from rsb_bridge.model.transports import Protocol
     from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.route import Route
 

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from tests.support.relay import Relay
 
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.model.session import Protocol
     from rsb_bridge.model.snapshot import Event, Ledger, LinkSnapshot, Reloaded, RouteSnapshot, Snapshot
+    from rsb_bridge.model.transports import Protocol
     from rsb_bridge.model.wording import Wording
     from rsb_bridge.ros.ros_interface import RosInterface
     from rsb_bridge.route.route import Route

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import ast
 from pathlib import Path
+from typing import get_args
 
+import msgspec
 import pytest
 
 import rsb_bridge
+from rsb_bridge.config.topic_rules import TopicMistake
+from rsb_bridge.config.validation import validate
+from rsb_bridge.model import transports
+from rsb_bridge.model.benchmark import BenchmarkStep
+from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.transport.rfcomm import Rfcomm
 from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.udp import Udp
+from rsb_console.bench.suite import ways_of
 
 _ROOT = Path(rsb_bridge.__file__).parent
 _ABOVE = [file for layer in ("engine", "link", "route", "channel") for file in (_ROOT / layer).rglob("*.py")]
@@ -34,6 +42,33 @@ def test_no_layer_above_asks_which_transport_it_has() -> None:
 )
 def test_the_servers_address_says_what_carries_the_link(server_ip: str, name: str) -> None:
     assert default_transports().of_link(server_ip).name == name
+
+
+def test_the_facts_of_a_transport_are_all_that_a_session_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its addresses, the topics that may cross it, and what a benchmark measures follow from one declaration."""
+
+    class Serial(transports.TransportTraits):
+        name = "serial"  # type: ignore[assignment]
+        medium = "RS-485"
+        ip_ports = False
+
+        @staticmethod
+        def carries_links_to(host: str) -> bool:
+            return host.startswith("/dev/")
+
+    monkeypatch.setattr(transports, "_BY_NAME", {"serial": Serial, **transports._BY_NAME})
+    topics = (Topic("/scan", "transmit"), Topic("/map", "transmit", protocol="tcp"))
+    session = Session(name="robot1", role="client", server_ip="/dev/ttyS0", server_port=5000, topics=topics)
+    (problem,) = (each for each in validate(session) if each.location != "key_file")
+    assert problem.location == "topics[1].protocol"
+    assert problem.message == TopicMistake.NOT_CROSSING(protocol="tcp", medium="RS-485", crossing="serial")
+    assert [way.transport for way in ways_of(session, (), ("transmit",))] == ["serial"]
+
+
+@pytest.mark.parametrize("name", get_args(transports.Protocol))
+def test_each_name_has_facts_and_can_be_measured(name: str) -> None:
+    assert transports.named(name).name == name
+    assert msgspec.convert({"transport": name}, BenchmarkStep).transport == name
 
 
 def test_addresses_read_as_their_transport_writes_them() -> None:

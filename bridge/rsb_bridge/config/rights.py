@@ -18,7 +18,7 @@ from rsb_bridge.config.topic_rules import range_problems, service_names
 from rsb_bridge.config.yaml_text import SessionError, inline, read_yaml
 from rsb_bridge.model import transports
 from rsb_bridge.model.calls import LANES
-from rsb_bridge.model.limits import NAME_BYTES, OPERATORS, PORTS_PER_CLIENT
+from rsb_bridge.model.limits import NAME_BYTES, NO_PORT, OPERATORS, PORTS_PER_CLIENT
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.session import Grant, May, Problem
@@ -495,7 +495,7 @@ class Listing(NamedTuple):
 
 def listings(session: Session) -> Iterator[Listing]:
     """Yield the rights of each peer of a session on this side."""
-    carried = transports.crossing(session)
+    carried = session.crossing
     if session.role == "client":
         yield _listing(rights_of_server(session), carried, "all", "")
         return
@@ -601,7 +601,7 @@ def _may(rights: Rights, use: Use, carried: Sequence[str]) -> bool:
 
 
 def _ports(session: Session) -> str:
-    if session.is_zenoh:
+    if transports.of_link(session.server_ip).topic_ports is NO_PORT:
         return "none"
     if session.ports is None:
         return f"any {PORTS_PER_CLIENT}"

@@ -16,7 +16,8 @@ from rsb_bridge.config.validation import build
 from rsb_bridge.config.yaml_text import SessionError, read_text, read_yaml
 from rsb_bridge.model.limits import CHANNEL
 from rsb_bridge.model.names import SHORT_NAMES
-from rsb_bridge.model.session import Direction, Problem, Role, Session, is_mac
+from rsb_bridge.model.session import Direction, Problem, Role, Session
+from rsb_bridge.model.transports import is_mac
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:

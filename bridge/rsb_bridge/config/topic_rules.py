@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from rsb_bridge.model.purposes import Purpose
-    from rsb_bridge.model.session import Protocol
-    from rsb_bridge.model.transports import TransportTraits
+    from rsb_bridge.model.transports import Protocol, TransportTraits
 
 A_KIND: Final[dict[Kind, str]] = {
     "topic": "a topic",
@@ -67,7 +66,7 @@ _PART = r"[A-Za-z][A-Za-z0-9_]*"
 class TopicMistake(Wording):
     """A mistake in an entry for a topic, a service, an action or a node's parameters."""
 
-    PORT_OVER_ZENOH = "a link over Zenoh has no ports: leave it out"
+    NO_PORTS = "a link over {medium} has no ports: leave it out"
     INVALID_PORT = "{port} is not a valid {kind}: {range}"
     DEADMAN_WITHOUT_ARM = "only {kind} with arm: true has a deadman: set arm: true, or leave it out"
     ON_END_WITHOUT_ARM = "only {kind} with arm: true has it: set arm: true, or leave it out"
@@ -91,9 +90,7 @@ class TopicMistake(Wording):
     )
     TYPE_TOO_LONG = "{name} has {length} characters, and at most {limit} are allowed"
     CALL_NEEDS_RELIABLE = "{protocol} may lose messages, and calls must not be lost: leave protocol out"
-    NOT_ON_BLUETOOTH = "{protocol} does not cross a Bluetooth link (server_ip is a MAC): leave protocol out"
-    NOT_OVER_ZENOH = "{protocol} does not cross a link over Zenoh: give zenoh or zenoh-drop, or leave protocol out"
-    NEEDS_ZENOH = "{protocol} needs a link over Zenoh (server_ip: zenoh): leave protocol out"
+    NOT_CROSSING = "{protocol} does not cross a link over {medium}: give {crossing}, or leave protocol out"
     NEEDS_ADAPTER = (
         "bluetooth needs the MAC of the server's adapter: as server_ip for the whole link, or as bluetooth_address for "
         "such topics"
@@ -147,7 +144,7 @@ def range_problems(holder: msgspec.Struct, location: str) -> Iterator[Problem]:
 def port_problems(port: int, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
     """Whether there is such a port."""
     if port and transport.ports is NO_PORT:
-        yield Problem(location, TopicMistake.PORT_OVER_ZENOH())
+        yield Problem(location, TopicMistake.NO_PORTS(medium=transport.medium))
     elif port not in transport.ports:
         yield Problem(location, TopicMistake.INVALID_PORT(port=port, kind=transport.port_kind, range=transport.ports))
 
@@ -390,18 +387,17 @@ def _protocol(topic: Topic, location: str, session: Session | None) -> Iterator[
         yield Problem(join(location, "protocol"), TopicMistake.CALL_NEEDS_RELIABLE(protocol=protocol))
     elif session is None:
         return
-    elif protocol not in transports.crossing(session):
+    elif protocol not in session.crossing:
         yield Problem(join(location, "protocol"), _not_crossing(protocol, session))
     elif protocol == "bluetooth" and not session.is_bluetooth and topic.port is None:
         yield Problem(join(location, "port"), TopicMistake.NEEDS_CHANNEL(noun=_NAMED[topic.kind], range=CHANNEL))
 
 
 def _not_crossing(protocol: Protocol, session: Session) -> str:
-    if session.is_bluetooth:
-        return TopicMistake.NOT_ON_BLUETOOTH(protocol=protocol)
-    if session.is_zenoh:
-        return TopicMistake.NOT_OVER_ZENOH(protocol=protocol)
-    return TopicMistake.NEEDS_ADAPTER() if protocol == "bluetooth" else TopicMistake.NEEDS_ZENOH(protocol=protocol)
+    link = transports.of_link(session.server_ip)
+    if protocol == "bluetooth" and link.ip_ports:
+        return TopicMistake.NEEDS_ADAPTER()
+    return TopicMistake.NOT_CROSSING(protocol=protocol, medium=link.medium, crossing=" or ".join(session.crossing))
 
 
 def _qos(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:

@@ -52,8 +52,9 @@ from rsb_bridge.model.names import is_prefix, well_formed
 from rsb_bridge.model.on_end import text_of
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO
-from rsb_bridge.model.session import ArmedName, Identity, Problem, Session, Topic, is_mac
+from rsb_bridge.model.session import ArmedName, Identity, Problem, Session, Topic
 from rsb_bridge.model.text import is_clean
+from rsb_bridge.model.transports import TcpTraits, is_mac
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -475,7 +476,7 @@ def _address(session: Session) -> Iterator[Problem]:
     elif is_mac(address.replace("-", ":")) and "-" in address:
         hint = Hint.DID_YOU_MEAN(name=address.replace("-", ":"))
         yield Problem("server_ip", SessionMistake.ADDRESS_WITH_DASHES(address=repr(address), hint=hint))
-    elif not (is_mac(address) or _is_ip(address) or _is_host(address)):
+    elif transports.of_link(address) is TcpTraits and not (_is_ip(address) or _is_host(address)):
         yield Problem("server_ip", SessionMistake.ADDRESS_INVALID(address=show(address)))
     yield from zenoh_problems(session)
     if session.bluetooth_address is None:

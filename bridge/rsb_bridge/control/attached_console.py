@@ -15,7 +15,7 @@ from rsb_bridge.control.states import EncodedRoutes, Sender
 from rsb_bridge.control.tickets import TicketClock
 from rsb_bridge.model.by_hand import TICKET_LIFE
 from rsb_bridge.model.command_origin import acting, on_console, undoing
-from rsb_bridge.model.commands import ArmTopic, AskHolder, Right, Stop, TakeArming
+from rsb_bridge.model.commands import ArmTopic, AskHolder, ReleaseArmed, Right, Stop, TakeArming
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.tasks import Tasks
 
@@ -167,7 +167,7 @@ class AttachedConsole:
         """Disarm what the console has armed: it may be gone, and whether it is takes seconds to find out."""
         if self._has_armed:
             with acting(self._operator), on_console(self):
-                self._engine.release_armed()
+                self._engine.do(ReleaseArmed())
 
     def send(self, message: ToConsole) -> None:
         """Hand a message to the connection, or keep it until that takes it."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.extension import Extension
+from rsb_bridge.link.internal_routes import InternalRoutes
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.model.benchmark import (
     LEAST_SIZE,
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from rsb_bridge.link.proposed_topics import ProposedTopics
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.benchmark import BenchmarkLimits, BenchmarkStep
-    from rsb_bridge.ros.internal_ends import InternalEnds
     from rsb_bridge.ros.ros_interface import Sink
     from rsb_bridge.route.route import Route
 
@@ -44,7 +44,6 @@ HOUR = 3600.0
 _LITTLE_LEFT = ", of which too little is left"
 _DEPTH = 2000
 _ANSWERED_WITHIN = 5.0
-_OPENED_WITHIN = 10.0
 _IDLE_FOR = 5.0
 """s after which the routes of a benchmark that orders nothing more are removed."""
 _STOPPED_FOR = 60.0
@@ -142,8 +141,7 @@ class LinkBench(Extension):
         self._link = link
         self._table = table
         self._proposed = proposed
-        self._ends: InternalEnds[BenchSource, BenchDrain] = context.internal[BENCH.name]
-        self._ends.serve(link.name, self._source, self._drain)
+        self._internal = InternalRoutes(link, BENCH, self._source, self._drain)
         self._clocks = Time(context.clock.time_ns)
         self._now = context.now
         self._budget = BenchBudget(self._now)
@@ -191,7 +189,7 @@ class LinkBench(Extension):
         route = self._link.ids.open_route(ask.route)
         if route is None or route.purpose is not BENCH:
             return BenchAnswer(ask.request, "this route does not measure the link")
-        source, drain = self._ends_of(route)
+        source, drain = self._internal.source(route), self._internal.drain(route)
         if ask.reset and drain is not None:
             drain.reset()
         problem = self._send_for_peer(ask, route, source) if ask.count else ""
@@ -216,7 +214,7 @@ class LinkBench(Extension):
         """Begin to send for the peer; return why this is not possible, or an empty string."""
         if source is None or route.proposed_here:  # its proposer orders the runs
             return "the side that asks sends on this route itself"
-        if any(self._sends_for_peer(each) for each in self._routes(proposed_here=False)):
+        if any(self._sends_for_peer(each) for each in self._internal.proposed(here=False)):
             return "messages of the previous run are still being sent"
         size, seconds = max(ask.size, LEAST_SIZE), ask.count / max(ask.rate, 1e-3)
         if seconds > MOST_SECONDS:
@@ -249,7 +247,7 @@ class LinkBench(Extension):
     def _end_refused(self, rate: float = 0.0) -> None:
         self._ends_soon = False
         if refused := self._budget.refusal(self._link.rights.bench, rate=rate):
-            for route in self._routes(proposed_here=False):
+            for route in self._internal.proposed(here=False):
                 self._table.deny(route, refused)
 
     def tick(self) -> None:
@@ -262,7 +260,7 @@ class LinkBench(Extension):
         rate = max(0.0, count - _MORE_AT_ONCE) / _MORE
         self._end_refused(rate)
         if not self._busy and self._now() - self._used_at > _IDLE_FOR:
-            for route in self._routes(proposed_here=True):
+            for route in self._internal.proposed(here=True):
                 self._table.remove(route, _ENDED)
 
     def _come(self) -> int:
@@ -279,7 +277,7 @@ class LinkBench(Extension):
         return messages
 
     def _sends_for_peer(self, route: Route) -> bool:
-        source, _ = self._ends_of(route)
+        source = self._internal.source(route)
         return source is not None and source.busy
 
     # --- for this side's operator
@@ -302,7 +300,7 @@ class LinkBench(Extension):
 
     def end(self) -> None:
         """Remove the routes."""
-        for route in self._routes(proposed_here=True):
+        for route in self._internal.proposed(here=True):
             self._table.remove(route, _ENDED)
 
     def disconnected(self) -> None:
@@ -334,7 +332,7 @@ class LinkBench(Extension):
             raise LinkError(f"{REFUSED}: it allows {theirs.max_rate:g} messages a second to a benchmark")
         ours = self.usage()
         if sends:
-            source, _ = self._ends_of(route)
+            source = self._internal.source(route)
             if source is None:
                 raise LinkError(_why_not(route))
             if source.busy:
@@ -345,7 +343,7 @@ class LinkBench(Extension):
             sent, rate, received = source.sent, source.rate, answer.received
             latencies = (answer.p50, answer.p99, answer.p999)
         else:
-            _, drain = self._ends_of(route)
+            drain = self._internal.drain(route)
             if drain is None:
                 raise LinkError(_why_not(route))
             drain.reset()
@@ -380,9 +378,9 @@ class LinkBench(Extension):
         link_transport = self._context.transports.of_link(self._context.session.server_ip)
         transport = order.transport or link_transport.name
         name = BENCH.route_name(transport, order.direction)
-        route = next((each for each in self._routes(proposed_here=True) if each.spec.topic == name), None)
+        route = next((each for each in self._internal.proposed(here=True) if each.spec.topic == name), None)
         if route is None:
-            if self._routes(proposed_here=False):
+            if self._internal.proposed(here=False):
                 raise LinkError("the other side is measuring the link: try again later")
             protocol: Any = order.transport or None
             entry = Topic(
@@ -395,18 +393,9 @@ class LinkBench(Extension):
                 late_after=0.0,
             )
             route = self._proposed.add_internal(BENCH, entry)
-        deadline = self._now() + _OPENED_WITHIN
-        while not self._open(route):
-            if route.refusal:
-                raise LinkError(route.refusal)
-            if route.key not in self._link.routes or self._now() > deadline:
-                raise LinkError(_why_not(route))
-            await asyncio.sleep(_LOOK_EVERY)
+        if not await self._internal.opened(route):
+            raise LinkError(_why_not(route))
         return route
-
-    def _open(self, route: Route) -> bool:
-        source, drain = self._ends_of(route)
-        return route.flowing and (source is not None if route.outgoing else drain is not None)
 
     async def _ask(self, route: Route, opening: int, **wanted: Any) -> BenchAnswer:
         """Ask the peer about a route, in the opening in which the run began.
@@ -450,16 +439,6 @@ class LinkBench(Extension):
     def _deadline(self, order: BenchmarkStep) -> float:
         """Return when to give up waiting for a run and its last messages."""
         return self._now() + 2 * order.count / order.rate + _QUIET
-
-    # --- both
-
-    def _routes(self, *, proposed_here: bool) -> list[Route]:
-        routes = self._link.routes.values()
-        return [each for each in routes if each.proposed_here == proposed_here and each.purpose is BENCH]
-
-    def _ends_of(self, route: Route) -> tuple[BenchSource | None, BenchDrain | None]:
-        end = route.local_topic, self._link.name
-        return self._ends.sources.get(end), self._ends.drains.get(end)
 
 
 REOPENED = "the route was reopened during the run, so that the count is incomplete"

@@ -15,6 +15,7 @@ import msgspec
 from rsb_bridge.config.rights import Use
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.extension import Extension
+from rsb_bridge.link.internal_routes import InternalRoutes
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.link.topic_view import TopicView, check_names
 from rsb_bridge.model.codes import EventCode
@@ -40,17 +41,12 @@ if TYPE_CHECKING:
     from rsb_bridge.link.proposed_topics import ProposedTopics
     from rsb_bridge.link.route_table import RouteTable
     from rsb_bridge.model.pictures import Wish
-    from rsb_bridge.ros.internal_ends import InternalEnds
     from rsb_bridge.route.route import Route
 
 VIEWS_OF_PEER = 4
 """Views that one peer has at the same time."""
-OPENED_WITHIN = 10.0
 _ANSWERED_WITHIN = 15.0
 """s: the other side may have to ask several nodes for a type."""
-_LOOK_EVERY = 0.05
-_SUBSCRIBED_WITHIN = 5.0
-"""s until this side has a source for the pictures of a route that the peer has found open: the peer may ask before."""
 _ENDED = "the view is closed"
 
 
@@ -94,8 +90,7 @@ class LinkViews(Extension):
         self._link = link
         self._table = table
         self._proposed = proposed
-        self._ends: InternalEnds[PictureSource, PictureSink] = link.context.internal[VIEW.name]
-        self._ends.serve(link.name, PictureSource, PictureSink)
+        self._internal = InternalRoutes(link, VIEW, PictureSource, PictureSink)
         self.messages = {Look: self._asked, LookAnswer: self._answered}
         self._questions: Questions[LookAnswer] = Questions(link.send, link.spawn, _ANSWERED_WITHIN)
         self._request = 0
@@ -106,7 +101,7 @@ class LinkViews(Extension):
     # --- for the peer
 
     def refusal(self, name: str) -> str:
-        own = [route for route in self._routes() if not route.proposed_here and route.local_topic != name]
+        own = [route for route in self._internal.proposed(here=False) if route.local_topic != name]
         return ViewRefused.TOO_MANY(limit=VIEWS_OF_PEER) if len(own) >= VIEWS_OF_PEER else ""
 
     def _asked(self, look: Look) -> None:
@@ -139,7 +134,9 @@ class LinkViews(Extension):
             drawing[0].change(look.topics, wish)
             return
         context = self._context
-        source = await self._source(route, look.route)
+        await self._internal.opened(route)  # the peer may have found it open before this side does
+        if (source := self._internal.source(route)) is None:
+            raise LinkError(ViewRefused.NO_VIEW())
         view = TopicView(
             context, context.renderer, context.renderer.next_view(), look.topics, wish, partial(_send, context, source)
         )
@@ -149,19 +146,6 @@ class LinkViews(Extension):
             raise LinkError(ViewRefused.NO_VIEW())
         self._drawing[look.route] = view, view.start(self._link.spawn)
         self._log(look.topics[0], begins=True)
-
-    async def _source(self, route: Route, opening: int) -> PictureSource:
-        """Return where a route's pictures go, once there is one.
-
-        Raises:
-            LinkError: the opening is over, or nothing subscribes.
-        """
-        deadline = self._context.now() + _SUBSCRIBED_WITHIN
-        while self._link.ids.open_route(opening) is route and self._context.now() < deadline:
-            if (source := self._ends.sources.get((route.local_topic, self._link.name))) is not None:
-                return source
-            await asyncio.sleep(_LOOK_EVERY)
-        raise LinkError(ViewRefused.NO_VIEW())
 
     def _refusal(self, topics: tuple[str, ...], route: Route) -> str:
         """Return why the peer may not look at topics, or an empty string."""
@@ -208,7 +192,7 @@ class LinkViews(Extension):
         """
         if not self._link.linked:
             raise LinkError(ViewRefused.NOT_LINKED(link=self._link.name, reason=self._link.down_reason))
-        if sum(route.proposed_here for route in self._routes()) >= VIEWS_OF_PEER:
+        if len(self._internal.proposed(here=True)) >= VIEWS_OF_PEER:
             raise LinkError(ViewRefused.TOO_MANY(limit=VIEWS_OF_PEER))
         self._number += 1
         transport = self._context.transports.of_link(self._context.session.server_ip)
@@ -275,24 +259,16 @@ class LinkViews(Extension):
 
     async def _opened(self, view: PeerView) -> None:
         """Wait until pictures can cross."""
-        route, deadline = view.route, self._context.now() + OPENED_WITHIN
-        key = route.local_topic, self._link.name
-        while not (route.flowing and key in self._ends.drains):
-            if route.refusal:
-                raise LinkError(route.refusal)
-            if route.key not in self._link.routes or self._context.now() > deadline:
-                raise LinkError(ViewRefused.NOT_OPENED(reason=route.trouble()))
-            await asyncio.sleep(_LOOK_EVERY)
-        sink = self._ends.drains[key]
+        route = view.route
+        sink = self._internal.drain(route) if await self._internal.opened(route) else None
+        if sink is None:
+            raise LinkError(route.refusal or ViewRefused.NOT_OPENED(reason=route.trouble()))
         if view.sink is not sink:
             view.sink, sink.taken = sink, partial(self._arrived, view)
 
     def _arrived(self, view: PeerView, encoded: bytes) -> None:
         """Take a picture; on the ROS thread, if that does the I/O thread's work."""
         self._context.call(partial(view.take, encoded))
-
-    def _routes(self) -> list[Route]:
-        return [each for each in self._link.routes.values() if each.purpose is VIEW]
 
 
 async def _send(context: Context, source: PictureSource, picture: Picture) -> None:

@@ -6,6 +6,8 @@ from typing import Literal
 
 import msgspec
 
+from rsb_bridge.model.transports import Protocol
+
 
 class BenchmarkLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Limits on the load that a measuring peer may cause in any hour.
@@ -37,7 +39,7 @@ class BenchmarkStep(msgspec.Struct, frozen=True, omit_defaults=True):
 
     what: Literal["run", "measure", "end"] = "run"
     link: str = ""
-    transport: Literal["", "tcp", "udp", "bluetooth", "zenoh", "zenoh-drop"] = ""
+    transport: Protocol | Literal[""] = ""
     direction: Literal["transmit", "receive"] = "transmit"
     size: int = 0
     rate: float = 0.0

@@ -247,7 +247,7 @@ def _is_explained(subject: RouteSnapshot | PatternSnapshot, link: LinkSnapshot |
     """Whether the fault of the link explains what is wrong with one of its routes or patterns."""
     if link is not None and link.state is not State.OK:
         return True
-    return isinstance(subject, RouteSnapshot) and explained_by_link(subject, link)
+    return explained_by_link(subject.cause, link)
 
 
 def _subjects(snapshot: Snapshot) -> Iterator[Faulty]:

@@ -8,7 +8,7 @@ from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot
+    from rsb_bridge.model.snapshot import LinkSnapshot
 
 
 class PathFaultText(Wording):
@@ -54,10 +54,10 @@ class PathFault(NamedTuple):
         return shown if cause in explained else None
 
 
-def explained_by_link(route: RouteSnapshot, link: LinkSnapshot | None) -> bool:
-    """Whether a route's fault is its link's, so that one report is enough."""
-    if route.cause == Cause.LINK_DOWN:
+def explained_by_link(cause: str, link: LinkSnapshot | None) -> bool:
+    """Whether a route's fault of that cause is its link's, so that one report is enough."""
+    if cause == Cause.LINK_DOWN:
         return True
     if link is None or link.cause not in _OF_TOPICS:
         return False
-    return route.cause == _OF_TOPICS[LinkCause(link.cause)][0]
+    return cause == _OF_TOPICS[LinkCause(link.cause)][0]

@@ -6,7 +6,6 @@ writes its file.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -18,6 +17,7 @@ from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.profiles import Compression, ProfileName
 from rsb_bridge.model.qos import Qos, parse_qos
 from rsb_bridge.model.text import one_line
+from rsb_bridge.model.transports import ZENOH_HOST, Protocol, is_mac, of_link
 from rsb_bridge.model.velocity_limits import VelocityLimits
 
 Priority = Literal["low", "normal", "high"]
@@ -50,20 +50,9 @@ Kind = Literal["topic", "service", "action", "parameters"]
 Provider = Literal["client", "server"]
 Identity = tuple[Kind, str, Direction]
 """The key of a topic, unique in a session: kind, name on the client, direction."""
-Protocol = Literal["tcp", "udp", "bluetooth", "zenoh", "zenoh-drop"]
 Role = Literal["client", "server"]
 May = Literal["publish", "read", "look", "call", "serve"]
 OperatorMay = Literal["look", "change", "take"]
-
-ZENOH_HOST = "zenoh"
-"""The `Session.server_ip` of a link over Zenoh."""
-
-_MAC = re.compile(r"[0-9A-Fa-f]{2}(:[0-9A-Fa-f]{2}){5}")
-
-
-def is_mac(address: str) -> bool:
-    """Whether an address is a Bluetooth MAC, six hexadecimal pairs with colons between."""
-    return _MAC.fullmatch(address) is not None
 
 
 @dataclass(frozen=True, slots=True)
@@ -382,6 +371,13 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     def is_zenoh(self) -> bool:
         """Whether the link goes over Zenoh."""
         return self.server_ip == ZENOH_HOST
+
+    @property
+    def crossing(self) -> tuple[Protocol, ...]:
+        """The transports that topics may choose, the link's own first."""
+        link = of_link(self.server_ip)
+        radio = self.bluetooth_address is not None and link.ip_ports
+        return (link.name, *link.companions, *(("bluetooth",) if radio else ()))
 
     @property
     def accepted_clients(self) -> tuple[Client, ...]:

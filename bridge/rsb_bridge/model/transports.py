@@ -1,18 +1,31 @@
-"""Facts about each transport that a session needs. `rsb_bridge.transport` has the sockets.
+"""The name and the facts of each transport. `rsb_bridge.transport` has the sockets.
 
-Validation reads these facts, so that a session is checked without loading a socket or an event loop.
+Session files, the wire, rules, rights, forms, benchmarks and the command line read these facts, so that a session is
+checked without loading a socket or an event loop.
 """
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 from rsb_bridge.model.limits import CHANNEL, NO_PORT, PORT, TOPIC_PORT, Range
-from rsb_bridge.model.session import ZENOH_HOST, is_mac
 
 if TYPE_CHECKING:
     from rsb_bridge.model.profiles import Compression
-    from rsb_bridge.model.session import Protocol, Session
+
+Protocol = Literal["tcp", "udp", "bluetooth", "zenoh", "zenoh-drop"]
+"""The names of the classes below."""
+
+ZENOH_HOST = "zenoh"
+"""The `rsb_bridge.model.session.Session.server_ip` of a link over Zenoh."""
+
+_MAC = re.compile(r"[0-9A-Fa-f]{2}(:[0-9A-Fa-f]{2}){5}")
+
+
+def is_mac(address: str) -> bool:
+    """Whether an address is a Bluetooth MAC, six hexadecimal pairs with colons between."""
+    return _MAC.fullmatch(address) is not None
 
 
 class Ages(NamedTuple):
@@ -40,6 +53,7 @@ class TransportTraits:
 
     Attributes:
         name: in session files (`Topic.protocol`) and on the wire (`Propose.transport`).
+        medium: word for what it crosses.
         port_kind: word for its numbers, for example ``port``; transports of the same kind share them.
         ports: range of valid numbers.
         topic_ports: range of the numbers that a topic may choose.
@@ -58,6 +72,7 @@ class TransportTraits:
     """
 
     name: ClassVar[Protocol]
+    medium: ClassVar[str] = "IP"
     port_kind: ClassVar[str] = "port"
     ports: ClassVar[Range] = PORT
     topic_ports: ClassVar[Range] = TOPIC_PORT
@@ -82,6 +97,7 @@ class RfcommTraits(TransportTraits):
     """Bluetooth RFCOMM. Two adapters have one connection on a channel, so the routes of a channel share it."""
 
     name = "bluetooth"
+    medium = "Bluetooth"
     port_kind = "RFCOMM channel"
     ports = topic_ports = CHANNEL
     ip_ports = False
@@ -96,14 +112,14 @@ class RfcommTraits(TransportTraits):
 
 
 class TcpTraits(TransportTraits):
-    """TCP over IPv4 and IPv6."""
+    """TCP over IPv4 and IPv6, for each address that no other transport takes."""
 
     name = "tcp"
     companions = ("udp",)
 
     @staticmethod
     def carries_links_to(host: str) -> bool:
-        return not is_mac(host) and host != ZENOH_HOST
+        return True
 
 
 class UdpTraits(TransportTraits):
@@ -118,6 +134,7 @@ class ZenohTraits(TransportTraits):
     """Streams over a Zenoh network, each in samples that its routers hold back while it is congested."""
 
     name = "zenoh"
+    medium = "Zenoh"
     port_kind = "Zenoh port"
     ports = topic_ports = NO_PORT
     ip_ports = False
@@ -137,6 +154,7 @@ class ZenohDropTraits(TransportTraits):
     """Single samples over a Zenoh network, which its routers drop while it is congested."""
 
     name = "zenoh-drop"
+    medium = "Zenoh"
     port_kind = "Zenoh port"
     ports = topic_ports = NO_PORT
     ip_ports = False
@@ -147,8 +165,9 @@ class ZenohDropTraits(TransportTraits):
 
 HOW_TO_INSTALL_ZENOH = "the package eclipse-zenoh is not installed: pip install 'rsb-console[zenoh]'"
 
+# TCP comes last: it takes any address
 _BY_NAME: dict[str, type[TransportTraits]] = {
-    traits.name: traits for traits in (RfcommTraits, ZenohTraits, ZenohDropTraits, TcpTraits, UdpTraits)
+    traits.name: traits for traits in (RfcommTraits, ZenohTraits, ZenohDropTraits, UdpTraits, TcpTraits)
 }  # fmt: skip
 
 
@@ -159,10 +178,3 @@ def named(name: str) -> type[TransportTraits]:
 def of_link(host: str) -> type[TransportTraits]:
     """Return the transport of a link whose session has that `server_ip`."""
     return next(traits for traits in _BY_NAME.values() if traits.carries_links_to(host))
-
-
-def crossing(session: Session) -> tuple[Protocol, ...]:
-    """Return the transports that topics of a session's link may choose, the link's own first."""
-    link = of_link(session.server_ip)
-    radio = session.bluetooth_address is not None and not (session.is_bluetooth or session.is_zenoh)
-    return (link.name, *link.companions, *(("bluetooth",) if radio else ()))

@@ -110,7 +110,7 @@ class Acknowledgements:
         now: float,
     ) -> RouteSnapshot:
         record = self._keep(route, before, now)
-        if record is None and link is not None and explained_by_link(route, link):
+        if record is None and link is not None and explained_by_link(route.cause, link):
             record = link.acknowledged
         return route if record is None else self._replaced(_key(route), route, marked, record, [])
 
@@ -188,7 +188,7 @@ def find_faulty(snapshot: Snapshot, key: str, link: str) -> AnyFaulty:
     for route in snapshot.routes:
         if route.key == key:
             link_of = links.get(route.link)
-            return link_of if link_of is not None and explained_by_link(route, link_of) else route
+            return link_of if link_of is not None and explained_by_link(route.cause, link_of) else route
     for pattern in (pattern for each in snapshot.links for pattern in each.patterns):
         if pattern.key == key:
             return pattern

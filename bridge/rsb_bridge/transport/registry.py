@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.budgets import Strangers
+from rsb_bridge.model.transports import of_link
 from rsb_bridge.transport.rfcomm import Rfcomm
 from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.transport import StreamTransport
@@ -32,7 +33,6 @@ class Transports:
     """
 
     def __init__(self, *transports: Transport) -> None:
-        """Register transports; for an address that several carry links to, the first is used."""
         self._by_name: dict[str, Transport] = {transport.name: transport for transport in transports}
         self.network: Network | None = None
         self.strangers = Strangers()
@@ -47,16 +47,14 @@ class Transports:
 
     def of_link(self, host: str) -> StreamTransport:
         """Return the transport of a link whose session has that `server_ip`."""
-        return next(
-            transport
-            for transport in self._by_name.values()
-            if isinstance(transport, StreamTransport) and transport.carries_links_to(host)
-        )
+        transport = self[of_link(host).name]
+        assert isinstance(transport, StreamTransport)
+        return transport
 
 
-def default_transports() -> Transports:
-    """TCP, UDP and Bluetooth RFCOMM over the kernel's sockets."""
-    return Transports(Rfcomm(), Tcp(), Udp())
+def default_transports(*others: Transport) -> Transports:
+    """TCP, UDP and Bluetooth RFCOMM over the kernel's sockets, and others."""
+    return Transports(Rfcomm(), Tcp(), Udp(), *others)
 
 
 def transports_of(session: Session, base: Path, random: Random) -> Transports:
@@ -69,7 +67,7 @@ def transports_of(session: Session, base: Path, random: Random) -> Transports:
         return default_transports()
     network = Network(session.zenoh, base, random.random())
     links = Links(network, session.name)
-    found = Transports(Rfcomm(), Zenoh(links), ZenohDrop(links), Tcp(), Udp())
+    found = default_transports(Zenoh(links), ZenohDrop(links))
     found.network = network
     found.strangers = network.strangers
     return found

@@ -13,8 +13,8 @@ from rsb_bridge.model.patterns import NAMES_FOLLOWED, PATTERNS_PER_LINK
 from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.profiles import Compression
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.session import Protocol
 from rsb_bridge.model.sources import MOST_SOURCES
+from rsb_bridge.model.transports import Protocol
 from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_bridge.wire.fields import (
     Bridges,

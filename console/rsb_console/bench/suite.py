@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.benchmark import ENDED_BY_PEER, MOST_SECONDS, BenchmarkStep, Outcome
 from rsb_bridge.model.purposes import BENCH
+from rsb_bridge.model.transports import of_link
 from rsb_console.bench.results import BenchError, BenchProblem, Load, Point, Run, Side, StoppedError, Way
 from rsb_console.look.formats import byte_count
 
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
     from typing import Any
 
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
+    from rsb_bridge.model.session import Session
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.bench.results import BenchEnds, BenchPlace, BenchReport, Limit
 
 _FIRST_BYTES = 50e6
@@ -377,12 +379,11 @@ def _result(engine: EngineApi, order: BenchmarkStep) -> Outcome:
         raise BenchError(BenchProblem.SILENT(seconds=_ANSWERED_WITHIN)) from None
 
 
-def ways_of(link: LinkSnapshot, transports: tuple[str, ...], directions: tuple[str, ...]) -> list[Way]:
-    """Return the transports and directions to measure over a link: its own transports by default."""
-    own = ("bluetooth",) if "channel" in link.peer else ("tcp", "udp")
-    if link.peer.startswith("zenoh"):
-        own = ("zenoh", "zenoh-drop")
-    return [Way(transport, direction) for direction in directions for transport in transports or own]
+def ways_of(session: Session, transports: tuple[str, ...], directions: tuple[str, ...]) -> list[Way]:
+    """Return the transports and directions to measure over a session's link: its own transports by default."""
+    link = of_link(session.server_ip)
+    over = transports or (link.name, *link.companions)
+    return [Way(transport, direction) for direction in directions for transport in over]
 
 
 def loads_of(snapshot: Snapshot, link: str = "") -> list[Load]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, get_args
 
-from rsb_bridge.model.session import Protocol
+from rsb_bridge.model.transports import Protocol
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:

@@ -123,7 +123,7 @@ def _over_link(arguments: Namespace) -> int:
         link = _linked(engine, arguments.link)
         loads = loads_of(engine.snapshot(), link.name)
         directions = _BOTH if arguments.direction == "both" else (arguments.direction,)
-        place = OverLink(engine, link.name, ways_of(link, arguments.transports, directions))
+        place = OverLink(engine, link.name, ways_of(engine.session, arguments.transports, directions))
         report = BenchReport(
             f"The link of {engine.bridge.name} with {link.peer or link.name}", f"{machine()} on this side"
         )

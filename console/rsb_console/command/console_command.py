@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from rsb_bridge.config.session_file import load
 from rsb_bridge.control.control_sockets import identify
 from rsb_bridge.model.command_origin import acting
+from rsb_bridge.model.commands import ReleaseArmed
 from rsb_console.app import ConsoleApp
 from rsb_console.command.shell import FAILURE, HUNG_UP, OK, print_error
 from rsb_console.terminal.driver import prefers_ascii, terminal_to_itself
@@ -115,7 +116,7 @@ def _finish(app: ConsoleApp, on_hangup: str) -> int:
     if app.engine is not None and not app.attached_to and (crashed or (hung_up and on_hangup == "continue")):
         from rsb_console.command.headless import bridge_on  # noqa: PLC0415 -- seldom needed
 
-        app.engine.release_armed()
+        app.engine.do(ReleaseArmed())
         code = bridge_on(app.engine, crashed=crashed)
     app.stop()
     return code

@@ -18,6 +18,7 @@ from rich.style import Style
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import replace_file
+from rsb_bridge.model.commands import EndLook
 from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_ROWS, Pixels, Wish
 from rsb_bridge.model.text import escape_text, single_cells
 from rsb_bridge.model.wording import Wording
@@ -89,7 +90,7 @@ def _look(arguments: Namespace) -> int:
 def _end(engine: RemoteEngine, viewer: str) -> None:
     """End the view, so that the next command finds room for its own."""
     with contextlib.suppress(EngineError, TimeoutError):
-        engine.end_look(viewer).result(_ENDED_WITHIN)
+        engine.do(EndLook(viewer)).result(_ENDED_WITHIN)
 
 
 def _one(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:

@@ -6,10 +6,10 @@ import math
 import time
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 from rsb_bridge.model.qos import AUTO
-from rsb_bridge.model.snapshot import Ledger, RouteSnapshot
+from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_bridge.model.text import plural
 from rsb_bridge.model.verdict import LinkCause
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.calls import CallsSnapshot
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.model.session import Kind
-    from rsb_bridge.model.snapshot import LinkSnapshot, PatternSnapshot, Snapshot
+    from rsb_bridge.model.session import Kind, Topic
+    from rsb_bridge.model.snapshot import Acknowledgement, LinkSnapshot, PatternSnapshot, Snapshot, State
 
 KIND_NOUN: dict[Kind, str] = {"topic": "topic", "service": "service", "action": "action", "parameters": "parameters"}
 KIND_SHORT: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "act", "parameters": "par"}
@@ -197,14 +197,44 @@ def unanswered(calls: CallsSnapshot) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class PatternRow(RouteSnapshot):
-    """A pattern in a list of routes.
+class PatternRow:
+    """A pattern in a list of topics. It carries nothing, so that it has no figures, endpoints or arming.
 
     Attributes:
-        routes: routes that it has made.
+        topic: its names on this side.
+        remote_topic: its names on the other side.
+        outgoing: as of a route.
+        routes: number of routes that it has made.
     """
 
-    routes: int = 0
+    key: str
+    link: str
+    topic: str
+    remote_topic: str
+    outgoing: bool
+    spec: Topic
+    state: State
+    reason: str
+    acknowledged: Acknowledgement | None
+    routes: int
+    arming: ClassVar[None] = None
+    cause: ClassVar[str] = ""
+    pattern: ClassVar[str] = ""
+
+    @property
+    def type_name(self) -> str:
+        """The only type that it bridges, or an empty string for any."""
+        return "" if self.spec.type == AUTO else self.spec.type
+
+
+Row: TypeAlias = RouteSnapshot | PatternRow
+"""A row of a list of topics."""
+
+
+def rows_of(snapshot: Snapshot) -> Iterator[Row]:
+    """Yield the rows of the routes, and of the patterns that make some of them."""
+    yield from snapshot.routes
+    yield from pattern_rows(snapshot)
 
 
 def pattern_rows(snapshot: Snapshot) -> Iterator[PatternRow]:
@@ -227,26 +257,6 @@ def _row(pattern: PatternSnapshot, *, is_client: bool) -> PatternRow:
         spec=spec,
         state=pattern.state,
         reason=pattern.reason,
-        type_name="" if spec.type == "auto" else spec.type,
-        type_hash="",
-        qos=None,
-        publisher_qos=None,
-        subscriber_qos=None,
-        transport=spec.protocol or "",
-        port=0,
-        stages=(),
-        ledger=Ledger(),
-        rate=0.0,
-        expected_rate=None,
-        bytes_per_second=0.0,
-        bytes_total=0,
-        latency_p50=None,
-        latency_p99=None,
-        latency_uncertainty=None,
-        jitter=None,
-        age=None,
-        history=(),
-        last_error="",
         acknowledged=pattern.acknowledged,
         routes=pattern.routes,
     )

@@ -12,6 +12,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.look.formats import PatternRow
+from rsb_console.screens.main import MainText
 from rsb_console.session.changes import (
     Added,
     CannotUndoError,
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.by_hand import Held
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.console_api import Console
+    from rsb_console.look.formats import Row
     from rsb_console.screens.topic_form import TopicDraft
 
 _LINES_SHOWN = 12
@@ -58,13 +60,13 @@ class OperationText(Wording):
 _RETRIED_ON_SERVER = "topics that were refused are opened again; clients whose links were shut down may come back"
 
 
-def _removal(route: RouteSnapshot) -> str:
+def _removal(route: Row) -> str:
     if isinstance(route, PatternRow):
         return f"All that it has brought ({route.routes}) stop crossing at once"
     return "It stops crossing at once"
 
 
-def _dropping(route: RouteSnapshot) -> tuple[str, str]:
+def _dropping(route: Row) -> tuple[str, str]:
     """Return the title and the message of the question whether to end a demand to be armed."""
     lines = () if route.arming is None else route.arming.demanded_by
     crosses = "From then on it crosses without being armed, on both sides."
@@ -91,13 +93,17 @@ class BridgeOperations:
         screen: gives the screen that shows it.
     """
 
-    def __init__(
-        self, console: Console, selected: Callable[[], RouteSnapshot | None], screen: Callable[[], Screen[Any]]
-    ) -> None:
+    def __init__(self, console: Console, selected: Callable[[], Row | None], screen: Callable[[], Screen[Any]]) -> None:
         self._console = console
         self._selected = selected
         self._screen = screen
         self._undoing = False
+
+    @property
+    def _route(self) -> RouteSnapshot | None:
+        """The route under the cursor, or None if that is a pattern."""
+        row = self._selected()
+        return None if isinstance(row, PatternRow) else row
 
     async def pause(self) -> None:
         """Pause the topic under the cursor, or resume it, after a question if the key may have come late."""
@@ -117,7 +123,7 @@ class BridgeOperations:
         if await self._console.command(engine.pause(route.key, paused)) and route.spec.paused is not paused:
             self._console.changes.add(change)
 
-    async def _still_wants(self, route: RouteSnapshot) -> bool:
+    async def _still_wants(self, route: Row) -> bool:
         """Whether the operator resumes a topic, asked by a question that late keys do not answer."""
         from rsb_console.screens.dialog import GuardedConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
@@ -136,7 +142,7 @@ class BridgeOperations:
         """Arm the topic under the cursor, after a question; disarm it at once, even if another operator armed it."""
         from rsb_console.screens.dialog import ArmScreen  # noqa: PLC0415 -- keeps the start short
 
-        engine, route = self._console.engine, self._selected()
+        engine, route = self._console.engine, self._route
         if engine is None or route is None or route.arming is None:
             return
         if route.arming.armed:
@@ -167,7 +173,7 @@ class BridgeOperations:
         """Call what is under the cursor by hand."""
         from rsb_console.screens.call_screen import CallScreen  # noqa: PLC0415 -- keeps the start short
 
-        engine, route = self._console.engine, self._selected()
+        engine, route = self._console.engine, self._route
         if engine is not None and route is not None and route.lanes:
             await self._console.ask(CallScreen(self._console, route))
 
@@ -176,18 +182,19 @@ class BridgeOperations:
         from rsb_console.screens.publish_screen import Message, PublishScreen  # noqa: PLC0415 -- keeps the start short
 
         if self._console.engine is not None:
-            route = self._selected()
-            is_topic = route is not None and route.calls is None and not isinstance(route, PatternRow)
-            topic = route.topic if route is not None and is_topic else ""
+            route = self._route
+            topic = route.topic if route is not None and route.calls is None else ""
             await self._console.ask(PublishScreen(self._console, Message(topic, "", "")))
 
     async def drive(self) -> None:
         """Drive by keys on the topic under the cursor."""
         from rsb_console.screens.drive_screen import drive  # noqa: PLC0415 -- keeps the start short
 
-        route = self._selected()
-        if self._console.engine is not None and route is not None:
-            await drive(self._console, route)
+        row = self._selected()
+        if isinstance(row, PatternRow):
+            self._console.notify(MainText.IS_PATTERN(topic=row.topic), markup=False, timeout=4)
+        elif self._console.engine is not None and row is not None:
+            await drive(self._console, row)
 
     async def retry(self) -> None:
         engine = self._console.engine

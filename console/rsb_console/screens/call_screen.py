@@ -16,6 +16,7 @@ from textual.widgets import Button, Static
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.calls import FieldError
+from rsb_bridge.model.commands import Template
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.wording import Wording
@@ -171,7 +172,7 @@ class CallScreen(FormScreen[PlannedCall]):
         if lane not in self._templates:
             try:
                 assert self.console.engine is not None
-                made = await asyncio.wrap_future(self.console.engine.template(self._route.key, lane))
+                made = await asyncio.wrap_future(self.console.engine.do(Template(self._route.key, lane)))
             except EngineError as error:
                 field.note.set_text(f"Its fields are not known: {error}")
                 made = ""

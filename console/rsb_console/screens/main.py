@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+from textual import events, on
 from textual.binding import Binding
 from textual.containers import Horizontal
 from textual.screen import ModalScreen, Screen
@@ -30,11 +31,11 @@ from rsb_console.widgets.topics import FAULTS, TopicsTable
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping, Sequence
 
-    from textual import events
     from textual.app import ComposeResult
 
     from rsb_bridge.model.snapshot import Event, RouteSnapshot, Snapshot
     from rsb_console.console_api import Console
+    from rsb_console.look.formats import Row
     from rsb_console.widgets.lines import Line
     from rsb_console.widgets.selectable_list import SelectableList
 
@@ -55,8 +56,56 @@ class MainText(Wording):
 
     READ_ONLY = "read-only: nothing can be changed here"
     STARTS_AGAIN = "{restart} starts it again"
+    IS_PATTERN = "{topic} is a pattern: choose a topic that it matches"
     NO_MESSAGES = "{topic} has calls, no messages"
     NO_MESSAGES_BUT_CALLS = "{topic} has calls, no messages: {key} calls it by hand"
+
+
+class Explanations:
+    """Says why the bridge does not run or the table is empty, and which key to press."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    def key(self, action: str) -> str:
+        return self._console.key_labels(BY_ID[action])[0]
+
+    def bar(self, snapshot: Snapshot, frozen_since: float | None) -> BarState:
+        """Return what the status bar shows beside the snapshot."""
+        console, engine = self._console, self._console.engine
+        session = "" if console.path is None else console.path.stem
+        way_on = "" if snapshot.running or engine is None else self._way_on()
+        lost = "" if engine is None or not engine.unreachable else f"✗ NOT ATTACHED: {engine.unreachable}"
+        attached, note = bool(console.attached_to), console.note or lost
+        return BarState(session, console.refresh_rate, frozen_since, console.readonly, note, way_on, attached=attached)
+
+    def faults(self, snapshot: Snapshot, events: Sequence[Event]) -> list[Fault]:
+        """Return the reason why the engine does not run, if it has logged one."""
+        if snapshot.running or self._console.engine is None:
+            return []
+        errors = (event for event in reversed(events) if event.level is Level.ERROR)
+        cause = next((event.text for event in errors if event.code.startswith("engine.")), "")
+        return [Fault("✗", State.DOWN.value, "", snapshot.name, cause, of_link=True)] if cause else []
+
+    def _way_on(self) -> str:
+        """Return the key that starts the engine again; the banner has the reason why it does not run."""
+        stays = self._console.readonly or self._console.attached_to
+        return "" if stays else MainText.STARTS_AGAIN(restart=self.key("restart"))
+
+    def why_empty(self, snapshot: Snapshot) -> str:
+        """Return the reason why there are no topics, and the key to press."""
+        console = self._console
+        if console.engine is None and console.readonly:
+            return EmptyTable.NO_SESSION_READ_ONLY()
+        if console.engine is None:
+            opens, new, welcome = (self.key(action) for action in ("sessions", "new_session", "welcome"))
+            return EmptyTable.NO_SESSION(opens=opens, new=new, welcome=welcome)
+        if not snapshot.running:
+            return "" if console.note else EmptyTable.NOT_RUNNING(way_on=self._way_on()).rstrip()
+        if console.readonly:
+            return "No topics yet."
+        theirs = "They come with the clients; " if snapshot.role == "server" else ""
+        return f"No topics yet. {theirs}{self.key('add_topic')} adds one."
 
 
 class Panes(Horizontal):
@@ -84,6 +133,7 @@ class MainScreen(Screen[None]):
     def __init__(self, console: Console, operations: Mapping[Group, object]) -> None:
         super().__init__()
         self.console = console
+        self._explanations = Explanations(console)
         for action in ACTIONS:
             if action.group in operations:
                 method = getattr(operations[action.group], action.id)
@@ -114,7 +164,7 @@ class MainScreen(Screen[None]):
     def on_mount(self) -> None:
         for pane in (self.topics, self.detail, self.log_pane):
             pane.add_class("pane")
-        self._show_title()
+        self.topics.relist()
         self.log_pane.relist()
 
     # -- what is shown ------------------------------------------------------------------------------------------------
@@ -122,19 +172,20 @@ class MainScreen(Screen[None]):
     def show(self, snapshot: Snapshot, new_events: Sequence[Event]) -> None:
         """Show the engine's state; while frozen, update only the lines at the top."""
         self._held += new_events  # one of them may say why the engine has ended
-        self.status.show(snapshot, self._view(snapshot))
+        explanations, key = self._explanations, self._explanations.key
+        self.status.show(snapshot, explanations.bar(snapshot, self._frozen_since))
         self._topic_counts = state_counts(snapshot.routes, FAULTS)
         self._link_counts = (*state_counts(snapshot.links, FAULTS), *warning_count(snapshot.links))
         height, only = self.app.size.height, self.topics.faults_only
-        keys = MoreKeys(self._key("links"), f"{self._key('detail')} on one" if only else self._key("faults"))
-        faults = [*self._engine_faults(snapshot), *faults_of(snapshot)]
+        keys = MoreKeys(key("links"), f"{key('detail')} on one" if only else key("faults"))
+        faults = [*explanations.faults(snapshot, [*self.log_pane.events, *self._held]), *faults_of(snapshot)]
         self.faults.show(faults, max(3, height // (2 if only else 4)), keys, snapshot.time)
         if self._frozen_since is None:
             self.log_pane.add(self._held)
             self._held = []
             self.topics.show(snapshot)
-            self.topics.explain(self._why_empty(snapshot))
-            self._show_title()
+            no_match = EmptyTable.NO_MATCH(back=key("back"))
+            self.topics.explain(no_match if self.topics.rows else explanations.why_empty(snapshot))
             self.show_detail()
         self.show_keys()
 
@@ -148,60 +199,19 @@ class MainScreen(Screen[None]):
         self._frozen_since = None
         self.log_pane.clear()
 
-    def _view(self, snapshot: Snapshot) -> BarState:
-        session = "" if self.console.path is None else self.console.path.stem
-        console, engine = self.console, self.console.engine
-        way_on = "" if snapshot.running or engine is None else self._way_on()
-        lost = "" if engine is None or not engine.unreachable else f"✗ NOT ATTACHED: {engine.unreachable}"
-        attached = bool(console.attached_to)
-        note = console.note or lost
-        return BarState(
-            session, console.refresh_rate, self._frozen_since, console.readonly, note, way_on, attached=attached
-        )
-
-    def _engine_faults(self, snapshot: Snapshot) -> list[Fault]:
-        """Return the reason why the engine does not run, if it has logged one."""
-        cause = "" if snapshot.running or self.console.engine is None else self._engine_error()
-        return [Fault("✗", State.DOWN.value, "", snapshot.name, cause, of_link=True)] if cause else []
-
-    def _engine_error(self) -> str:
-        errors = (event for event in reversed([*self.log_pane.events, *self._held]) if event.level is Level.ERROR)
-        return next((event.text for event in errors if event.code.startswith("engine.")), "")
-
-    def _way_on(self) -> str:
-        """Return the key that starts the engine again; the banner has the reason why it does not run."""
-        stays = self.console.readonly or self.console.attached_to
-        return "" if stays else MainText.STARTS_AGAIN(restart=self._key("restart"))
-
-    def _key(self, action: str) -> str:
-        return self.console.key_labels(BY_ID[action])[0]
-
-    def _why_empty(self, snapshot: Snapshot) -> str:
-        """Return the reason why the table is empty, and the key to press."""
-        if self.topics.routes:
-            return EmptyTable.NO_MATCH(back=self._key("back"))
-        if self.console.engine is None and self.console.readonly:
-            return EmptyTable.NO_SESSION_READ_ONLY()
-        if self.console.engine is None:
-            opens, new, welcome = (self._key(action) for action in ("sessions", "new_session", "welcome"))
-            return EmptyTable.NO_SESSION(opens=opens, new=new, welcome=welcome)
-        if not snapshot.running:
-            return "" if self.console.note else EmptyTable.NOT_RUNNING(way_on=self._way_on()).rstrip()
-        if self.console.readonly:
-            return "No topics yet."
-        theirs = "They come with the clients; " if snapshot.role == "server" else ""
-        return f"No topics yet. {theirs}{self._key('add_topic')} adds one."
-
     def show_detail(self) -> None:
         """Show the topic under the cursor."""
         if self.detail.display:
             route = self.topics.selected
             self.detail.show(route, "" if route is None else self.console.peer_of(route))
 
+    @on(events.ScreenSuspend)
+    @on(events.ScreenResume)
+    @on(events.DescendantFocus)
     def show_keys(self) -> None:
         """Show the keys that are possible now, if they have changed."""
         counts = {"faults": self._topic_counts, "links": self._link_counts}
-        route = self.selected
+        route = self.topics.route
         can = () if route is None else (route.arming is not None, is_armed(route), route.lanes)
         reads_log, here = self.log_pane.has_focus, self.app.screen is self
         undoes = len(self.console.changes)
@@ -235,9 +245,10 @@ class MainScreen(Screen[None]):
             return super().check_action(action, parameters)
         if known.group is Group.OPERATE and self.console.engine is None:
             return None
-        if action == "arm" and (self.selected is None or self.selected.arming is None):
+        route = self.topics.route
+        if action == "arm" and (route is None or route.arming is None):
             return False
-        if action == "call" and (self.selected is None or not self.selected.lanes):
+        if action == "call" and (route is None or not route.lanes):
             return False
         if known.needs_topic and self.topics.selected is None and not (action == "detail" and self.log_pane.has_focus):
             return None
@@ -248,17 +259,8 @@ class MainScreen(Screen[None]):
         if self.console.readonly and any(a.changes and event.key in self.console.preferences.keys(a) for a in ACTIONS):
             self.notify(MainText.READ_ONLY(), timeout=2)
 
-    def on_screen_suspend(self) -> None:
-        self.show_keys()
-
-    def on_screen_resume(self) -> None:
-        self.show_keys()
-
-    def on_descendant_focus(self) -> None:
-        self.show_keys()
-
     @property
-    def selected(self) -> RouteSnapshot | None:
+    def selected(self) -> Row | None:
         return self.topics.selected
 
     def on_selectable_list_cursor_moved(self, event: SelectableList.CursorMoved) -> None:
@@ -288,20 +290,9 @@ class MainScreen(Screen[None]):
     def on_prompt_changed(self, event: Prompt.Changed) -> None:
         self._filtered.pattern = event.pattern
         self._filtered.relist()
-        self._show_title()
 
     def on_prompt_closed(self) -> None:
         self.set_focus(self._filtered)
-
-    def _show_title(self) -> None:
-        parts = [f"{self.topics.subject}{' by robot' if self.topics.grouped else ''}"]
-        if self.topics.faults_only:
-            parts.append("faults only")
-        if self.topics.pattern is not None:
-            parts.append(f"/{self.topics.pattern.text}")
-        if len(parts) > 1:
-            parts.append(f"{len(self.topics.keys)} of {len(self.topics.routes)}")
-        self.topics.entitle(f" {' ▸ '.join(parts)} ")
 
     def action_next_match(self) -> None:
         self._list.next_match(1)
@@ -312,7 +303,6 @@ class MainScreen(Screen[None]):
     def action_faults(self) -> None:
         self.topics.faults_only = not self.topics.faults_only
         self.topics.relist()
-        self._show_title()
         self.console.pull()
 
     def action_sort_left(self) -> None:
@@ -329,7 +319,6 @@ class MainScreen(Screen[None]):
     def action_group(self) -> None:
         self.topics.grouped = not self.topics.grouped
         self.topics.relist()
-        self._show_title()
 
     def action_freeze(self) -> None:
         """Freeze the screen, or continue."""
@@ -372,12 +361,12 @@ class MainScreen(Screen[None]):
         if route is None or self.console.engine is None:
             return
         if isinstance(route, PatternRow):
-            self.notify(f"{route.topic} is a pattern: choose a topic that it matches", markup=False, timeout=4)
+            self.notify(MainText.IS_PATTERN(topic=route.topic), markup=False, timeout=4)
         elif route.calls is None:
             self._show_messages(route, as_picture=has_picture(route.type_name))
         else:
             text = MainText.NO_MESSAGES if self.console.readonly else MainText.NO_MESSAGES_BUT_CALLS
-            self.notify(text(topic=route.topic, key=self._key("call")), markup=False, timeout=4)
+            self.notify(text(topic=route.topic, key=self._explanations.key("call")), markup=False, timeout=4)
 
     def _show_messages(self, route: RouteSnapshot, *, as_picture: bool) -> None:
         """Show a topic's messages as pictures or as text, until the screen is closed."""
@@ -433,7 +422,6 @@ class MainScreen(Screen[None]):
         elif self.topics.pattern is not None or self.topics.faults_only:
             self.topics.pattern, self.topics.faults_only = None, False
             self.topics.relist()
-            self._show_title()
 
     # -- text out -----------------------------------------------------------------------------------------------------
 

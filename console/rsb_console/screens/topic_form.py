@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Kind, Session, Topic
     from rsb_bridge.model.snapshot import RouteSnapshot, TopicInfo
+    from rsb_console.look.formats import Row
 
 KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
 _WHICH = ("topic", "kind", "direction", "provider")
@@ -57,7 +58,7 @@ _ENDS: dict[Kind, tuple[str, str]] = {
 """The endpoints of each kind on the providing side, and on the other."""
 
 
-def fields_by_kind(session: Session, ends: Ends, route: RouteSnapshot | None) -> dict[Kind, dict[str, Spec]]:
+def fields_by_kind(session: Session, ends: Ends, route: Row | None) -> dict[Kind, dict[str, Spec]]:
     """Return the fields of each kind that the form may have, by their keys.
 
     Args:
@@ -78,7 +79,7 @@ def _with_value(spec: Spec, value: str) -> Spec:
     return replace(spec, value=value, edited=value.startswith("{"))  # QoS policies are changed one by one
 
 
-def _specs(session: Session, ends: Ends, kind: Kind, route: RouteSnapshot | None) -> Iterator[Spec]:
+def _specs(session: Session, ends: Ends, kind: Kind, route: Row | None) -> Iterator[Spec]:
     yield from _which(ends, kind, new=route is None)
     yield from _how(session, ends, kind, None if route is None else route.spec.protocol)
     for key in TOPIC_KEYS.values():
@@ -132,22 +133,22 @@ def _how(session: Session, ends: Ends, kind: Kind, begun: str | None) -> Iterato
         f"Its name there. Empty: the same{f', with /{ends.client} before it' if ends.use_name else ''}.",
         blank=f"/{ends.client} and its name" if ends.use_name else "same name",
     )
-    bluetooth = session.is_bluetooth
+    link = transports.of_link(session.server_ip)
     has_radio = session.bluetooth_address is not None or begun == "bluetooth"
-    if not bluetooth:
+    if len(session.crossing) > 1:
         yield _protocol(kind, session, has_radio=has_radio)
-    if transports.of_link(session.server_ip).topic_ports is not NO_PORT:
-        port = "Channel" if bluetooth else "Port"
-        channel = f" Bluetooth: a channel, {CHANNEL}, which several may share." if has_radio and not bluetooth else ""
+    if link.topic_ports is not NO_PORT:
+        port = link.port_kind.split()[-1].capitalize()
+        channel = f" Bluetooth: a channel, {CHANNEL}, which several may share." if has_radio and link.ip_ports else ""
         yield Spec("port", port, f"A {port.lower()} of its own. Empty: it shares the link's.{channel}", blank="shared")
     packed = "maps and clouds" if kind == "topic" else "large requests and answers"
-    packing = (("", f"the link's ({'zstd' if bluetooth else 'none'})"), ("none", "none"), ("zstd", "zstd"))
+    packing = (("", f"the link's ({link.compression})"), ("none", "none"), ("zstd", "zstd"))
     yield Spec("compression", "Compression", f"zstd is worth it for {packed}, and on slow links.", options=packing)
 
 
 def _protocol(kind: Kind, session: Session, *, has_radio: bool) -> Spec:
     link = transports.of_link(session.server_ip)
-    names = dict.fromkeys((*transports.crossing(session), *(("bluetooth",) if has_radio else ())))
+    names = dict.fromkeys((*session.crossing, *(("bluetooth",) if has_radio else ())))
     carriers = [transports.named(name) for name in names]
     lossy = [each.name for each in carriers if not each.reliable]
     if kind != "topic":
@@ -177,13 +178,13 @@ class TopicScreen(FormScreen[TopicDraft]):
     Args:
         engine: whose graphs and links it is about.
         do: carries out the result; if the engine refuses it, the form stays open and shows the reason.
-        route: the route to edit, or None for something new.
+        route: the route or the pattern to edit, or None for something new.
     """
 
     BINDINGS: ClassVar = [Binding("f8", "unfold", show=False)]
 
     def __init__(
-        self, engine: EngineApi, do: Callable[[TopicDraft], Awaitable[object]], route: RouteSnapshot | None = None
+        self, engine: EngineApi, do: Callable[[TopicDraft], Awaitable[object]], route: Row | None = None
     ) -> None:
         self._engine, self._do, self._route = engine, do, route
         now = engine.snapshot()

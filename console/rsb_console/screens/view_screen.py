@@ -22,6 +22,7 @@ from textual.widget import Widget
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import replace_file
+from rsb_bridge.model.commands import EndLook
 from rsb_bridge.model.names import other_side
 from rsb_bridge.model.pictures import MOST_COLUMNS, MOST_RATE, MOST_ROWS, TOPICS_AT_ONCE, Cells, Series, Wish
 from rsb_bridge.model.text import escape_text
@@ -239,7 +240,7 @@ class ViewScreen(FullScreen[bool]):
     def on_unmount(self) -> None:
         """End the view, so that the next one finds room: there are few."""
         if (engine := self.console.engine) is not None:
-            engine.end_look(self._viewer)
+            engine.do(EndLook(self._viewer))
 
     def on_resize(self) -> None:
         self.call_after_refresh(self._fit)

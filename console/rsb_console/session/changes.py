@@ -16,7 +16,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import undoing
 from rsb_bridge.model.names import client_topic, server_topic
 from rsb_bridge.model.patterns import Pattern
-from rsb_console.look.formats import PatternRow, pattern_rows
+from rsb_console.look.formats import PatternRow, Row, pattern_rows, rows_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterator, Sequence
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.model.snapshot import Event, RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import Event, Snapshot
 
 T = TypeVar("T")
 STEPS = 20
@@ -100,13 +100,13 @@ class Change(ABC):
         by = f" by {about[-1].who}" if len(about) > 1 and about[-1].who else ""  # the first is of this change itself
         return CannotUndoError(f"{self.topic}: {problem}{by}; your change is not undone")
 
-    def _entry(self, key: str, now: Snapshot, events: Sequence[Event]) -> RouteSnapshot:
+    def _entry(self, key: str, now: Snapshot, events: Sequence[Event]) -> Row:
         found = find_entry(now, key)
         if found is None:
             raise self._refuse("removed since", events)
         return found
 
-    def _unchanged(self, key: str, expected: Topic, now: Snapshot, events: Sequence[Event]) -> RouteSnapshot:
+    def _unchanged(self, key: str, expected: Topic, now: Snapshot, events: Sequence[Event]) -> Row:
         """Return the entry, unless somebody has changed it since."""
         found = self._entry(key, now, events)
         if differences := changes(expected, found.spec):
@@ -306,9 +306,9 @@ class Changes:
         self.dropped = False
 
 
-def find_entry(now: Snapshot, key: str) -> RouteSnapshot | None:
+def find_entry(now: Snapshot, key: str) -> Row | None:
     """Return the route or the pattern of a key, or None."""
-    return next((each for each in (*now.routes, *pattern_rows(now)) if each.key == key), None)
+    return next((each for each in rows_of(now) if each.key == key), None)
 
 
 def patterns_of(now: Snapshot, link: str, like: Topic | None = None) -> list[PatternRow]:

@@ -17,12 +17,13 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
 from rsb_bridge.model.text import escape_json, one_line, plural
 from rsb_bridge.model.wording import Wording
+from rsb_console.look.formats import PatternRow, Row
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from rsb_bridge.model.history import HistoryReport, Outage, Track
-    from rsb_bridge.model.snapshot import Event, RouteSnapshot
+    from rsb_bridge.model.snapshot import Event
 
 CSV_COLUMNS = (
     "kind", "start", "end", "seconds", "robot", "topic", "direction", "state", "cause", "who", "old", "new", "is_a",
@@ -349,8 +350,8 @@ def export_log(events: Sequence[Event]) -> Path:
     return path
 
 
-def export_topics(routes: Sequence[RouteSnapshot]) -> Path:
-    """Write `routes` with their figures (Hz, bytes/s, s) and counts as CSV. What one has no figure of is left empty.
+def export_topics(rows: Sequence[Row]) -> Path:
+    """Write `rows` with their figures (Hz, bytes/s, s) and counts as CSV. What one has no figure of is left empty.
 
     Returns:
         The file, in the working folder.
@@ -359,14 +360,14 @@ def export_topics(routes: Sequence[RouteSnapshot]) -> Path:
     with new_file(path, newline="") as file:
         table = csv.writer(file)
         table.writerow(("state", "kind", *_ROUTE, *_COUNTS))
-        for route in routes:
-            figures = [getattr(route, name) for name in _ROUTE]
-            table.writerow([cell(each) for each in (route.state, route.spec.kind, *figures, *_counts(route))])
+        for row in rows:
+            figures = [getattr(row, name, None) for name in _ROUTE]
+            table.writerow([cell(each) for each in (row.state, row.spec.kind, *figures, *_counts(row))])
     return path
 
 
-def _counts(route: RouteSnapshot) -> Iterator[object]:
-    counts = route.ledger if route.calls is None else route.calls
+def _counts(row: Row) -> Iterator[object]:
+    counts = None if isinstance(row, PatternRow) else row.calls or row.ledger
     for name in _COUNTS:
         value = getattr(counts, name, None)
         yield sum(value.values()) if isinstance(value, dict) else value

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural
 from rsb_console.look import formats
-from rsb_console.look.formats import KIND_SHORT, PatternRow
+from rsb_console.look.formats import KIND_SHORT, PatternRow, Row
 from rsb_console.look.glyphs import ACK_WORD, ARMED, ARMED_WORD, IN, KNOWN, OUT, STATE_SIGN, STATE_WORD, sparkline
 
 if TYPE_CHECKING:
@@ -60,42 +60,40 @@ def state_order(state: State, *, acknowledged: bool) -> float:
     return State.WAITING.rank - 0.5 if acknowledged else state.rank
 
 
-def _by_state(route: RouteSnapshot) -> tuple[float, int, str]:
-    return state_order(route.state, acknowledged=route.acknowledged is not None), route.state.rank, route.topic
+def _by_state(row: Row) -> tuple[float, int, str]:
+    return state_order(row.state, acknowledged=row.acknowledged is not None), row.state.rank, row.topic
 
 
-def _state(route: RouteSnapshot) -> str:
-    if route.acknowledged is not None:
-        return f"{ACK_WORD} {STATE_WORD[route.state]}"
-    word = ARMED_WORD if is_armed(route) and route.state is State.OK else STATE_WORD[route.state]
-    text = f"{_sign(route)} {word}"
+def _state(row: Row) -> str:
+    if row.acknowledged is not None:
+        return f"{ACK_WORD} {STATE_WORD[row.state]}"
+    word = ARMED_WORD if is_armed(row) and row.state is State.OK else STATE_WORD[row.state]
+    text = f"{_sign(row)} {word}"
     return text if len(text) <= _STATE_WIDTH else word
 
 
-def _sign(route: RouteSnapshot) -> str:
-    if route.acknowledged is not None:
+def _sign(row: Row) -> str:
+    if row.acknowledged is not None:
         return KNOWN
-    return ARMED if is_armed(route) else STATE_SIGN[route.state]
+    return ARMED if is_armed(row) else STATE_SIGN[row.state]
 
 
-def is_armed(route: RouteSnapshot) -> bool:
+def is_armed(row: Row) -> bool:
     """Whether a topic requires arming and is armed."""
-    return route.arming is not None and route.arming.armed
+    return row.arming is not None and row.arming.armed
 
 
-def via(route: RouteSnapshot) -> str:
+def via(row: Row) -> str:
     """Return the direction of a topic or of requests, and the transport."""
-    way = OUT if route.outgoing else IN
-    if isinstance(route, PatternRow):
+    way = OUT if row.outgoing else IN
+    if isinstance(row, PatternRow):
         return f"{way} match"
-    if route.transport == "bluetooth":
-        return f"{way} BT {route.port}"
-    return f"{way} {_SHORT_NAMES.get(route.transport, route.transport.upper())}"
+    if row.transport == "bluetooth":
+        return f"{way} BT {row.port}"
+    return f"{way} {_SHORT_NAMES.get(row.transport, row.transport.upper())}"
 
 
 def _rate(route: RouteSnapshot) -> str:
-    if isinstance(route, PatternRow):
-        return f"{route.routes} {plural(route.routes, 'name')}"
     rate = formats.hertz(present_rate(route)) if carries(route) else "-"
     if route.calls is not None:
         return f"{rate} +{route.calls.in_flight}" if route.calls.in_flight else rate
@@ -109,8 +107,6 @@ def present_rate(route: RouteSnapshot) -> float:
 
 def carries(route: RouteSnapshot) -> bool:
     """Whether a topic's rate and throughput have a meaning in its present state."""
-    if isinstance(route, PatternRow):
-        return False
     return route.state.flows or route.state in {State.STALE, State.STOPPED}
 
 
@@ -127,26 +123,12 @@ def _milliseconds(seconds: float | None) -> str:
     return "-" if seconds is None else formats.milliseconds(seconds)
 
 
-def _last_failure(route: RouteSnapshot) -> str:
+def last_failure(route: RouteSnapshot) -> str:
+    """Return the last failure of a route's calls, or an empty string."""
     return "" if route.calls is None else route.calls.last_failure
 
 
-COLUMNS: tuple[Column[RouteSnapshot], ...] = (
-    Column("STATE", _STATE_WIDTH, _state, _by_state, right=False, from_width=WIDE),
-    Column("", 2, _sign, _by_state, right=False),
-    Column(
-        "KIND",
-        4,
-        lambda r: KIND_SHORT[r.spec.kind],
-        lambda r: (tuple(KIND_SHORT).index(r.spec.kind), r.topic),
-        right=False,
-        from_width=50,
-        only_calls=True,
-    ),
-    Column("TOPIC", 0, lambda r: r.topic, lambda r: r.topic, right=False),
-    Column("PEER", 10, lambda r: r.link, lambda r: (r.link, r.topic), right=False, from_width=100),
-    Column("VIA", 7, via, lambda r: (r.outgoing, r.transport, r.port), right=False, from_width=40),
-    Column("HZ/EXP", 9, _rate, lambda r: (-present_rate(r), -r.calls.in_flight if r.calls else 0)),
+_FIGURES: tuple[Column[RouteSnapshot], ...] = (
     Column(
         "kB/s",
         6,
@@ -181,7 +163,44 @@ COLUMNS: tuple[Column[RouteSnapshot], ...] = (
         right=False,
         from_width=78,
     ),
-    Column("LAST FAILURE", 36, _last_failure, _last_failure, right=False, from_width=156, only_calls=True),
+    Column("LAST FAILURE", 36, last_failure, last_failure, right=False, from_width=156, only_calls=True),
+)
+
+
+def _of_routes(column: Column[RouteSnapshot], of_pattern: Callable[[PatternRow], str] = lambda _: "") -> Column[Row]:
+    """Make a column of figures, which patterns don't have. They come after all routes if it sorts the table.
+
+    Args:
+        of_pattern: formats a pattern's cell.
+    """
+    text, order = column.text, column.order
+    return replace(
+        cast("Column[Row]", column),
+        text=lambda row: of_pattern(row) if isinstance(row, PatternRow) else text(row),
+        order=lambda row: (1,) if isinstance(row, PatternRow) else (0, order(row)),
+    )
+
+
+COLUMNS: tuple[Column[Row], ...] = (
+    Column("STATE", _STATE_WIDTH, _state, _by_state, right=False, from_width=WIDE),
+    Column("", 2, _sign, _by_state, right=False),
+    Column(
+        "KIND",
+        4,
+        lambda r: KIND_SHORT[r.spec.kind],
+        lambda r: (tuple(KIND_SHORT).index(r.spec.kind), r.topic),
+        right=False,
+        from_width=50,
+        only_calls=True,
+    ),
+    Column("TOPIC", 0, lambda r: r.topic, lambda r: r.topic, right=False),
+    Column("PEER", 10, lambda r: r.link, lambda r: (r.link, r.topic), right=False, from_width=100),
+    Column("VIA", 7, via, lambda r: (r.outgoing, via(r)), right=False, from_width=40),
+    _of_routes(
+        Column("HZ/EXP", 9, _rate, lambda r: (-present_rate(r), -r.calls.in_flight if r.calls else 0)),
+        lambda pattern: f"{pattern.routes} {plural(pattern.routes, 'name')}",
+    ),
+    *map(_of_routes, _FIGURES),
 )
 STATE, SIGN, TOPIC, PEER, HISTORY_COLUMN = (
     next(column for column in COLUMNS if column.title == title) for title in ("STATE", "", "TOPIC", "PEER", " HISTORY")
@@ -191,7 +210,7 @@ STATE, SIGN, TOPIC, PEER, HISTORY_COLUMN = (
 @cache
 def layout(
     width: int, *, peers: bool, grouped: bool = False, calls: bool = False
-) -> tuple[tuple[Column[RouteSnapshot], int], ...]:
+) -> tuple[tuple[Column[Row], int], ...]:
     """Return the columns that fit, each with its width in cells.
 
     Args:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rsb_console.actions import Group, bindings
 from rsb_console.look import formats
-from rsb_console.look.formats import PatternRow
+from rsb_console.look.formats import PatternRow, Row
 from rsb_console.look.glyphs import DONE, FAILED, IN, OUT, UNDER_WAY, UNKNOWN
 from rsb_console.widgets import detail_parts as parts
 from rsb_console.widgets.detail_parts import DetailText
@@ -35,7 +35,7 @@ class DetailPane(LiveLines, can_focus=True):
     def __init__(self) -> None:
         super().__init__(id="detail")
         self._lines: list[Line] = []
-        self._route: RouteSnapshot | None = None
+        self._route: Row | None = None
         self._peer = ""
 
     @property
@@ -46,7 +46,7 @@ class DetailPane(LiveLines, can_focus=True):
     def line(self, index: int) -> Line:
         return self._lines[index]
 
-    def show(self, route: RouteSnapshot | None, peer: str = "") -> None:
+    def show(self, route: Row | None, peer: str = "") -> None:
         """Show a topic. If the topic changed, scroll to its first line.
 
         Args:
@@ -81,7 +81,7 @@ class DetailPane(LiveLines, can_focus=True):
         self.show(self._route, self._peer)
 
 
-def detail_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
+def detail_lines(route: Row, peer: str, width: int) -> Iterator[Line]:
     """Lay out the details of a topic, a service, an action or parameters.
 
     Args:
@@ -94,7 +94,8 @@ def detail_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
 
 
 def _pattern_lines(row: PatternRow, width: int) -> Iterator[Line]:
-    yield from parts.heading(row, "message", width)
+    yield (parts.state(row.state),)
+    yield from parts.why(row, "", width)
     yield ()
     yield parts.labelled("here", row.topic)
     yield parts.labelled("there", row.remote_topic)

@@ -24,7 +24,8 @@ from rsb_console.widgets.lines import Line, width_of
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from rsb_bridge.model.snapshot import Acknowledgement, ArmingSnapshot, RouteSnapshot, Stage
+    from rsb_bridge.model.snapshot import Acknowledgement, ArmingSnapshot, RouteSnapshot, Stage, State
+    from rsb_console.look.formats import Row
 
 PLOT_HEIGHT = 4
 LABEL = 11  # cells of a figure's name
@@ -50,9 +51,8 @@ def heading(route: RouteSnapshot, last: str, width: int) -> Iterator[Line]:
         last: word for the last arrival: ``message``.
         width: width of the pane in cells.
     """
-    look = route.state.value
     yield (
-        (f" {STATE_SIGN[route.state]} {STATE_WORD[route.state]} ", look),
+        state(route.state),
         ("" if route.age is None or route.age < 1 else f" last {last} {formats.age(route.age)} ago", "dim"),
     )
     if (arming := route.arming) is not None and arming.armed:
@@ -65,11 +65,20 @@ def heading(route: RouteSnapshot, last: str, width: int) -> Iterator[Line]:
         yield from wrapped(f"when that ends, {_ends(arming.on_end, route)}", width, "dim")
     if route.limits is not None:
         yield from wrapped(f"at most {route.limits} by hand: {', '.join(route.limited_by)}", width, "dim")
-    if route.acknowledged is not None:
-        yield from wrapped(acknowledged_by(route.acknowledged), width, "dim")
-    failed = next((stage.detail for stage in route.stages if not stage.done), "")
-    if route.reason and route.reason != failed:
-        yield from wrapped(route.reason, width, look)
+    yield from why(route, next((stage.detail for stage in route.stages if not stage.done), ""), width)
+
+
+def state(of: State) -> tuple[str, str]:
+    """Return the piece of a line that shows a state."""
+    return f" {STATE_SIGN[of]} {STATE_WORD[of]} ", of.value
+
+
+def why(row: Row, elsewhere: str, width: int) -> Iterator[Line]:
+    """Yield the acknowledgement and the reason of a fault, unless the details give that elsewhere."""
+    if row.acknowledged is not None:
+        yield from wrapped(acknowledged_by(row.acknowledged), width, "dim")
+    if row.reason and row.reason != elsewhere:
+        yield from wrapped(row.reason, width, row.state.value)
 
 
 def _ends(on_end: str, route: RouteSnapshot) -> str:

@@ -12,14 +12,14 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_console.look import formats
-from rsb_console.look.formats import pattern_rows
+from rsb_console.look.formats import PatternRow, Row, rows_of
 from rsb_console.look.glyphs import STATE_SIGN
 from rsb_console.widgets.lines import Line, LiveLines, fit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
 
 _NAMED = 3
 _OWN_NAME = "\0"
@@ -221,27 +221,28 @@ def _refused_clients(snapshot: Snapshot) -> Iterator[Fault]:
 def _topic_faults(snapshot: Snapshot) -> Iterator[Fault]:
     several = len(snapshot.links) > 1
     links = {link.name: link for link in snapshot.links}
-    for route in sorted((*snapshot.routes, *pattern_rows(snapshot)), key=lambda route: (route.state.rank, route.topic)):
-        if _needs_words(route) and not explained_by_link(route, links.get(route.link)):
-            unheard_here = route.cause == Cause.NO_SUBSCRIBER and not route.outgoing
+    for row in sorted(rows_of(snapshot), key=lambda row: (row.state.rank, row.topic)):
+        if _needs_words(row) and not explained_by_link(row.cause, links.get(row.link)):
+            unheard_here = row.cause == Cause.NO_SUBSCRIBER and not row.outgoing
             # One line for all robots: it is this side whose nodes do not subscribe.
-            robot = route.link if several and not unheard_here else ""
-            sign, measured = STATE_SIGN[route.state], route.state is State.SLOW or route.cause == Cause.LOSSY
-            yield Fault(sign, route.state.value, robot, route.topic, _reason(route), of_link=False, measured=measured)
+            robot = row.link if several and not unheard_here else ""
+            sign, measured = STATE_SIGN[row.state], row.state is State.SLOW or row.cause == Cause.LOSSY
+            yield Fault(sign, row.state.value, robot, row.topic, _reason(row), of_link=False, measured=measured)
 
 
-def _needs_words(route: RouteSnapshot) -> bool:
+def _needs_words(row: Row) -> bool:
     """Whether a topic has a fault of its own, or waits for something that an operator can remedy."""
-    if route.acknowledged is not None:
+    if row.acknowledged is not None:
         return False
-    if route.state in {State.OK, State.PAUSED, State.DISARMED, State.DISARMING}:
+    if row.state in {State.OK, State.PAUSED, State.DISARMED, State.DISARMING}:
         return False
-    return route.state is not State.WAITING or route.cause in _SHOWN_WHILE_WAITING
+    return row.state is not State.WAITING or row.cause in _SHOWN_WHILE_WAITING
 
 
-def _reason(route: RouteSnapshot) -> str:
-    failed = next((stage.detail for stage in route.stages if not stage.done), "")
-    return route.reason or failed or "no cause known"
+def _reason(row: Row) -> str:
+    stages = () if isinstance(row, PatternRow) else row.stages
+    failed = next((stage.detail for stage in stages if not stage.done), "")
+    return row.reason or failed or "no cause known"
 
 
 def link_fault(link: LinkSnapshot, *, server: bool) -> str:

@@ -6,14 +6,15 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
-from rsb_console.look.formats import KIND_SHORT, pattern_rows
+from rsb_console.look.formats import KIND_SHORT, PatternRow, rows_of
 from rsb_console.look.glyphs import ACK_WORD, STATE_WORD
-from rsb_console.widgets.columns import HISTORY_COLUMN, SIGN, STATE, TOPIC, is_armed, layout, via
+from rsb_console.widgets.columns import HISTORY_COLUMN, SIGN, STATE, TOPIC, is_armed, last_failure, layout, via
 from rsb_console.widgets.lines import clip, fit_middle
 from rsb_console.widgets.selectable_list import SelectableList
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+    from rsb_console.look.formats import Row
     from rsb_console.widgets.columns import Column
     from rsb_console.widgets.filter import RowFilter
     from rsb_console.widgets.lines import Line
@@ -22,7 +23,7 @@ FAULTS = tuple(state for state in State if state not in (State.PAUSED, State.DIS
 
 
 class TopicsTable(SelectableList):
-    """Shows the routes of a snapshot, one per line, and the patterns that make some of them.
+    """Shows the routes of a snapshot, and the patterns that make some of them, one per line.
 
     The cursor stays on its route when the order changes.
     """
@@ -32,7 +33,7 @@ class TopicsTable(SelectableList):
 
     def __init__(self) -> None:
         super().__init__(id="topics")
-        self.routes: dict[str, RouteSnapshot] = {}
+        self.rows: dict[str, Row] = {}
         self.sort_column = STATE
         self.reversed = False
         self.faults_only = False
@@ -47,11 +48,6 @@ class TopicsTable(SelectableList):
         """Number of lines: the heading and a line for each route, or a text for an empty table."""
         return self.sticky + (len(self.keys) or len(self._empty))
 
-    @property
-    def subject(self) -> str:
-        """The name of the contents, for a title."""
-        return "Topics and calls" if self._calls else "Topics"
-
     def explain(self, empty: str) -> None:
         """Set the text shown while the table is empty: why it is, and what to do."""
         lines = textwrap.wrap(empty, max(20, self.size.width - 4))
@@ -60,47 +56,54 @@ class TopicsTable(SelectableList):
             self.sync()
 
     def show(self, snapshot: Snapshot) -> None:
-        self.routes = {route.key: route for route in (*snapshot.routes, *pattern_rows(snapshot))}
+        self.rows = {row.key: row for row in rows_of(snapshot)}
         self._peers = len(snapshot.links) > 1
-        self._calls = any(route.spec.kind != "topic" for route in self.routes.values())
+        self._calls = any(row.spec.kind != "topic" for row in self.rows.values())
         self.relist()
 
     def relist(self) -> None:
         filtered = self.faults_only or self.pattern is not None
-        shown = [route for route in self.routes.values() if not filtered or self._wanted(route)]
+        shown = [row for row in self.rows.values() if not filtered or self._wanted(row)]
         shown.sort(key=self.sort_column.order, reverse=self.reversed)
         if self.grouped:
-            shown.sort(key=lambda route: route.link)
-        self.show_keys([route.key for route in shown])
+            shown.sort(key=lambda row: row.link)
+        self.show_keys([row.key for row in shown])
+        self._show_title()
 
-    def _wanted(self, route: RouteSnapshot) -> bool:
-        if self.faults_only and route.state not in FAULTS:
+    def _show_title(self) -> None:
+        parts = [f"{'Topics and calls' if self._calls else 'Topics'}{' by robot' if self.grouped else ''}"]
+        if self.faults_only:
+            parts.append("faults only")
+        if self.pattern is not None:
+            parts.append(f"/{self.pattern.text}")
+        if len(parts) > 1:
+            parts.append(f"{len(self.keys)} of {len(self.rows)}")
+        self.entitle(f" {' ▸ '.join(parts)} ")
+
+    def _wanted(self, row: Row) -> bool:
+        if self.faults_only and row.state not in FAULTS:
             return False
-        return self.pattern is None or self.pattern.matches(
-            {
-                "kind": f"{route.spec.kind} {KIND_SHORT[route.spec.kind]}",
-                "topic": f"{route.topic} {route.pattern}" if route.pattern else route.topic,
-                "robot": route.link,
-                "state": f"{STATE_WORD[route.state]}{f' {ACK_WORD}' if route.acknowledged is not None else ''}",
-                "via": f"{via(route)} {route.port or ''}",
-                "type": route.type_name,
-                "why": route.reason if route.calls is None else f"{route.reason} {route.calls.last_failure}",
-            },
-            hidden=("kind",) if self._peers else ("kind", "robot"),
-        )
+        hidden = ("kind",) if self._peers else ("kind", "robot")
+        return self.pattern is None or self.pattern.matches(_searched(row), hidden=hidden)
 
     def is_cursor(self, index: int) -> bool:
         """Whether the cursor is on a line; an empty table has none."""
         return bool(self.keys) and super().is_cursor(index)
 
     @property
-    def selected(self) -> RouteSnapshot | None:
-        return None if self.cursor_key is None else self.routes[self.cursor_key]
+    def selected(self) -> Row | None:
+        return None if self.cursor_key is None else self.rows[self.cursor_key]
 
     @property
-    def listed(self) -> list[RouteSnapshot]:
-        """The routes shown, in the table's order."""
-        return [self.routes[key] for key in self.keys]
+    def route(self) -> RouteSnapshot | None:
+        """The route under the cursor, or None if that is a pattern."""
+        row = self.selected
+        return None if isinstance(row, PatternRow) else row
+
+    @property
+    def listed(self) -> list[Row]:
+        """The rows shown, in the table's order."""
+        return [self.rows[key] for key in self.keys]
 
     def sort_by(self, step: int) -> None:
         """Sort by the column `step` places to the right."""
@@ -118,8 +121,8 @@ class TopicsTable(SelectableList):
         count = len(self.keys)
         for distance in range(1, count + 1):
             position = (self.position + step * distance) % count
-            route = self.routes[self.keys[position]]
-            if self.pattern is not None or (route.state in FAULTS and route.acknowledged is None):
+            row = self.rows[self.keys[position]]
+            if self.pattern is not None or (row.state in FAULTS and row.acknowledged is None):
                 self.move_to(position)
                 return
 
@@ -128,15 +131,15 @@ class TopicsTable(SelectableList):
             return ((" ", ""), *(self._heading(column, width) for column, width in self._layout))
         if not self.keys:
             return ((f"  {self._empty[index - 1]}", "dim"),)
-        route = self.routes[self.keys[index - 1]]
-        edge = ("▌", route.state.value) if self.is_cursor(index) else (" ", "")
-        return (edge, *(_cell(column, route, width) for column, width in self._layout))
+        row = self.rows[self.keys[index - 1]]
+        edge = ("▌", row.state.value) if self.is_cursor(index) else (" ", "")
+        return (edge, *(_cell(column, row, width) for column, width in self._layout))
 
     @property
-    def _layout(self) -> tuple[tuple[Column[RouteSnapshot], int], ...]:
+    def _layout(self) -> tuple[tuple[Column[Row], int], ...]:
         return layout(self.width, peers=self._peers, grouped=self.grouped, calls=self._calls)
 
-    def _heading(self, column: Column[RouteSnapshot], width: int) -> tuple[str, str]:
+    def _heading(self, column: Column[Row], width: int) -> tuple[str, str]:
         arrow = ("▲" if self.reversed else "▼") if column is self.sort_column else ""
         title = clip(column.title + arrow, width)
         return (f"{title:>{width}} " if column.right else f"{title:<{width}} "), "head"
@@ -153,17 +156,34 @@ class TopicsTable(SelectableList):
                 return
 
 
-def _cell(column: Column[RouteSnapshot], route: RouteSnapshot, width: int) -> tuple[str, str]:
-    text = column.text(route)
+def _searched(row: Row) -> dict[str, str]:
+    """Return the texts of a row that a filter looks into."""
+    texts = {
+        "kind": f"{row.spec.kind} {KIND_SHORT[row.spec.kind]}",
+        "topic": f"{row.topic} {row.pattern}".rstrip(),  # as a filter's $ means the end of the name
+        "robot": row.link,
+        "state": f"{STATE_WORD[row.state]}{f' {ACK_WORD}' if row.acknowledged is not None else ''}",
+        "via": via(row),
+        "type": row.type_name,
+        "why": row.reason,
+    }
+    if not isinstance(row, PatternRow):
+        texts["via"] += f" {row.port or ''}"
+        texts["why"] = f"{row.reason} {last_failure(row)}".rstrip()
+    return texts
+
+
+def _cell(column: Column[Row], row: Row, width: int) -> tuple[str, str]:
+    text = column.text(row)
     if len(text) > width:
         text = fit_middle(text, width) if column is TOPIC else text[: width - 1] + "…"
     look = ""
-    if route.acknowledged is not None and not is_armed(route):
+    if row.acknowledged is not None and not is_armed(row):
         look = "dim"
     elif column in {STATE, SIGN}:
-        look = "armed" if is_armed(route) else route.state.value
+        look = "armed" if is_armed(row) else row.state.value
     elif column is HISTORY_COLUMN:
-        look = "plot" if route.state.flows else route.state.value
-    elif route.state in (State.PAUSED, State.DISARMED, State.DISARMING):
+        look = "plot" if row.state.flows else row.state.value
+    elif row.state in (State.PAUSED, State.DISARMED, State.DISARMING):
         look = "dim"
     return (f"{text:>{width}} " if column.right else f"{text:<{width}} "), look

@@ -225,13 +225,13 @@ class Pipe(asyncio.Transport):
             if self._tags.proves(header.kind, header.number, payload, header.tag):
                 self._proven(header, payload)
             elif header.kind == SampleKind.END:  # a peer that has forgotten the stream has no key for it either
-                self._doubt(_reason(payload))
+                self.doubt(_reason(payload))
         elif self._trial:
             if header.kind == SampleKind.DATA:
                 self._try(header.number, payload)
         elif header.kind == SampleKind.END:
             missing = header.number - self._received_samples
-            self._doubt(_missing(missing) if missing > 0 else _reason(payload))
+            self.doubt(_missing(missing) if missing > 0 else _reason(payload))
         else:
             self._proven(header, payload)
 
@@ -278,11 +278,7 @@ class Pipe(asyncio.Transport):
 
     def doubt(self, reason: str) -> None:
         """End unless a sample of the other side comes soon: somebody says that the other end is gone."""
-        if not self._over:
-            self._doubt(reason)
-
-    def _doubt(self, reason: str) -> None:
-        if self._doubting is None and self._ended is None:
+        if self._doubting is None and self._ended is None and not self._over:
             self._doubting = self._loop.call_later(_UNDER_WAY, self._ask_in_doubt, reason)
             self.when_doubted()
 
@@ -355,16 +351,13 @@ class Pipe(asyncio.Transport):
         """Answer all questions of one turn at once: strangers may send any number of them."""
         if not self._saying:
             self._saying = True
-            self._loop.call_soon(self._say_what_was_asked)
-
-    def _say_what_was_asked(self) -> None:
-        self._saying = False
-        if not self._over:
-            self._say()
+            self._loop.call_soon(self._say)
 
     def _say(self) -> None:
-        self._said = self._taken
-        self._put_sample(SampleKind.WINDOW, self._taken, b"")
+        self._saying = False
+        if not self._over:
+            self._said = self._taken
+            self._put_sample(SampleKind.WINDOW, self._taken, b"")
 
     # --- sending
 
