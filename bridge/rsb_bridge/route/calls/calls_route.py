@@ -25,13 +25,7 @@ from rsb_bridge.route.calls.calls_outbox import CallsOutbox
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, calls_stages, judge_calls
 from rsb_bridge.route.calls.lane_types import LaneTypes
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
-from rsb_bridge.route.message_check import (
-    BACKLOG_FULL,
-    Backlog,
-    ExpandsTooMuchError,
-    Unpacker,
-    malformed_text,
-)
+from rsb_bridge.route.message_check import ExpandsTooMuchError, Unpacker, malformed_text
 from rsb_bridge.route.route import Route
 from rsb_bridge.wire.framing import LEASED, ZSTD, Message
 from rsb_bridge.wire.headers import CallFrame, What, split_number, unpack_call
@@ -76,9 +70,8 @@ class CallsRoute(Route):
         self.calls = CallsLedger()
         self.failures = CallFailures(self.calls, self.notices, self.log, context.now)
         self._outbox = CallsOutbox(self.transport, proposal, self.members, self._leaves, self._stamp_now)
-        self._unpacker = Unpacker(peer.budget.expansion, context)
+        self._unpacker = Unpacker(peer.budget.expansion, context, self.deliver, self.request_reopen)
         self.types = LaneTypes(context, self.members, peer.budget.checks, self._advance_if_open)
-        self._later = Backlog()
         self._given = 0  # the newest call that the providing half gave to DDS
         self._report: CallsReport | None = None  # the peer's, of the present opening
         self._last_report: CallsReport | None = None
@@ -202,8 +195,7 @@ class CallsRoute(Route):
         self._withdraw()
         self._give_up_all(reason)
         self._outbox.clear()
-        self._later.take()
-        self._unpacker.forget()
+        self._unpacker.clear()
         self._unavailable = self._warning = None
         self._retry.clear()
         super().close(reason)
@@ -239,8 +231,8 @@ class CallsRoute(Route):
 
     def deliver(self, messages: Iterable[Message]) -> None:
         """Handle frames that arrived whole and authentic, or queue them for later turns of the I/O loop."""
-        if self._later:
-            self._wait(messages)
+        if self._unpacker.waiting:
+            self._unpacker.wait(messages)
             return
         self.losses.arrived()
         messages, opening = iter(messages), self.id
@@ -251,21 +243,13 @@ class CallsRoute(Route):
                 frame = self._frame_of(message)
                 if not message[2] & ZSTD:
                     self._take(frame)
-                elif self._unpacker.begin((frame.content, *message[1:]), self._go_on):
+                elif self._unpacker.begin((frame.content, *message[1:])):
                     self._take_packed(frame)
                 else:
-                    self._wait((message, *messages))
+                    self._unpacker.wait((message, *messages))
         except (ProtocolError, zstandard.ZstdError) as error:
             self.request_reopen(EventCode.ROUTE_CALLS_BROKEN, f"the peer broke the format: {error}", Level.ERROR)
         self.flush()
-
-    def _go_on(self) -> None:
-        self.deliver(self._later.take())
-
-    def _wait(self, messages: Iterable[Message]) -> None:
-        """Have messages wait until the first of them is unpacked."""
-        if not self._later.add(messages):
-            self.request_reopen(EventCode.ROUTE_EXPANDS_TOO_MUCH, BACKLOG_FULL)
 
     def _frame_of(self, message: Message) -> CallFrame:
         payload, stamp, flags = message
