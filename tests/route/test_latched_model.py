@@ -245,11 +245,13 @@ class Route:
         self.subscription = self.make_subscription()
 
     def tell(self) -> None:
-        depths = self.subscription.depths()
+        assert self.subscription.histories is not None
+        depths = self.subscription.histories.depths()
         self.topic.present({gid: depths.get(gid, 0) for gid in self.near.writers})
 
     def second(self) -> None:
-        self.subscription.look(set(self.near.writers))
+        assert self.subscription.histories is not None
+        self.subscription.histories.look(set(self.near.writers))
         self.subscription.tick()
         self.tell()
         self.topic.tick()

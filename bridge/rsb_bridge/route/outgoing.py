@@ -273,11 +273,11 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def _look_who_is_present(self) -> None:
         """Drop the histories of publishers that are gone, here and at the peer; tell it the depths of the others."""
-        if self._subscription.histories is None:
+        if (histories := self._subscription.histories) is None:
             return
         gids = {endpoint.gid for endpoint in self.endpoints}
-        self._subscription.look(gids)
-        depths = self._subscription.depths()
+        histories.look(gids)
+        depths = histories.depths()
         ids = islice(map(publisher_id, gids), MOST_PUBLISHERS)
         present = {each: depths.get(each, 0) for each in ids}
         if present != self._present:

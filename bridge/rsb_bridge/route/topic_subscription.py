@@ -18,7 +18,7 @@ from rsb_bridge.route.lease import Marker
 from rsb_bridge.route.peer import TypeUse
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+    from collections.abc import Callable, Hashable, Mapping, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
@@ -57,7 +57,7 @@ class TopicSubscription:
         types: limits the link's types.
         meter: of the topic's messages so far.
         log: adds an event about the subscription.
-        found: called after `depths` has got more entries.
+        found: called after the histories know more depths.
         marks: gives the lease that messages are marked with, or None if they are not marked.
 
     Attributes:
@@ -175,15 +175,6 @@ class TopicSubscription:
             text = f"DDS lost messages: the subscription gets a depth of {depth:,} instead of {before:,}"
             self._log(Level.INFO, EventCode.ROUTE_DEEPENED, text)
             self._subscription.reopen()
-
-    def look(self, publishers: Collection[bytes]) -> None:
-        """Note which publishers the graph has, by their ids."""
-        if self.histories is not None:
-            self.histories.look(publishers)
-
-    def depths(self) -> dict[bytes, int]:
-        """Return how many messages publishers of a latched topic keep, as far as that is known."""
-        return self.histories.depths() if self.histories is not None else {}
 
     def _qos(self) -> Qos:
         assert self.spec is not None
