@@ -156,7 +156,7 @@ class CallsRoute(Route):
 
     def timeout_of(self, lane: int) -> float | None:
         """Return the seconds after which a lane's call expires, or None if it never does."""
-        return None if self.members[lane].patient else self.call_timeout
+        return None if self.members[lane].patient else self.proposal.timeout or CALL_TIMEOUT
 
     @property
     def local_names(self) -> list[str]:
