@@ -19,6 +19,7 @@ from rsb_bridge.model.session import Session
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.route.latched import PUBLISHER_COST, LatchedFullError, LatchedTopic
+from rsb_bridge.route.peer import TypeBudget
 from rsb_bridge.route.source_publishers import bounded
 from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
 from rsb_bridge.telemetry.event_log import EventLog
@@ -60,6 +61,9 @@ class NearDds:
         self.subscribed = 0
         self.overwrites = False  # whether it is too slow to hand over a history before it is overwritten
         self._numbers = count()
+
+    def installed_hash(self, _: str) -> str:
+        return ""
 
     def subscribe(self, *arguments: Any) -> NearReader:
         self.subscribed += 1
@@ -204,15 +208,13 @@ class Route:
         subscription = TopicSubscription(
             self.context,
             self.context.ros,
-            subject,
             cast("OutgoingPath", self),
+            TypeBudget(),
             self.meter,
             lambda *_: pytest.fail("the subscription did not fail"),
             self.tell,
-            automatic=True,
-            expected_rate=None,
-            known=self.topic.newest(),
         )
+        subscription.begin(subject, automatic=True, expected_rate=None, known=self.topic.newest())
         subscription.subscribe()
         return subscription
 
@@ -243,11 +245,13 @@ class Route:
         self.subscription = self.make_subscription()
 
     def tell(self) -> None:
-        depths = self.subscription.depths()
+        assert self.subscription.histories is not None
+        depths = self.subscription.histories.depths()
         self.topic.present({gid: depths.get(gid, 0) for gid in self.near.writers})
 
     def second(self) -> None:
-        self.subscription.look(set(self.near.writers))
+        assert self.subscription.histories is not None
+        self.subscription.histories.look(set(self.near.writers))
         self.subscription.tick()
         self.tell()
         self.topic.tick()

@@ -10,6 +10,7 @@ import pytest
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos, auto_depth
 from rsb_bridge.ros.stand_in import NoRos
+from rsb_bridge.route.peer import TypeBudget
 from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
 from rsb_bridge.telemetry.meters import RateMeter
 
@@ -77,15 +78,14 @@ def make_subscription(
     subscription = TopicSubscription(
         context,
         context.ros,
-        SubscriptionSpec("/fast", "std_msgs/msg/String", "", qos, "robot1"),
         cast("OutgoingPath", Path()),
+        TypeBudget(),
         owner.meter,
         owner.log,
         lambda: None,
-        automatic=automatic,
-        expected_rate=expected_rate,
-        known={},
     )
+    spec = SubscriptionSpec("/fast", "std_msgs/msg/String", "", qos, "robot1")
+    subscription.begin(spec, automatic=automatic, expected_rate=expected_rate, known={})
     subscription.subscribe()
     return subscription
 

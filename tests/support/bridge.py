@@ -245,7 +245,7 @@ def opened(receiver: Engine) -> set[str]:
         for route in tuple(link.routes.values()):
             if isinstance(route, IncomingRoute) and route.connected:
                 senders = _senders(receiver, link.name, route)
-                if not senders or any(each.id == route.id and each._subscribed for each in senders):
+                if not senders or any(each.id == route.id and each._subscription.receives for each in senders):
                     found.add(route.remote_topic)
     return found
 

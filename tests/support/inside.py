@@ -92,7 +92,7 @@ def ledger_of(route: OutgoingRoute) -> RouteLedger:
 
 
 def outputs_of(route: IncomingRoute) -> SourcePublishers:
-    return route._outputs
+    return route.outputs
 
 
 def views_drawn_by(link: Link) -> dict[Any, Any]:

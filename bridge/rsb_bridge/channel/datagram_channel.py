@@ -59,8 +59,6 @@ class DatagramSender(_DatagramChannel, SendingEnd):
     """The sending end. A message that has begun is sent whole, unless its beginning was written off."""
 
     via: DatagramCarrier
-    arrived_share: float | None = None
-    """The share of the datagrams that arrives, by the last receipts, or None before the first."""
 
     def __init__(self, udp_channel: UdpChannel, route: RouteSink, codec: DatagramWriter, scheduler: Scheduler) -> None:
         super().__init__(udp_channel, route)
@@ -100,7 +98,6 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         return super().grows and not self.via.knows_its_rate
 
     def datagrams(self, size: int) -> int:
-        """Return how many datagrams a message of `size` bytes takes now; only once it is ready."""
         return self._codec.datagrams(size, self.carrier.datagram_size())
 
     def send(self, batch: Sequence[Message]) -> None:
@@ -213,7 +210,6 @@ class DatagramSender(_DatagramChannel, SendingEnd):
 
     @property
     def unheard_for(self) -> float:
-        """Seconds since a receipt told of further datagrams; infinite before the first."""
         return self._loop.time() - self._receipted_at
 
     def packets(self) -> PacketCounts:
@@ -231,7 +227,6 @@ class DatagramSender(_DatagramChannel, SendingEnd):
             arrivals[-1] = now, opened
 
     def arrival_rate(self) -> float:
-        """Return the datagrams/s that arrive by the last receipts, or 0 if they are too old."""
         if len(self._arrivals) < 2:
             return 0.0
         (began, before), (at, opened) = self._arrivals[0], self._arrivals[-1]

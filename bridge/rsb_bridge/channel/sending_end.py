@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,7 @@ class SendingEnd:
     """
 
     via: Carrier
+    arrived_share: float | None = None
 
     def __init__(self, scheduler: Scheduler, route: RouteSink, via: Carrier) -> None:
         self.start = 0
@@ -48,7 +50,7 @@ class SendingEnd:
 
     @property
     def congested(self) -> bool:
-        """See `rsb_bridge.channel.channel.SendingChannel`, and so for `batch_bytes`, `pace` and `ask`."""
+        """See `rsb_bridge.channel.channel.SendingChannel`, and so for the other members of that protocol."""
         if self._in_turn:
             return bool(self._messages)
         return self.queued or bool(self._messages) or not self._scheduler.is_free(self.via)
@@ -77,6 +79,16 @@ class SendingEnd:
     def grows(self) -> bool:
         """Whether the link's window still grows."""
         return self._scheduler.grows
+
+    def datagrams(self, size: int) -> int:
+        return 0
+
+    def arrival_rate(self) -> float:
+        return 0.0
+
+    @property
+    def unheard_for(self) -> float:
+        return math.inf
 
     def ask(self) -> None:
         """Wait for a turn with what the route's queue holds."""

@@ -253,7 +253,7 @@ class Publishing:
         spec = PublicationSpec(topic, *resolved)
         for route in armed:
             if isinstance(route, IncomingRoute):
-                route.moved(spec, payload)
+                route.rest.moved_by_hand(spec, payload)
 
     def _rest(self, publication: _Publication, topic: str) -> None:
         """Publish the message that ends a motion. Nothing of it crosses after the arming of the motion has ended."""

@@ -22,7 +22,7 @@ from rsb_bridge.wire.records import FullRecord
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
-    from rsb_bridge.channel.channel import ChannelCarrier
+    from rsb_bridge.channel.channel import ChannelCarrier, SendingChannel
     from rsb_bridge.context import Context
     from rsb_bridge.link.keepalive import Keepalive
     from rsb_bridge.route.route import Route
@@ -202,12 +202,18 @@ class _Asking(NamedTuple):
     """A topic that has messages to send."""
 
     route: OutgoingRoute
+    channel: SendingChannel
     traffic: Traffic
+
+    def by_datagrams(self) -> float:
+        """Return the messages/s that arrive by the count of their datagrams, or 0 if each message is one datagram."""
+        datagrams = self.route.datagrams()
+        return self.channel.arrival_rate() / datagrams if datagrams > 1 else 0.0
 
 
 def _overflows(asking: _Asking) -> bool:
     """Whether a topic loses datagrams because the link is probably full, not poor."""
-    share = asking.route.arrived_share
+    share = asking.channel.arrived_share
     if share is None:
         return False
     mostly_lost = share < _POOR and asking.traffic.bytes_per_second >= _MUCH
@@ -256,9 +262,9 @@ class Contention:
         """
         now, at = self._context.now(), self._context.wall()
         asking = [
-            _Asking(route, route.traffic.look(now))
+            _Asking(route, route.channel, route.traffic.look(now))
             for route in self._routes()
-            if isinstance(route, OutgoingRoute) and route.connected
+            if isinstance(route, OutgoingRoute) and route.channel is not None and route.connected
         ]
         arrived, parts, full = self._looked(asking)
         asked = sum(each.traffic.bytes_per_second for each in asking)
@@ -266,9 +272,9 @@ class Contention:
         held_up = self._held_up(keepalive) and asked > _MORE * self._crossed
         full = full or held_up or self._delayed(asking, asked) or any(map(_overflows, asking))
         self._crossed = self.sending.look(arrived, now, at, full=full)
-        busy = [(route, traffic.bytes_per_second) for route, traffic in asking if traffic.bytes_per_second > 0.0]
-        wanted = [Asked(route.topic, route.remote_topic, rate) for route, rate in busy]
-        overloaded = full and not lossy and not all(route.starts for route, _ in busy) and not self._is_measured()
+        busy = [each for each in asking if each.traffic.bytes_per_second > 0.0]
+        wanted = [Asked(route.topic, route.remote_topic, traffic.bytes_per_second) for route, _, traffic in busy]
+        overloaded = full and not lossy and not all(each.channel.grows for each in busy) and not self._is_measured()
         before = self._fullness.out
         self._fullness.tick(wanted, arrived + parts, full=overloaded, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
@@ -308,7 +314,8 @@ class Contention:
         """
         full, arrived, parts = False, 0.0, 0.0
         before, self._counts = self._counts, {}
-        for route, traffic in asking:
+        for each in asking:
+            route, traffic = each.route, each.traffic
             if not traffic.bytes_per_second:
                 continue
             ledger = route.ledger()
@@ -316,7 +323,7 @@ class Contention:
             last = before.get(route, counts)
             whole = max(0, counts.delivered - last.delivered)
             arrived += whole * traffic.size
-            parts += max(0.0, route.messages_by_datagrams - whole) * traffic.size
+            parts += max(0.0, each.by_datagrams() - whole) * traffic.size
             full = full or traffic.busy >= _BUSY or counts.queue_full > last.queue_full
         return arrived + self._calls(), parts, full
 

@@ -32,6 +32,7 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.calling_action import CallingActionRoute
+from rsb_bridge.route.calls.node_parameters import CallingParametersRoute, ProvidingParametersRoute
 from rsb_bridge.route.calls.providing import ProvidingRoute
 from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
 from rsb_bridge.route.incoming import IncomingRoute
@@ -91,7 +92,7 @@ _HALVES: dict[str, tuple[type[Route], type[Route]]] = {
     "topic": (OutgoingRoute, IncomingRoute),
     "service": (CallingRoute, ProvidingRoute),
     "action": (CallingActionRoute, ProvidingActionRoute),
-    "parameters": (CallingRoute, ProvidingRoute),
+    "parameters": (CallingParametersRoute, ProvidingParametersRoute),
 }
 """The halves of a route of each kind: where its messages or calls come from, and where they go."""
 
@@ -110,7 +111,7 @@ def _dispatch(message: _HalfMessage, route: Route) -> None:
         case Ready() if isinstance(route, OutgoingRoute):
             route.peer_ready(message)
         case Publishers() if isinstance(route, IncomingRoute):
-            route.publishers_present(message.present)
+            route.outputs.present(message.present)
         case Provide() if isinstance(route, CallingRoute):
             route.provided(message)
 

@@ -16,7 +16,7 @@ from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.demands import effective_max_age
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
-from rsb_bridge.ros.ros_interface import RawMessage
+from rsb_bridge.ros.ros_interface import RawMessage, Request
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.framing import Message
 
+_CALLER = 16
+"""Bytes of `Request.caller` that identify the caller; the others identify the request."""
 _SANE = 50_000_000
 """ns by which a right clock may seem to be wrong."""
 _DRIFT = 5e-4
@@ -182,11 +184,12 @@ class MessageAge:
             self.expired(Cause.PUBLISHER_STAMPS_OLD, len(batch) - len(fresh))
         return fresh
 
-    def born(self, source: int, taken: int, caller: bytes) -> int | None:
-        """Return the time from which a request's age counts, or None if the request is too old."""
-        clock = self._look()
-        stamp = self.publishers.born(source and source + clock.shift, taken + clock.shift, caller)
-        return stamp if clock.is_sure and self.is_young(stamp) else None
+    def aged(self, request: Request) -> Request:
+        """Return a request with the time from which its age counts as its stamp, or 0 if it is too old."""
+        clock, source = self._look(), request.source
+        caller = request.caller[:_CALLER]
+        stamp = self.publishers.born(source and source + clock.shift, request.stamp + clock.shift, caller)
+        return request._replace(stamp=stamp if clock.is_sure and self.is_young(stamp) else 0)
 
     @property
     def oldest(self) -> int:

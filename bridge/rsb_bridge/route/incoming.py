@@ -11,10 +11,9 @@ import zstandard
 
 from rsb_bridge.cdr.checker import MalformedError, TooComplexError
 from rsb_bridge.channel.channel import ReceivingChannel
-from rsb_bridge.model.calls import FieldError, Refused
+from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.demands import PEER_DEMANDS, full_type
-from rsb_bridge.model.on_end import NONE
+from rsb_bridge.model.demands import full_type
 from rsb_bridge.model.qos import clashes, incompatible, match_subscriptions
 from rsb_bridge.model.snapshot import Ledger, Level, State
 from rsb_bridge.model.text import sanitize_text
@@ -27,16 +26,9 @@ from rsb_bridge.route.gates import NO_SAMPLE, GatedMessage, chained, compose_whe
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import CAUSES, reported_ledger
 from rsb_bridge.route.lifecycle import RouteEvent
-from rsb_bridge.route.message_check import (
-    BACKLOG_FULL,
-    Backlog,
-    ExpandsTooMuchError,
-    MessageCheck,
-    Unpacker,
-    malformed_text,
-)
+from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
 from rsb_bridge.route.peeking import peeked
-from rsb_bridge.route.rest_message import RestMessage, velocity_on
+from rsb_bridge.route.rest_message import RestAfterArming, velocity_on
 from rsb_bridge.route.source_publishers import (
     AUTO_DEPTH,
     PublicationSpec,
@@ -54,7 +46,7 @@ from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
+    from collections.abc import Collection, Iterable
 
     from rsb_bridge.cdr.velocity import Velocity
     from rsb_bridge.context import Context
@@ -112,6 +104,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     Attributes:
         compare_types: asks the other side how its version of a type differs.
+        outputs: its publishers here.
+        rest: follows the last message of an arming.
     """
 
     peer_report = SentReport
@@ -120,11 +114,22 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.compare_types: CompareTypes = unknown_difference
-        self._outputs = SourcePublishers(context, self.purpose, peer, self._failed_later)
-        self._rest_message: RestMessage | None = None
-        self._unpacker = Unpacker(peer.budget.expansion, context)
+        self.outputs = SourcePublishers(
+            context,
+            self.purpose,
+            peer,
+            lambda error: self.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error)),
+        )
+        self.rest = RestAfterArming(
+            context,
+            peer.name,
+            self.arming,
+            self.on_end_of,
+            partial(self.log, Level.ERROR, EventCode.ROUTE_PUBLISH_FAILED),
+            self.lapsed,
+        )
+        self._unpacker = Unpacker(peer.budget.expansion, context, self.deliver, self.request_reopen)
         self.check = MessageCheck(context, peer.budget.checks)
-        self._later = Backlog()
         compose_when_switched(self, self._compose_gates)
         self._received = 0
         self._report_at = _REPORTS_AFTER  # messages received
@@ -157,8 +162,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             self._received = self._delivered = 0
             self._report_at = _REPORTS_AFTER
             self._dropped.clear()
-        self._later.take()
-        self._unpacker.forget()
+        self._unpacker.clear()
         super().close(reason)
 
     def described(self, description: Describe) -> None:
@@ -171,14 +175,14 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         type_and_qos = (description.type, description.type_hash, description.qos)
         if (self.type_name, self.type_hash, self.qos) != type_and_qos:
             first = True
-            self._outputs.close()
+            self.outputs.close()
         elif first:
-            self._outputs.renumber(description.sources)
+            self.outputs.renumber(description.sources)
         qos = without_history(description.qos) if self.arming.required else description.qos
         spec = PublicationSpec(self.remote_topic, description.type, description.type_hash, bounded(qos))
         try:
-            self._outputs.make(spec, description.sources)
-            self._prepare_rest(spec)
+            self.outputs.make(spec, description.sources)
+            self.rest.prepare(spec)
         except (RosError, LatchedFullError) as error:
             self._refuse_type(str(error))
             return
@@ -187,9 +191,9 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         self.check.begin(description.type)
         newest: dict[bytes, int] = {}
         if first:
-            newest = self._outputs.opened()
+            newest = self.outputs.opened()
             self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.transport.name} connected ({description.type})")
-        self.peer.send(Ready(route=self.id, sources=len(self._outputs), before=self._counted_before(), newest=newest))
+        self.peer.send(Ready(route=self.id, sources=len(self.outputs), before=self._counted_before(), newest=newest))
         self.life.take(RouteEvent.READY)
         self._verdict = None
         self.advance()
@@ -230,66 +234,29 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         Every end of an arming passes here. Nothing that moves can follow the rest: `deliver` publishes nothing from now
         on, and a rest's own publisher is not theirs.
         """
-        self._outputs.close()
+        self.outputs.close()
         super().disarm(why, reason)
         self.lapsed()
 
     def lapsed(self) -> None:
         """Publish the rest, as nothing passes any more, at least for now."""
-        if self._rest_message is not None:
-            self._rest_message.begin()
+        if self.rest.message is not None:
+            self.rest.message.begin()
             self.peer.report_soon(self)
 
     @property
     def velocity(self) -> Velocity | None:
         return velocity_on(self.context, self.remote_topic)
 
-    def moved(self, spec: PublicationSpec, message: bytes) -> None:
-        """Note a message that an operator of this side has published by this route's arming.
-
-        Raises:
-            RosError: there can be no rest after it.
-        """
-        self._prepare_rest(spec)
-        if self._rest_message is not None:
-            self._rest_message.moved(message)
-
-    def _prepare_rest(self, spec: PublicationSpec) -> None:
-        before, on_end = self._rest_message, self.on_end_of(spec.type_name) if self.arming.required else NONE
-        if before is not None and before.fits(spec, on_end):
-            return
-        if on_end == NONE:
-            self._drop_rest()
-            return
-        failed = partial(self.log, Level.ERROR, EventCode.ROUTE_PUBLISH_FAILED)
-        try:
-            rest = RestMessage(self.context, self.peer.name, spec, on_end, failed, self.lapsed)
-        except (RosError, FieldError) as error:
-            raise RosError(f"on_end: {error}; correct it in {self._who_says(on_end)}") from None
-        if before is not None:
-            rest.replaces(before)
-        self._drop_rest()
-        self._rest_message = rest
-
-    def _who_says(self, on_end: str) -> str:
-        own = self.arming.own
-        lines = ", ".join(map(self.context.demands.origin, own.sources)) if own.on_end == on_end else ""
-        return lines or PEER_DEMANDS
-
-    def _drop_rest(self) -> None:
-        if self._rest_message is not None:
-            self._rest_message.close()
-            self._rest_message = None
-
     def advance(self) -> None:
         """Open the channel once there is a publisher, and look for subscribers."""
-        if not self._outputs:
+        if not self.outputs:
             self._hint = type_hint(self.ends, self.remote_topic)
             return
         if self.accepted and self.channel is None:
             # While it is paused, too: the other side may not know yet, and frames without a channel hold up all others.
             self.peer.open_channel(self)
-        before, self._subscribers = self._subscribers, self._outputs.subscriber_count
+        before, self._subscribers = self._subscribers, self.outputs.subscriber_count
         now = self.context.now()
         if self._subscribers and self._subscribers == before and now - self._asked_at < _ASKED_EVERY:
             return  # the same ones, most likely: to ask for them costs too much to do so at every change of the graph
@@ -308,16 +275,12 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def destroy(self) -> None:
         """End it for good, its publisher too."""
         super().destroy()
-        self._outputs.close()
-        self._drop_rest()
+        self.outputs.close()
+        self.rest.close()
         self.check.end()
 
     def set_check(self) -> None:
         self.check.set()
-
-    def publishers_present(self, publishers: Mapping[bytes, int]) -> None:
-        """Take the publishers of a latched topic that the sending side has now, and the depths that it knows."""
-        self._outputs.present(publishers)
 
     # --- messages
 
@@ -327,10 +290,10 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def deliver(self, messages: Iterable[Message]) -> None:
         """Publish messages that arrived whole and authentic, or let them wait for later turns of the I/O loop."""
-        if self._later:
-            self._wait(messages)
+        if self._unpacker.waiting:
+            self._unpacker.wait(messages)
             return
-        (batch, arriving, leaving), sinks, began = self._gates, self._outputs.sinks, self.context.now()
+        (batch, arriving, leaving), sinks, began = self._gates, self.outputs.sinks, self.context.now()
         if batch is not None and (why := batch(NO_SAMPLE, began)) is not None:
             self._refuse(why, len(tuple(messages)))
             return
@@ -346,8 +309,8 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             payload, stamp, flags = message
             if batch is not None:
                 number, payload, flags = unleased(payload, flags)
-            if flags & ZSTD and not self._unpacker.begin((payload, stamp, flags), self._go_on):
-                self._wait((message, *messages))
+            if flags & ZSTD and not self._unpacker.begin((payload, stamp, flags)):
+                self._unpacker.wait((message, *messages))
                 break
             sample = GatedMessage(stamp, number) if gated else NO_SAMPLE
             if arriving is not None and (why := arriving(sample, began)) is not None:
@@ -389,13 +352,15 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             began: s, when they arrived.
         """
         self._delivered += count
-        if self._rest_message is not None and self.arming.required and self._rest_message.moved(last):
+        if (rest := self.rest.message) is not None and self.arming.required and rest.moved(last):
             self.peer.report_soon(self)
         latency = None if (offset := self.peer.stamps.offset) is None else took + offset
         if latency is not None and latency <= began - self._flows_since:  # else it was kept from before
             self.latency.add(latency)
         if self.peek_slot.wanted:
-            self._show(last, self.context.wall_ns(), latency)
+            clock = (self.peer.clock.offset, self.peer.clock.uncertainty)
+            shown = peeked(self, last, self.context.wall_ns(), latency=latency, clock=clock)
+            self.peek_slot.put(shown, self.context.now())
         self.count(count, size, began)
 
     def _refuse(self, why: Refused, messages: int = 1) -> None:
@@ -406,14 +371,6 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             allowed = f"the {self.limit.here:g} Hz that this side allows"
             text = f"the other side sends more than {allowed}: the rest is left out"
             self.notices.message_error(EventCode.ROUTE_TOO_FAST, text)
-
-    def _go_on(self) -> None:
-        self.deliver(self._later.take())
-
-    def _wait(self, messages: Iterable[Message]) -> None:
-        """Have messages wait until the first of them is unpacked."""
-        if not self._later.add(messages):
-            self.request_reopen(EventCode.ROUTE_EXPANDS_TOO_MUCH, BACKLOG_FULL)
 
     def _unpack(self, payload: bytes, flags: int) -> tuple[HistoryHeader, bytes]:
         """Return a message's history header and its content."""
@@ -458,14 +415,6 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def _came_here(self) -> int:
         return self._received
 
-    def _show(self, content: bytes, now_ns: int, latency: float | None) -> None:
-        """Show a message to the operators who look at the topic."""
-        clock = (self.peer.clock.offset, self.peer.clock.uncertainty)
-        self.peek_slot.put(peeked(self, content, now_ns, latency=latency, clock=clock), self.context.now())
-
-    def _failed_later(self, error: Exception) -> None:
-        self.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error))
-
     def _tick_lateness(self, now: float) -> None:
         uncertainty = self.peer.stamps.uncertainty
         if not self.flowing or uncertainty is None:
@@ -482,7 +431,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def tick(self) -> None:
         super().tick()
-        self._outputs.tick()
+        self.outputs.tick()
         if self.purpose.in_graph:  # else no node knows the type
             self.check.look(self.remote_topic, self.endpoints)
         counts = self.channel.counts() if self.channel is not None else None
@@ -584,7 +533,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     @property
     def has_kept(self) -> bool:
         """Whether messages are kept here. The peer's verdict tells whether newer ones exist."""
-        return self._outputs.has_kept
+        return self.outputs.has_kept
 
     @property
     def silence_counts(self) -> bool:

@@ -34,6 +34,8 @@ _LONGEST_DELAY = 3600.0
 """s; a longer delay counts as a mistake."""
 _JITTERS = 2.0
 """Times the jitter by which a message may take longer without a cause."""
+_LONGEST_UNDER_WAY = 60.0
+"""s; a message that takes longer counts as lost."""
 _REPORTED_EVERY = 1.0
 """s between the receiver's reports."""
 _MOST_MARKS = 600
@@ -202,6 +204,14 @@ class SendersDelay:
         self._shortest = min(self._shortest, seconds)
         # In a queue one message takes as long as the next; where they do not, the path is uneven, not full.
         self.longer = max(0.0, seconds - self._shortest - _JITTERS * max(0.0, jitter))
+
+    def with_report(self, report_delay: float) -> float:
+        """Return the estimated s that a message and its report take together.
+
+        Args:
+            report_delay: s that a report takes.
+        """
+        return min(max(0.0, self.reported or 0.0, report_delay) + report_delay, _LONGEST_UNDER_WAY)
 
     def unreported(self, sent: int, accounted: int, now: float) -> float:
         """Begin the look of each second: return the age of the oldest message that is not reported, in s.

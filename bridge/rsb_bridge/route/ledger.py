@@ -139,7 +139,6 @@ class RouteLedger:
         throttled: left out for the route's highest rate.
         expired: dropped here, because they were too old.
         unknown: sent to a process that ended before it reported whether they arrived.
-        lost_in_dds: lost before the bridge could take them.
         missed: messages published while the route was down, estimated.
     """
 
@@ -148,7 +147,6 @@ class RouteLedger:
         self.throttled = 0
         self.dropped: Counter[str] = Counter()
         self.unknown = 0
-        self.lost_in_dds = 0
         self.missed = MissedWhileDown()
         self._numbered = numbered
         self.expired = 0
@@ -265,7 +263,7 @@ class RouteLedger:
         return plausible
 
     def ledger(self, lost_in_dds: int) -> Ledger:
-        """Return the balance, with `lost_in_dds` added to those counted before."""
+        """Return the balance; `lost_in_dds` messages were lost before they could be taken from ROS."""
         delivered, dropped = self._delivered, dict(self.dropped)  # a Counter takes ten times as long
 
         def drop(cause: str, count: int) -> None:
@@ -292,7 +290,7 @@ class RouteLedger:
             in_flight=self.offered - accounted,
             dropped=dropped if len(dropped) <= _MOST_CAUSES else dict(_folded(Counter(dropped))),
             unknown=unknown,
-            lost_in_dds=min(self.lost_in_dds + lost_in_dds, _LARGEST),
+            lost_in_dds=min(lost_in_dds, _LARGEST),
             missed_while_down=self.missed.count,
         )
 

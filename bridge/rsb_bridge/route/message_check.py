@@ -9,6 +9,7 @@ import zstandard
 
 from rsb_bridge.cdr.checker import STEPS, MalformedError, TooComplexError
 from rsb_bridge.model.budgets import TokenBucket
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT
 from rsb_bridge.wire.headers import split_history
@@ -40,32 +41,9 @@ _LOOKS_AGAIN_AFTER = 10.0
 _EXPLAINED = 4
 """A malformed message costs about as much as so many others, as it is read again for the field that shows it."""
 _REMEDY = "send less, or set check_messages: false"
-
-
-BACKLOG_FULL = "the other side sends more compressed messages than are unpacked here: send less, or without compression"
-
-
-class Backlog:
-    """Messages of one route that wait behind one that is not unpacked yet."""
-
-    def __init__(self) -> None:
-        self._messages: list[Message] = []
-        self._size = 0
-
-    def __bool__(self) -> bool:
-        return bool(self._messages)
-
-    def add(self, messages: Iterable[Message]) -> bool:
-        """Add messages, and return whether they are within the limit; a peer that heeds its window stays within."""
-        messages = tuple(messages)
-        self._messages += messages
-        self._size += sum([len(each[0]) for each in messages])
-        return self._size <= BACKLOG_LIMIT
-
-    def take(self) -> list[Message]:
-        """Remove and return all messages."""
-        taken, self._messages, self._size = self._messages, [], 0
-        return taken
+_BACKLOG_FULL = (
+    "the other side sends more compressed messages than are unpacked here: send less, or without compression"
+)
 
 
 class _Expansion:
@@ -159,24 +137,38 @@ class ExpandsTooMuchError(Exception):
 
 
 class Unpacker:
-    """Unpacks the compressed messages of one route.
+    """Unpacks the compressed messages of one route; later ones wait behind one that is not unpacked yet.
 
     Args:
         budget: budget of its link.
         context: has the clock and the I/O loop.
+        deliver: gets the messages that waited, once the first of them can be unpacked.
+        reopen: called if more messages wait than a peer that heeds its window sends.
+
+    Attributes:
+        waiting: the messages that wait, oldest first.
     """
 
-    def __init__(self, budget: ExpansionBudget, context: Context) -> None:
+    def __init__(
+        self,
+        budget: ExpansionBudget,
+        context: Context,
+        deliver: Callable[[Iterable[Message]], None],
+        reopen: Callable[[EventCode, str], None],
+    ) -> None:
+        self.waiting: list[Message] = []
+        self._size = 0  # bytes that wait
         self._budget = budget
         self._context = context
+        self._deliver = deliver
+        self._reopen = reopen
         self._decompressor = zstandard.ZstdDecompressor()
         self._expansion: _Expansion | None = None
 
-    def begin(self, message: Message, go_on: Callable[[], None]) -> bool:
+    def begin(self, message: Message) -> bool:
         """Return whether a message can be unpacked at this turn of the loop. One that will be refused costs no turn.
 
-        Args:
-            go_on: called later if it cannot be: then the route's messages come again, this one first.
+        If it cannot be, it has to `wait`, and so have the messages behind it.
         """
         payload, _, flags = message
         try:
@@ -193,13 +185,30 @@ class Unpacker:
             return True
         if len(content) + growth > EXPANDED_ASIDE:
             budget.over_time.take(growth, self._context.now())
-            self._expansion = _Expansion(content, go_on)
+            self._expansion = _Expansion(content, self._go_on)
             budget.expand(self._expansion, loop)
             return False
         if budget.begin(growth, loop):
             return True
-        budget.wait(go_on)
+        budget.wait(self._go_on)
         return False
+
+    def wait(self, messages: Iterable[Message]) -> None:
+        """Have messages wait until the first of them is unpacked."""
+        messages = tuple(messages)
+        self.waiting += messages
+        self._size += sum([len(each[0]) for each in messages])
+        if self._size > BACKLOG_LIMIT:
+            self._reopen(EventCode.ROUTE_EXPANDS_TOO_MUCH, _BACKLOG_FULL)
+
+    def _go_on(self) -> None:
+        waiting, self.waiting, self._size = self.waiting, [], 0
+        self._deliver(waiting)
+
+    def clear(self) -> None:
+        """Drop the messages that wait."""
+        self.waiting, self._size = [], 0
+        self.forget()
 
     def forget(self) -> None:
         """Drop what is unpacked on another thread: its message is published no more."""

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 import msgspec
 
 from rsb_bridge.channel.channel import SendingChannel
-from rsb_bridge.channel.datagram_channel import DatagramSender
-from rsb_bridge.channel.sending_end import SendingEnd
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.ros.ros_interface import RosError
@@ -23,7 +21,6 @@ from rsb_bridge.route.lateness import QUEUE, REPORTED_LATELY, WAY, SendersDelay,
 from rsb_bridge.route.ledger import RouteLedger, reported_drops
 from rsb_bridge.route.lifecycle import RouteEvent
 from rsb_bridge.route.loop_filter import LoopFilter
-from rsb_bridge.route.peer import TypeUse
 from rsb_bridge.route.resolving import Resolver
 from rsb_bridge.route.sending import OutgoingPath
 from rsb_bridge.route.topic_route import MEASURED_FOR, TopicRoute
@@ -51,8 +48,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.topic_verdict import Facts
     from rsb_bridge.telemetry.watches import Loss
 
-_LONGEST_UNDER_WAY = 60.0
-"""s; a message that takes longer counts as lost."""
 _LIMITED = "they are limited to the messages sent"
 
 
@@ -142,8 +137,6 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self._subscription: TopicSubscription | None = None
-        self._type = TypeUse(context.ros, peer.budget.types)
         self._present: dict[bytes, int] | None = None  # the publishers and depths that the peer knows
         self._ledger = RouteLedger(numbered=isinstance(self.transport, DatagramTransport))
         self._report: ReceivedReport | None = None  # of the present opening
@@ -151,6 +144,16 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._described: Describe | None = None
         self._loop_filter = LoopFilter(context, self.ends, peer, self.advance)
         self._path = OutgoingPath(context, self, self._ledger, self._loop_filter)
+        self._subscription = TopicSubscription(
+            context,
+            self.ends,
+            self._path,
+            peer.budget.types,
+            self.meter,
+            self._log_subscription,
+            self._look_who_is_present,
+            lambda: self.arming.lease if self.arming.required else None,
+        )
         self._resolver = Resolver(context, proposal)
         self._health = Health()
         self.delays = SendersDelay()
@@ -170,18 +173,12 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._end_subscription()
             self._kept_there = ready.newest.keys()
             self.age.publishers.since = None if described.qos.latched else self.context.stamps.now()
-            self._subscription = TopicSubscription(
-                self.context,
-                self.ends,
-                SubscriptionSpec(self.topic, described.type, described.type_hash, described.qos, self.peer.name),
-                self._path,
-                self.meter,
-                self._log_subscription,
-                self._look_who_is_present,
+            spec = SubscriptionSpec(self.topic, described.type, described.type_hash, described.qos, self.peer.name)
+            self._subscription.begin(
+                spec,
                 automatic=self.proposal.qos is None,
                 expected_rate=self.spec.expected_rate,
                 known=ready.newest,
-                marks=lambda: self.arming.lease if self.arming.required else None,
             )
             self._path.histories = self._subscription.histories
         self.advance()
@@ -189,12 +186,12 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def advance(self) -> None:
         """Do the next steps that are possible: look for publishers, describe them, open the channel, subscribe."""
         self._advance()
-        if self._subscription is not None and (released := self._loop_filter.release()):
+        if self._subscription.spec is not None and (released := self._loop_filter.release()):
             self._path.take(released)
 
     def _advance(self) -> None:
         if not self.accepted or self.paused:
-            self._unsubscribe()
+            self._subscription.unsubscribe()
             self._ledger.lose("paused", self._loop_filter.forget())  # nobody wants them when it is resumed
             return
         self._path.resume()
@@ -207,7 +204,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             return
         self.notices.set_loop(self._loop_filter.loop(self.topic))
         if self.notices.loop:
-            self._unsubscribe()
+            self._subscription.unsubscribe()
             return
         described = self._resolve()
         if described is None:
@@ -221,7 +218,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             )
             return
         if described != self._described:
-            self._unsubscribe()
+            self._subscription.unsubscribe()
             self.life.take(RouteEvent.DESCRIBE)
             self._describe(described)
         if not self.life.ready:
@@ -230,7 +227,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if self.channel is None:
             self.peer.open_channel(self)
         if not self.arming.stands(self.context.now()):
-            self._unsubscribe()
+            self._subscription.unsubscribe()
         elif self.channel is not None and self.channel.ready:
             self._subscribe()
 
@@ -258,10 +255,9 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         return Describe(route=self.id, type=resolved.type, type_hash=resolved.type_hash, qos=qos, sources=sources)
 
     def _subscribe(self) -> None:
-        if self._subscription is None or self._subscription.active:
+        if self._subscription.spec is None or self._subscription.active:
             return
         try:
-            self._type.begin(self.type_name, self.type_hash)
             self._subscription.subscribe()
         except RosError as error:
             self.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error), Level.ERROR)
@@ -271,26 +267,17 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._verdict = None
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({self.type_name})")
 
-    def _unsubscribe(self) -> None:
-        if self._subscription is not None:
-            self._subscription.unsubscribe()
-            self._type.end()
-
     def _end_subscription(self) -> None:
-        self._present = None
-        if self._subscription is not None:
-            self._ledger.drop("link lost", self._subscription.close() + self._path.clear_later())
-            self._ledger.lost_in_dds += self._subscription.lost
-            self._subscription = self._path.histories = None
-            self._type.end()
+        self._present = self._path.histories = None
+        self._ledger.drop("link lost", self._subscription.close() + self._path.clear_later())
 
     def _look_who_is_present(self) -> None:
         """Drop the histories of publishers that are gone, here and at the peer; tell it the depths of the others."""
-        if self._subscription is None or self.qos is None or not self.qos.latched:
+        if (histories := self._subscription.histories) is None:
             return
         gids = {endpoint.gid for endpoint in self.endpoints}
-        self._subscription.look(gids)
-        depths = self._subscription.depths()
+        histories.look(gids)
+        depths = histories.depths()
         ids = islice(map(publisher_id, gids), MOST_PUBLISHERS)
         present = {each: depths.get(each, 0) for each in ids}
         if present != self._present:
@@ -302,13 +289,9 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self.notices.record(text)
         self.log(level, code, text)
 
-    @property
-    def _failure(self) -> str:
-        return self._subscription.failure if self._subscription is not None else ""
-
     def disarm(self, why: Disarmed, reason: str = "") -> None:
         """Drop the waiting messages, here and at the peer."""
-        self._unsubscribe()
+        self._subscription.unsubscribe()
         self._ledger.lose("disarmed", self._loop_filter.forget())
         self._ledger.drop("disarmed", self._path.clear())
         self._ledger.disarmed()
@@ -323,7 +306,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def close(self, reason: str) -> None:
         """End the opening. Waiting messages are lost; messages in flight are settled with the next opening."""
-        if self.endpoints and self._subscribed and not self.arming.required:
+        if self.endpoints and self._subscription.receives and not self.arming.required:
             self._ledger.missed.lost(self.context.now())
         self._end_subscription()
         self._described = None
@@ -338,10 +321,9 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     # --- messages
 
     def _signs(self) -> Signs:
-        subscription, notices = self._subscription, self.notices
-        lost, failure = (0, "") if subscription is None else (subscription.lost, subscription.failure)
         return (
-            *super()._signs(), self._report, self._resolver.unresolved, failure, lost, notices.warning, notices.loop,
+            *super()._signs(), self._report, self._resolver.unresolved, self._subscription.failure,
+            self._subscription.lost, self.notices.warning, self.notices.loop,
         )  # fmt: skip
 
     def _changes_at(self, shown: Verdict, now: float) -> float:
@@ -354,7 +336,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         latched = self.is_latched  # may be silent for any time, unless an operator expects a rate
         self._health.tick(
             Flow(
-                self.flowing and self._subscribed,
+                self.flowing and self._subscription.receives,
                 self.silence.quiet_since,
                 self.meter.rate,
                 self.spec.expected_rate or 0.0,
@@ -367,8 +349,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         )
         self._tick_missed(now, latched=latched)
         super().tick()
-        if self._subscription is not None:
-            self._subscription.tick()
+        self._subscription.tick()
 
     def _tick_missed(self, now: float, *, latched: bool) -> None:
         """Learn the rate at which messages cross, or estimate how many are missed now."""
@@ -399,12 +380,6 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         measured = self.delays.tick(own, self.peer.clock.uncertainty or 0.0, now)
         self.lateness.tick(self.delays.least, 0.0, self.late_after, now, measured, own=own, learns=self.learns)
 
-    @property
-    def _message_and_report(self) -> float:
-        """Estimated s that a message and its report take together."""
-        back = self.peer.report_delay
-        return min(max(0.0, self.delays.reported or 0.0, back) + back, _LONGEST_UNDER_WAY)
-
     def _held_up_where(self) -> str:
         return QUEUE if self._path.waits(self.context.now()) >= self.lateness.seconds / 2 else WAY
 
@@ -421,7 +396,8 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         """Take the peer's counts of the present opening."""
         self._report = report
         self.judged.take(report.verdict, self.context.now())
-        if not self._ledger.reported(report, self.context.now(), self._message_and_report):
+        delay = self.delays.with_report(self.peer.report_delay)
+        if not self._ledger.reported(report, self.context.now(), delay):
             self.notices.doubt(self.peer.instance, _LIMITED)
         if self._ledger.received_now:
             self.losses.arrived()
@@ -438,21 +414,12 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def ledger(self) -> Ledger:
         """Return the ledger, by the peer's last report."""
-        lost_in_dds = self._subscription.lost if self._subscription else 0
-        return self._ledger.ledger(lost_in_dds)
+        return self._ledger.ledger(self._subscription.lost)
 
     def news(self) -> SentReport | None:
         """Return the report to send to the peer now, or None if nothing has changed."""
-        report = self._sent_report()
-        if report == self._last_report:
-            return None
-        self._last_report = report
-        verdict = lasting(report.verdict, self.verdict(), self.context.now())
-        return msgspec.structs.replace(report, verdict=verdict)
-
-    def _sent_report(self) -> SentReport:
         ledger = self.ledger()
-        return SentReport(
+        report = SentReport(
             route=self.id,
             offered=ledger.offered,
             delivered=ledger.delivered,
@@ -464,10 +431,15 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             missed_while_down=ledger.missed_while_down,
             publishers=len(self.endpoints),
             publisher_qos=self._resolver.publisher_qos,
-            subscribed=self._subscribed,
+            subscribed=self._subscription.receives,
             verdict=record_of(self.verdict()),
             nodes=node_names(self.endpoints),
         )
+        if report == self._last_report:
+            return None
+        self._last_report = report
+        verdict = lasting(report.verdict, self.verdict(), self.context.now())
+        return msgspec.structs.replace(report, verdict=verdict)
 
     @property
     def known_type(self) -> TypeVersion:
@@ -476,11 +448,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def takes(self, gid: bytes) -> bool:
         """Whether messages of a publisher here are taken now, or held until it is known where they come from."""
-        return self._subscribed and not self._loop_filter.table.left_out(gid)
-
-    @property
-    def _subscribed(self) -> bool:
-        return self._subscription is not None and self._subscription.active and not self._subscription.failure
+        return self._subscription.receives and not self._loop_filter.table.left_out(gid)
 
     @property
     def has_kept(self) -> bool:
@@ -517,8 +485,8 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             qos=self.qos,
             unresolved=None if unresolved is None else unresolved.cause,
             why_unresolved=self._resolver.why(),
-            subscribed=self._subscribed,
-            subscribe_failed=self._failure,
+            subscribed=self._subscription.receives,
+            subscribe_failed=self._subscription.failure,
             sent=self._ledger.sent_now,
             received=self._ledger.received_now,
             published=self._ledger.delivered_now,
@@ -537,7 +505,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def facts(self) -> Facts:
         facts = super().facts()
-        facts = facts._replace(left_out=self.notices.warning, rate=self.meter.rate, datagrams=self._datagrams())
+        facts = facts._replace(left_out=self.notices.warning, rate=self.meter.rate, datagrams=self.datagrams())
         facts = self._health.added_to(facts)
         loss = facts.loss
         if loss is None or self.peer.full_out is not None:
@@ -552,31 +520,13 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     @property
     def large_vanish(self) -> bool:
         loss, channel = self._health.loss, self.channel
-        if loss is None or loss.lost < loss.of or self._datagrams() < 2 or not isinstance(channel, DatagramSender):
+        if loss is None or loss.lost < loss.of or channel is None or self.datagrams() < 2:
             return False
         # A part of a message's datagrams may arrive, on a full link for example, and none of the messages.
         return channel.unheard_for > REPORTED_LATELY and not channel.trouble()
 
-    @property
-    def arrived_share(self) -> float | None:
-        """The share of its datagrams that arrives, or None without datagrams or before the first receipt."""
-        return self.channel.arrived_share if isinstance(self.channel, DatagramSender) else None
-
-    @property
-    def starts(self) -> bool:
-        """Whether its channel does not yet send as fast as it can, so that messages wait though the link has room."""
-        return isinstance(self.channel, SendingEnd) and self.channel.grows
-
-    @property
-    def messages_by_datagrams(self) -> float:
-        """Messages/s that arrive by the count of their datagrams, or 0 if each message is one datagram."""
-        datagrams = self._datagrams()
-        if datagrams < 2 or not isinstance(self.channel, DatagramSender):
-            return 0.0
-        return self.channel.arrival_rate() / datagrams
-
-    def _datagrams(self) -> int:
+    def datagrams(self) -> int:
         """Return the number of datagrams of an average message, or 0 if the channel uses none."""
-        if not isinstance(self.channel, DatagramSender) or not self.meter.count or not self.channel.ready:
+        if self.channel is None or not self.meter.count or not self.channel.ready:
             return 0
         return self.channel.datagrams(self.meter.bytes // self.meter.count)

@@ -18,7 +18,8 @@ from rsb_bridge.cdr.resting import DRIVING_TYPES, resting, stamped
 from rsb_bridge.cdr.velocity import velocity_of
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.calls import FieldError
-from rsb_bridge.model.on_end import ZERO
+from rsb_bridge.model.demands import PEER_DEMANDS
+from rsb_bridge.model.on_end import NONE, ZERO
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
 from rsb_bridge.route.lease import LASTS
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.calls import Fields
     from rsb_bridge.model.qos import Qos
+    from rsb_bridge.route.arming import Arming
     from rsb_bridge.route.source_publishers import PublicationSpec
 
 EVERY = 0.1
@@ -231,6 +233,80 @@ class RestMessage:
             del self._context.moved_by[self.spec.topic]
         self._context.announcements.withdraw(self._publisher.gid)
         self._publisher.close()
+
+
+class RestAfterArming:
+    """Keeps the rest of one route ready, for the type and the QoS that its messages have.
+
+    Args:
+        link: the route's, by name.
+        arming: the route's.
+        on_end_of: gives ``none``, ``zero`` or a message for a type.
+        failed: is called with the reason if the rest cannot be published.
+        overdue: is called when a velocity has held for too long.
+
+    Attributes:
+        message: the rest, or None if none follows.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        link: str,
+        arming: Arming,
+        on_end_of: Callable[[str], str],
+        failed: Callable[[str], None],
+        overdue: Callable[[], None],
+    ) -> None:
+        self.message: RestMessage | None = None
+        self._context = context
+        self._link = link
+        self._arming = arming
+        self._on_end_of = on_end_of
+        self._failed = failed
+        self._overdue = overdue
+
+    def prepare(self, spec: PublicationSpec) -> None:
+        """Have a rest that can follow messages of a spec.
+
+        Raises:
+            RosError: there can be none.
+        """
+        before, on_end = self.message, self._on_end_of(spec.type_name) if self._arming.required else NONE
+        if before is not None and before.fits(spec, on_end):
+            return
+        if on_end == NONE:
+            self.close()
+            return
+        try:
+            rest = RestMessage(self._context, self._link, spec, on_end, self._failed, self._overdue)
+        except (RosError, FieldError) as error:
+            raise RosError(f"on_end: {error}; correct it in {self._who_says(on_end)}") from None
+        if before is not None:
+            rest.replaces(before)
+        self.close()
+        self.message = rest
+
+    def _who_says(self, on_end: str) -> str:
+        own = self._arming.own
+        lines = ", ".join(map(self._context.demands.origin, own.sources)) if own.on_end == on_end else ""
+        return lines or PEER_DEMANDS
+
+    def moved_by_hand(self, spec: PublicationSpec, message: bytes) -> None:
+        """Note a message that an operator of this side has published by the route's arming.
+
+        Raises:
+            RosError: there can be no rest after it.
+        """
+        self.prepare(spec)
+        if self.message is not None:
+            self.message.moved(message)
+
+    def close(self) -> None:
+        """Have no rest any more; one that is being published goes on."""
+        if self.message is not None:
+            self.message.close()
+            self.message = None
 
 
 def _resting_qos(spec: PublicationSpec) -> Qos:

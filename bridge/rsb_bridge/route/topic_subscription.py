@@ -15,14 +15,16 @@ from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.ros_interface import BATCH, RosError
 from rsb_bridge.route.history_depth import Histories
 from rsb_bridge.route.lease import Marker
+from rsb_bridge.route.peer import TypeUse
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+    from collections.abc import Callable, Hashable, Mapping, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RouteEnds, Subscription
     from rsb_bridge.route.lease import LeaseHalf
+    from rsb_bridge.route.peer import TypeBudget
     from rsb_bridge.route.sending import OutgoingPath
     from rsb_bridge.telemetry.meters import RateMeter
 
@@ -43,12 +45,23 @@ class SubscriptionSpec(NamedTuple):
 
 
 class TopicSubscription:
-    """A route's subscription, for one opening. It hands all messages to `OutgoingPath`, on the I/O loop.
+    """A route's subscription, which each opening begins anew. It hands all messages to `OutgoingPath`, on the I/O loop.
 
     With ``qos: auto`` the depth on a volatile topic follows the topic's rate. On a latched topic messages come with
     what their publishers keep for late joiners, and none that the peer has.
 
+    Args:
+        context: shared by all parts of the engine.
+        ends: where the topic is subscribed to.
+        path: gets the messages; after `close` it drops messages that are still in the ROS queue.
+        types: limits the link's types.
+        meter: of the topic's messages so far.
+        log: adds an event about the subscription.
+        found: called after the histories know more depths.
+        marks: gives the lease that messages are marked with, or None if they are not marked.
+
     Attributes:
+        spec: what is subscribed to in the present opening, or None before it begins.
         histories: of a latched topic's publishers, or None for a volatile topic.
     """
 
@@ -56,52 +69,55 @@ class TopicSubscription:
         self,
         context: Context,
         ends: RouteEnds,
-        spec: SubscriptionSpec,
         path: OutgoingPath,
+        types: TypeBudget,
         meter: RateMeter,
         log: Callable[[Level, EventCode, str], None],
         found: Callable[[], None],
-        *,
-        automatic: bool,
-        expected_rate: float | None,
-        known: Mapping[bytes, int],
         marks: Callable[[], LeaseHalf | None] = lambda: None,
     ) -> None:
-        """Subscribe to nothing yet.
-
-        Args:
-            context: shared by all parts of the engine.
-            ends: where the topic is subscribed to.
-            path: gets the messages; after `close` it drops messages that are still in the ROS queue.
-            meter: of the topic's messages so far.
-            log: adds an event about the subscription.
-            found: called after `depths` has got more entries.
-            automatic: whether depths are chosen here instead of by the QoS.
-            expected_rate: Hz, as an operator gave it; 0 or None if not given.
-            known: for each publisher of a latched topic, the number of the newest message that the peer has.
-            marks: gives the lease that messages are marked with, or None if they are not marked.
-        """
+        self.spec: SubscriptionSpec | None = None
         self.histories: Histories | None = None
         self._context = context
         self._ends = ends
-        self._spec = spec
+        self._path = path
+        self._type = TypeUse(context.ros, types)
         self._meter = meter
         self._log = log
-        self._automatic = automatic
-        self._expected_rate = expected_rate
+        self._found = found
         self._marks = marks
-        self._too_late = path.too_late
+        self._automatic = False
+        self._expected_rate: float | None = None
         self._receiver = _Receiver(path.offer)
         self._subscription: LastingSubscription | None = None
-        if spec.qos.latched:
-            depth = 0 if automatic else _kept(spec.qos)
-            self.histories = Histories(
-                context.loop, self._probe, path.emit, found, depth=depth, lifespan=spec.qos.lifespan, known=known
-            )
         self._depth = 0
         self._lost_before = self._lost_seen = 0
 
     # --- the subscription
+
+    def begin(
+        self, spec: SubscriptionSpec, *, automatic: bool, expected_rate: float | None, known: Mapping[bytes, int]
+    ) -> None:
+        """Begin an opening. Subscribe to nothing yet.
+
+        Args:
+            automatic: whether depths are chosen here instead of by the QoS.
+            expected_rate: Hz, as an operator gave it; 0 or None if not given.
+            known: for each publisher of a latched topic, the number of the newest message that the peer has.
+        """
+        self.spec, self._automatic, self._expected_rate = spec, automatic, expected_rate
+        self._receiver = _Receiver(self._path.offer)
+        self._lost_seen = self.lost
+        if spec.qos.latched:
+            self.histories = Histories(
+                self._context.loop,
+                self._probe,
+                self._path.emit,
+                self._found,
+                depth=0 if automatic else _kept(spec.qos),
+                lifespan=spec.qos.lifespan,
+                known=known,
+            )
 
     def subscribe(self) -> None:
         """Begin to take messages.
@@ -109,6 +125,8 @@ class TopicSubscription:
         Raises:
             RosError: the topic cannot be subscribed to.
         """
+        assert self.spec is not None
+        self._type.begin(self.spec.type_name, self.spec.type_hash)
         self._subscription = LastingSubscription(self._context.loop, self._subscribe, self._changed)
 
     def unsubscribe(self) -> None:
@@ -117,17 +135,25 @@ class TopicSubscription:
             self._lost_before += self._subscription.lost
             self._subscription.close()
             self._subscription = None
+        self._type.end()
 
     def close(self) -> int:
-        """Take no more messages, drop the messages that the histories hold, and return their number."""
+        """End the opening, drop the messages that the histories hold, and return their number."""
         self.unsubscribe()
-        self._receiver.offer = self._too_late  # they may be older than what arms the next opening
-        return self.histories.close() if self.histories is not None else 0
+        self._receiver.offer = self._path.too_late  # they may be older than what arms the next opening
+        held = self.histories.close() if self.histories is not None else 0
+        self.spec = self.histories = None
+        return held
 
     @property
     def active(self) -> bool:
         """Whether it is subscribed, or about to be again after a failure."""
         return self._subscription is not None
+
+    @property
+    def receives(self) -> bool:
+        """Whether it is subscribed and has not failed."""
+        return self._subscription is not None and not self._subscription.failure
 
     @property
     def failure(self) -> str:
@@ -136,7 +162,7 @@ class TopicSubscription:
 
     @property
     def lost(self) -> int:
-        """Messages that DDS lost before they could be taken."""
+        """Messages that DDS lost before they could be taken, over all openings."""
         return self._lost_before + (self._subscription.lost if self._subscription is not None else 0)
 
     def tick(self) -> None:
@@ -150,17 +176,9 @@ class TopicSubscription:
             self._log(Level.INFO, EventCode.ROUTE_DEEPENED, text)
             self._subscription.reopen()
 
-    def look(self, publishers: Collection[bytes]) -> None:
-        """Note which publishers the graph has, by their ids."""
-        if self.histories is not None:
-            self.histories.look(publishers)
-
-    def depths(self) -> dict[bytes, int]:
-        """Return how many messages publishers of a latched topic keep, as far as that is known."""
-        return self.histories.depths() if self.histories is not None else {}
-
     def _qos(self) -> Qos:
-        qos, meter = self._spec.qos, self._meter
+        assert self.spec is not None
+        qos, meter = self.spec.qos, self._meter
         if qos.latched:
             return msgspec.structs.replace(qos, history="keep_all")  # each publisher keeps what it keeps
         if not self._automatic:
@@ -174,7 +192,8 @@ class TopicSubscription:
         return self._subscribe_for(self._receiver, on_failure)
 
     def _subscribe_for(self, receiver: _Receiver, on_failure: OnFailure | None) -> Subscription:
-        spec, qos = self._spec, self._qos()
+        assert self.spec is not None
+        spec, qos = self.spec, self._qos()
         self._depth = qos.depth
         put = partial(self._context.ros_queue.put, receiver)
         sink: Callable[[Sequence[RawMessage]], None] = put
@@ -191,12 +210,12 @@ class TopicSubscription:
         if self.failure:
             self._log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, self.failure)
         else:
-            text = f"subscribed again ({self._spec.type_name})"
+            text = f"subscribed again ({self.spec.type_name if self.spec is not None else ''})"
             self._log(Level.INFO, EventCode.ROUTE_CONNECTED, text)
 
     def _probe(self, take: Callable[[Sequence[RawMessage]], None]) -> Subscription:
         if self._subscription is None:
-            raise RosError(f"{self._spec.topic} is not subscribed to")
+            raise RosError("the topic is not subscribed to")
         return self._subscribe_for(_Receiver(take), None)
 
 

@@ -218,40 +218,8 @@ def _with_nodes(nodes: Mapping[str, set[str]]) -> str:
     return ", ".join(f"{key} (by {named(who)})" for key, who in list(nodes.items())[:_NAMED])
 
 
-class Usable(NamedTuple):
-    """The servers of a service, sorted.
-
-    Attributes:
-        via: the bridges that their answers cross.
-        circular: must not be called.
-        unexplained: have not announced yet where their answers come from.
-    """
-
-    servers: list[Endpoint]
-    via: Via
-    circular: list[Endpoint]
-    unexplained: list[Endpoint]
-
-    def check(self, service: str, domain_id: int) -> None:
-        """Raise the reason if there are servers, but none may be called.
-
-        Raises:
-            UnavailableError: with that reason.
-        """
-        if not self.servers and self.circular:
-            text = (
-                f"calls would go in a circle: {service} is answered in domain {domain_id} by "
-                f"{named(each.node for each in self.circular)} only, which bridges it from the callers' side; "
-                "remove this route or that one"
-            )
-            raise UnavailableError(Cause.LOOP, text)
-        if not self.servers and self.unexplained:
-            nodes = named(each.node for each in self.unexplained)
-            raise UnavailableError(Cause.NO_SERVER, f"waiting for {nodes} to announce where the answers come from")
-
-
 class CallLoopGuard:
-    """Finds the servers that calls may go to without coming back in a circle.
+    """Finds the servers of a route that calls may go to without coming back in a circle.
 
     This bridge's own offers for other links count as servers, too.
 
@@ -260,45 +228,70 @@ class CallLoopGuard:
         peer: the side with the callers.
 
     Attributes:
-        waits: whether a server of the last service has not announced yet where its answers come from.
+        waits: whether a server has not announced yet where its answers come from.
     """
 
     def __init__(self, context: Context, peer: Peer) -> None:
         self.waits = False
+        self._via: dict[str, None] = {}
         self._context = context
         self._peer = peer
         self._first_seen: dict[str, dict[bytes, float]] = {}  # by service
 
-    def sort(self, service: str, remote_service: str) -> Usable:
-        """Sort the servers of a service.
+    @property
+    def via(self) -> Via:
+        """The bridges that answers cross before they come here."""
+        return tuple(self._via)[: MOST_HOPS - 1]
+
+    def begin(self) -> None:
+        """Begin to look at all services of the route again."""
+        self.waits = False
+        self._via.clear()
+
+    def servers(self, service: str, remote_service: str) -> list[Endpoint]:
+        """Return the servers of a service that may be called.
 
         Args:
             service: its name on this side.
             remote_service: its name on the callers' side.
+
+        Raises:
+            UnavailableError: there are some, but none may.
         """
         announcements, ros, now = self._context.announcements, self._context.ros, self._context.now()
         here = place(announcements.bridges, service)
         there = place(self._peer.bridges, remote_service)
         own = hop(ros.node_name, service)
-        usable = Usable([], (), [], [])
-        via: dict[str, None] = {}
+        usable: list[Endpoint] = []
+        circular: list[Endpoint] = []
+        unexplained: list[Endpoint] = []
         before, first_seen = self._first_seen.get(service, {}), {}
         for server in (*ros.servers(service), *announcements.own_servers(service, self._peer.name)):
             origin = announcements.origin_of_server(server, service)
             if origin is None:
                 first_seen[server.gid] = before.get(server.gid, now)
                 if _BRIDGE.fullmatch(server.node) or now - first_seen[server.gid] < _EXPLAINED_WITHIN:
-                    usable.unexplained.append(server)
+                    unexplained.append(server)
                     continue
             crossed = origin.via if origin is not None else ()
             if not here.isdisjoint(crossed) or not there.isdisjoint((*crossed, own)) or len(crossed) >= MOST_HOPS - 1:
-                usable.circular.append(server)
+                circular.append(server)
             else:
-                usable.servers.append(server)
-                via.update(dict.fromkeys(crossed))
+                usable.append(server)
+                self._via.update(dict.fromkeys(crossed))
         self._first_seen[service] = first_seen
-        self.waits = bool(usable.unexplained)
-        return usable._replace(via=tuple(via)[: MOST_HOPS - 1])
+        self.waits = self.waits or bool(unexplained)
+        if not usable and circular:
+            text = (
+                f"calls would go in a circle: {service} is answered in domain {self._context.domain_id} by "
+                f"{named(each.node for each in circular)} only, which bridges it from the callers' side; "
+                "remove this route or that one"
+            )
+            raise UnavailableError(Cause.LOOP, text)
+        if not usable and unexplained:
+            nodes = named(each.node for each in unexplained)
+            raise UnavailableError(Cause.NO_SERVER, f"waiting for {nodes} to announce where the answers come from")
+        return usable
 
 
 def way_here(via: Via, bridges: tuple[str, ...], remote_service: str) -> Via:

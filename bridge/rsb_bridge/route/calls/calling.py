@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.calls import Refused
@@ -19,11 +20,10 @@ from rsb_bridge.ros.ros_interface import Request, RosError
 from rsb_bridge.route.calls.call_endpoints import Offers, name_of, type_of
 from rsb_bridge.route.calls.call_servers import LocalServers, others_called, types_clash, way_here
 from rsb_bridge.route.calls.calls_ledger import refused_as
-from rsb_bridge.route.calls.calls_route import CallsRoute
+from rsb_bridge.route.calls.calls_route import CallsRoute, from_wrong_side
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble
 from rsb_bridge.route.calls.lane_types import TypeComparison
 from rsb_bridge.route.calls.manual_call import CallError, ManualCall
-from rsb_bridge.route.calls.node_parameters import foreign_event
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
 from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.route.gates import CallRateGate, calling_gates, chained, compose_when_switched
@@ -31,6 +31,7 @@ from rsb_bridge.route.source_publishers import SlowSubscriberError
 from rsb_bridge.route.topic_verdict import named
 from rsb_bridge.route.type_versions import CompareTypes, unknown_difference
 from rsb_bridge.wire.headers import CallFrame, What, frame_size
+from rsb_bridge.wire.messages import Provide
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
@@ -41,15 +42,14 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.ros.ros_interface import ServiceServer
     from rsb_bridge.route.calls.kept_calls import KeptCall
-    from rsb_bridge.route.lease import LeaseHalf
     from rsb_bridge.route.notices import Notices
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.framing import Budget
-    from rsb_bridge.wire.messages import Propose, Provide
+    from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import CallsReport, LaneEntry
 
-_CALLER = 16
-"""Bytes of `Request.caller` that identify the caller; the others identify the request."""
+_UNKNOWN = Provide(route=0)
+"""Before the other side has told what it provides."""
 
 
 class LaneMessages:
@@ -122,11 +122,57 @@ class CallerCall(PendingCall):
             self.server.fail(reason)
 
 
+class CallerCalls(PendingCalls[CallerCall]):
+    """The calls of one callers' half that wait for answers, numbered as they are sent.
+
+    Attributes:
+        last: number of the newest one in the present opening.
+    """
+
+    last = 0
+
+    def begin(self, call: CallerCall, timeout: float | None) -> int:
+        """Number a call, which expires after `timeout` s, or never if that is None."""
+        self.last += 1
+        self.add(self.last, call, timeout)
+        return self.last
+
+    def end_by(self, frame: CallFrame) -> CallerCall | None:
+        """End the call that a frame is about, and return it, or None if it has ended before.
+
+        Raises:
+            ProtocolError: it was never made, or not on that lane.
+        """
+        call = self.get(frame.call)
+        if call is None and not 0 < frame.call <= self.last:
+            raise ProtocolError(f"an answer to call {frame.call}, which was never made")
+        if call is not None and call.lane != frame.lane:
+            raise ProtocolError(f"call {frame.call} is answered on lane {frame.lane}, not {call.lane}")
+        return self.end(frame.call)
+
+
 class LandedText(Wording):
     """How far a call without an answer got on the other side."""
 
     GIVEN = "it was given to DDS there, so the node may have acted on it"
     UNREPORTED = "not reported whether it was given to DDS there: the node may have acted on it"
+
+
+def _landed(number: int, report: CallsReport | None) -> str:
+    """Return how far a call without an answer got, as the other side has reported it, once a second."""
+    given = report is not None and number <= report.given
+    return (LandedText.GIVEN if given else LandedText.UNREPORTED)()
+
+
+def _why_unacceptable(provide: Provide, members: Sequence[ServiceMember], agreed_type: str) -> str:
+    """Return the reason why the other side's list breaks the agreement between the two sides, or an empty string."""
+    if provide.lanes and len(provide.lanes) != len(members):
+        return f"the other side provides {len(provide.lanes)} lanes, not {len(members)}"
+    for member, entry in zip(members, provide.lanes, strict=False):
+        agreed = type_of(member, agreed_type)
+        if agreed and entry.type != agreed and not member.is_topic:  # whether it requires arming may depend on this
+            return f"the other side provides {entry.type}, though {agreed} was agreed on"
+    return ""
 
 
 class CallingRoute(CallsRoute):
@@ -140,24 +186,26 @@ class CallingRoute(CallsRoute):
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self._provided: Provide | None = None  # in the present opening
+        self._provided = _UNKNOWN  # in the present opening
         self.compare_types: CompareTypes = unknown_difference
         self._comparison = TypeComparison(self._advance_if_open)
         self._resumed_at = 0  # the revision of the pause's end, in the present opening
         self._reach: frozenset[int] = frozenset()  # the lanes that are offered, and whose calls go to the other side
         self._offers = Offers(
-            context, peer, self.members, self._asked, self._too_late, self._offer_failed, self._lease_of_requests
+            context,
+            peer,
+            self.members,
+            self._asked,
+            self._too_late,
+            self._offer_failed,
+            lambda: self.arming.lease if self.arming.required else None,
         )
         self._local_servers = LocalServers(context, peer, self.advance)
         self._served_here: list[str] = []  # nodes that serve it on this side, while none does on the other side
-        self._pending = PendingCalls[CallerCall](context.loop, peer.budget.asked, self._expired, self._outbox.forget)
-        self._last_number = 0
+        self._pending = CallerCalls(context.loop, peer.budget.asked, self._expired, self._outbox.forget)
         self._messages = LaneMessages(self.members, self._offers, peer.budget.kept, self.notices)
         self._rate = CallRateGate(0.0, context.now())
         compose_when_switched(self, self._compose_gates)
-
-    def _lease_of_requests(self) -> LeaseHalf | None:
-        return self.arming.lease if self.arming.required else None
 
     def _compose_gates(self) -> None:
         if self._rate.rate != self.limit.rate:
@@ -170,21 +218,11 @@ class CallingRoute(CallsRoute):
 
     def provided(self, provide: Provide) -> None:
         """Take the providing side's list of what can be called."""
-        if text := self._why_unacceptable(provide):
+        if text := _why_unacceptable(provide, self.members, self.proposal.type):
             self.request_reopen(EventCode.ROUTE_CALLS_BROKEN, text, Level.ERROR)
         else:
             self._provided = provide
             self.advance()
-
-    def _why_unacceptable(self, provide: Provide) -> str:
-        """Return the reason why a list breaks the agreement between the two sides, or an empty string."""
-        if provide.lanes and len(provide.lanes) != len(self.members):
-            return f"the other side provides {len(provide.lanes)} lanes, not {len(self.members)}"
-        for member, entry in zip(self.members, provide.lanes, strict=False):
-            agreed = type_of(member, self.proposal.type)
-            if agreed and entry.type != agreed and not member.is_topic:  # whether it requires arming may depend on this
-                return f"the other side provides {entry.type}, though {agreed} was agreed on"
-        return ""
 
     def advance(self) -> None:
         """Open the channel, and offer what can be called, or withdraw it."""
@@ -194,11 +232,11 @@ class CallingRoute(CallsRoute):
             self.peer.open_channel(self)
         self._look()
         lanes = self._to_offer()
-        if self._provided is None or not lanes:
+        if not lanes:
             self._retry.clear()
             self._end_offer()
         elif (self._reach or not self._local_servers.unknown) and not self._retry.waits(self._provided.lanes):
-            self._offer(self._provided, lanes)
+            self._offer(lanes)
         self._verdict = None
 
     def _look(self) -> None:
@@ -208,25 +246,23 @@ class CallingRoute(CallsRoute):
         callers = {service: ros.callers(service) for service in services}
         self.endpoints = [each for found in callers.values() for each in found]
         self._unavailable = self._warning = None
-        if self._provided is not None and (entries := self._provided.lanes):
+        if entries := self._provided.lanes:
             self.type_name, self.type_hash = self.types.know(entries)
             self._warning = others_called(self.members, entries, names, callers)
             self._unavailable = self._local_servers.look(services, offered=bool(self._reach))
             if self._unavailable is None and self.types.load(entries):
-                self._unavailable = types_clash(ros, self.members, entries, names, callers, self._difference_from)
-        nobody_provides = self._provided is not None and not self._provided.lanes
+                difference_from = partial(self._comparison.difference, self.compare_types, self.id)
+                self._unavailable = types_clash(ros, self.members, entries, names, callers, difference_from)
+        nobody_provides = self._provided is not _UNKNOWN and not entries
         self._served_here = self._local_servers.nodes(services) if nobody_provides else []
-
-    def _difference_from(self, entry: LaneEntry, installed: str) -> str:
-        return self._comparison.difference(self.compare_types, self.id, entry, installed)
 
     def _to_offer(self) -> frozenset[int]:
         """Return the lanes that can be offered now."""
         if self._unavailable is not None or self.notices.loop or not (self.connected and self._has_providers):
             return frozenset()
-        if self._provided is not None and not self.types.load(self._provided.lanes):
+        if not self.types.load(self._provided.lanes):
             return frozenset()
-        resumed = self._provided is not None and self._provided.pause_revision >= self._resumed_at
+        resumed = self._provided.pause_revision >= self._resumed_at
         return frozenset(
             number
             for number, member in enumerate(self.members)
@@ -240,16 +276,15 @@ class CallingRoute(CallsRoute):
 
     @property
     def _has_providers(self) -> bool:
-        provided = self._provided
-        if provided is None or not provided.lanes or not self.peer.bridges:
+        entries = self._provided.lanes
+        if not entries or not self.peer.bridges:
             return False
-        return all(
-            entry.providers for member, entry in zip(self.members, provided.lanes, strict=True) if not member.is_topic
-        )
+        return all(entry.providers for member, entry in zip(self.members, entries, strict=True) if not member.is_topic)
 
-    def _offer(self, provided: Provide, lanes: frozenset[int]) -> None:
+    def _offer(self, lanes: frozenset[int]) -> None:
         """Offer these lanes of what is provided, and no others."""
-        offers, entries = self._offers, provided.lanes
+        offers, provided = self._offers, self._provided
+        entries = provided.lanes
         vias = [
             way_here(provided.via, self.peer.bridges, name_of(member, self.remote_topic)) for member in self.members
         ]
@@ -282,8 +317,7 @@ class CallingRoute(CallsRoute):
     def _offer_failed(self, error: RosError) -> None:
         self._end_offer()
         self._offers.close()
-        entries = self._provided.lanes if self._provided is not None else ()
-        self._ros_failed(f"cannot be offered here: {error}", entries)
+        self._ros_failed(f"cannot be offered here: {error}", self._provided.lanes)
 
     def _end_offer(self) -> None:
         """Withdraw the offer, and give up pending calls."""
@@ -306,10 +340,9 @@ class CallingRoute(CallsRoute):
     def close(self, reason: str) -> None:
         """End the opening; pending calls are lost."""
         super().close(reason)
-        self._provided = None
+        self._provided = _UNKNOWN
         self._comparison.forget()
-        self._resumed_at = 0
-        self._last_number = 0
+        self._resumed_at = self._pending.last = 0
         self._messages.clear()
 
     def destroy(self) -> None:
@@ -321,25 +354,20 @@ class CallingRoute(CallsRoute):
     def offered(self) -> bool:
         return bool(self._reach) and self._reach.issuperset(range(len(self.members)))
 
-    @property
-    def provider_nodes(self) -> tuple[str, ...]:
-        return self._provided.nodes if self._provided is not None else ()
-
-    @property
-    def caller_nodes(self) -> tuple[str, ...]:
-        return node_names(self.endpoints)
+    def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        return node_names(self.endpoints), self._provided.nodes
 
     # --- calls, from ROS to the channel
 
     def _asked(self, lane: int, requests: Sequence[Request]) -> None:
         """Send callers' requests, or refuse them."""
-        with_age = self.age.is_on and self.members[lane].limited
-        server = self._offers.servers[lane]
-        for request in [self._stamped(request) for request in requests] if with_age else requests:
+        limited, server = self.members[lane].limited, self._offers.servers[lane]
+        with_age, check = self.age.is_on and limited, self._arriving[limited]
+        for request in map(self.age.aged, requests) if with_age else requests:
             payload, now = request.payload, self.context.now()
             self._asked_for(len(payload))
             size = frame_size(payload)
-            if (why := self._refusal(lane, request, now)) is not None:
+            if check is not None and (why := check(request, now)) is not None:
                 self._refuse_request(lane, server, request, why)
                 continue
             stamp = request.stamp if with_age else 0
@@ -355,27 +383,16 @@ class CallingRoute(CallsRoute):
     def _remember(self, call: CallerCall, payload: bytes, stamp: int) -> None:
         """Note what has to be known later of a caller's call, which is about to be sent."""
 
-    def _stamped(self, request: Request) -> Request:
-        """Return a request with the time from which its age counts as its stamp, or 0 if it is too old."""
-        born = self.age.born(request.source, request.stamp, request.caller[:_CALLER])
-        return request._replace(stamp=0 if born is None else born)
-
     def _too_late(self, lane: int, requests: Sequence[Request]) -> None:
         """Count requests that were on their way from ROS when the offer ended."""
         for request in requests:
             self._asked_for(len(request.payload))
         self.failures.lost(len(requests), "it is no longer offered")
 
-    def _refusal(self, lane: int, request: Request, now: float) -> Refused | None:
-        """Return the reason why a call is not sent, or take its place in the link's budget and return None."""
-        check = self._arriving[self.members[lane].limited]
-        return None if check is None else check(request, now)
-
     def _begin(self, call: CallerCall, payload: bytes, lease: int, stamp: int, what: What = What.CALL) -> None:
         """Send a call that has its place in the budget."""
-        self._last_number = number = self._last_number + 1
-        self._came = True
-        self._pending.add(number, call, self.timeout_of(call.lane))
+        self.came = True
+        number = self._pending.begin(call, self.timeout_of(call.lane))
         self._outbox.put(CallFrame(what, call.lane, number, 0, payload, lease, stamp))
 
     def _leaves(self, frame: CallFrame) -> bool:
@@ -388,18 +405,18 @@ class CallingRoute(CallsRoute):
 
     async def call_by_hand(self, lane: int, request: bytes) -> bytes:
         """Make a call as a caller here would, but without waiting for the end of an interruption."""
-        if lane not in self._reach:
-            raise CallError(self._why_not_now())
-        manual, number = ManualCall(self.context.loop), self._last_number + 1
+        self.entry(lane)
+        manual, limited = ManualCall(self.context.loop), self.members[lane].limited
         self._asked_for(len(request))
         lease = self.arming.newest_number if self.arming.required else 0
         made = Request(request, b"", self.context.stamps.now(), lease)
         size, now = frame_size(request), self.context.now()
-        if (why := self._refusal(lane, made, now)) is not None:
-            self.failures.refused(why)
-            raise CallError(self.calls.last_failure)
-        stamp = made.stamp if self.age.is_on and self.members[lane].limited else 0
+        check = self._arriving[limited]
+        if check is not None and (why := check(made, now)) is not None:
+            raise CallError(self.failures.refused(why))
+        stamp = made.stamp if self.age.is_on and limited else 0
         self._begin(CallerCall(lane, size, now, manual, b""), request, lease, stamp)
+        number = self._pending.last
         self.flush()
         try:
             return await manual.answered
@@ -411,15 +428,12 @@ class CallingRoute(CallsRoute):
 
     def entry(self, lane: int) -> LaneEntry:
         """Return the type of a lane, as the other side has it."""
-        if self._provided is None or lane not in self._reach:
-            raise CallError(self._why_not_now())
-        return self._provided.lanes[lane]
-
-    def _why_not_now(self) -> str:
+        if lane in self._reach:
+            return self._provided.lanes[lane]
         verdict, _ = self.judged.shown(self.verdict())
         known = verdict.cause != Cause.NO_CALL
         why = verdict.text if known else f"no server of {self.remote_topic} on the other side"
-        return f"{self.local_topic} cannot be called now: {why}"
+        raise CallError(f"{self.local_topic} cannot be called now: {why}")
 
     # --- answers, from the channel to ROS
 
@@ -431,37 +445,16 @@ class CallingRoute(CallsRoute):
             case _ if not readable:
                 self._take_unusable(frame, Refused.BYTES_UNDER_WAY)
             case What.ANSWER:
-                if (why := self._malformed(frame, "_Response")) is None:
-                    self._take_answer(frame)
-                else:
+                if (why := self._malformed(frame, "_Response")) is not None:
                     self._take_unusable(frame, why)
+                elif (call := self._pending.end_by(frame)) is not None:
+                    self._answer_caller(call, frame)
+                else:
+                    self.calls.late += 1
             case What.REFUSED:
                 self._take_refusal(frame, refused_as(frame.content))
             case _:
-                self.unexpected(frame)
-
-    def _call_of(self, frame: CallFrame) -> CallerCall | None:
-        """Return the pending call that a frame is about, or None if it has ended.
-
-        Raises:
-            ProtocolError: it was never made, or not on that lane.
-        """
-        call = self._pending.get(frame.call)
-        if call is None and not 0 < frame.call <= self._last_number:
-            raise ProtocolError(f"an answer to call {frame.call}, which was never made")
-        if call is not None and call.lane != frame.lane:
-            raise ProtocolError(f"call {frame.call} is answered on lane {frame.lane}, not {call.lane}")
-        return call
-
-    def _end_call(self, frame: CallFrame) -> CallerCall | None:
-        """End the pending call that a frame is about, and return it, or None if it has ended before."""
-        return self._pending.end(frame.call) if self._call_of(frame) is not None else None
-
-    def _take_answer(self, frame: CallFrame) -> None:
-        if (call := self._end_call(frame)) is None:
-            self.calls.late += 1
-        else:
-            self._answer_caller(call, frame)
+                raise from_wrong_side(frame)
 
     def _answer_caller(self, call: CallerCall, frame: CallFrame) -> None:
         """Answer the caller."""
@@ -478,58 +471,45 @@ class CallingRoute(CallsRoute):
 
     def _take_unusable(self, frame: CallFrame, why: Refused) -> None:
         """End a call whose answer came, but cannot be passed on."""
-        if (call := self._end_call(frame)) is None:
+        if (call := self._pending.end_by(frame)) is None:
             return
-        self._unanswered(call, why)
+        call.unanswered(self.failures.refused(why))
         if frame.what is What.ANSWER:
             self._answer_lost(call)
 
     def _take_refusal(self, frame: CallFrame, why: Refused) -> None:
         """End a call that the other side will not answer."""
-        if (call := self._end_call(frame)) is not None:
+        if (call := self._pending.end_by(frame)) is not None:
             self._end_refused(call, why)
 
     def _end_refused(self, call: CallerCall, why: Refused) -> None:
         """Handle that the other side will not answer a call, which has ended."""
-        self._unanswered(call, why)
+        call.unanswered(self.failures.refused(why))
 
     def _answer_lost(self, call: CallerCall) -> None:
         """Handle that the other side has answered a call, which has ended, but its caller does not hear it."""
 
-    def _unanswered(self, call: CallerCall, why: Refused) -> None:
-        self.failures.refused(why)
-        call.unanswered(self.calls.last_failure)
-
     def _take_message(self, frame: CallFrame) -> None:
         """Publish a message of a lane that is a topic."""
-        if self.spec.kind == "parameters" and (why := foreign_event(frame.content, self.local_topic)):
-            text = f"a parameter event of the peer is left out: {why}"
-            self.notices.message_error(EventCode.ROUTE_EVENT_LEFT_OUT, text)
-            return
         self._messages.take(frame.lane, frame.content)
 
     def _expired(self, number: int, call: CallerCall) -> None:
         self.calls.expired += 1
         self.failures.say(f"a call had no answer within {self.call_timeout:g} s")
-        call.unanswered(f"{self.calls.last_failure}; {self._landed(number)}")
+        call.unanswered(f"{self.calls.last_failure}; {_landed(number, self._report)}")
 
     def _give_up_all(self, why: str) -> None:
         lost = 0
         for number, call in self._pending.clear():
             if self._is_kept(call):
                 continue
-            call.unanswered(f"no answer: {why}; {self._landed(number)}")
+            call.unanswered(f"no answer: {why}; {_landed(number, self._report)}")
             lost += 1
         self.failures.lost(lost, why)
 
     def _is_kept(self, call: CallerCall) -> bool:
         """Keep a call until the other side can be reached again; return False if it is given up instead."""
         return False
-
-    def _landed(self, number: int) -> str:
-        """Return how far a call without an answer got, as the other side has reported it, once a second."""
-        given = self._report is not None and number <= self._report.given
-        return (LandedText.GIVEN if given else LandedText.UNREPORTED)()
 
     # --- verdict and snapshot
 
@@ -551,13 +531,13 @@ class CallingRoute(CallsRoute):
         self.notices.set_loop(peer.text if peer.cause == Cause.LOOP else "")
 
     def progress(self) -> CallsProgress:
-        served = None if self._provided is None else self._has_providers
+        served = None if self._provided is _UNKNOWN else self._has_providers
         text = self.judged.peer.text or f"no server of {self.remote_topic} on the other side"
         trouble = self._unavailable or self._retry.trouble
         failure = trouble.text if trouble is not None else ""
         return CallsProgress(
             served,
-            self.provider_nodes,
+            self._provided.nodes,
             why_unserved=text if served is False else "",
             type_known=bool(self.type_name),
             type_name=self.type_name,

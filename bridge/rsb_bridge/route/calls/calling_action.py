@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, Refused
+from rsb_bridge.model.on_end import NONE, more_careful
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.calling import CallerCall, CallingRoute
 from rsb_bridge.route.calls.goals import Goals, goal_of, rejection_of
@@ -86,6 +87,10 @@ class CallingActionRoute(CallingRoute):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.action = CallerAction(context, self.call_timeout)
 
+    @property
+    def on_end(self) -> str:
+        return more_careful((self.arming.own.on_end, self.arming.peer_on_end, NONE))
+
     # --- offering
 
     def provided(self, provide: Provide) -> None:
@@ -97,9 +102,9 @@ class CallingActionRoute(CallingRoute):
         if self._reach:
             self._send_waiting()
 
-    def _offer(self, provided: Provide, lanes: frozenset[int]) -> None:
+    def _offer(self, lanes: frozenset[int]) -> None:
         before = self._reach
-        super()._offer(provided, lanes)
+        super()._offer(lanes)
         if self._reach - before:
             self._send_waiting()
 

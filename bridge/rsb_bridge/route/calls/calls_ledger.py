@@ -182,14 +182,15 @@ class CallFailures:
         self._now = now
         self._said: dict[str, float] = {}
 
-    def refused(self, why: Refused) -> None:
-        """Count a call that either side refuses, and log it once."""
+    def refused(self, why: Refused) -> str:
+        """Count a call that either side refuses, log it once, and return the reason in words."""
         if why is Refused.LOST:
             self._calls.lost += 1
             self.say(REMEDIES[why])
         else:
             self._calls.refused[why] += 1
             self.say(f"a call was refused: {REMEDIES[why]}")
+        return self._calls.last_failure
 
     def lost(self, calls: int, why: str) -> None:
         """Count calls that lost the link or their server. The log reports that loss elsewhere."""

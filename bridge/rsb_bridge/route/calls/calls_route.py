@@ -7,7 +7,7 @@ names its member by a number, the *lane*.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, NoReturn
+from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 import zstandard
@@ -16,7 +16,6 @@ from rsb_bridge.cdr.checker import MalformedError, TooComplexError
 from rsb_bridge.model.calls import LANES, Refused
 from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.on_end import NONE, more_careful
 from rsb_bridge.model.session import CALL_TIMEOUT
 from rsb_bridge.model.snapshot import Ledger, Level
 from rsb_bridge.route.calls.call_endpoints import RosRetry, name_of
@@ -25,13 +24,7 @@ from rsb_bridge.route.calls.calls_outbox import CallsOutbox
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, Trouble, calls_stages, judge_calls
 from rsb_bridge.route.calls.lane_types import LaneTypes
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
-from rsb_bridge.route.message_check import (
-    BACKLOG_FULL,
-    Backlog,
-    ExpandsTooMuchError,
-    Unpacker,
-    malformed_text,
-)
+from rsb_bridge.route.message_check import ExpandsTooMuchError, Unpacker, malformed_text
 from rsb_bridge.route.route import Route
 from rsb_bridge.wire.framing import LEASED, ZSTD, Message
 from rsb_bridge.wire.headers import CallFrame, What, split_number, unpack_call
@@ -64,31 +57,34 @@ class CallsRoute(Route):
         types: their types.
         calls: counts of its calls on this side.
         failures: counts those without an answer, and tells operators why.
+        came: whether a call came in the present opening.
     """
 
     peer_report = CallsReport
     duplex: ClassVar[bool] = True
     channel: DuplexChannel | None
+    came = False
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.members = LANES[spec.kind]
         self.calls = CallsLedger()
         self.failures = CallFailures(self.calls, self.notices, self.log, context.now)
-        self._outbox = CallsOutbox(self.transport, proposal, self.members, self._leaves, self._stamp_now)
-        self._unpacker = Unpacker(peer.budget.expansion, context)
+        self._outbox = CallsOutbox(
+            self.transport,
+            proposal,
+            self.members,
+            self._leaves,
+            lambda: shifted(context.clock.time_ns(), context.stamps.shift),
+        )
+        self._unpacker = Unpacker(peer.budget.expansion, context, self.deliver, self.request_reopen)
         self.types = LaneTypes(context, self.members, peer.budget.checks, self._advance_if_open)
-        self._later = Backlog()
         self._given = 0  # the newest call that the providing half gave to DDS
         self._report: CallsReport | None = None  # the peer's, of the present opening
         self._last_report: CallsReport | None = None
-        self._came = False  # a call, in the present opening
         self._unavailable: Trouble | None = None
         self._warning: Trouble | None = None
         self._retry = RosRetry(context, self._advance_if_open)
-
-    def _stamp_now(self) -> int:
-        return shifted(self.context.clock.time_ns(), self.context.stamps.shift)
 
     # --- what the halves do differently
 
@@ -125,14 +121,8 @@ class CallsRoute(Route):
         """Whether callers can call it, as far as this half knows."""
         raise NotImplementedError
 
-    @property
-    def provider_nodes(self) -> tuple[str, ...]:
-        """The nodes that answer."""
-        raise NotImplementedError
-
-    @property
-    def caller_nodes(self) -> tuple[str, ...]:
-        """The nodes that call."""
+    def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the nodes that call, and the nodes that answer."""
         raise NotImplementedError
 
     async def call_by_hand(self, lane: int, request: bytes) -> bytes:
@@ -195,25 +185,17 @@ class CallsRoute(Route):
         """Begin a new opening."""
         super().open(route_id)
         self._report = self._last_report = None
-        self._came = False
+        self.came = False
 
     def close(self, reason: str) -> None:
         """End the opening; pending calls are lost."""
         self._withdraw()
         self._give_up_all(reason)
         self._outbox.clear()
-        self._later.take()
-        self._unpacker.forget()
+        self._unpacker.clear()
         self._unavailable = self._warning = None
         self._retry.clear()
         super().close(reason)
-
-    @property
-    def on_end(self) -> str:
-        """``cancel`` or ``none`` of an action; of what else can be called, an empty string."""
-        if self.spec.kind != "action":
-            return ""
-        return more_careful((self.arming.own.on_end, self.arming.peer_on_end, NONE))
 
     def disarm(self, why: Disarmed, reason: str = "") -> None:
         """Let nothing more cross in this opening, not even the answers to pending calls."""
@@ -239,8 +221,8 @@ class CallsRoute(Route):
 
     def deliver(self, messages: Iterable[Message]) -> None:
         """Handle frames that arrived whole and authentic, or queue them for later turns of the I/O loop."""
-        if self._later:
-            self._wait(messages)
+        if self._unpacker.waiting:
+            self._unpacker.wait(messages)
             return
         self.losses.arrived()
         messages, opening = iter(messages), self.id
@@ -251,21 +233,13 @@ class CallsRoute(Route):
                 frame = self._frame_of(message)
                 if not message[2] & ZSTD:
                     self._take(frame)
-                elif self._unpacker.begin((frame.content, *message[1:]), self._go_on):
+                elif self._unpacker.begin((frame.content, *message[1:])):
                     self._take_packed(frame)
                 else:
-                    self._wait((message, *messages))
+                    self._unpacker.wait((message, *messages))
         except (ProtocolError, zstandard.ZstdError) as error:
             self.request_reopen(EventCode.ROUTE_CALLS_BROKEN, f"the peer broke the format: {error}", Level.ERROR)
         self.flush()
-
-    def _go_on(self) -> None:
-        self.deliver(self._later.take())
-
-    def _wait(self, messages: Iterable[Message]) -> None:
-        """Have messages wait until the first of them is unpacked."""
-        if not self._later.add(messages):
-            self.request_reopen(EventCode.ROUTE_EXPANDS_TOO_MUCH, BACKLOG_FULL)
 
     def _frame_of(self, message: Message) -> CallFrame:
         payload, stamp, flags = message
@@ -305,14 +279,6 @@ class CallsRoute(Route):
             return Refused.TOO_COMPLEX
         return None
 
-    def unexpected(self, frame: CallFrame) -> NoReturn:
-        """Reject a frame that only the other side may send.
-
-        Raises:
-            ProtocolError: always.
-        """
-        raise ProtocolError(f"a frame of kind {frame.what.name} from the wrong side")
-
     def flush(self) -> None:
         """Send what waits while the channel takes it."""
         if self.channel is not None and self.channel.ready:
@@ -323,7 +289,7 @@ class CallsRoute(Route):
     def _asked_for(self, size: int) -> None:
         """Count a call with a request of `size` bytes."""
         self.calls.asked += 1
-        self._came = True
+        self.came = True
         self.meter.add(1, size, self.context.now())
 
     def _answered(self, size: int) -> None:
@@ -387,15 +353,12 @@ class CallsRoute(Route):
         return calls_stages(self.setup(), self.progress())
 
     @property
-    def came(self) -> bool:
-        return self._came
-
-    @property
     def came_before(self) -> bool:
-        return self.calls.asked > 0 and not self._came
+        return self.calls.asked > 0 and not self.came
 
     def snapshot(self) -> RouteSnapshot:
         """Return the route as it is now."""
+        callers, providers = self.end_nodes()
         return self.common_snapshot()(
             qos=None,
             publisher_qos=None,
@@ -404,8 +367,13 @@ class CallsRoute(Route):
             latency_p50=None,
             latency_p99=None,
             jitter=None,
-            publishers=self.caller_nodes,
-            subscribers=self.provider_nodes,
+            publishers=callers,
+            subscribers=providers,
             calls=self.calls.snapshot(),
             lanes=tuple(member.name for member in self.members if not member.is_topic),
         )
+
+
+def from_wrong_side(frame: CallFrame) -> ProtocolError:
+    """Return the error of a frame that only the other side may send."""
+    return ProtocolError(f"a frame of kind {frame.what.name} from the wrong side")

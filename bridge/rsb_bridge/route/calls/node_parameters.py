@@ -1,18 +1,28 @@
-"""Parameter events of one node, and the reason why a node's parameters cannot be reached."""
+"""The two halves of the route of a node's parameters, which pass on the events of that node only."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.parameter_events import ParameterEventError, node_of, with_node
+from rsb_bridge.route.calls.call_endpoints import name_of
+from rsb_bridge.route.calls.calling import CallingRoute
 from rsb_bridge.route.calls.calls_verdict import Trouble
+from rsb_bridge.route.calls.providing import ProvidingRoute
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Sequence
 
-    from rsb_bridge.ros.ros_interface import RosInterface
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.session import Topic
+    from rsb_bridge.ros.ros_interface import RawMessage
+    from rsb_bridge.route.calls.call_servers import Provision
+    from rsb_bridge.route.route import Owner
+    from rsb_bridge.wire.headers import CallFrame
+    from rsb_bridge.wire.messages import Propose
 
 _EVERY_NODE_HAS = "/get_type_description"
 """A service of nearly every node, with parameters or without."""
@@ -25,36 +35,53 @@ class NoParameters(Wording):
     NO_SERVICES = "{node} is in domain {domain}, but has no parameter services: it was started without them"
 
 
-def own_event(event: bytes, node: str, remote_node: str) -> bytes | None:
-    """Return a node's event under the name that the node has on the other side, or None if it is another node's.
+class CallingParametersRoute(CallingRoute):
+    """Offers a node's parameters here."""
 
-    Raises:
-        ParameterEventError: it cannot be read.
-    """
-    if node_of(event) != node:
-        return None
-    return event if remote_node == node else with_node(event, remote_node)
-
-
-def foreign_event(event: bytes, node: str) -> str:
-    """Return the reason why an event may not be published for a node, or an empty string."""
-    try:
-        return "" if node_of(event) == node else "it is about another node"
-    except ParameterEventError as error:
-        return str(error)
+    def _take_message(self, frame: CallFrame) -> None:
+        """Publish a parameter event of the peer, if it is about the route's node."""
+        try:
+            why = "" if node_of(frame.content) == self.local_topic else "it is about another node"
+        except ParameterEventError as error:
+            why = str(error)
+        if why:
+            text = f"a parameter event of the peer is left out: {why}"
+            self.notices.message_error(EventCode.ROUTE_EVENT_LEFT_OUT, text)
+        else:
+            super()._take_message(frame)
 
 
-def why_no_parameters(
-    ros: RosInterface, node: str, services: Iterable[str], domain_id: int, missing: Trouble
-) -> Trouble:
-    """Return why a node's parameters cannot be reached; `missing` says that the node does not answer.
+class ProvidingParametersRoute(ProvidingRoute):
+    """Tells the peer of a node's parameters here, and passes its calls on."""
 
-    The node may be there without parameters, or with a part of the services.
-    """
-    if any(ros.servers(service) for service in services):
-        text = NoParameters.SOME_SERVICES(missing=missing.text, node=node)
-        return Trouble(Cause.NO_PARAMETERS, text)
-    if ros.servers(node + _EVERY_NODE_HAS):
-        text = NoParameters.NO_SERVICES(node=node, domain=domain_id)
-        return Trouble(Cause.NO_PARAMETERS, text)
-    return missing
+    def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
+        super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
+        self._clients.node = self.local_topic
+
+    def _find(self) -> Provision:
+        found = super()._find()
+        if (missing := found.unavailable) is None or missing.cause is not Cause.NO_SERVER:
+            return found
+        return found._replace(unavailable=self._why_no_parameters(missing))
+
+    def _why_no_parameters(self, missing: Trouble) -> Trouble:
+        """Say more about a node that does not answer: it may be there without parameters, or with some services."""
+        node, servers = self.local_topic, self.context.ros.servers
+        if any(servers(name_of(member, node)) for member in self.members if not member.is_topic):
+            return Trouble(Cause.NO_PARAMETERS, NoParameters.SOME_SERVICES(missing=missing.text, node=node))
+        if servers(node + _EVERY_NODE_HAS):
+            return Trouble(Cause.NO_PARAMETERS, NoParameters.NO_SERVICES(node=node, domain=self.context.domain_id))
+        return missing
+
+    def _published(self, lane: int, messages: Sequence[RawMessage]) -> None:
+        """Send the parameter events of the route's node, with the node's name on the callers' side."""
+        own, node = [], self.local_topic
+        for message in messages:
+            try:
+                if node_of(message.payload) == node:
+                    renamed = message.payload if self.topic == node else with_node(message.payload, self.topic)
+                    own.append(message._replace(payload=renamed))
+            except ParameterEventError as error:
+                text = f"a parameter event is left out: {error}"
+                self.notices.message_error(EventCode.ROUTE_EVENT_LEFT_OUT, text)
+        super()._published(lane, own)

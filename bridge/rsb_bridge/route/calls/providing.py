@@ -13,17 +13,14 @@ import msgspec
 
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.sources import MOST_HOPS
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.parameter_events import ParameterEventError
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.call_endpoints import Clients, name_of
 from rsb_bridge.route.calls.call_servers import CallLoopGuard, Provision, provision
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
-from rsb_bridge.route.calls.calls_route import CallsRoute
+from rsb_bridge.route.calls.calls_route import CallsRoute, from_wrong_side
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble
 from rsb_bridge.route.calls.manual_call import CallError, call_directly
-from rsb_bridge.route.calls.node_parameters import own_event, why_no_parameters
 from rsb_bridge.route.calls.pending_calls import PendingCall, PendingCalls
 from rsb_bridge.route.combined_verdict import node_names
 from rsb_bridge.route.gates import chained, compose_when_switched, providing_gates, why_not_by_hand
@@ -37,7 +34,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.ros.ros_interface import Endpoint, RawMessage, Response
+    from rsb_bridge.ros.ros_interface import RawMessage, Response
     from rsb_bridge.route.route import Owner
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry
@@ -76,7 +73,6 @@ class ProvidingRoute(CallsRoute):
         compose_when_switched(self, self._compose_gates)
         self._provision = Provision()
         self._loop_guard = CallLoopGuard(context, peer)
-        self._via: dict[str, None] = {}  # the bridges that answers cross before they come here
         self._present: set[bytes] = set()  # ids of servers; the calls made since the last look share it
         self._last_sent: Provide | None = None  # in the present opening
         self._served_in = 0  # the last connection in which a server was there, or 0
@@ -104,14 +100,15 @@ class ProvidingRoute(CallsRoute):
                 self._give_up_all(why)
         elif self.types.load(entries) and not self._retry.waits(entries):
             self._have_clients(entries)
-        self._give_up_orphans()
+        for number, call in self._pending.items():
+            if self._is_orphan(call):
+                self._give_up(number, Refused.LOST)
         self._tell()
         self.flush()
         self._verdict = None
 
     def _look(self) -> None:
         """Find the servers that may be called, and what is wrong with them."""
-        self._via.clear()
         self._provision = found = self._find()
         self.endpoints = found.servers
         present = {each.gid for each in found.servers}
@@ -134,32 +131,23 @@ class ProvidingRoute(CallsRoute):
 
     def _find(self) -> Provision:
         """Return what can be called here."""
-        context, type_name = self.context, self.proposal.type
-        found = provision(context.ros, self.members, self.local_topic, type_name, context.domain_id, self._servers_of)
-        trouble = found.unavailable
-        if self.spec.kind != "parameters" or trouble is None or trouble.cause is not Cause.NO_SERVER:
-            return found
-        services = [name for member, name in zip(self.members, self.local_names, strict=True) if not member.is_topic]
-        trouble = why_no_parameters(context.ros, self.local_topic, services, context.domain_id, trouble)
-        return found._replace(unavailable=trouble)
-
-    def _servers_of(self, lane: int) -> Sequence[Endpoint]:
-        """Return the servers of a lane that may be called.
-
-        Raises:
-            UnavailableError: there are some, but none may.
-        """
-        service = self.local_names[lane]
-        usable = self._loop_guard.sort(service, name_of(self.members[lane], self.topic))
-        self._via.update(dict.fromkeys(usable.via))
-        if usable.unexplained:
+        context, guard = self.context, self._loop_guard
+        names = [(name_of(each, self.local_topic), name_of(each, self.topic)) for each in self.members]
+        guard.begin()
+        found = provision(
+            context.ros,
+            self.members,
+            self.local_topic,
+            self.proposal.type,
+            context.domain_id,
+            lambda lane: guard.servers(*names[lane]),
+        )
+        if guard.waits:
             self._advance_after(_EXPLAINED_AGAIN)
-        usable.check(service, self.context.domain_id)
-        return usable.servers
+        return found
 
     def _have_clients(self, entries: Sequence[LaneEntry]) -> None:
         clients = self._clients
-        clients.node = self.local_topic if self.spec.kind == "parameters" else ""
         try:
             if clients.types != clients.services_of(entries):
                 self._give_up_all("its servers have another type now")
@@ -175,8 +163,8 @@ class ProvidingRoute(CallsRoute):
         entries = self._provision.entries if self._clients.ready else ()
         provide = Provide(route=self.id, pause_revision=self.pausing.revision)
         if entries:
-            via = tuple(self._via)[: MOST_HOPS - 1]
-            provide = msgspec.structs.replace(provide, lanes=entries, nodes=node_names(self.endpoints), via=via)
+            nodes = node_names(self.endpoints)
+            provide = msgspec.structs.replace(provide, lanes=entries, nodes=nodes, via=self._loop_guard.via)
         if self._clients and not self._clients.ready:
             self._advance_after(_MATCHED_AGAIN)
         if provide != self._last_sent:
@@ -227,19 +215,14 @@ class ProvidingRoute(CallsRoute):
     def offered(self) -> bool:
         return self._report is not None and self._report.offered
 
-    @property
-    def provider_nodes(self) -> tuple[str, ...]:
-        return node_names(self.endpoints)
-
-    @property
-    def caller_nodes(self) -> tuple[str, ...]:
-        return self._report.nodes if self._report is not None else ()
+    def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        return self._report.nodes if self._report is not None else (), node_names(self.endpoints)
 
     # --- calls, from the channel to ROS
 
     def _take(self, frame: CallFrame, *, readable: bool = True) -> None:
         if frame.what not in self.come_as:
-            self.unexpected(frame)
+            raise from_wrong_side(frame)
         if frame.call <= self._highest:
             raise ProtocolError(f"call {frame.call} after call {self._highest}")
         self._highest = frame.call
@@ -359,7 +342,7 @@ class ProvidingRoute(CallsRoute):
 
     def _expired(self, number: int, call: PeersCall) -> None:
         self.calls.expired += 1
-        nodes, within = " and ".join(self.provider_nodes) or "the server", f"within {self.call_timeout:g} s"
+        nodes, within = " and ".join(node_names(self.endpoints)) or "the server", f"within {self.call_timeout:g} s"
         if call.number and self._by_number.pop((call.lane, call.number), None) is None:
             self.failures.say(
                 f"the link did not take an answer of {nodes} {within}: send less over it, or allow more time"
@@ -380,11 +363,6 @@ class ProvidingRoute(CallsRoute):
         """Return whether all servers that may have got a call have gone."""
         return call.servers.isdisjoint(self._present)
 
-    def _give_up_orphans(self) -> None:
-        for number, call in self._pending.items():
-            if self._is_orphan(call):
-                self._give_up(number, Refused.LOST)
-
     def _give_up_all(self, why: str) -> None:
         calls = self._pending.clear()
         for number, call in calls:
@@ -396,25 +374,9 @@ class ProvidingRoute(CallsRoute):
 
     def _published(self, lane: int, messages: Sequence[RawMessage]) -> None:
         """Send messages from ROS, the oldest first."""
-        if self.spec.kind == "parameters":
-            messages = self._own_events(messages)
         for message in messages:
             self._outbox.put(CallFrame(What.MESSAGE, lane, 0, 0, message.payload))
         self.flush()
-
-    def _own_events(self, messages: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        """Return the parameter events of this route's node, with the node's name on the callers' side."""
-        own = []
-        for message in messages:
-            try:
-                event = own_event(message.payload, self.local_topic, self.topic)
-            except ParameterEventError as error:
-                text = f"a parameter event is left out: {error}"
-                self.notices.message_error(EventCode.ROUTE_EVENT_LEFT_OUT, text)
-                continue
-            if event is not None:
-                own.append(message._replace(payload=event))
-        return own
 
     # --- verdict and snapshot
 
@@ -430,7 +392,7 @@ class ProvidingRoute(CallsRoute):
         failure = self._retry.trouble.text if self._retry.trouble else ""
         return CallsProgress(
             bool(self.endpoints),
-            self.provider_nodes,
+            node_names(self.endpoints),
             why_unserved=self._unavailable.text if self._unavailable is not None else "",
             type_known=bool(self._provision.entries),
             type_name=self.type_name,

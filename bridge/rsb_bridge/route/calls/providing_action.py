@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 from rsb_bridge.model.calls import GET_RESULT, SEND_GOAL, STATUS, Refused
-from rsb_bridge.model.on_end import CANCEL
+from rsb_bridge.model.on_end import CANCEL, NONE, more_careful
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.calls.goal_cancels import GoalCancels
 from rsb_bridge.route.calls.goals import Goals, accepted_by
@@ -83,6 +83,10 @@ class ProvidingActionRoute(ProvidingRoute):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.action = ProviderAction(context)
         self._cancels = GoalCancels(lambda: self._clients.clients, self.failures.say)
+
+    @property
+    def on_end(self) -> str:
+        return more_careful((self.arming.own.on_end, self.arming.peer_on_end, NONE))
 
     # --- setting up
 
