@@ -21,7 +21,7 @@ class Path:
 
     def __init__(self, seed: int = 1) -> None:
         self.events: list[EventCode] = []
-        self.watch = PathWatch(lambda level, code, text: self.events.append(code))
+        self.watch = PathWatch(lambda level, code, text: self.events.append(code), lambda: None)
         self.control, self.data = Stream(StreamHandler()), Stream(StreamHandler())
         self.told: list[tuple[LinkCause, str] | None] = []
         self._random = Random(seed)

@@ -65,9 +65,9 @@ def test_a_route_learns_nothing_while_its_link_is_full_or_it_is_in_trouble(
         peer = FakePeer()
         route = half_of(half, make_context(), topic, peer)
         assert route.learns
-        peer.full_out = peer.full_in = Fullness(5e3, 15e3)
+        peer.fullness.out = peer.fullness.into = Fullness(5e3, 15e3)
         assert not route.learns
-        peer.full_out = peer.full_in = None
+        peer.fullness.out = peer.fullness.into = None
         assert route.learns
         route.judged.announce(Verdict(State.SLOW, Cause.QUEUE_FULL, "lost"), 1.0)
         assert not route.learns

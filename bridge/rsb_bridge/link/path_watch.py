@@ -128,16 +128,17 @@ class PathWatch:
 
     Args:
         log: adds an event about the link.
+        changed: called when the fault has changed.
 
     Attributes:
         fault: the fault of the path, or None.
         into: the peer's record of the direction to here.
     """
 
-    def __init__(self, log: Callable[[Level, EventCode, str], None]) -> None:
+    def __init__(self, log: Callable[[Level, EventCode, str], None], changed: Callable[[], None]) -> None:
         self.fault: PathFault | None = None
         self.into = PathRecord()
-        self._log = log
+        self._log, self._changed = log, changed
         self._loss = _Loss()
         self._large = False
         self._stalled_at = float("-inf")
@@ -281,6 +282,8 @@ class PathWatch:
             self.fault = PathFault(LinkCause.LARGE_PACKETS, PathFaultText.LARGE_PACKETS(way=way, peer=peer))
         else:
             self.fault = None
+        if self.fault != before:
+            self._changed()
         if self.fault is None and self._logged:
             self._logged = False
             self._log(Level.INFO, EventCode.LINK_PATH_RESTORED, PathFaultText.GONE(peer=peer))

@@ -77,7 +77,7 @@ class RouteReports(Extension):
         if report.full is not None:
             self._link.contention.take_record(report.full, self._link.peer_name)
         if report.path is not None:
-            self._link.take_path_record(report.path)
+            self._link.path.take_record(report.path, self._link.peer_name)
         return in_slices(report_entries(report), self._take_entry)
 
     def _take_entry(self, entry: SentReport | ReceivedReport | CallsReport) -> None:

@@ -394,15 +394,15 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self.lateness.reset()
             return
         if not self.transport.reliable:  # unreported datagrams may be lost, unless pings by a stream are held up, too
-            unreported = min(unreported, self.peer.ping_wait)
-        own = max(self._path.waits(now), delay_of_sender(unreported, self.peer.report_delay))
+            unreported = min(unreported, self.peer.keepalive.ping_wait)
+        own = max(self._path.waits(now), delay_of_sender(unreported, self.peer.keepalive.ping_delay))
         measured = self.delays.tick(own, self.peer.clock.uncertainty or 0.0, now)
         self.lateness.tick(self.delays.least, 0.0, self.late_after, now, measured, own=own, learns=self.learns)
 
     @property
     def _message_and_report(self) -> float:
         """Estimated s that a message and its report take together."""
-        back = self.peer.report_delay
+        back = self.peer.keepalive.ping_delay
         return min(max(0.0, self.delays.reported or 0.0, back) + back, _LONGEST_UNDER_WAY)
 
     def _held_up_where(self) -> str:
@@ -533,19 +533,19 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     @property
     def breaking(self) -> str:
-        return "" if self.peer.full_out is not None or self.peer.fullness_undecided else self.losses.repeated
+        return "" if self.peer.fullness.out is not None or self.peer.fullness.undecided else self.losses.repeated
 
     def facts(self) -> Facts:
         facts = super().facts()
         facts = facts._replace(left_out=self.notices.warning, rate=self.meter.rate, datagrams=self._datagrams())
         facts = self._health.added_to(facts)
         loss = facts.loss
-        if loss is None or self.peer.full_out is not None:
+        if loss is None or self.peer.fullness.out is not None:
             return facts
         new = self.context.now() - loss.since < MEASURED_FOR
         return facts._replace(
             armed=self.arming.required,
-            loss_unexplained=new or self.peer.fullness_undecided,
+            loss_unexplained=new or self.peer.fullness.undecided,
             loss_of_full_link=self.was_full_since(loss.since),
         )
 

@@ -446,13 +446,13 @@ class Route:
         self.losses.tick(now, idle=self.connected and not self.owing)
         self._verdict = None
         verdict = self.verdict()
-        if said := self.judged.announce(verdict, now, self.peer.path_fault):
+        if said := self.judged.announce(verdict, now, self.peer.path.fault):
             self.log(said.level, said.code, said.text, **self._about(said, now))
 
     @property
     def link_full(self) -> Fullness | None:
         """The rates of the link in the direction of this half, or None if it is not full."""
-        return self.peer.full_out if self.outgoing else self.peer.full_in
+        return self.peer.fullness.out if self.outgoing else self.peer.fullness.into
 
     @property
     def learns(self) -> bool:
@@ -519,7 +519,7 @@ class Route:
             came_before=self.came_before,
             limit=self.limit.rate,
             limited_by=self.limit.why,
-            path=self.peer.path_fault,
+            path=self.peer.path.fault,
         )
 
     def _disarmed_text(self, armed: bool, why: Disarmed | None) -> str:
@@ -534,7 +534,7 @@ class Route:
     def verdict(self) -> Verdict:
         """Return this side's verdict, made at the last tick or at a later change by an operator or the peer."""
         if self._verdict is None or self.arming.overdue(self.context.now()):
-            self._verdict = self._lossy_path.steady(self._judge(), self.peer.path_fault, self.context.now())
+            self._verdict = self._lossy_path.steady(self._judge(), self.peer.path.fault, self.context.now())
         return self._verdict
 
     def common_snapshot(self) -> partial[RouteSnapshot]:
