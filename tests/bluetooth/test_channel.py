@@ -136,7 +136,7 @@ class Pair(NamedTuple):
     def accepted(self, topic: str) -> bool:
         """Whether both sides have agreed about one of the client's topics."""
         (link,) = inside(self.client).links()
-        return any(route.accepted for route in tuple(link.routes.values()) if route.local_topic == topic)
+        return any(route.life.accepted for route in tuple(link.routes.values()) if route.local_topic == topic)
 
     def opened(self, topic: str) -> int:
         """Return how often the side that sends a topic has subscribed to it."""

@@ -125,7 +125,7 @@ class Side(FakePeer):
     @property
     def state(self) -> dict[str, tuple[object, ...]]:
         return {
-            key: (route.paused, route.spec.max_rate, route.proposal.max_rate, route.proposal.qos, route.accepted)
+            key: (route.paused, route.spec.max_rate, route.proposal.max_rate, route.proposal.qos, route.life.accepted)
             for key, route in self.routes.items()
         }
 
@@ -361,11 +361,11 @@ def test_at_the_limit_of_topics_one_may_take_the_place_of_another(
     server.rename()
     hear_all(pair)  # at once, and not when it is proposed again
     (renamed,) = server.routes.values()
-    assert renamed.accepted
+    assert renamed.life.accepted
     assert [route.spec.topic for route in client.routes.values()] == ["/talk"]
     server.add()  # but no more than the limit
     hear_all(pair)
-    assert [route.accepted for route in server.routes.values()] == [True, False]
+    assert [route.life.accepted for route in server.routes.values()] == [True, False]
     assert [route.spec.topic for route in client.routes.values()] == ["/talk"]
 
 

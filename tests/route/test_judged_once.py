@@ -43,9 +43,9 @@ def test_snapshots_take_the_last_tick_s_verdict_until_somebody_changes_the_route
     shown = [route.snapshot() for _ in range(8)]
     assert len(judged) == 1
     assert {each.state for each in shown} == {State.WAITING}
-    route.pause(paused=True)
+    route.pausing.change(paused=True)
     assert route.snapshot().state is State.PAUSED
-    route.pause(paused=False)
+    route.pausing.change(paused=False)
     assert route.snapshot().state is State.WAITING
     route.close("gone")
     assert route.snapshot().state is State.WAITING

@@ -18,6 +18,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.lifecycle import Revisions
+from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.peer import PeerBudget
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.streams import CLOSED_BY_PEER, Stream
@@ -436,15 +437,13 @@ class BaseLink(ABC):
     def _on_pong(self, pong: Pong) -> None:
         self.keepalive.answered(pong)
 
-    # --- routes
-
     # --- time and figures
 
     def tick(self) -> None:
         """Do the regular work once a second, after the routes' own tick."""
         if self.control is not None:
             self._tick_path(self.control)
-            self.contention.tick(self.keepalive, self.peer_name, lossy=self.path.lossy_out)
+            self.contention.tick(self.keepalive, self.peer_name, lossy=self.path.loss.lossy > 0)
             self.send(self.keepalive.tick())
             self.channels.tick()
         for each in self._extensions:
@@ -459,7 +458,7 @@ class BaseLink(ABC):
             Pings(self.keepalive.round_trip, self.keepalive.answered_pings, self.keepalive.quiet),
             self.peer_name,
             self.context.now(),
-            large_vanish=any(route.large_vanish for route in self.routes.values()),
+            large_vanish=any(isinstance(each, OutgoingRoute) and each.large_vanish for each in self.routes.values()),
         )
         for stream in stalled:
             stream.abort(STALLED)

@@ -36,6 +36,8 @@ class Keepalive:
         ping_delay: delay (s) of the peer's last ping by its clock, or 0 if it is unknown.
         clock: round trip and clock offset.
         stamps: offset of the clock by which the peer stamps messages, and which nobody sets.
+        rx: wire bytes/s received.
+        tx: wire bytes/s sent.
         rx_bytes: wire bytes received over this and earlier connections, as of the last second.
         tx_bytes: wire bytes sent over this and earlier connections, as of the last second.
     """
@@ -58,7 +60,7 @@ class Keepalive:
         self._carriers = carriers
         self._patience = patience
         self._began = context.now()
-        self._rx, self._tx = Smoothed(self._began), Smoothed(self._began)
+        self.rx, self.tx = Smoothed(self._began), Smoothed(self._began)
         self._received = self._sent = 0
         self._pings = self.answered_pings = 0
         self._pinged_at = self._began
@@ -72,16 +74,6 @@ class Keepalive:
         following = Keepalive(self._context, self._carriers, patience)
         following.rx_bytes, following.tx_bytes = self.rx_bytes, self.tx_bytes
         return following
-
-    @property
-    def rx_rate(self) -> float:
-        """Wire bytes/s received."""
-        return self._rx.rate
-
-    @property
-    def tx_rate(self) -> float:
-        """Wire bytes/s sent."""
-        return self._tx.rate
 
     @property
     def quiet(self) -> float:
@@ -133,8 +125,8 @@ class Keepalive:
         sent = sum(each.sent_bytes for each in carriers)
         # The sums fall when a carrier closes.
         more_received, more_sent = max(0, received - self._received), max(0, sent - self._sent)
-        self._rx.add(more_received, now)
-        self._tx.add(more_sent, now)
+        self.rx.add(more_received, now)
+        self.tx.add(more_sent, now)
         self.rx_bytes += more_received
         self.tx_bytes += more_sent
         self._received, self._sent = received, sent

@@ -397,8 +397,8 @@ class LinkBench(Extension):
             route = self._proposed.add_internal(BENCH, entry)
         deadline = self._now() + _OPENED_WITHIN
         while not self._open(route):
-            if route.refusal:
-                raise LinkError(route.refusal)
+            if route.life.refusal:
+                raise LinkError(route.life.refusal)
             if route.key not in self._link.routes or self._now() > deadline:
                 raise LinkError(_why_not(route))
             await asyncio.sleep(_LOOK_EVERY)
@@ -471,7 +471,7 @@ def _check_opening(route: Route, opening: int) -> None:
     Raises:
         LinkError: it is not.
     """
-    if route.refusal or not route.id:
+    if route.life.refusal or not route.id:
         raise LinkError(_why_not(route))
     if route.id != opening:
         raise LinkError(REOPENED)
@@ -479,8 +479,8 @@ def _check_opening(route: Route, opening: int) -> None:
 
 def _why_not(route: Route) -> str:
     """Return why no message crosses on a measuring route."""
-    if route.refusal:
-        return route.refusal
+    if route.life.refusal:
+        return route.life.refusal
     return f"{STOPPED}: it has removed or paused the route" if not route.flowing else route.trouble()
 
 

@@ -92,46 +92,33 @@ class LinkFault(Extension):
     def tick(self) -> None:
         self.warning_since()  # a warning begins now, even if no console asks for a snapshot
 
+    def _found(self) -> list[tuple[LinkCause, str]]:
+        """Return what is wrong with a link that is up, in words for an operator, the worst first."""
+        if self._status.cause is not LinkCause.NONE:
+            return []
+        path, clock = self._path.fault, self._clock()
+        found = (
+            (LinkCause.NAME_TAKEN, self.duplicates.warning(self._context.now(), self._context.wall())),
+            # A path that loses packets carries less, too: its loss explains that.
+            (path.cause, path.text) if path else (LinkCause.FULL, self._fullness.warning(self._peer_name)),
+            (LinkCause.UNPROVEN_SERVERS, unproven_servers(self.unproven) if self.unproven else ""),
+            (LinkCause.CLOCKS_DIFFER, clocks_differ(self._peer_name, clock.offset, clock.uncertainty)),
+        )
+        return [each for each in found if each[1]]
+
     @property
     def warning(self) -> str:
         """The fault of a link that is up, for an operator, or an empty string."""
-        if self._status.cause is not LinkCause.NONE:
-            return ""
-        # A path that loses packets carries less, too: its loss explains that.
-        path = self._path.fault
-        narrow = path.text if path is not None else self._fullness.warning(self._peer_name)
-        unproven = unproven_servers(self.unproven) if self.unproven else ""
-        return "; ".join(filter(None, (self._taken, narrow, unproven, self._clocks_differ)))
-
-    def warning_since(self) -> float | None:
-        """Return when the present warning began, in s since the epoch, or None without one. Called once a second."""
-        cause = self.cause if self.warning else LinkCause.NONE
-        if cause != self._warned[0]:
-            self._warned = cause, self._context.wall()
-        return self._warned[1] if cause else None
+        return "; ".join(text for _, text in self._found())
 
     @property
     def cause(self) -> LinkCause:
         """The cause of the link's fault, up or down."""
-        if self._status.cause is not LinkCause.NONE:
-            return self._status.cause
-        if self._taken:
-            return LinkCause.NAME_TAKEN
-        if self._path.fault is not None:
-            return self._path.fault.cause
-        if self._fullness.out is not None or self._fullness.into is not None:
-            return LinkCause.FULL
-        if self.unproven:
-            return LinkCause.UNPROVEN_SERVERS
-        return LinkCause.CLOCKS_DIFFER if self._clocks_differ else LinkCause.NONE
+        return next((cause for cause, _ in self._found()), self._status.cause)
 
-    @property
-    def _taken(self) -> str:
-        """The warning that others use the link's name, or an empty string."""
-        return self.duplicates.warning(self._context.now(), self._context.wall())
-
-    @property
-    def _clocks_differ(self) -> str:
-        """The warning that the clocks of the two sides differ, or an empty string."""
-        clock = self._clock()
-        return clocks_differ(self._peer_name, clock.offset, clock.uncertainty)
+    def warning_since(self) -> float | None:
+        """Return when the present warning began, in s since the epoch, or None without one. Called once a second."""
+        cause = next((cause for cause, _ in self._found()), LinkCause.NONE)
+        if cause != self._warned[0]:
+            self._warned = cause, self._context.wall()
+        return self._warned[1] if cause else None

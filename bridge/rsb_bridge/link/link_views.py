@@ -278,8 +278,8 @@ class LinkViews(Extension):
         route, deadline = view.route, self._context.now() + OPENED_WITHIN
         key = route.local_topic, self._link.name
         while not (route.flowing and key in self._ends.drains):
-            if route.refusal:
-                raise LinkError(route.refusal)
+            if route.life.refusal:
+                raise LinkError(route.life.refusal)
             if route.key not in self._link.routes or self._context.now() > deadline:
                 raise LinkError(ViewRefused.NOT_OPENED(reason=route.trouble()))
             await asyncio.sleep(_LOOK_EVERY)

@@ -72,7 +72,7 @@ class Pings(NamedTuple):
     quiet: float
 
 
-class _Loss:
+class PacketLoss:
     """The share of packets that one direction loses.
 
     Attributes:
@@ -132,6 +132,7 @@ class PathWatch:
 
     Attributes:
         fault: the fault of the path, or None.
+        loss: the packets from here that are lost.
         into: the peer's record of the direction to here.
     """
 
@@ -139,7 +140,7 @@ class PathWatch:
         self.fault: PathFault | None = None
         self.into = PathRecord()
         self._log, self._changed = log, changed
-        self._loss = _Loss()
+        self.loss = PacketLoss()
         self._large = False
         self._stalled_at = float("-inf")
         self._probe: tuple[int, int] | None = None  # answered pings and lost packets when the probe began
@@ -149,16 +150,6 @@ class PathWatch:
         self._ticked_at = float("-inf")
         self._record = self._sent = PathRecord()
         self._logged = False
-
-    @property
-    def share_out(self) -> float | None:
-        """The share of the packets from here that is lost, or None if it is unknown."""
-        return self._loss.share
-
-    @property
-    def lossy_out(self) -> bool:
-        """Whether so many packets from here are lost that this is a fault."""
-        return self._loss.lossy > 0
 
     def tick(
         self,
@@ -183,19 +174,19 @@ class PathWatch:
             The streams that are stalled, to be opened again.
         """
         if now - self._ticked_at > _FORGOTTEN_AFTER:
-            self._loss.clear()
+            self.loss.clear()
         self._ticked_at = now
         sent, lost, passed = self._gained(streams, senders)
         queues = self._queues(pings.round_trip)
         if queues or not passed:  # a full link, or a gap
-            self._loss.skip()
+            self.loss.skip()
         else:
-            self._loss.tick(sent, lost)
+            self.loss.tick(sent, lost)
         own = streams[control].lost if control in streams else 0
         stalled = self._probe_sizes(control, streams, pings, own, now, vanish=large_vanish)
-        share = self._loss.share
+        share = self.loss.share
         self._record = PathRecord(
-            None if share is None else round(share, 2), self._loss.lossy, self._large and not self._loss.lossy
+            None if share is None else round(share, 2), self.loss.lossy, self._large and not self.loss.lossy
         )
         self._judge(peer, silent=pings.quiet > _SILENT_AFTER)
         return stalled
@@ -253,7 +244,7 @@ class PathWatch:
                 self._large = False
             return []
         self._stalled_at = now
-        if self._loss.lossy or self._probe is None or self._probe[1] != lost:
+        if self.loss.lossy or self._probe is None or self._probe[1] != lost:
             self._probe = pings.answered, lost  # small packets are lost as well
             return []
         if pings.answered - self._probe[0] < _SMALL_PASSED:

@@ -29,7 +29,7 @@ def _reports(
     routes: Iterable[Route], full: FullRecord | None = None, path: PathRecord | None = None
 ) -> Iterator[Report]:
     """Yield the counts that the peer does not know yet, and the link's fullness and path if they have changed."""
-    news = [route.news() for route in routes if route.accepted]  # the other side may not know the others yet
+    news = [route.news() for route in routes if route.life.accepted]  # the other side may not know the others yet
     sent = [each for each in news if isinstance(each, SentReport)]
     received = [each for each in news if isinstance(each, ReceivedReport)]
     calls = [each for each in news if isinstance(each, CallsReport)]

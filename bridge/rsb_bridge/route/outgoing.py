@@ -193,7 +193,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._path.take(released)
 
     def _advance(self) -> None:
-        if not self.accepted or self.paused:
+        if not self.life.accepted or self.paused:
             self._unsubscribe()
             self._ledger.lose("paused", self._loop_filter.forget())  # nobody wants them when it is resumed
             return
@@ -377,13 +377,12 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             missed.tick(now, self._ledger.offered, published=self._is_published)
         elif self.flowing:
             usual = None if latched else self.meter.usual_rate
-            rate, limit = usual or self.spec.expected_rate, self.limit.rate
-            missed.rate = min(rate, limit) if rate and limit else rate
+            missed.rate = self.limit.lowered(usual or self.spec.expected_rate)
 
     @property
     def _is_published(self) -> bool:
         """Whether somebody publishes the topic, and neither side has paused or refused it."""
-        if self.paused or self._refused:
+        if self.paused or self.reopening.refused:
             return False
         own = self.context.announcements.own_publishers(self.topic, besides=self.peer.name)
         return bool(own or self.ends.publishers(self.topic))
@@ -506,7 +505,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def progress(self) -> TopicProgress:
         report, unresolved = self._report, self._resolver.unresolved
-        looks = self.accepted and not self.paused
+        looks = self.life.accepted and not self.paused
         return TopicProgress(
             self.endpoints,
             publishers=len(self.endpoints) if self.endpoints or looks else None,
