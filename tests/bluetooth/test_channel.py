@@ -136,7 +136,7 @@ class Pair(NamedTuple):
     def accepted(self, topic: str) -> bool:
         """Whether both sides have agreed about one of the client's topics."""
         (link,) = inside(self.client).links()
-        return any(route.accepted for route in tuple(link.routes.values()) if route.local_topic == topic)
+        return any(route.life.accepted for route in tuple(link.routes.values()) if route.local_topic == topic)
 
     def opened(self, topic: str) -> int:
         """Return how often the side that sends a topic has subscribed to it."""
@@ -149,7 +149,7 @@ class Pair(NamedTuple):
         """The client's topics that wait for the connection."""
         (link,) = inside(self.client).links()
         assert isinstance(link, ClientLink)
-        return link._awaiting.get(("bluetooth", _CHANNEL), {})
+        return link.route_channels.awaiting.get(("bluetooth", _CHANNEL), {})
 
     def remove(self, topic: str) -> None:
         self.client.remove_topic(self.route(topic).key).result(60)

@@ -55,7 +55,7 @@ def _look(engine: Engine, at: float) -> Seen:
     (link,) = inside(engine).links()
     (route,) = [each for each in link.routes.values() if isinstance(each, TopicRoute)]
     verdict = route.judged.shown(route.verdict()).verdict
-    return Seen(at, verdict.state, verdict.cause, verdict.text, link.full_out or link.full_in)
+    return Seen(at, verdict.state, verdict.cause, verdict.text, link.fullness.out or link.fullness.into)
 
 
 def _record(engines: tuple[Engine, ...], seconds: float, until: Callable[[], bool]) -> list[list[Seen]]:

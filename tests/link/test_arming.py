@@ -522,10 +522,10 @@ def test_a_side_that_marks_a_topic_late_is_heeded_where_the_peer_has_taken_it_ov
     assert passes(*pair) == [True, True]
     with pytest.raises(LinkError):
         propose(robot, COMMANDS)
-    assert not route(robot).accepted, "closed at once, and opened again with the mark"
+    assert not route(robot).life.accepted, "closed at once, and opened again with the mark"
     for _ in range(20):
         let_time_pass(pair, 1.0)
-    assert route(pc).accepted
+    assert route(pc).life.accepted
     assert passes(*pair) == [False, False]
     arm(robot).result()
     assert passes(*pair) == [True, True]
@@ -732,10 +732,10 @@ def test_what_is_sent_has_the_type_by_which_demands_were_found(sent: str, make_c
     propose(pc, Topic("/cmd_vel", "receive", type="String"))
     robot.hear()
     half = route(robot)
-    assert half.accepted
+    assert half.life.accepted
     assert not half.arming.required
     robot.table.handle(Describe(half.id, sent, "RIHS01_" + "0" * 64, Qos(), (Origin(("there",)),)))
-    assert half.accepted == (sent == "std_msgs/msg/String")
+    assert half.life.accepted == (sent == "std_msgs/msg/String")
 
 
 @pytest.mark.parametrize("provided", ["std_srvs/srv/SetBool", "std_srvs/srv/Trigger"])
@@ -747,7 +747,7 @@ def test_what_is_provided_has_the_type_by_which_demands_were_found(
     propose(pc, Topic("/set_light", "transmit", kind="service", type="std_srvs/srv/Trigger"))
     robot.hear()
     half = route(robot)
-    assert half.accepted
+    assert half.life.accepted
     assert not half.arming.required
     robot.table.handle(Provide(half.id, (LaneEntry(provided, "RIHS01_" + "0" * 64, 1),)))
-    assert half.accepted == (provided == "std_srvs/srv/Trigger")
+    assert half.life.accepted == (provided == "std_srvs/srv/Trigger")

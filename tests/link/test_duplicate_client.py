@@ -53,6 +53,7 @@ def test_the_one_that_came_last_is_named_and_the_others_are_counted() -> None:
 def test_the_linked_client_says_little_of_many(loop: VirtualLoop, context: Context) -> None:
     link = ClientRole(context, {"robot1": ()}).links()[0]
     link.control = SimpleNamespace()  # type: ignore[assignment]
+    link.status.up(context.wall())
 
     def lines() -> int:
         return sum(event.code == EventCode.LINK_NAME_TAKEN for event in context.events.after(0))
@@ -61,12 +62,12 @@ def test_the_linked_client_says_little_of_many(loop: VirtualLoop, context: Conte
         link.handlers[Duplicate](Duplicate("10.0.0.9", f"spare{second}"))
         loop.jump(1.0)
     assert lines() == 1
-    assert "for 50 s now" in link.warning
+    assert "for 50 s now" in link.fault.warning
     loop.jump(1.0)
     link.handlers[Duplicate](Duplicate("10.0.0.9", "another", 2))
     link.handlers[Duplicate](Duplicate("10.0.0.9", "one more", 2))
     assert lines() == 2
     link.handlers[Duplicate](Duplicate())
-    assert link.warning == ""
+    assert link.fault.warning == ""
     link.handlers[Duplicate](Duplicate("10.0.0.9", "spare"))
     assert lines() == 3, "it has begun again"

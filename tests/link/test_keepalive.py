@@ -78,8 +78,8 @@ def test_a_tick_that_comes_late_makes_no_rate_high(late: float, loop: VirtualLoo
         carrier.receive(round(1000 * (1.0 + late)))
         carrier.sent_bytes += round(500 * (1.0 + late))
         keepalive.tick()
-    assert keepalive.rx_rate == pytest.approx(1000, rel=0.01)
-    assert keepalive.tx_rate == pytest.approx(500, rel=0.01)
+    assert keepalive.rx.rate == pytest.approx(1000, rel=0.01)
+    assert keepalive.tx.rate == pytest.approx(500, rel=0.01)
 
 
 def test_a_profile_s_patience(loop: VirtualLoop, context: Context) -> None:

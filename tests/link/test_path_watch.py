@@ -21,7 +21,7 @@ class Path:
 
     def __init__(self, seed: int = 1) -> None:
         self.events: list[EventCode] = []
-        self.watch = PathWatch(lambda level, code, text: self.events.append(code))
+        self.watch = PathWatch(lambda level, code, text: self.events.append(code), lambda: None)
         self.control, self.data = Stream(StreamHandler()), Stream(StreamHandler())
         self.told: list[tuple[LinkCause, str] | None] = []
         self._random = Random(seed)
@@ -91,14 +91,14 @@ class Path:
 def test_a_lossy_path_has_one_cause_and_a_steady_figure(seed: int) -> None:
     path = Path(seed)
     path.pass_(30)
-    assert (path.cause, path.watch.share_out) == (None, 0.0)
+    assert (path.cause, path.watch.loss.share) == (None, 0.0)
     path.pass_(6, loss=0.3)
     assert path.cause is LinkCause.LOSSY
     path.pass_(60, loss=0.3)
     assert {each and each[0] for each in path.told[36:]} == {LinkCause.LOSSY}
     assert path.changes() <= 3
-    assert path.watch.share_out is not None
-    assert 0.2 < path.watch.share_out < 0.4
+    assert path.watch.loss.share is not None
+    assert 0.2 < path.watch.loss.share < 0.4
     path.pass_(25)
     assert path.cause is None
     assert path.events == [EventCode.LINK_PATH_FAULT, EventCode.LINK_PATH_RESTORED]
@@ -114,7 +114,7 @@ def test_some_loss_is_a_figure_and_no_fault() -> None:
     path = Path()
     path.pass_(60, loss=0.02)
     assert set(path.told) == {None}
-    assert path.watch.share_out
+    assert path.watch.loss.share
 
 
 def test_a_gap_is_no_lossy_path() -> None:
@@ -147,7 +147,7 @@ def test_large_packets_are_lost_once_a_new_stream_proves_it() -> None:
     path.pass_(4, rate=0)
     assert not path.pass_(5, stalled=PACKET)
     assert path.cause is LinkCause.LARGE_PACKETS
-    assert path.watch.next_record() == PathRecord(lost=path.watch.share_out, large=True)
+    assert path.watch.next_record() == PathRecord(lost=path.watch.loss.share, large=True)
     path.pass_(12)
     assert path.cause is None
 

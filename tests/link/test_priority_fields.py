@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -10,7 +9,7 @@ import msgspec
 from rsb_bridge.link.proposals import amended, amended_topic, amendment, proposal_of, same_route
 from rsb_bridge.model.session import Topic, priority_of
 from rsb_bridge.route.rate_limit import limits_changed
-from rsb_bridge.route.route import Route
+from rsb_bridge.route.route import rank_of
 from rsb_bridge.transport.registry import default_transports
 
 if TYPE_CHECKING:
@@ -24,10 +23,7 @@ def proposal(topic: Topic) -> Propose:
 def test_a_newer_side_s_ranks_count_as_the_nearest_word() -> None:
     """Else each of them would keep a part of the link, until nothing is left for the highest."""
     proposed = proposal(Topic("/scan", "transmit"))
-    ranks = [
-        Route.rank.fget(SimpleNamespace(proposal=msgspec.structs.replace(proposed, priority=rank)))  # type: ignore[attr-defined]
-        for rank in range(-100, 101)
-    ]
+    ranks = [rank_of(msgspec.structs.replace(proposed, priority=rank)) for rank in range(-100, 101)]
     assert ranks == [-1] * 100 + [0] + [1] * 100
     assert [priority_of(rank) for rank in (-100, -1, 0, 1, 100)] == ["low", "low", "normal", "high", "high"]
 

@@ -425,7 +425,7 @@ def test_a_message_that_does_not_fit_is_refused_before_anything_moves(
     kind: str, on_end: str | dict[str, Any], make_driven: Callable[..., Driven]
 ) -> None:
     driven = make_driven(kind, on_end)
-    assert "on_end" in driven.half.refusal
+    assert "on_end" in driven.half.life.refusal
 
 
 def test_the_velocity_that_the_robot_has_is_reported(driven: Driven, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,8 +13,9 @@ from tests.support import constants
 from tests.support.offline import FakePeer, proposal_for
 
 from rsb_bridge.config.rights import Rights
-from rsb_bridge.link.base_link import LinkStatus, RouteIds
+from rsb_bridge.link.base_link import RouteIds
 from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.link_status import LinkStatus
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import sources_of_entries
@@ -124,7 +125,7 @@ class Side(FakePeer):
     @property
     def state(self) -> dict[str, tuple[object, ...]]:
         return {
-            key: (route.paused, route.spec.max_rate, route.proposal.max_rate, route.proposal.qos, route.accepted)
+            key: (route.paused, route.spec.max_rate, route.proposal.max_rate, route.proposal.qos, route.life.accepted)
             for key, route in self.routes.items()
         }
 
@@ -384,11 +385,11 @@ def test_at_the_limit_of_topics_one_may_take_the_place_of_another(
     server.rename()
     hear_all(pair)  # at once, and not when it is proposed again
     (renamed,) = server.routes.values()
-    assert renamed.accepted
+    assert renamed.life.accepted
     assert [route.spec.topic for route in client.routes.values()] == ["/talk"]
     server.add()  # but no more than the limit
     hear_all(pair)
-    assert [route.accepted for route in server.routes.values()] == [True, False]
+    assert [route.life.accepted for route in server.routes.values()] == [True, False]
     assert [route.spec.topic for route in client.routes.values()] == ["/talk"]
 
 

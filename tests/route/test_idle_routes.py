@@ -90,8 +90,8 @@ TALKER = Endpoint("/talker", "std_msgs/msg/String", "", Qos(), b"gid")
     [
         lambda world: world.route.count(1, 100, world.route.context.now()),
         lambda world: setattr(world.route, "endpoints", [TALKER]),
-        lambda world: world.route.pause(paused=True),
-        lambda world: setattr(world.peer, "full_out", Fullness(5e3, 15e3)),
+        lambda world: world.route.pausing.change(paused=True),
+        lambda world: setattr(world.peer.fullness, "out", Fullness(5e3, 15e3)),
         lambda world: world.route.limit.set_max_rate(7.0),
         lambda world: world.route.reported(ReceivedReport(route=1, verdict=DOWN)),
     ],

@@ -43,9 +43,9 @@ def test_snapshots_take_the_last_tick_s_verdict_until_somebody_changes_the_route
     shown = [route.snapshot() for _ in range(8)]
     assert len(judged) == 1
     assert {each.state for each in shown} == {State.WAITING}
-    route.pause(paused=True)
+    route.pausing.change(paused=True)
     assert route.snapshot().state is State.PAUSED
-    route.pause(paused=False)
+    route.pausing.change(paused=False)
     assert route.snapshot().state is State.WAITING
     route.close("gone")
     assert route.snapshot().state is State.WAITING
@@ -65,9 +65,9 @@ def test_a_route_learns_nothing_while_its_link_is_full_or_it_is_in_trouble(
         peer = FakePeer()
         route = half_of(half, make_context(), topic, peer)
         assert route.learns
-        peer.full_out = peer.full_in = Fullness(5e3, 15e3)
+        peer.fullness.out = peer.fullness.into = Fullness(5e3, 15e3)
         assert not route.learns
-        peer.full_out = peer.full_in = None
+        peer.fullness.out = peer.fullness.into = None
         assert route.learns
         route.judged.announce(Verdict(State.SLOW, Cause.QUEUE_FULL, "lost"), 1.0)
         assert not route.learns

@@ -268,9 +268,9 @@ def test_held_messages_do_not_outlive_a_pause(world: World) -> None:
     """A goal that is an hour old is sent to nobody."""
     world.graph.nodes[SECOND] = ""
     world.comes(SECOND, b"old goal")
-    world.route.pause(paused=True)
+    world.route.pausing.change(paused=True)
     world.wait(3600.0)
-    world.route.pause(paused=False)
+    world.route.pausing.change(paused=False)
     world.wait(10.0)
     ledger = world.route.ledger()
     assert (world.sent, ledger.offered, ledger.dropped) == ([], 1, {"paused": 1})
@@ -315,7 +315,7 @@ def test_a_publisher_too_far_does_not_reopen_the_route_for_ever(world: World) ->
     announcements.announce(SCAN, "another link", far, Origin(hops))
     openings = 0
     for _ in range(300):
-        if not world.route.id and world.loop.time() >= world.route.retry_at:
+        if not world.route.id and world.loop.time() >= world.route.reopening.retry_at:
             openings += 1
             world.route.open(2 * openings + 1)
             world.route.on_accepted()

@@ -102,9 +102,9 @@ def test_nothing_is_missed_once_the_publisher_is_gone(world: World) -> None:
 @pytest.mark.parametrize("first", ["paused", "lost"])
 def test_nothing_is_missed_while_an_operator_has_paused_it(world: World, first: str) -> None:
     if first == "paused":
-        world.route.pause(True)
+        world.route.pausing.change(paused=True)
     world.route.close("link lost")
-    world.route.pause(True)
+    world.route.pausing.change(paused=True)
     passes(world, 5)
     assert missed(world) == 0
 

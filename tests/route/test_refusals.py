@@ -32,7 +32,7 @@ def test_a_route_is_asked_for_again_after_any_number_of_refusals(
     for number in range(3_000):
         route.open(2 * number + 1)
         route.refuse(EventCode.ROUTE_REFUSED, "denied")
-        pauses.append(route.retry_at - context.now())
+        pauses.append(route.reopening.retry_at - context.now())
         loop.jump(pauses[-1])
     assert pauses[:6] == [1.0, 2.0, 4.0, 8.0, 10.0, 10.0]
     assert max(pauses) < 10.001

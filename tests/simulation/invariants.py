@@ -152,14 +152,18 @@ class Invariants:
             self._agreed[robot] = now
             return
         here, there = (
-            {(route.topic, route.remote_topic): route.paused for route in link.routes.values() if not route.refusal}
+            {
+                (route.topic, route.remote_topic): route.paused
+                for route in link.routes.values()
+                if not route.life.refusal
+            }
             for link in ends
         )
         refused = {
             names
             for link in ends
             for route in link.routes.values()
-            if route.refusal
+            if route.life.refusal
             for names in ((route.topic, route.remote_topic),)
         }
         wrong = {
@@ -205,7 +209,7 @@ class Invariants:
         shown = [
             each.judged.shown(run.process.context.copy().run(each.verdict)).verdict
             for run, each in zip(runs, routes, strict=False)
-            if each is not None and each.accepted
+            if each is not None and each.life.accepted
         ]
         said = tuple([f"{each.state} {each.cause}" for each in shown])
         if robot.troubles or len(said) < 2 or len(set(said)) < 2:

@@ -69,7 +69,7 @@ class Edits(Yard):
     def qos(self, name: str = "/chat") -> list[Any]:
         """The QoS of a topic that both sides have accepted, on either side."""
         halves = self.halves(name)
-        qos = [route.spec.parsed_qos() if route is not None and route.accepted else None for route in halves]
+        qos = [route.spec.parsed_qos() if route is not None and route.life.accepted else None for route in halves]
         return [None if each is None else each.depth for each in qos]
 
     async def both(self, depth: int | None, name: str = "/chat") -> None:
@@ -249,7 +249,7 @@ def test_an_edit_that_the_client_refuses_leaves_the_clients_entry(edits: Edits) 
     async def live() -> None:
         await edits.edit("server", topic="/talk", remote_topic=None)
         await edits.both(5)
-        assert edits.half("server", "/talk").shown_refusal
+        assert edits.half("server", "/talk").status().refusal
 
     edits.world.play(life=edits.live(live()))
 

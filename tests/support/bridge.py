@@ -177,7 +177,7 @@ def _routes(engine: Engine) -> list[Route]:
 def is_accepted(engine: Engine, topic: str) -> bool:
     """Whether both sides have agreed on all routes of a topic; one to be armed is disarmed before that, too."""
     found = [route for route in _routes(engine) if route.local_topic == topic]
-    return bool(found) and all(route.accepted for route in found)
+    return bool(found) and all(route.life.accepted for route in found)
 
 
 def outgoing(engine: Engine, topic: str) -> OutgoingRoute:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from random import Random
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import pytest
 from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 
 from rsb_bridge.context import Context
+from rsb_bridge.link.contention import LinkFullness
+from rsb_bridge.link.path_watch import PathWatch
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.purposes import TOPIC as ORDINARY
@@ -24,8 +27,6 @@ from rsb_bridge.transport.registry import Transports, default_transports
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from rsb_bridge.model.capacity import Fullness
-    from rsb_bridge.model.path_fault import PathFault
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
@@ -76,18 +77,15 @@ class FakePeer:
     name = "robot1"
     is_client = True
     linked = True
-    report_delay = 0.0
-    ping_wait = 0.0
-    full_out: Fullness | None = None
-    fullness_undecided = False
-    full_in: Fullness | None = None
-    path_fault: PathFault | None = None
+    keepalive: Any = SimpleNamespace(ping_delay=0.0, ping_wait=0.0)
     down_reason = ""
     connections = 1
 
     def __init__(self) -> None:
         self.sent: list[ControlMessage] = []
         self.instance = "first"
+        self.fullness = LinkFullness(lambda *_: None)
+        self.path = PathWatch(lambda *_: None, lambda: None)
         self.revisions = Revisions()
         self.bridges: tuple[str, ...] = ("rsb_robot1_fedcba98",)
         self.budget = PeerBudget(0.0)

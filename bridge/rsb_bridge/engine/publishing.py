@@ -508,7 +508,7 @@ class Publishing:
             route
             for route in _outgoing(self._routes(topic))
             if route.peer.linked
-            and not route.refusal  # one whose proposal is not answered yet takes the first message, too
+            and not route.life.refusal  # one whose proposal is not answered yet takes the first message, too
             and not route.paused
             and route.arming.stands(now)
             and not route.takes(gid)

@@ -3,33 +3,32 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from rsb_bridge.channel.datagram_channel import DatagramSender, datagram_channel
+from rsb_bridge.channel.datagram_channel import DatagramSender
 from rsb_bridge.link.contention import Contention, LinkFullness
 from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.keepalive import Keepalive
+from rsb_bridge.link.link_status import LinkFault, LinkStatus
 from rsb_bridge.link.path_watch import STALLED, PathWatch, Pings
-from rsb_bridge.link.refused_clients import DuplicateClients
 from rsb_bridge.model import profiles
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Level, State
-from rsb_bridge.model.verdict import LinkCause, clocks_differ
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.lifecycle import Revisions
+from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.peer import PeerBudget
-from rsb_bridge.tasks import Tasks, in_slices
+from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.streams import CLOSED_BY_PEER, Stream
-from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.wire.codec import decode_urgent, encode
 from rsb_bridge.wire.messages import Ping, Pong, Receipts
 from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Coroutine, Iterator
+    from collections.abc import Callable, Coroutine
 
     from rsb_bridge.channel.channel import ChannelCarrier
     from rsb_bridge.channel.data_keys import Meter
@@ -37,15 +36,12 @@ if TYPE_CHECKING:
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel, Slices
-    from rsb_bridge.model.capacity import Fullness
-    from rsb_bridge.model.path_fault import PathFault
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Kind
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About
-    from rsb_bridge.transport.transport import DatagramTransport
+    from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
     from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, UrgentMessage, Welcome
-    from rsb_bridge.wire.records import PathRecord
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
 _E = TypeVar("_E", bound=Extension)
@@ -135,49 +131,9 @@ class RouteIds:
         return 0 < route_id <= newest and route_id not in self._by_id
 
 
-_NOT_YET = "not connected yet"
 _NO_GOODBYE = "the other side closed the connection without a goodbye: check whether its process or machine has died"
 _CAUSES = {EventCode.LINK_LOST: LinkCause.LOST, EventCode.LINK_SHUT_DOWN: LinkCause.SHUT_DOWN}
 """Causes by the code of a connection's end; with any other code, `LinkCause.CLOSED`."""
-
-
-@dataclass(slots=True)
-class LinkStatus:
-    """Whether a link is up, since when, and why not.
-
-    Attributes:
-        since: time of the last change, in s since the epoch.
-        cause: cause of its being down, or `LinkCause.NONE`.
-        reason: the same in words, for an operator.
-        attempts: failed attempts to connect since it was last up.
-        retry_at: time of the next attempt in s, or None if none is planned.
-    """
-
-    since: float
-    cause: LinkCause = LinkCause.NOT_YET
-    reason: str = _NOT_YET
-    attempts: int = 0
-    retry_at: float | None = None
-
-    def up(self, wall: float) -> None:
-        """Record that the link is up since `wall`, in s since the epoch."""
-        self.since, self.cause = wall, LinkCause.NONE
-        self.attempts, self.retry_at = 0, None
-
-    def down(self, cause: LinkCause, reason: str) -> None:
-        """Record why the link is down."""
-        self.cause, self.reason = cause, reason
-
-    def retry_in(self, now: float) -> float | None:
-        """Return the seconds from `now` to the next attempt, or None if none is planned."""
-        return None if self.retry_at is None else max(0.0, self.retry_at - now)
-
-    @property
-    def state(self) -> State:
-        """WAITING until the first attempt has ended, then OK or DOWN."""
-        if self.cause is LinkCause.NONE:
-            return State.OK
-        return State.WAITING if self.cause is LinkCause.NOT_YET else State.DOWN
 
 
 class BaseLink(ABC):
@@ -207,12 +163,13 @@ class BaseLink(ABC):
         path: what the path of the present connection loses.
         budget: limits on what the peer may have this side hold and do.
         revisions: numbers the changes made on this side.
-        duplicates: refused clients that have the link's name, too.
+        fault: what is wrong with the link.
         report_soon: sends a route's counts before the next regular report. May be called for every batch.
-        closed: records that an opening of a route is over.
+        open_channel: opens the channel of a route, or begins to.
     """
 
     report_soon: Callable[[Route], None]
+    open_channel: Callable[[Route], None]
 
     def __init__(self, context: Context, name: str, *, is_client: bool, encrypted: bool) -> None:
         self.context = context
@@ -228,7 +185,6 @@ class BaseLink(ABC):
         self.instance = ""
         self.encrypted = encrypted
         self._is_silent = False
-        self._warned: tuple[LinkCause, float] = (LinkCause.NONE, 0.0)
         self.status = LinkStatus(context.wall())
         self.connections = 0
         self.linked_at = 0.0
@@ -237,31 +193,32 @@ class BaseLink(ABC):
         self.ids = RouteIds(is_client=is_client)
         self.budget = PeerBudget(context.now())
         self.revisions = Revisions()
-        self.duplicates = DuplicateClients(name)
         self._tasks = Tasks(context.loop, self.fail)
         self.keepalive = Keepalive(context, self.carriers)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self.channels = DataChannels(
             context.loop,
-            self._log_udp,
+            self.log_of_peer,
             self.budget.unfinished,
             self.send,
-            lambda: max(0.0, self.report_delay - (self.clock.uncertainty or 0.0)),
+            lambda: max(0.0, self.keepalive.ping_delay - (self.clock.uncertainty or 0.0)),
             lambda: 2 * (self.clock.uncertainty or 0.0),
             self._meter_of,
             self.ids,
             self._take_urgent,
         )
-        self._awaiting: dict[tuple[str, int], dict[int, Route]] = {}  # routes without streams, by transport and port
         self.fullness = LinkFullness(partial(self.log, link_status=True))
         self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers, self.fullness)
-        self.path = PathWatch(self._log_path)
+        self.path = PathWatch(partial(self.log_of_peer, link_status=True), self._judge_again)
         self.handlers: dict[type, Callable[[Any], Slices | None]] = {
             Ping: self._on_ping,
             Pong: self._on_pong,
             Receipts: self.channels.handle_receipts,
         }
         self._extensions: list[Extension] = []
+        self.fault = self.extend(
+            LinkFault(context, name, self.peer_name, self.status, self.path, self.fullness, lambda: self.clock)
+        )
 
     # --- extensions
 
@@ -358,11 +315,6 @@ class BaseLink(ABC):
         return "" if self.control else self.status.reason
 
     @property
-    def sample_secret(self) -> bytes | None:
-        """The secret of the sample tags of data streams, or None without a link or encryption."""
-        return None if self.keys is None else self.keys.sample_secret
-
-    @property
     def peer_at(self) -> str:
         """The peer with its address, as the log names it."""
         return f"{self._peer_role} at {self.address}"
@@ -403,7 +355,6 @@ class BaseLink(ABC):
         """
         self.keepalive.stop()
         self.control = self.keys = None
-        self._warned = LinkCause.NONE, 0.0
         cause = _CAUSES.get(code, LinkCause.CLOSED)
         if cause is LinkCause.LOST and self.transport.problem:
             cause, reason = LinkCause.ROUTER_LOST, self.transport.problem
@@ -415,7 +366,6 @@ class BaseLink(ABC):
         self.status.since = self.context.wall()
         for each in reversed(self._extensions):
             each.disconnected()
-        self._awaiting.clear()
         self.channels.disconnected()
         self.contention.disconnected()
         self.path.disconnected()
@@ -481,70 +431,11 @@ class BaseLink(ABC):
             self.control.take_urgent(message)
 
     def _on_ping(self, ping: Ping) -> None:
-        self.keepalive.record_ping(ping)
         if (pong := self.keepalive.answer(ping)) is not None:
             self.send(pong)
 
     def _on_pong(self, pong: Pong) -> None:
         self.keepalive.answered(pong)
-
-    # --- routes
-
-    def open_channel(self, route: Route) -> None:
-        """Open the channel of a route, or begin to."""
-        assert self.control is not None
-        assert self.channels.keys is not None
-        port, transport = route.proposal.port or self.shared_port(), route.transport
-        if isinstance(transport, StreamTransport):
-            self._use_streams(route, transport, port)
-        elif (udp_channel := self.channels.udp.get(port) or self._new_udp_channel(transport, port)) is not None:
-            assert self.channels.scheduler is not None
-            route.channel = datagram_channel(udp_channel, route, self.channels.keys, self.channels.scheduler)
-
-    def _use_streams(self, route: Route, transport: StreamTransport, port: int) -> None:
-        pair = self.channels.pair_of(transport.name, port)
-        if pair is not None:
-            self.channels.carry(route, pair)
-            return
-        self._awaiting.setdefault((transport.name, port), {})[route.id] = route
-        self.open_streams(transport, port)
-
-    def streams_opened(self, transport: str, port: int) -> None:
-        """Open the channels of the routes that wait for streams, if these are complete."""
-        pair = self.channels.pair_of(transport, port)
-        if pair is None:
-            return
-        for route in self._take_awaiting(transport, port):
-            self.channels.carry(route, pair)
-            route.advance()
-
-    def streams_failed(self, transport: str, port: int, reason: str) -> None:
-        """Report to the routes that wait for streams that these cannot be opened."""
-        for route in self._take_awaiting(transport, port):
-            route.channel_lost(reason)
-
-    def _take_awaiting(self, transport: str, port: int) -> Iterator[Route]:
-        """Yield the routes that wait for streams, and for which nothing else has come first; none of them waits on."""
-        for route_id, route in self._awaiting.pop((transport, port), {}).items():
-            if route.id == route_id and route.channel is None:  # else it was closed meanwhile
-                yield route
-
-    def _new_udp_channel(self, transport: DatagramTransport, port: int) -> UdpChannel | None:
-        udp_channel = self.open_udp_channel(transport, port)
-        if udp_channel is not None:
-            self.channels.udp.open(port, udp_channel)
-        return udp_channel
-
-    def udp_ready(self) -> None:
-        """Advance the routes that wait for a UDP channel: one has found its path, or can be opened now."""
-        self.spawn(self._advance())
-
-    async def _advance(self) -> None:
-        def advance(route: Route) -> None:
-            if route.id:  # a slice before this one may have closed it
-                route.advance()
-
-        await in_slices(self.ids.open_routes(), advance)
 
     # --- time and figures
 
@@ -552,8 +443,7 @@ class BaseLink(ABC):
         """Do the regular work once a second, after the routes' own tick."""
         if self.control is not None:
             self._tick_path(self.control)
-            self.contention.tick(self.keepalive, self.peer_name, lossy=self.path.lossy_out)
-            self.warning_since()  # a warning begins now, even if no console asks for a snapshot
+            self.contention.tick(self.keepalive, self.peer_name, lossy=self.path.loss.lossy > 0)
             self.send(self.keepalive.tick())
             self.channels.tick()
         for each in self._extensions:
@@ -561,118 +451,34 @@ class BaseLink(ABC):
 
     def _tick_path(self, control: ControlChannel) -> None:
         counts = {each: each.packets() for each in self.carriers() if isinstance(each, Stream)}
-        before = self.path.fault
         stalled = self.path.tick(
             control.stream,
             {stream: packets for stream, packets in counts.items() if packets is not None},
             [route.channel for route in self.routes.values() if isinstance(route.channel, DatagramSender)],
-            Pings(self.keepalive.round_trip, self.keepalive.answers, self.keepalive.quiet),
+            Pings(self.keepalive.round_trip, self.keepalive.answered_pings, self.keepalive.quiet),
             self.peer_name,
             self.context.now(),
-            large_vanish=any(route.large_vanish for route in self.routes.values()),
+            large_vanish=any(isinstance(each, OutgoingRoute) and each.large_vanish for each in self.routes.values()),
         )
         for stream in stalled:
             stream.abort(STALLED)
-        self._judge_again_after(before)
 
-    def take_path_record(self, record: PathRecord) -> None:
-        """Take the peer's record of what the path to here loses."""
-        before = self.path.fault
-        self.path.take_record(record, self.peer_name)
-        self._judge_again_after(before)
-
-    def _judge_again_after(self, before: PathFault | None) -> None:
-        """Judge the routes again if the fault of the path has changed, so that their verdicts agree with the link's."""
-        if self.path.fault != before:
-            for route in self.routes.values():
-                route.judge_again()
-
-    @property
-    def path_fault(self) -> PathFault | None:
-        """The fault of the path while the link is up, or None."""
-        return self.path.fault
+    def _judge_again(self) -> None:
+        """Judge the routes again, as the fault of the path has changed: their verdicts agree with the link's."""
+        for route in self.routes.values():
+            route.judge_again()
 
     def carriers(self) -> set[ChannelCarrier]:
         """Return all carriers of the present connection's bytes."""
         return self.channels.carriers(self.control)
 
-    @property
-    def warning(self) -> str:
-        """The fault of a link that is up, for an operator, or an empty string."""
-        if not self.linked:
-            return ""
-        taken = self.duplicates.warning(self.context.now(), self.context.wall())
-        # A path that loses packets carries less, too: its loss explains that.
-        path = self.path.fault
-        narrow = path.text if path is not None else self.fullness.warning(self.peer_name)
-        return "; ".join(filter(None, (taken, narrow, self.unproven, self.clocks_differ)))
-
-    def warning_since(self) -> float | None:
-        """Return when the present warning began, in s since the epoch, or None without one. Called once a second."""
-        cause = self.cause if self.warning else LinkCause.NONE
-        if cause != self._warned[0]:
-            self._warned = cause, self.context.wall()
-        return self._warned[1] if cause else None
-
-    @property
-    def unproven(self) -> str:
-        """The warning that announced servers did not prove the key, or an empty string."""
-        return ""
-
-    @property
-    def cause(self) -> LinkCause:
-        """The cause of the link's fault, up or down."""
-        if not self.linked:
-            return self.status.cause
-        if self.duplicates.warning(self.context.now(), self.context.wall()):
-            return LinkCause.NAME_TAKEN
-        if self.path.fault is not None:
-            return self.path.fault.cause
-        if self.fullness.out is not None or self.fullness.into is not None:
-            return LinkCause.FULL
-        if self.unproven:
-            return LinkCause.UNPROVEN_SERVERS
-        return LinkCause.CLOCKS_DIFFER if self.clocks_differ else self.status.cause
-
-    @property
-    def clocks_differ(self) -> str:
-        """The warning that the clocks of the two sides differ, or an empty string."""
-        return clocks_differ(self.peer_name, self.clock.offset, self.clock.uncertainty)
-
-    @property
-    def full_out(self) -> Fullness | None:
-        """The rates from here, or None if the link is not full."""
-        return self.fullness.out
-
-    @property
-    def fullness_undecided(self) -> bool:
-        """Whether the link from here may be full, and is still being measured."""
-        return self.fullness.undecided
-
-    @property
-    def full_in(self) -> Fullness | None:
-        """The rates to here, or None if the link is not full."""
-        return self.fullness.into
-
-    @property
-    def report_delay(self) -> float:
-        """About how many seconds the peer's reports take to arrive."""
-        return self.keepalive.ping_delay
-
-    @property
-    def ping_wait(self) -> float:
-        """Seconds that the oldest unanswered ping has waited; 0 if all are answered."""
-        return self.keepalive.ping_wait
-
-    def _log_udp(self, level: Level, code: EventCode, text: str) -> None:
-        self.log(level, code, f"{self.peer_at}: {text}")
-
-    def _log_path(self, level: Level, code: EventCode, text: str) -> None:
-        self.log(level, code, f"{self.peer_at}: {text}", link_status=True)
+    def log_of_peer(self, level: Level, code: EventCode, text: str, *, link_status: bool = False) -> None:
+        """Add an event about this link that names the peer."""
+        self.log(level, code, f"{self.peer_at}: {text}", link_status=link_status)
 
     def log(self, level: Level, code: EventCode, text: str, *, topic: str = "", link_status: bool = False) -> None:
         """Add an event about this link; `link_status` means that it tells whether the link is up."""
         about: About = {"link": self.name, "topic": topic}
         if link_status:
-            about |= {"state": self.status.state, "since": self.status.since, "cause": self.cause}
+            about |= {"state": self.status.state, "since": self.status.since, "cause": self.fault.cause}
         self.context.log(level, code, text, link_status=link_status, **about)

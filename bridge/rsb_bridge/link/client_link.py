@@ -13,7 +13,7 @@ from rsb_bridge.config.rights import rights_of_server
 from rsb_bridge.link.connecting import ConnectAttempt, Failure, LetIn
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, DuplicateClients, server_refusal, with_remedy
+from rsb_bridge.link.refused_clients import ASKED_EVERY, NAME_TRIED_EVERY, server_refusal, with_remedy
 from rsb_bridge.link.server_search import ServerSearch, failure_of_search, unproven_servers
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
@@ -79,7 +79,6 @@ class ClientLink(Link):
         self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY, context.random, _JITTER)
         self._asking = Backoff(ASKED_EVERY, ASKED_EVERY, context.random)
         self._search = ServerSearch(self.transport, context.now)
-        self._unproven = 0  # servers that were announced when the link was made, and did not prove the key
         self._streams_opening: dict[tuple[str, int], asyncio.Task[None]] = {}
         self._streams_wanted = 0  # by those, which have their descriptors yet to take
         self.handlers |= {Duplicate: self.on_duplicate, Shutdown: self.on_shutdown}
@@ -176,14 +175,10 @@ class ClientLink(Link):
 
     def _note_unproven(self, count: int) -> None:
         """Tell the operator once that servers are announced that do not prove the key."""
-        if count and not self._unproven:
+        if count and not self.fault.unproven:
             text = unproven_servers(count)
             self.log(Level.WARNING, EventCode.LINK_UNPROVEN_SERVERS, text, link_status=True)
-        self._unproven = count
-
-    @property
-    def unproven(self) -> str:
-        return unproven_servers(self._unproven) if self._unproven else ""
+        self.fault.unproven = count
 
     async def _open(
         self,
@@ -259,17 +254,16 @@ class ClientLink(Link):
 
     def on_duplicate(self, message: Duplicate) -> None:
         now = self.context.now()
-        begins = self.cause is not LinkCause.NAME_TAKEN
-        self.duplicates.take_news(message, self.context.wall())
+        begins = self.fault.cause is not LinkCause.NAME_TAKEN
+        self.fault.duplicates.take_news(message, self.context.wall())
         if not message.address and not begins:
-            self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.duplicates.over(), link_status=True)
+            self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.fault.duplicates.over(), link_status=True)
         if message.address and (begins or now - self._duplicates_logged_at >= _DUPLICATES_LOGGED_EVERY):
             self._duplicates_logged_at = now
-            self.log(Level.WARNING, EventCode.LINK_NAME_TAKEN, self.duplicates.text(now), link_status=True)
+            self.log(Level.WARNING, EventCode.LINK_NAME_TAKEN, self.fault.duplicates.text(now), link_status=True)
 
     def lost(self, reason: str, code: EventCode) -> None:
         super().lost(reason, code)
-        self.duplicates = DuplicateClients(self.name)
         for opening in self._streams_opening.values():
             opening.cancel()
         self._streams_opening.clear()
@@ -306,8 +300,8 @@ class ClientLink(Link):
 
     def tick(self) -> None:
         super().tick()
-        if self._unproven:
-            self._unproven = min(self._unproven, max(0, self.transport.announced_servers - 1))
+        if self.fault.unproven:
+            self.fault.unproven = min(self.fault.unproven, max(0, self.transport.announced_servers - 1))
         if self.control is None or self.keepalive.quiet < _MOVED_AND_QUIET:
             return
         stream = self.control.stream
@@ -366,9 +360,9 @@ class ClientLink(Link):
         if failure is None and self.channels.pair_of(transport.name, port) is None:
             failure = Failure(StreamProblem.CLOSED_HERE())  # the first one was lost before the second one came
         if failure is None:
-            self.streams_opened(transport.name, port)
+            self.route_channels.streams_opened(transport.name, port)
         else:
-            self.streams_failed(transport.name, port, failure.reason)
+            self.route_channels.streams_failed(transport.name, port, failure.reason)
         # Where descriptors are scarce, halves of pairs would be all that there is, and no route would have both.
         self.channels.end_unused(transport.name, port)
 
@@ -388,7 +382,7 @@ class ClientLink(Link):
         # The address that the control connection reached: the server's name may resolve to another by now.
         host = self.control.stream.host if transport is self.transport else transport.host(self.context.session)
         rank = -1 if large and not transport.multiplexed else 0
-        return await self._open(transport, host, port, connection, let_in, rank, self.sample_secret)
+        return await self._open(transport, host, port, connection, let_in, rank, self.keys.sample_secret)
 
     def open_udp_channel(self, transport: DatagramTransport, port: int) -> ClientUdpChannel | None:
         assert self.control is not None
@@ -397,9 +391,9 @@ class ClientLink(Link):
             self._udp_failed(descriptors.scarcity_message("client"))
             return None
         address = self.control.stream.address
-        server = (address[0], port, *address[2:])
+        server, ready = (address[0], port, *address[2:]), self.route_channels.udp_ready
         try:
-            udp_channel = ClientUdpChannel(transport, server, self.channels.probe, self.context.now, self.udp_ready)
+            udp_channel = ClientUdpChannel(transport, server, self.channels.probe, self.context.now, ready)
         except OSError as error:
             self._udp_failed(f"UDP to {transport.format_address(server)}: {os_error_message(error)}")
             return None
@@ -409,13 +403,13 @@ class ClientLink(Link):
     def _udp_failed(self, text: str) -> None:
         if text != self._udp_failure:
             self._udp_failure = text
-            self._log_udp(Level.ERROR, EventCode.LINK_UDP_BLOCKED, text)
+            self.log_of_peer(Level.ERROR, EventCode.LINK_UDP_BLOCKED, text)
         if self._udp_retry is None:
             self._udp_retry = self.context.loop.call_later(_UDP_RETRIED_AFTER, self._retry_udp)
 
     def _retry_udp(self) -> None:
         self._udp_retry = None
-        self.udp_ready()
+        self.route_channels.udp_ready()
 
 
 def _not_connected(address: str, error: OSError) -> Failure:

@@ -59,7 +59,7 @@ class InternalRoutes(Generic[SourceT, DrainT]):
         deadline = now() + OPENED_WITHIN
         # Looking is simpler than an event here: a channel, a pause and an end on either side may come in any order
         while not (route.flowing and end(route) is not None):
-            if route.refusal or route.key not in self._link.routes or now() > deadline:
+            if route.life.refusal or route.key not in self._link.routes or now() > deadline:
                 return False
             await asyncio.sleep(_LOOK_EVERY)
         return True

@@ -32,8 +32,12 @@ class Keepalive:
     """One connection's pings and byte counts.
 
     Attributes:
+        answered_pings: number of the newest answered ping.
+        ping_delay: delay (s) of the peer's last ping by its clock, or 0 if it is unknown.
         clock: round trip and clock offset.
         stamps: offset of the clock by which the peer stamps messages, and which nobody sets.
+        rx: wire bytes/s received.
+        tx: wire bytes/s sent.
         rx_bytes: wire bytes received over this and earlier connections, as of the last second.
         tx_bytes: wire bytes sent over this and earlier connections, as of the last second.
     """
@@ -56,11 +60,11 @@ class Keepalive:
         self._carriers = carriers
         self._patience = patience
         self._began = context.now()
-        self._rx, self._tx = Smoothed(self._began), Smoothed(self._began)
+        self.rx, self.tx = Smoothed(self._began), Smoothed(self._began)
         self._received = self._sent = 0
-        self._pings = self._answered = 0
+        self._pings = self.answered_pings = 0
         self._pinged_at = self._began
-        self._ping_delay = 0.0
+        self.ping_delay = 0.0
         self._answers = TokenBucket(_ANSWERS, _ANSWERS_A_SECOND, self._began)
         self._on_silence: Callable[[], None] | None = None
         self._watchdog: asyncio.TimerHandle | None = None
@@ -70,16 +74,6 @@ class Keepalive:
         following = Keepalive(self._context, self._carriers, patience)
         following.rx_bytes, following.tx_bytes = self.rx_bytes, self.tx_bytes
         return following
-
-    @property
-    def rx_rate(self) -> float:
-        """Wire bytes/s received."""
-        return self._rx.rate
-
-    @property
-    def tx_rate(self) -> float:
-        """Wire bytes/s sent."""
-        return self._tx.rate
 
     @property
     def quiet(self) -> float:
@@ -100,24 +94,8 @@ class Keepalive:
     @property
     def ping_wait(self) -> float:
         """Seconds that the oldest unanswered ping has waited, about; 0 if all are answered."""
-        unanswered = self._pings - self._answered
+        unanswered = self._pings - self.answered_pings
         return self._context.now() - self._pinged_at + unanswered - 1 if unanswered else 0.0
-
-    @property
-    def answers(self) -> int:
-        """Number of the newest answered ping."""
-        return self._answered
-
-    @property
-    def ping_delay(self) -> float:
-        """Delay (s) of the peer's last ping by its clock, or 0 if it is unknown."""
-        return self._ping_delay
-
-    def record_ping(self, ping: Ping) -> None:
-        """Record the delay of a ping of the peer."""
-        if self.clock.offset is not None:
-            delay = (self._context.wall_ns() - ping.sent) / 1e9 + self.clock.offset
-            self._ping_delay = min(max(0.0, delay), _LONGEST_PING)
 
     def watch(self, on_silence: Callable[[], None]) -> None:
         """Call a function once the peer has been silent for as long as the patience lasts, until `stop`."""
@@ -147,8 +125,8 @@ class Keepalive:
         sent = sum(each.sent_bytes for each in carriers)
         # The sums fall when a carrier closes.
         more_received, more_sent = max(0, received - self._received), max(0, sent - self._sent)
-        self._rx.add(more_received, now)
-        self._tx.add(more_sent, now)
+        self.rx.add(more_received, now)
+        self.tx.add(more_sent, now)
         self.rx_bytes += more_received
         self.tx_bytes += more_sent
         self._received, self._sent = received, sent
@@ -171,7 +149,10 @@ class Keepalive:
         return Ping(n=self._pings, sent=self._context.wall_ns())
 
     def answer(self, ping: Ping) -> Pong | None:
-        """Return the answer to the peer's ping, or None if the peer pings too often."""
+        """Record the delay of a ping of the peer, and return the answer, or None if the peer pings too often."""
+        if self.clock.offset is not None:
+            delay = (self._context.wall_ns() - ping.sent) / 1e9 + self.clock.offset
+            self.ping_delay = min(max(0.0, delay), _LONGEST_PING)
         if not self._answers.take(1, self._context.now()):
             return None
         now = self._context.wall_ns()
@@ -180,7 +161,7 @@ class Keepalive:
 
     def answered(self, pong: Pong) -> None:
         """Record the peer's answer to a ping."""
-        self._answered = max(self._answered, min(pong.n, self._pings))
+        self.answered_pings = max(self.answered_pings, min(pong.n, self._pings))
         self.clock.add(pong.sent, pong.received, pong.answered, self._context.wall_ns())
         if (sent := self._sent_at.pop(pong.n, None)) is not None:
             self.stamps.add(sent, pong.received + pong.shift, pong.answered + pong.shift, self._context.stamps.now())

@@ -13,6 +13,7 @@ from rsb_bridge.link.link_patterns import LinkPatterns
 from rsb_bridge.link.link_views import LinkViews
 from rsb_bridge.link.proposed_topics import ProposedTopics
 from rsb_bridge.link.questions import TopicLists, TypeQuestions
+from rsb_bridge.link.route_channels import RouteChannels
 from rsb_bridge.link.route_reports import RouteReports
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.demands import sources_of_entries
@@ -63,6 +64,7 @@ class Link(BaseLink):
 
     Attributes:
         neighbourhood: the bridges in the ROS domains of both sides.
+        route_channels: gives the routes their channels.
         proposed: the topics that this side proposes.
         patterns: the same for patterns of names, and the names that the peer follows here.
         topic_lists: questions of the two sides about their graphs.
@@ -72,6 +74,8 @@ class Link(BaseLink):
     def __init__(self, context: Context, name: str, *, is_client: bool, encrypted: bool) -> None:
         super().__init__(context, name, is_client=is_client, encrypted=encrypted)
         self.neighbourhood = self.extend(Neighbourhood(self))
+        self.route_channels = self.extend(RouteChannels(self))
+        self.open_channel = self.route_channels.open
         self.report_soon = self.extend(RouteReports(self)).add
         self.table = self.extend(RouteTable(self))
         self.proposed = ProposedTopics(self, self.table)
@@ -149,22 +153,22 @@ class Link(BaseLink):
             rtt=clock.rtt,
             clock_offset=clock.offset,
             clock_uncertainty=clock.uncertainty,
-            rx_bytes_per_second=keepalive.rx_rate if self.linked else 0.0,
-            tx_bytes_per_second=keepalive.tx_rate if self.linked else 0.0,
+            rx_bytes_per_second=keepalive.rx.rate if self.linked else 0.0,
+            tx_bytes_per_second=keepalive.tx.rate if self.linked else 0.0,
             rx_bytes_total=keepalive.rx_bytes,
             tx_bytes_total=keepalive.tx_bytes,
             peer_version=peer.version if peer else "",
             peer_domain=peer.domain_id if peer else None,
             use_name=self.use_name,
-            cause=self.cause,
-            warning=self.warning,
-            warning_since=self.warning_since(),
+            cause=self.fault.cause,
+            warning=self.fault.warning,
+            warning_since=self.fault.warning_since(),
             capacity_out=self.contention.sending.capacity,
             capacity_in=self.contention.receiving.capacity,
-            loss_out=self.path.share_out if self.linked else None,
+            loss_out=self.path.loss.share if self.linked else None,
             loss_in=self.path.into.lost,
-            full_out=self.full_out,
-            full_in=self.full_in,
+            full_out=self.fullness.out,
+            full_in=self.fullness.into,
             patterns=tuple(self.patterns.snapshots()),
         )
 

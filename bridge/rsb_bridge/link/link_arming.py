@@ -351,16 +351,16 @@ class LinkArming:
 
     def _opens(self, route: Route) -> bool:
         """Whether a route cannot be armed now, but in a moment, if the other side answers."""
-        if not self._peer.linked or route.refusal or route.paused:
+        if not self._peer.linked or route.life.refusal or route.paused:
             return False
-        return (route.arming.spent or not route.accepted) and route in self._routes()
+        return (route.arming.spent or not route.life.accepted) and route in self._routes()
 
     def _why_not(self, route: Route) -> str:
         arming = route.arming
         if not self._peer.linked:
             return self._peer.down_reason or "the link is down"
-        if not route.accepted:
-            return route.refusal or ArmingProblem.NOT_OPEN()
+        if not route.life.accepted:
+            return route.life.refusal or ArmingProblem.NOT_OPEN()
         if not arming.required:
             return "neither session demands arming"
         if route.paused:

@@ -450,7 +450,7 @@ def _check_opening(route: Route, opening: int) -> None:
     Raises:
         LinkError: it is not.
     """
-    if route.refusal or not route.id:
+    if route.life.refusal or not route.id:
         raise LinkError(_why_not(route))
     if route.id != opening:
         raise LinkError(REOPENED)
@@ -458,8 +458,8 @@ def _check_opening(route: Route, opening: int) -> None:
 
 def _why_not(route: Route) -> str:
     """Return why no message crosses on a measuring route."""
-    if route.refusal:
-        return route.refusal
+    if route.life.refusal:
+        return route.life.refusal
     return f"{STOPPED}: it has removed or paused the route" if not route.flowing else route.trouble()
 
 

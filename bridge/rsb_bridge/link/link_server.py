@@ -222,14 +222,15 @@ class Server:
         link = self._link_of(event.link_id)
         if link is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)
-        stream.authenticate(link.sample_secret, opener=False)
+        assert link.keys is not None
+        stream.authenticate(link.keys.sample_secret, opener=False)
         transport, port = link.take_stream(event)
         if refusal := link.descriptors.refusal:
             raise Refusal(RefusalCode.BUSY, refusal, link.name)
         stream.when_gone(link.descriptors.take())
         stream.write(connection.accept_attach())
         link.channels.attach(stream, event.name, transport, port, connection.leftover())
-        link.streams_opened(transport.name, port)
+        link.route_channels.streams_opened(transport.name, port)
 
     def refused(self, name: str, stream: Stream, code: RefusalCode, message: str) -> str:
         """Show on the link of that name that a client was refused; one of another version says no name."""

@@ -262,7 +262,7 @@ class LinkViews(Extension):
         route = view.route
         sink = self._internal.drain(route) if await self._internal.opened(route) else None
         if sink is None:
-            raise LinkError(route.refusal or ViewRefused.NOT_OPENED(reason=route.trouble()))
+            raise LinkError(route.life.refusal or ViewRefused.NOT_OPENED(reason=route.trouble()))
         if view.sink is not sink:
             view.sink, sink.taken = sink, partial(self._arrived, view)
 

@@ -72,7 +72,7 @@ class Pings(NamedTuple):
     quiet: float
 
 
-class _Loss:
+class PacketLoss:
     """The share of packets that one direction loses.
 
     Attributes:
@@ -128,17 +128,19 @@ class PathWatch:
 
     Args:
         log: adds an event about the link.
+        changed: called when the fault has changed.
 
     Attributes:
         fault: the fault of the path, or None.
+        loss: the packets from here that are lost.
         into: the peer's record of the direction to here.
     """
 
-    def __init__(self, log: Callable[[Level, EventCode, str], None]) -> None:
+    def __init__(self, log: Callable[[Level, EventCode, str], None], changed: Callable[[], None]) -> None:
         self.fault: PathFault | None = None
         self.into = PathRecord()
-        self._log = log
-        self._loss = _Loss()
+        self._log, self._changed = log, changed
+        self.loss = PacketLoss()
         self._large = False
         self._stalled_at = float("-inf")
         self._probe: tuple[int, int] | None = None  # answered pings and lost packets when the probe began
@@ -148,16 +150,6 @@ class PathWatch:
         self._ticked_at = float("-inf")
         self._record = self._sent = PathRecord()
         self._logged = False
-
-    @property
-    def share_out(self) -> float | None:
-        """The share of the packets from here that is lost, or None if it is unknown."""
-        return self._loss.share
-
-    @property
-    def lossy_out(self) -> bool:
-        """Whether so many packets from here are lost that this is a fault."""
-        return self._loss.lossy > 0
 
     def tick(
         self,
@@ -182,19 +174,19 @@ class PathWatch:
             The streams that are stalled, to be opened again.
         """
         if now - self._ticked_at > _FORGOTTEN_AFTER:
-            self._loss.clear()
+            self.loss.clear()
         self._ticked_at = now
         sent, lost, passed = self._gained(streams, senders)
         queues = self._queues(pings.round_trip)
         if queues or not passed:  # a full link, or a gap
-            self._loss.skip()
+            self.loss.skip()
         else:
-            self._loss.tick(sent, lost)
+            self.loss.tick(sent, lost)
         own = streams[control].lost if control in streams else 0
         stalled = self._probe_sizes(control, streams, pings, own, now, vanish=large_vanish)
-        share = self._loss.share
+        share = self.loss.share
         self._record = PathRecord(
-            None if share is None else round(share, 2), self._loss.lossy, self._large and not self._loss.lossy
+            None if share is None else round(share, 2), self.loss.lossy, self._large and not self.loss.lossy
         )
         self._judge(peer, silent=pings.quiet > _SILENT_AFTER)
         return stalled
@@ -252,7 +244,7 @@ class PathWatch:
                 self._large = False
             return []
         self._stalled_at = now
-        if self._loss.lossy or self._probe is None or self._probe[1] != lost:
+        if self.loss.lossy or self._probe is None or self._probe[1] != lost:
             self._probe = pings.answered, lost  # small packets are lost as well
             return []
         if pings.answered - self._probe[0] < _SMALL_PASSED:
@@ -281,6 +273,8 @@ class PathWatch:
             self.fault = PathFault(LinkCause.LARGE_PACKETS, PathFaultText.LARGE_PACKETS(way=way, peer=peer))
         else:
             self.fault = None
+        if self.fault != before:
+            self._changed()
         if self.fault is None and self._logged:
             self._logged = False
             self._log(Level.INFO, EventCode.LINK_PATH_RESTORED, PathFaultText.GONE(peer=peer))

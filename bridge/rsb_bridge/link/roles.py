@@ -183,10 +183,10 @@ class ClientRole:
         step("linked; opening topics and services")
         routes = self._link.routes.values()
         await _until(
-            lambda: all(r.accepted or r.refusal for r in routes),
+            lambda: all(r.life.accepted or r.life.refusal for r in routes),
             lambda: "the server has not answered for all topics and services yet",
         )
-        refused = sum(1 for route in routes if route.refusal)
+        refused = sum(1 for route in routes if route.life.refusal)
         step(f"{len(routes) - refused} of {len(routes)} topics and services accepted")
 
 

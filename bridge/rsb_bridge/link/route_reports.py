@@ -29,7 +29,7 @@ def _reports(
     routes: Iterable[Route], full: FullRecord | None = None, path: PathRecord | None = None
 ) -> Iterator[Report]:
     """Yield the counts that the peer does not know yet, and the link's fullness and path if they have changed."""
-    news = [route.news() for route in routes if route.accepted]  # the other side may not know the others yet
+    news = [route.news() for route in routes if route.life.accepted]  # the other side may not know the others yet
     sent = [each for each in news if isinstance(each, SentReport)]
     received = [each for each in news if isinstance(each, ReceivedReport)]
     calls = [each for each in news if isinstance(each, CallsReport)]
@@ -77,7 +77,7 @@ class RouteReports(Extension):
         if report.full is not None:
             self._link.contention.take_record(report.full, self._link.peer_name)
         if report.path is not None:
-            self._link.take_path_record(report.path)
+            self._link.path.take_record(report.path, self._link.peer_name)
         return in_slices(report_entries(report), self._take_entry)
 
     def _take_entry(self, entry: SentReport | ReceivedReport | CallsReport) -> None:

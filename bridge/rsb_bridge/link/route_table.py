@@ -130,7 +130,7 @@ class Pausing:
     def pause(self, route: Route, *, paused: bool) -> None:
         """Pause or resume a route on both sides."""
         who = acting_operator()
-        route.pause(paused, who)
+        route.pausing.change(paused=paused, who=who)
         self._send(route, who)
 
     def taken_up(self, route: Route, proposal: Propose, *, known: bool) -> None:
@@ -147,7 +147,8 @@ class Pausing:
         """Take the peer's state of the pause, and record the change of an operator there."""
         was, who = route.paused, message.who if isinstance(message, Pause) else ""
         revision = message.revision if isinstance(message, Pause) else message.pause_revision
-        route.pause_from_peer(message.paused, revision, self._peer_operators.says(who), known=known)
+        take = route.pausing.merge if known else route.pausing.adopt
+        take(paused=message.paused, revision=revision, who=self._peer_operators.says(who))
         if route.paused != was and known:
             self._peer_operators.paused(route, who)
 
@@ -639,7 +640,7 @@ class RouteTable(Extension):
             return
         self.arming.tick()
         for route in tuple(self._link.routes.values()):
-            if route.proposed_here and not route.id and now >= route.retry_at:
+            if route.proposed_here and not route.id and now >= route.reopening.retry_at:
                 self.propose(route)
-            elif not route.proposed_here and not route.id and now > route.awaited_until(link.linked_at):
+            elif not route.proposed_here and not route.id and now > route.reopening.awaited_until(link.linked_at):
                 self._abandoned(route, _NOT_ASKED_FOR)

@@ -12,7 +12,7 @@ import msgspec
 from rsb_bridge.channel.udp_channel import ServerUdpChannel
 from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.refused_clients import ASKED_EVERY, DuplicateClients, LinkShutdown, name_taken
+from rsb_bridge.link.refused_clients import ASKED_EVERY, LinkShutdown, name_taken
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.fingerprints import format_fingerprint
 from rsb_bridge.model.limits import PORTS_PER_CLIENT, dds_ports, discovery_domain
@@ -272,7 +272,7 @@ class ServerLink(Link):
         """Record the client's address, and the fingerprint of its key, which is empty without encryption."""
         self._seen_at, self._seen_host = stream.peer, stream.host
         self._seen_key = format_fingerprint(fingerprint)
-        self.duplicates, self._told = DuplicateClients(self.name), Duplicate()
+        self._told = Duplicate()
 
     def up(self, control: ControlChannel, peer: Hello | Welcome, keys: SessionKeys) -> None:
         super().up(control, peer, keys)
@@ -331,7 +331,7 @@ class ServerLink(Link):
 
     def duplicate_tried(self, address: str, host: str) -> None:
         """Record that a second client with a valid key was refused."""
-        self.duplicates.tried(address, host, self.context.now(), self.context.wall())
+        self.fault.duplicates.tried(address, host, self.context.now(), self.context.wall())
 
     def _look_at_network(self) -> None:
         """Show the link as down while its Zenoh router is lost."""
@@ -347,10 +347,10 @@ class ServerLink(Link):
             self._look_at_network()
         if self.status.retry_at is not None and self.context.now() > self.status.retry_at + ASKED_EVERY:
             self.status.retry_at = None  # it does not ask any more
-        news = self.duplicates.news(self.context.now())
+        news = self.fault.duplicates.news(self.context.now())
         if self.linked and news != self._told:
             if not news.address:
-                self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.duplicates.over(), link_status=True)
+                self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.fault.duplicates.over(), link_status=True)
             self._told = news
             self.send(news)
 
@@ -483,9 +483,9 @@ class ServerLink(Link):
         if len(address) != len(stream.address):
             return None
         udp_channel = ServerUdpChannel(
-            socket, stream.own_address, self.channels.probe, self.context.now, self.udp_ready
+            socket, stream.own_address, self.channels.probe, self.context.now, self.route_channels.udp_ready
         )
         self.channels.udp.add(socket.port, udp_channel)
         # The client may send messages together with its answer to the first challenge: routes have to take them then.
-        self.udp_ready()
+        self.route_channels.udp_ready()
         return udp_channel

@@ -232,6 +232,13 @@ class Arming:
             return True
         return self._phase is _Phase.ARMED and now < self._deadline and self.lease is not None and self.lease.begun
 
+    def why_disarmed(self, now: float) -> str:
+        """Return the reason why it is not armed at `now` (s), for an operator, or an empty string if it is."""
+        if self.stands(now):
+            return ""
+        why = self.why if self.why is Disarmed.LINK_SLOW else self.overdue(now)
+        return DISARM_TEXT[why] if why else self.reason
+
     def passes(self, now: float) -> bool:
         """Whether messages may cross at `now` (s): operators want it, and the two sides hear each other."""
         return not self.required or (self.lease is not None and self.lease.alive and self.stands(now))

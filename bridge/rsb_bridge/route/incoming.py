@@ -253,7 +253,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if not self.outputs:
             self._hint = type_hint(self.ends, self.remote_topic)
             return
-        if self.accepted and self.channel is None:
+        if self.life.accepted and self.channel is None:
             # While it is paused, too: the other side may not know yet, and frames without a channel hold up all others.
             self.peer.open_channel(self)
         before, self._subscribers = self._subscribers, self.outputs.subscriber_count

@@ -1,4 +1,4 @@
-"""The phases of a route's half as a table of events, and whether operators have paused it.
+"""The phases of a route's half as a table of events, when it opens again, and whether operators have paused it.
 
 In the last phase messages flow as the channel, the link and the ROS graph allow. Those come and go without an agreement
 of the two sides.
@@ -7,6 +7,12 @@ of the two sides.
 from __future__ import annotations
 
 from enum import Enum, auto
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.budgets import Backoff
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 class RoutePhase(Enum):
@@ -98,6 +104,64 @@ class Lifecycle:
         return True
 
 
+_FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
+_PROPOSED_WITHIN = 3.0
+_REFUSED_WITHIN = 5.0
+"""Seconds after which a retried route is unlikely to be refused again."""
+_REOPENS_WITHIN = 10.0
+"""Seconds after which a data connection that broke and is not open again is a fault. The kernel gives one up after 6 s,
+and the pauses before the next attempts are 1 and 2 s."""
+
+
+class Reopening:
+    """The attempts to open one route again.
+
+    Attributes:
+        refused: the last refusal, until a later opening succeeds, or an empty string.
+        retry_at: time (s) of the next attempt of the side that proposed it.
+        closed_at: time (s) when its last opening ended, or 0 before that.
+    """
+
+    def __init__(self) -> None:
+        self.refused = ""
+        self.retry_at = self.closed_at = 0.0
+        self._broke_at: float | None = None  # the data connection, if it has not been open since
+        self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
+
+    def failed(self, now: float, *, broke: bool) -> None:
+        """Plan the next attempt after an opening failed at `now` (s), perhaps because its data connection broke."""
+        if broke and self._broke_at is None:
+            self._broke_at = now
+        self.retry_at = now + self._backoff.next()
+
+    def tick(self, *, connected: bool, flowing: bool) -> None:
+        """Begin the pauses anew once messages flow: acceptance alone is not enough, as a refusal may follow."""
+        if connected:
+            self._broke_at = None
+        if flowing:
+            self._backoff.reset()
+
+    def reopens(self, now: float) -> bool:
+        """Whether its data connection broke so lately that the next one is due at `now` (s) at the earliest."""
+        return self._broke_at is not None and now - self._broke_at < _REOPENS_WITHIN
+
+    def shown_refusal(self, life: Lifecycle, open_for: float) -> str:
+        """Return the refusal to show to operators: the last one, until a retry succeeds.
+
+        Args:
+            open_for: seconds for which the route has been open, or 0 if it is closed.
+        """
+        if life.ready or open_for >= _REFUSED_WITHIN:
+            self.refused = ""
+        return life.refusal or self.refused
+
+    def awaited_until(self, linked_at: float) -> float:
+        """Return the time (s) by which the other side will have proposed the route again if it still wants it."""
+        if self.closed_at > linked_at:
+            return self.closed_at + _LONGEST_PAUSE + _PROPOSED_WITHIN
+        return linked_at + _PROPOSED_WITHIN
+
+
 _LAST = 2**53
 
 
@@ -128,25 +192,30 @@ class PauseState:
         paused: whether the route is paused.
         revision: revision of the last change.
         who: operator of the last change, in words, or an empty string if unknown.
+        changed: called after each change with `paused` as it was before, which may be the same.
     """
 
     def __init__(self, revisions: Revisions, *, paused: bool, is_client: bool) -> None:
         self.paused = paused
         self.revision = revisions.next()
         self.who = ""
+        self.changed: Callable[[bool], None] = lambda was: None
         self._revisions = revisions
         self._is_client = is_client
 
     def change(self, *, paused: bool, who: str = "") -> None:
         """Change the state for an operator of this side; the caller must send it to the peer."""
-        self.paused, self.who = paused, who
+        was, self.paused, self.who = self.paused, paused, who
         self.revision = self._revisions.next()
+        self.changed(was)
 
     def adopt(self, *, paused: bool, revision: int, who: str = "") -> None:
         """Take the peer's state, even if this side's is later."""
+        was = self.paused
         self._revisions.saw(revision)
         if (paused, revision) != (self.paused, self.revision):  # otherwise `who` stays, too
             self.paused, self.revision, self.who = paused, revision, who
+        self.changed(was)
 
     def merge(self, *, paused: bool, revision: int, who: str = "") -> None:
         """Take the peer's state if it is the later one."""

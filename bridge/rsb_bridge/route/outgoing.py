@@ -190,7 +190,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._path.take(released)
 
     def _advance(self) -> None:
-        if not self.accepted or self.paused:
+        if not self.life.accepted or self.paused:
             self._subscription.unsubscribe()
             self._ledger.lose("paused", self._loop_filter.forget())  # nobody wants them when it is resumed
             return
@@ -358,13 +358,12 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             missed.tick(now, self._ledger.offered, published=self._is_published)
         elif self.flowing:
             usual = None if latched else self.meter.usual_rate
-            rate, limit = usual or self.spec.expected_rate, self.limit.rate
-            missed.rate = min(rate, limit) if rate and limit else rate
+            missed.rate = self.limit.lowered(usual or self.spec.expected_rate)
 
     @property
     def _is_published(self) -> bool:
         """Whether somebody publishes the topic, and neither side has paused or refused it."""
-        if self.paused or self._refused:
+        if self.paused or self.reopening.refused:
             return False
         own = self.context.announcements.own_publishers(self.topic, besides=self.peer.name)
         return bool(own or self.ends.publishers(self.topic))
@@ -375,8 +374,8 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self.lateness.reset()
             return
         if not self.transport.reliable:  # unreported datagrams may be lost, unless pings by a stream are held up, too
-            unreported = min(unreported, self.peer.ping_wait)
-        own = max(self._path.waits(now), delay_of_sender(unreported, self.peer.report_delay))
+            unreported = min(unreported, self.peer.keepalive.ping_wait)
+        own = max(self._path.waits(now), delay_of_sender(unreported, self.peer.keepalive.ping_delay))
         measured = self.delays.tick(own, self.peer.clock.uncertainty or 0.0, now)
         self.lateness.tick(self.delays.least, 0.0, self.late_after, now, measured, own=own, learns=self.learns)
 
@@ -396,7 +395,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         """Take the peer's counts of the present opening."""
         self._report = report
         self.judged.take(report.verdict, self.context.now())
-        delay = self.delays.with_report(self.peer.report_delay)
+        delay = self.delays.with_report(self.peer.keepalive.ping_delay)
         if not self._ledger.reported(report, self.context.now(), delay):
             self.notices.doubt(self.peer.instance, _LIMITED)
         if self._ledger.received_now:
@@ -474,7 +473,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def progress(self) -> TopicProgress:
         report, unresolved = self._report, self._resolver.unresolved
-        looks = self.accepted and not self.paused
+        looks = self.life.accepted and not self.paused
         return TopicProgress(
             self.endpoints,
             publishers=len(self.endpoints) if self.endpoints or looks else None,
@@ -501,19 +500,19 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     @property
     def breaking(self) -> str:
-        return "" if self.peer.full_out is not None or self.peer.fullness_undecided else self.losses.repeated
+        return "" if self.peer.fullness.out is not None or self.peer.fullness.undecided else self.losses.repeated
 
     def facts(self) -> Facts:
         facts = super().facts()
         facts = facts._replace(left_out=self.notices.warning, rate=self.meter.rate, datagrams=self.datagrams())
         facts = self._health.added_to(facts)
         loss = facts.loss
-        if loss is None or self.peer.full_out is not None:
+        if loss is None or self.peer.fullness.out is not None:
             return facts
         new = self.context.now() - loss.since < MEASURED_FOR
         return facts._replace(
             armed=self.arming.required,
-            loss_unexplained=new or self.peer.fullness_undecided,
+            loss_unexplained=new or self.peer.fullness.undecided,
             loss_of_full_link=self.was_full_since(loss.since),
         )
 

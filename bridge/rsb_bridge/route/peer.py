@@ -42,6 +42,31 @@ _LINGERS = 22.0
 _TOGETHER = 1.0  # s
 
 
+class PeerPings(Protocol):
+    """The pings of a link (`rsb_bridge.link.keepalive`), whose delay is about that of the peer's reports."""
+
+    ping_delay: float
+
+    @property
+    def ping_wait(self) -> float: ...
+
+
+class LinkRates(Protocol):
+    """Whether a link is full in either direction (`rsb_bridge.link.contention`)."""
+
+    out: Fullness | None
+    into: Fullness | None
+
+    @property
+    def undecided(self) -> bool: ...
+
+
+class LinkPath(Protocol):
+    """The path of a link (`rsb_bridge.link.path_watch`)."""
+
+    fault: PathFault | None
+
+
 class Peer(Protocol):
     """The members of a link that a route uses."""
 
@@ -78,34 +103,13 @@ class Peer(Protocol):
         ...
 
     @property
-    def report_delay(self) -> float:
-        """Approximate delay of the peer's reports, in seconds."""
-        ...
+    def keepalive(self) -> PeerPings: ...
 
     @property
-    def ping_wait(self) -> float:
-        """Seconds that the oldest unanswered ping has waited; 0 if all are answered."""
-        ...
+    def fullness(self) -> LinkRates: ...
 
     @property
-    def full_out(self) -> Fullness | None:
-        """The rates from here, or None if the link is not full."""
-        ...
-
-    @property
-    def fullness_undecided(self) -> bool:
-        """Whether the link from here may be full, which is being measured."""
-        ...
-
-    @property
-    def full_in(self) -> Fullness | None:
-        """The rates to here, or None if the link is not full."""
-        ...
-
-    @property
-    def path_fault(self) -> PathFault | None:
-        """The fault of the path while the link is up, or None."""
-        ...
+    def path(self) -> LinkPath: ...
 
     @property
     def down_reason(self) -> str:

@@ -86,6 +86,10 @@ class RateLimit:
             return "the session's profile (max_rate overrides it)"
         return "this side allows no more (allow)" if self.rate == self.here else "the other side allows no more"
 
+    def lowered(self, rate: float | None) -> float | None:
+        """Return a rate (Hz) that is usual without the limit, or None if it is unknown, as it is with the limit."""
+        return min(rate, self.rate) if rate and self.rate else rate
+
     def opened(self) -> None:
         """Begin a new opening: the other side will send its limit again."""
         self._there = 0.0

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Unpack
 
 import msgspec
 
-from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.purposes import PURPOSES
 from rsb_bridge.model.session import HIGHEST, RANKS, priority_of
@@ -23,7 +22,7 @@ from rsb_bridge.route.age import MessageAge
 from rsb_bridge.route.arming import DISARM_TEXT, Arming, Disarmed, Settling
 from rsb_bridge.route.blocking_rules import DATA_CONNECTION, LossyPath, RouteStatus
 from rsb_bridge.route.combined_verdict import CombinedVerdict
-from rsb_bridge.route.lifecycle import Lifecycle, PauseState, RouteEvent
+from rsb_bridge.route.lifecycle import Lifecycle, PauseState, Reopening, RouteEvent
 from rsb_bridge.route.notices import ChannelLosses, Notices, timed_out
 from rsb_bridge.route.peer import Peer
 from rsb_bridge.route.rate_limit import RateLimit, limits_changed
@@ -42,18 +41,9 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Stage
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.ros_interface import Endpoint
-    from rsb_bridge.route.combined_verdict import StateEvent
     from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
-
-_FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
-_PROPOSED_WITHIN = 3.0
-_REFUSED_WITHIN = 5.0
-"""Seconds after which a retried route is unlikely to be refused again."""
-_REOPENS_WITHIN = 10.0
-"""Seconds after which a data connection that broke and is not open again is a fault. The kernel gives one up after 6 s,
-and the pauses before the next attempts are 1 and 2 s."""
 
 
 class Owner(Peer, Protocol):
@@ -71,6 +61,9 @@ class Owner(Peer, Protocol):
 class Route:
     """A route's half on this side. Lives across reconnects; `id` is that of the present opening.
 
+    It has more than 40 methods because 21 of them are hooks, which each kind of half fills in or leaves as they are.
+    The others act on several of its parts at once; a question about one part goes to the part.
+
     Attributes:
         key: its name in commands.
         spec: the topic's entry, as the client sees it.
@@ -78,6 +71,8 @@ class Route:
         ends: where it has its endpoints.
         topic: its name on the sending side; for calls, here and below, the callers' side.
         remote_topic: its name on the receiving side.
+        local_topic: its name on this side.
+        far_topic: its name on the other side.
         from_client: whether the client sends.
         proposed_here: whether this side opens it again after a reconnect.
         pattern: pattern of this side's session that created it, or an empty string.
@@ -86,16 +81,18 @@ class Route:
         replaces: the last opening, on the present connection, of the route in whose place an edit has put it, or 0.
         instance: id of the peer's process in its present or last opening.
         life: phase of the agreement between the two sides.
+        reopening: the attempts to open it again.
+        pausing: whether an operator of either side has paused it.
         arming: armed state, if arming is required.
         settling: whether the other side may still publish messages from before it was disarmed.
         age: limits on the age of its messages or requests.
         closed_ids: ids of its last openings on the present connection, the oldest first.
-        closed_at: time (s) when its last opening ended, or 0 before that.
         endpoints: others' publishers of the topic on the sending side, their subscriptions on the receiving side; of
             calls, the clients and the servers.
         losses: losses of its channels.
         judged: combined verdict of both sides.
         limit: limit of its rate.
+        rank: rank of its priority; calls rank above topics.
         idle: whether it needs no tick now, as nothing has happened: then it is neither reported nor shown anew.
         peer_report: type of the reports that the other side's half sends.
     """
@@ -113,6 +110,9 @@ class Route:
         self.ends = context.ends(self.purpose)
         self.topic = proposal.topic
         self.remote_topic = proposal.remote_topic
+        ends = self.topic, self.remote_topic
+        self.local_topic, self.far_topic = ends if self.outgoing else ends[::-1]
+        self.rank = rank_of(proposal)
         self.from_client = proposal.from_client
         self.transport = context.transports[proposal.transport]
         self.proposed_here = proposed_here
@@ -125,14 +125,11 @@ class Route:
         self.life = Lifecycle()
         self.opened_at = 0.0
         self.closed_ids: deque[int] = deque()
-        self.closed_at = 0.0
-        self.retry_at = 0.0
-        self._refused = ""  # the last refusal, until a later opening succeeds
-        self._broke_at: float | None = None  # the data connection, if it has not been open since
-        self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
+        self.reopening = Reopening()
         self.notices = Notices(self.log, context.wall)
         self.limit = RateLimit(proposal.max_rate, self.log)
         self.pausing = PauseState(peer.revisions, paused=proposal.paused, is_client=peer.is_client)
+        self.pausing.changed = self._paused
         self.arming = Arming()
         self.settling = Settling(context.loop, self.judge_again)
         self.age = MessageAge(context, peer)
@@ -209,13 +206,9 @@ class Route:
         if self.life.take(RouteEvent.ACCEPT):
             self.advance()
 
-    @property
-    def rank(self) -> int:
-        """Rank of its priority; calls rank above topics."""
-        return RANKS[priority_of(self.proposal.priority)] if self.proposal.kind == "topic" else HIGHEST
-
     def set_peer_topic(self, topic: str) -> None:
         """Take the topic's name on the peer's side."""
+        self.far_topic = topic
         if self.outgoing:
             self.remote_topic = topic
         else:
@@ -232,37 +225,11 @@ class Route:
         return None
 
     @property
-    def local_topic(self) -> str:
-        return self.topic if self.outgoing else self.remote_topic
-
-    @property
     def message_types(self) -> tuple[TypeVersion, ...]:
         """The types of its messages; of calls, those of their requests and responses, too."""
         return (TypeVersion(self.type_name, self.type_hash),)
 
-    @property
-    def far_topic(self) -> str:
-        """The name on the other side."""
-        return self.remote_topic if self.outgoing else self.topic
-
     # --- opening and closing
-
-    @property
-    def accepted(self) -> bool:
-        """Whether both sides want it."""
-        return self.life.accepted
-
-    @property
-    def refusal(self) -> str:
-        """The reason why it was refused and is not open, or an empty string."""
-        return self.life.refusal
-
-    @property
-    def shown_refusal(self) -> str:
-        """The refusal to show to operators: the last one, until a retry succeeds."""
-        if self.id and (self.life.ready or self.context.now() - self.opened_at >= _REFUSED_WITHIN):
-            self._refused = ""
-        return self.life.refusal or self._refused
 
     def open(self, route_id: int) -> None:
         """Begin a new opening on the present connection."""
@@ -291,7 +258,7 @@ class Route:
         self.judged.take(None, self.context.now())
         self._verdict = None
         self.life.take(RouteEvent.CLOSE)
-        self.closed_at = self.context.now()
+        self.reopening.closed_at = self.context.now()
 
     def destroy(self) -> None:
         """End it for good, with its endpoints."""
@@ -302,23 +269,16 @@ class Route:
         """Refuse the route; this side tries again later if it proposed it."""
         self.notices.error(code, reason)
         self._end(reason)
-        self._refused = "" if code == EventCode.ROUTE_CLOSED else reason
+        self.reopening.refused = "" if code == EventCode.ROUTE_CLOSED else reason
 
     def _end(self, reason: str) -> None:
         """End the present opening and show the reason; this side opens it again later if it proposed it."""
         # One that another program refuses, or that lacks a descriptor, has a cause of its own.
-        if DATA_CONNECTION in reason and self._broke_at is None and (self.connected or timed_out(reason)):
-            self._broke_at = self.context.now()
+        broke = DATA_CONNECTION in reason and (self.connected or timed_out(reason))
         self.close(reason)
         self._verdict = None
         self.life.take(RouteEvent.REFUSE, reason)
-        self.retry_at = self.context.now() + self._backoff.next()
-
-    def awaited_until(self, linked_at: float) -> float:
-        """Return the time (s) by which the other side will have proposed the route again if it still wants it."""
-        if self.closed_at > linked_at:
-            return self.closed_at + _LONGEST_PAUSE + _PROPOSED_WITHIN
-        return linked_at + _PROPOSED_WITHIN
+        self.reopening.failed(self.context.now(), broke=broke)
 
     def channel_lost(self, reason: str) -> None:
         """Open the route again after its channel broke. It is an error only if the link survives."""
@@ -354,29 +314,8 @@ class Route:
         """Whether an operator of either side has paused it."""
         return self.pausing.paused
 
-    def pause(self, paused: bool, who: str = "") -> None:
-        """Pause or resume for `who`, an operator of this side; the route stays set up."""
-        was = self.paused
-        self.pausing.change(paused=paused, who=who)
-        self._paused(was)
-
-    def pause_from_peer(self, paused: bool, revision: int, who: str = "", *, known: bool = True) -> None:
-        """Take the peer's state of the pause.
-
-        Args:
-            revision: revision of that state.
-            who: operator there, as the peer names them.
-            known: whether this side's revisions come from the peer's present process; otherwise the peer's state
-                counts.
-        """
-        was = self.paused
-        if known:
-            self.pausing.merge(paused=paused, revision=revision, who=who)
-        else:
-            self.pausing.adopt(paused=paused, revision=revision, who=who)
-        self._paused(was)
-
     def _paused(self, was: bool) -> None:
+        """Go on after an operator has paused or resumed it; it stays set up."""
         paused = self.paused
         if paused != was:
             self.spec = msgspec.structs.replace(self.spec, paused=paused)
@@ -410,6 +349,7 @@ class Route:
         """Apply new limits; counts, endpoints and messages in transit stay."""
         changes = limits_changed(self.proposal, proposal)
         self.spec, self.proposal = spec, proposal
+        self.rank = rank_of(proposal)
         self.limit.set_max_rate(proposal.max_rate)
         self.settle_age()
         self._verdict = None
@@ -439,20 +379,20 @@ class Route:
         """Update the meter and report a changed verdict; called once a second while the route is not idle."""
         now = self.context.now()
         self.meter.tick(now, learns=self.learns)
-        if self.connected:
-            self._broke_at = None
-        if self.flowing:  # acceptance alone is not enough: a refusal may follow
-            self._backoff.reset()
+        self.reopening.tick(connected=self.connected, flowing=self.flowing)
         self.losses.tick(now, idle=self.connected and not self.owing)
         self._verdict = None
         verdict = self.verdict()
-        if said := self.judged.announce(verdict, now, self.peer.path_fault):
-            self.log(said.level, said.code, said.text, **self._about(said, now))
+        if said := self.judged.announce(verdict, now, self.peer.path.fault):
+            shown, from_peer = self.judged.shown(verdict)
+            since = self.context.wall() - (now - self.judged.since(shown, now))
+            about: About = {"cause": said.cause, "state": shown.state, "since": since, "from_peer": from_peer}
+            self.log(said.level, said.code, said.text, **about)
 
     @property
     def link_full(self) -> Fullness | None:
         """The rates of the link in the direction of this half, or None if it is not full."""
-        return self.peer.full_out if self.outgoing else self.peer.full_in
+        return self.peer.fullness.out if self.outgoing else self.peer.fullness.into
 
     @property
     def learns(self) -> bool:
@@ -468,28 +408,22 @@ class Route:
     @property
     def connected(self) -> bool:
         """Whether there is a path for messages; messages in transit when the route is paused still arrive."""
-        return self.accepted and self.channel is not None and self.channel.ready
+        return self.life.accepted and self.channel is not None and self.channel.ready
 
     @property
     def flowing(self) -> bool:
         """Whether messages could cross now."""
         return self.connected and not self.paused and not self.notices.loop and self.arming.stands(self.context.now())
 
-    @property
-    def large_vanish(self) -> bool:
-        """Whether none of its last large datagrams has arrived, while small ones of the same socket do."""
-        return False
-
     # --- verdict
 
     def setup(self) -> RouteStatus:
         """Return the part of the status that stages follow from. Every snapshot needs it, so the rest is left out."""
-        here, there = (self.topic, self.remote_topic) if self.outgoing else (self.remote_topic, self.topic)
         refusal = self.life.refusal
         return RouteStatus(
             self.outgoing,
-            here,
-            there,
+            self.local_topic,
+            self.far_topic,
             self.context.domain_id,
             link_down=None if self.peer.linked else self.peer.down_reason,
             accepted=False if refusal else self.life.accepted or None,
@@ -501,17 +435,16 @@ class Route:
     def status(self) -> RouteStatus:
         """Return the part of this half's knowledge that does not depend on what the route carries."""
         now = self.context.now()
-        stands, overdue = self.arming.stands(now), self.arming.overdue(now)
-        why_not = self._why_not_armable()
+        arming = self.arming
+        expires = arming.armed and arming.overdue(now) is not None and not arming.stands(now)
         return self.setup()._replace(
-            refusal=self.shown_refusal,
-            reopens=self._broke_at is not None and now - self._broke_at < _REOPENS_WITHIN,
+            refusal=self.reopening.shown_refusal(self.life, now - self.opened_at if self.id else 0.0),
+            reopens=self.reopening.reopens(now),
             paused=self.paused,
             paused_by=self.pausing.who,
-            disarmed=self._disarmed_text(stands, why_not or overdue),
-            disarming=self.settling.under_way
-            or (self.outgoing and self.arming.armed and overdue is not None and not stands),
-            can_be_armed=why_not is None,
+            disarmed=arming.why_disarmed(now),
+            disarming=self.settling.under_way or (self.outgoing and expires),
+            can_be_armed=arming.why is not Disarmed.LINK_SLOW,
             breaking=self.breaking,
             awaits_full_link=self.link_full is not None and self.transport.reliable,
             flowing=self.flowing,
@@ -519,22 +452,13 @@ class Route:
             came_before=self.came_before,
             limit=self.limit.rate,
             limited_by=self.limit.why,
-            path=self.peer.path_fault,
+            path=self.peer.path.fault,
         )
-
-    def _disarmed_text(self, armed: bool, why: Disarmed | None) -> str:
-        if armed:
-            return ""
-        return DISARM_TEXT[why] if why else self.arming.reason
-
-    def _why_not_armable(self) -> Disarmed | None:
-        """Return the reason why no operator at all can arm it now, or None."""
-        return Disarmed.LINK_SLOW if self.arming.why is Disarmed.LINK_SLOW else None
 
     def verdict(self) -> Verdict:
         """Return this side's verdict, made at the last tick or at a later change by an operator or the peer."""
         if self._verdict is None or self.arming.overdue(self.context.now()):
-            self._verdict = self._lossy_path.steady(self._judge(), self.peer.path_fault, self.context.now())
+            self._verdict = self._lossy_path.steady(self._judge(), self.peer.path.fault, self.context.now())
         return self._verdict
 
     def common_snapshot(self) -> partial[RouteSnapshot]:
@@ -557,7 +481,7 @@ class Route:
             port=self.proposal.port or self.peer.shared_port(),
             stages=self.stages(),
             rate=self.meter.rate,
-            expected_rate=self._expected_rate(),
+            expected_rate=self.limit.lowered(self.spec.expected_rate or self.meter.usual_rate),
             bytes_per_second=self.meter.bytes_per_second,
             bytes_total=self.meter.bytes,
             latency_uncertainty=self.peer.clock.uncertainty,
@@ -578,19 +502,9 @@ class Route:
             purpose=self.purpose.name,
         )
 
-    def _expected_rate(self) -> float | None:
-        rate, limit = self.spec.expected_rate or self.meter.usual_rate, self.limit.rate
-        return min(rate, limit) if rate and limit else rate
-
     def judge_again(self) -> None:
         """Make a new verdict when the next one is asked for."""
         self._verdict = None
-
-    def _about(self, said: StateEvent, now: float) -> About:
-        """Return the fields of an event about the shown verdict."""
-        verdict, from_peer = self.judged.shown(self.verdict())
-        since = self.context.wall() - (now - self.judged.since(verdict, now))
-        return {"cause": said.cause, "state": verdict.state, "since": since, "from_peer": from_peer}
 
     def log(self, level: Level, code: EventCode, text: str, **about: Unpack[About]) -> None:
         """Add an event about this route."""
@@ -600,6 +514,11 @@ class Route:
         name = self.local_topic if is_shown else self.purpose.name
         about["link"], about["topic"] = self.peer.name, name
         self.context.log(level, code, f"{name}: {text}", **about)
+
+
+def rank_of(proposal: Propose) -> int:
+    """Return the rank of a route's priority."""
+    return RANKS[priority_of(proposal.priority)] if proposal.kind == "topic" else HIGHEST
 
 
 def route_key(link: str, proposal: Propose) -> str:

@@ -226,7 +226,7 @@ class CallingRoute(CallsRoute):
 
     def advance(self) -> None:
         """Open the channel, and offer what can be called, or withdraw it."""
-        if not self.accepted:
+        if not self.life.accepted:
             return
         if self.channel is None:
             self.peer.open_channel(self)

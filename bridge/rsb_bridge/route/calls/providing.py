@@ -86,7 +86,7 @@ class ProvidingRoute(CallsRoute):
 
     def advance(self) -> None:
         """Open the channel; find who provides it, have clients for them, and tell the other side."""
-        if not self.accepted:
+        if not self.life.accepted:
             return
         if self.channel is None:
             self.peer.open_channel(self)

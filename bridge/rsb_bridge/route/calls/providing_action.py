@@ -94,7 +94,7 @@ class ProvidingActionRoute(ProvidingRoute):
         """Tell the other side, and note what becomes of the server."""
         had_server, opened = bool(self._provision.entries), dict(self._clients.types)
         super().advance()
-        if not self.accepted:
+        if not self.life.accepted:
             return
         if self._clients.types != opened:
             self.action.answers.clients_closed()
@@ -103,7 +103,7 @@ class ProvidingActionRoute(ProvidingRoute):
 
     def _tell(self) -> None:
         super()._tell()
-        if self.accepted:
+        if self.life.accepted:
             self._tell_of_goals()
 
     def _tell_of_goals(self) -> None:
@@ -185,7 +185,7 @@ class ProvidingActionRoute(ProvidingRoute):
 
     def _published(self, lane: int, messages: Sequence[RawMessage]) -> None:
         self.action.published(lane, messages)
-        if not self.accepted:
+        if not self.life.accepted:
             return
         if lane == STATUS:
             self._send_status()
@@ -271,7 +271,7 @@ class ProvidingActionRoute(ProvidingRoute):
     def _expire_answers(self) -> None:
         now = self.context.now()
         self.action.answers.expire(now)
-        if self.action.interrupted_at is not None and not (self.accepted and self._provision.entries):
+        if self.action.interrupted_at is not None and not (self.life.accepted and self._provision.entries):
             if now >= self.action.interrupted_at + INTERRUPTION:
                 self._clients.close()
                 self.action.answers.clients_closed()
