@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.console.driving import engine_of, listed, on_main, put, shown, until
+from tests.console.driving import engine_of, gone, listed, on_main, put, shown, until
 from tests.console.scripted import LINK, ROUTES, route
 from textual.pilot import Pilot
 
@@ -98,6 +98,22 @@ async def test_a_pattern_has_no_figures(
         "/aa/**", "True", "", "", ""
     ]  # fmt: skip
     assert all(row["rate"] for row in rows[:-1])
+
+
+@on_main()
+async def test_its_keys_are_shown_where_its_row_is_the_only_one(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    with_pattern(app)
+    await pilot.press("slash", *"name:nothing", "enter")
+    await gone(pilot, "d remove")
+    await pilot.press("slash", "ctrl+u", *"aa/**", "enter")
+    await shown(pilot, "d remove")
+
+
+def test_topics_of_one_way_stay_together_where_it_sorts_the_table() -> None:
+    way = next(column for column in COLUMNS if column.title == "VIA")
+    ways = [("bluetooth", 10), ("tcp", 9003), ("tcp", 9001), ("bluetooth", 2), ("tcp", 9003)]
+    rows = sorted((route("/a", transport=name, port=port) for name, port in ways), key=way.order)
+    assert [row.port for row in rows] == [2, 10, 9001, 9003, 9003]
 
 
 @on_main()

@@ -123,6 +123,8 @@ async def test_any_other_is_as_none(answer: bytes) -> None:
 async def test_a_peer_that_cannot_answer_is_not_taken_for_one_that_lacks_the_type() -> None:
     with pytest.raises(LinkError, match="the link was lost"):
         await Side().ask(None)
+    with pytest.raises(LinkError, match=pattern(Denied.TYPE_NOT_HERE, type_name="a_msgs/msg/B")):
+        await Side().questions.describe(Route(), linked=False)  # type: ignore[arg-type]
 
 
 async def test_answers_are_given_one_at_a_time() -> None:

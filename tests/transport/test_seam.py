@@ -61,7 +61,9 @@ def test_the_facts_of_a_transport_are_all_that_a_session_needs(monkeypatch: pyte
     session = Session(name="robot1", role="client", server_ip="/dev/ttyS0", server_port=5000, topics=topics)
     (problem,) = (each for each in validate(session) if each.location != "key_file")
     assert problem.location == "topics[1].protocol"
-    assert problem.message == TopicMistake.NOT_CROSSING(protocol="tcp", medium="RS-485", crossing="serial")
+    assert problem.message == TopicMistake.NOT_CROSSING(
+        protocol="tcp", needed="IP", chosen_by="server_ip is a host", medium="RS-485", crossing="serial"
+    )
     assert [way.transport for way in ways_of(session, (), ("transmit",))] == ["serial"]
 
 

@@ -90,7 +90,10 @@ class TopicMistake(Wording):
     )
     TYPE_TOO_LONG = "{name} has {length} characters, and at most {limit} are allowed"
     CALL_NEEDS_RELIABLE = "{protocol} may lose messages, and calls must not be lost: leave protocol out"
-    NOT_CROSSING = "{protocol} does not cross a link over {medium}: give {crossing}, or leave protocol out"
+    NOT_CROSSING = (
+        "{protocol} needs a link over {needed} ({chosen_by}), and this one is over {medium}: give {crossing}, or leave "
+        "protocol out"
+    )
     NEEDS_ADAPTER = (
         "bluetooth needs the MAC of the server's adapter: as server_ip for the whole link, or as bluetooth_address for "
         "such topics"
@@ -388,16 +391,23 @@ def _protocol(topic: Topic, location: str, session: Session | None) -> Iterator[
     elif session is None:
         return
     elif protocol not in session.crossing:
-        yield Problem(join(location, "protocol"), _not_crossing(protocol, session))
+        yield Problem(join(location, "protocol"), _not_crossing(topic, protocol, session))
     elif protocol == "bluetooth" and not session.is_bluetooth and topic.port is None:
         yield Problem(join(location, "port"), TopicMistake.NEEDS_CHANNEL(noun=_NAMED[topic.kind], range=CHANNEL))
 
 
-def _not_crossing(protocol: Protocol, session: Session) -> str:
-    link = transports.of_link(session.server_ip)
+def _not_crossing(topic: Topic, protocol: Protocol, session: Session) -> str:
+    link, own = transports.of_link(session.server_ip), transports.named(protocol)
     if protocol == "bluetooth" and link.ip_ports:
         return TopicMistake.NEEDS_ADAPTER()
-    return TopicMistake.NOT_CROSSING(protocol=protocol, medium=link.medium, crossing=" or ".join(session.crossing))
+    crossing = [each for each in session.crossing if topic.kind == "topic" or transports.named(each).reliable]
+    return TopicMistake.NOT_CROSSING(
+        protocol=protocol,
+        needed=own.medium,
+        chosen_by=own.chosen_by,
+        medium=link.medium,
+        crossing=" or ".join(crossing),
+    )
 
 
 def _qos(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:

@@ -26,6 +26,7 @@ class Denied(Wording):
     DRIVER_TOPIC = "{topic} is this side's driver_topic, which only the bridge publishes: choose another name"
     SHUTDOWN_TOPIC = "{topic} is this side's shutdown topic: only its own domain may publish on it"
     NO_ANSWER = "the other side did not answer"
+    TYPE_NOT_HERE = "{type_name} is not installed here, and the other side can't be asked: the topic is not open"
     TYPE_NOT_INSTALLED = "{type_name} is not installed on either side, and no node of the topic describes it"
 
 

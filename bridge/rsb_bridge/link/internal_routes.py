@@ -53,13 +53,21 @@ class InternalRoutes(Generic[SourceT, DrainT]):
         """Return what takes a route's messages on this side, or None."""
         return self._ends.drains.get((route.local_topic, self._link.name))
 
-    async def opened(self, route: Route) -> bool:
-        """Wait until messages can cross on a route; return False if it is refused, removed, or not opened in time."""
+    async def opened(self, route: Route, opening: int = 0) -> bool:
+        """Wait until messages can cross on a route.
+
+        Args:
+            opening: its id that the wait is for, or 0 for any opening.
+
+        Returns:
+            False if it is refused or removed, or that opening is over, or it is not opened in time.
+        """
         now, end = self._link.context.now, self.source if route.outgoing else self.drain
         deadline = now() + OPENED_WITHIN
         # Looking is simpler than an event here: a channel, a pause and an end on either side may come in any order
         while not (route.flowing and end(route) is not None):
-            if route.life.refusal or route.key not in self._link.routes or now() > deadline:
+            over = route.life.refusal or route.key not in self._link.routes or (opening and route.id != opening)
+            if over or now() > deadline:
                 return False
             await asyncio.sleep(_LOOK_EVERY)
         return True

@@ -88,6 +88,7 @@ class LinkFault(Extension):
 
     def disconnected(self) -> None:
         self.duplicates = DuplicateClients(self.duplicates.name)
+        self._warned = LinkCause.NONE, 0.0  # a link that is up again before the next tick is another one
 
     def tick(self) -> None:
         self.warning_since()  # a warning begins now, even if no console asks for a snapshot

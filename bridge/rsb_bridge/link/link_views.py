@@ -134,7 +134,7 @@ class LinkViews(Extension):
             drawing[0].change(look.topics, wish)
             return
         context = self._context
-        await self._internal.opened(route)  # the peer may have found it open before this side does
+        await self._internal.opened(route, look.route)  # the peer may have found it open before this side does
         if (source := self._internal.source(route)) is None:
             raise LinkError(ViewRefused.NO_VIEW())
         view = TopicView(

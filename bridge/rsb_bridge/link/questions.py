@@ -206,12 +206,15 @@ class TypeQuestions(Extension):
             linked: whether the peer can be asked.
 
         Raises:
-            LinkError: neither side has the description, or this one has none and the peer does not answer.
+            LinkError: neither side has the description, or this one has none and the peer cannot be asked, or does not
+                answer.
         """
         if not route.type_hash:
             raise LinkError("its type is not known yet" if not route.type_name else "its type's version is not known")
         text = await self._known.find(route.type_name, route.type_hash, route.local_topic)
-        if text is None and linked and route.id:
+        if text is None and not (linked and route.id):
+            raise LinkError(Denied.TYPE_NOT_HERE(type_name=route.type_name))
+        if text is None:
             self._keep(await self._questions.ask(route.id, AskType(route=route.id)), {route.type_hash})
             text = self._known.known(route.type_hash)
         if text is None:

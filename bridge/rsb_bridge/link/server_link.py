@@ -330,8 +330,9 @@ class ServerLink(Link):
         return name_taken(self.name, self.address, first, self.status.since)
 
     def duplicate_tried(self, address: str, host: str) -> None:
-        """Record that a second client with a valid key was refused."""
-        self.fault.duplicates.tried(address, host, self.context.now(), self.context.wall())
+        """Record that a second client with a valid key was refused, unless the first one has gone meanwhile."""
+        if self.linked:
+            self.fault.duplicates.tried(address, host, self.context.now(), self.context.wall())
 
     def _look_at_network(self) -> None:
         """Show the link as down while its Zenoh router is lost."""

@@ -54,6 +54,7 @@ class TransportTraits:
     Attributes:
         name: in session files (`Topic.protocol`) and on the wire (`Propose.transport`).
         medium: word for what it crosses.
+        chosen_by: the `server_ip` of links over it, for an operator.
         port_kind: word for its numbers, for example ``port``; transports of the same kind share them.
         ports: range of valid numbers.
         topic_ports: range of the numbers that a topic may choose.
@@ -73,6 +74,7 @@ class TransportTraits:
 
     name: ClassVar[Protocol]
     medium: ClassVar[str] = "IP"
+    chosen_by: ClassVar[str] = "server_ip is a host"
     port_kind: ClassVar[str] = "port"
     ports: ClassVar[Range] = PORT
     topic_ports: ClassVar[Range] = TOPIC_PORT
@@ -98,6 +100,7 @@ class RfcommTraits(TransportTraits):
 
     name = "bluetooth"
     medium = "Bluetooth"
+    chosen_by = "server_ip is a MAC"
     port_kind = "RFCOMM channel"
     ports = topic_ports = CHANNEL
     ip_ports = False
@@ -135,6 +138,7 @@ class ZenohTraits(TransportTraits):
 
     name = "zenoh"
     medium = "Zenoh"
+    chosen_by = "server_ip: zenoh"
     port_kind = "Zenoh port"
     ports = topic_ports = NO_PORT
     ip_ports = False
@@ -154,7 +158,7 @@ class ZenohDropTraits(TransportTraits):
     """Single samples over a Zenoh network, which its routers drop while it is congested."""
 
     name = "zenoh-drop"
-    medium = "Zenoh"
+    medium, chosen_by = ZenohTraits.medium, ZenohTraits.chosen_by
     port_kind = "Zenoh port"
     ports = topic_ports = NO_PORT
     ip_ports = False

@@ -222,6 +222,11 @@ class PatternRow:
     pattern: ClassVar[str] = ""
 
     @property
+    def transport(self) -> str:
+        """The transport that its entry chooses, or an empty string."""
+        return self.spec.protocol or ""
+
+    @property
     def type_name(self) -> str:
         """The only type that it bridges, or an empty string for any."""
         return "" if self.spec.type == AUTO else self.spec.type

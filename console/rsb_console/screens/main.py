@@ -215,7 +215,8 @@ class MainScreen(Screen[None]):
         can = () if route is None else (route.arming is not None, is_armed(route), route.lanes)
         reads_log, here = self.log_pane.has_focus, self.app.screen is self
         undoes = len(self.console.changes)
-        depends_on = (here, reads_log, self.console.engine is None, can, undoes, *counts.values())
+        nothing = self.topics.selected is None
+        depends_on = (here, reads_log, self.console.engine is None, nothing, can, undoes, *counts.values())
         if depends_on == self._keys_shown_for:
             return
         self._keys_shown_for = depends_on

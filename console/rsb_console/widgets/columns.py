@@ -83,6 +83,10 @@ def is_armed(row: Row) -> bool:
     return row.arming is not None and row.arming.armed
 
 
+def _by_way(row: Row) -> tuple[bool, str, int]:
+    return row.outgoing, row.transport, 0 if isinstance(row, PatternRow) else row.port
+
+
 def via(row: Row) -> str:
     """Return the direction of a topic or of requests, and the transport."""
     way = OUT if row.outgoing else IN
@@ -195,7 +199,7 @@ COLUMNS: tuple[Column[Row], ...] = (
     ),
     Column("TOPIC", 0, lambda r: r.topic, lambda r: r.topic, right=False),
     Column("PEER", 10, lambda r: r.link, lambda r: (r.link, r.topic), right=False, from_width=100),
-    Column("VIA", 7, via, lambda r: (r.outgoing, via(r)), right=False, from_width=40),
+    Column("VIA", 7, via, _by_way, right=False, from_width=40),
     _of_routes(
         Column("HZ/EXP", 9, _rate, lambda r: (-present_rate(r), -r.calls.in_flight if r.calls else 0)),
         lambda pattern: f"{pattern.routes} {plural(pattern.routes, 'name')}",
