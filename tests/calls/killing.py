@@ -21,7 +21,7 @@ from tests.support.calls import CallNode
 from tests.support.domain import Domain
 from tests.support.locks import two_domains
 from tests.support.program import Programs
-from tests.support.resources import Resources, resources
+from tests.support.resources import Resources, resources, returns_to
 from tests.support.waiting import eventually
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def kill(killing: Killing, times: int) -> Tally:
         for _ in range(first, times):
             killing.once()
     nothing_left(*killing.engines)
-    eventually(lambda: resources()[:2] <= before[:2], what=f"threads and descriptors {resources()} as {before}")
+    returns_to(before)
     gc.collect()
     after = resources()
     return Tally(killing.calls, killing.back, Resources(*(new - old for new, old in zip(after, before, strict=True))))

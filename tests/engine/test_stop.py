@@ -14,7 +14,7 @@ import pytest
 from tests.support.bridge import STOPS_WITHIN, carries, happened, link, linked, outgoing
 from tests.support.domain import text
 from tests.support.inside import ledger_of
-from tests.support.resources import resources
+from tests.support.resources import resources, returns_to
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
@@ -187,7 +187,7 @@ def test_nothing_is_left(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     for _ in range(3):
         once()
     gc.collect()
-    eventually(lambda: resources()[:2] <= before[:2], what=f"threads and descriptors {resources()} as {before}")
+    returns_to(before)
 
 
 class Waiting(RosNode):
@@ -240,11 +240,11 @@ def test_a_stop_does_not_wait_for_a_start_that_hangs(bridge: Bridge, robot: Doma
 
 
 def test_a_start_that_fails_leaves_nothing(bridge: Bridge) -> None:
-    before = resources()[:2]
+    before = resources()
     with socket.socket(type=socket.SOCK_DGRAM) as squatter:
         squatter.bind(("127.0.0.1", bridge.port))
         for _ in range(3):
             with pytest.raises(EngineError, match=pattern(ListenProblem.TAKEN)):
                 bridge.server()
     gc.collect()
-    eventually(lambda: resources()[:2] <= before, what=f"threads and descriptors {resources()} as {before}")
+    returns_to(before)
