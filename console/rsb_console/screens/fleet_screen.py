@@ -13,7 +13,7 @@ from rsb_console.actions import BY_ID, FLEET_ACTIONS, Group, bindings
 from rsb_console.terminal.driver import copy
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.bars import KeyBar, KeyEntry
-from rsb_console.widgets.filter import Prompt
+from rsb_console.widgets.filter import Prompt, table_title
 from rsb_console.widgets.fleet_table import FleetStatus, FleetTable, FleetView, RobotDetail
 
 if TYPE_CHECKING:
@@ -87,13 +87,8 @@ class FleetScreen(Screen[None]):
         self.detail.show(*self.table.described)
 
     def _show_title(self) -> None:
-        view, parts = self.view, ["Robots"]
-        if view.faults_only:
-            parts.append("faults only")
-        if view.pattern is not None:
-            parts.append(f"/{view.pattern.text}")
-        if len(parts) > 1:
-            parts.append(f"{self.table.shown} of {len(self.table.rows)}")
+        view, shown, rows = self.view, self.table.shown, len(self.table.rows)
+        parts = table_title("Robots", view.pattern, faults_only=view.faults_only, shown=shown, rows=rows)
         if view.marked:
             parts.append(f"{len(view.marked)} marked")
         self.table.entitle(f" {' ▸ '.join(parts)} ")

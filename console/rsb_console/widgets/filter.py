@@ -89,6 +89,14 @@ class RowFilter:
         )
 
 
+def table_title(name: str, pattern: RowFilter | None, *, faults_only: bool, shown: int, rows: int) -> list[str]:
+    """Return the parts of a table's title: its name, what filters it, and then how many of its rows it shows."""
+    filters = ["faults only"] if faults_only else []
+    if pattern is not None:
+        filters.append(f"/{pattern.text}")
+    return [name, *filters, f"{shown} of {rows}"] if filters else [name]
+
+
 def _term(typed: str) -> _Term | None:
     parts = _TERM.fullmatch(typed)
     if parts is None or not parts["text"]:

@@ -9,6 +9,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_console.look.formats import KIND_SHORT, PatternRow, rows_of
 from rsb_console.look.glyphs import ACK_WORD, STATE_WORD
 from rsb_console.widgets.columns import HISTORY_COLUMN, SIGN, STATE, TOPIC, is_armed, last_failure, layout, via
+from rsb_console.widgets.filter import table_title
 from rsb_console.widgets.lines import clip, fit_middle
 from rsb_console.widgets.selectable_list import SelectableList
 
@@ -71,13 +72,9 @@ class TopicsTable(SelectableList):
         self._show_title()
 
     def _show_title(self) -> None:
-        parts = [f"{'Topics and calls' if self._calls else 'Topics'}{' by robot' if self.grouped else ''}"]
-        if self.faults_only:
-            parts.append("faults only")
-        if self.pattern is not None:
-            parts.append(f"/{self.pattern.text}")
-        if len(parts) > 1:
-            parts.append(f"{len(self.keys)} of {len(self.rows)}")
+        name = f"{'Topics and calls' if self._calls else 'Topics'}{' by robot' if self.grouped else ''}"
+        shown, rows = len(self.keys), len(self.rows)
+        parts = table_title(name, self.pattern, faults_only=self.faults_only, shown=shown, rows=rows)
         self.entitle(f" {' ▸ '.join(parts)} ")
 
     def _wanted(self, row: Row) -> bool:
