@@ -31,20 +31,24 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import OnFailure, Publisher, RawMessage, RosInterface, Subscription
 
 LONGEST = 4 << 20
-"""Bytes of one announcement."""
+"""Bytes of one announcement (PROTOCOL.md, 5)."""
 _A_LINK = 1 << 20
-"""Bytes of this bridge's announcement for one link."""
+"""Bytes of this bridge's announcement for one link: a peer with long names must leave room to the other links."""
 _FRAME = 1024
+"""Bytes around the entries. A round figure."""
 _A_SECOND = 4 << 20
 """Bytes of others' announcements read in a second: about 40 ms of the I/O thread's time."""
 _KEPT = 8 << 20
-"""Bytes of others' announcements that are kept, and of announcements that wait to be read."""
+"""Bytes of others' announcements that are kept, and of announcements that wait to be read: two of the longest."""
 _SOON = 0.02  # s: changes within it make one announcement
-_READ_EVERY = 0.05  # s
+_READ_EVERY = 0.05
+"""s. A round figure: a node that publishes without pause is read 20 times a second, and the newest message counts."""
 _SAY_AGAIN = 1.0  # s
 _MOST_UNREAD = 2 * MOST_BRIDGES
+"""More than there are bridges, because strangers may publish on the topic, too."""
 _NODE_NAME = re.compile(r"[A-Za-z0-9_/]{1,255}")
 _ORDINARY_REMEMBERED = 4096
+"""Nodes that are no bridges. A round figure: the graph is asked again for a node that is forgotten."""
 _SAID = Qos(durability="transient_local", depth=1)
 _HEARD = Qos(durability="transient_local", depth=_MOST_UNREAD)
 """A reader's depth counts the messages of all publishers: with 1, a new bridge would hear only one other."""
@@ -234,12 +238,13 @@ class _Inbox:
         self._size += len(payload) - len(self._payloads.get(gid, b""))
         self._payloads[gid] = payload
         while self._size > _KEPT or len(self._payloads) > _MOST_UNREAD:
+            # The longest goes: what strangers publish there must not displace the announcements of bridges.
             longest = max(self._payloads, key=lambda each: len(self._payloads[each]))
             self._size -= len(self._payloads.pop(longest))
 
     def put_back(self, gid: bytes, payload: bytes) -> None:
         """Keep an announcement that was taken but not read."""
-        if gid not in self._payloads:
+        if gid not in self._payloads:  # a newer one may have come meanwhile
             self.put(gid, payload)
 
     def take(self) -> list[tuple[bytes, bytes]]:
@@ -260,11 +265,7 @@ class Announcements:
     """
 
     def __init__(self, ros: RosInterface, loop: asyncio.AbstractEventLoop, warn: Callable[[str], None]) -> None:
-        """Create them; `start` connects them with the domain.
-
-        Args:
-            warn: called with warnings for operators.
-        """
+        """Create them; `start` connects them with the domain."""
         self.bridges: tuple[str, ...] = (ros.node_name,)
         self._ros = ros
         self._loop = loop
@@ -285,7 +286,7 @@ class Announcements:
         self._heard: dict[bytes, _Heard] = {}  # by their publishers
         self._by_node: dict[str, list[_Heard]] = {}
         self._ordinary: OrderedDict[str, None] = OrderedDict()
-        self._warnings = TokenBucket(3, 0.01, loop.time())
+        self._warnings = TokenBucket(3, 0.01, loop.time())  # a node that publishes nonsense must not fill the log
 
     def start(self, changed: Callable[[], None]) -> None:
         """Publish the announcement and subscribe to the others'.
@@ -294,6 +295,7 @@ class Announcements:
             changed: called when `bridges` or an origin has changed.
         """
         self._changed = changed
+        # The hash of the installed package: another one would be refused as another version of the type.
         type_hash = self._ros.installed_hash(STRING) or STRING_HASH
 
         def subscribe(on_failure: OnFailure) -> Subscription:
@@ -302,10 +304,12 @@ class Announcements:
             )
 
         try:
+            # One origin for both ends, so that this bridge does not hear itself.
             self._publisher = self._ros.advertise(ANNOUNCEMENT_TOPIC, STRING, type_hash, _SAID, ANNOUNCEMENT_TOPIC)
             self._subscription = LastingSubscription(self._loop, subscribe, self._subscription_changed)
         except RosError as error:
             self._unnoticed(str(error))
+        # At once and also without entries: only nodes with such a message count as bridges.
         self._say()
 
     def _subscription_changed(self) -> None:
@@ -336,8 +340,6 @@ class Announcements:
 
         Args:
             link: the link whose messages it publishes.
-            endpoint: the publisher as others see it.
-            origin: the origin of its messages.
 
         Raises:
             RosError: the announcement is full.
@@ -414,6 +416,7 @@ class Announcements:
         node = endpoint.node.lstrip("/")
         if not node:
             return None
+        # Each node is looked up once: a robot has many publishers, and the question to DDS takes some 50 µs.
         if node not in self._by_node and node not in self._ordinary:
             self.look()
         if node in self._by_node:
@@ -466,6 +469,7 @@ class Announcements:
         """Read the new announcements, the shortest first, as many as the budget admits."""
         with self._lock:
             unread = self._inbox.take()
+            # True until a reading finds nothing: until then, the timer below reads new messages.
             self._reads = bool(unread)
         if not unread or self._subscription is None:
             return

@@ -27,7 +27,9 @@ Timeouts: TypeAlias = dict[str, dict[str, dict[str, Any] | None]]
 _NAMES = re.compile(r"(^|[._])(cmd\w*|command\w*|vel\w*|twist\w*|input)[._]?\w*time_?out|watchdog|dead_?man")
 """``cmd_vel_timeout`` of diff_drive_controller and its like, ``command_timeout``, ``watchdog_period`` …"""
 _FOUND_WITHIN = 3.0
+"""s that a node that starts may need to find running nodes (docs/performance.md)."""
 _ANSWERS_WITHIN = 2.0
+"""s. A round figure: the doctor waits for 30 s in all."""
 _VALUES = {
     ParameterType.PARAMETER_BOOL: "bool_value",
     ParameterType.PARAMETER_INTEGER: "integer_value",
@@ -59,6 +61,7 @@ class _Asking:
 
     def _listeners(self, topic: str) -> list[str]:
         infos = self._node.get_subscriptions_info_by_topic(topic)
+        # A node with two subscriptions is listed twice, and asked once.
         names = {(each.node_namespace.rstrip("/"), each.node_name) for each in infos}
         return sorted(
             f"{space}/{name}" for space, name in names if not name.startswith(("rsb_", "_NODE_NAME_UNKNOWN_"))

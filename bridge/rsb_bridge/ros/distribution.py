@@ -17,6 +17,7 @@ _BY_RCLPY = {"3.3": "humble", "7.1": "jazzy", "9.1": "kilted"}
 def distribution() -> str:
     """Return the name of the distribution, in lower case, or an empty string if it is unknown."""
     if name := os.environ.get("ROS_DISTRO", ""):  # a setup file was sourced
+        # It becomes a part of names of packages, which operators paste into a shell.
         return name if name.isidentifier() else ""
     return _BY_RCLPY.get(".".join(rclpy_version().split(".")[:2]), "")
 

@@ -24,10 +24,14 @@ if TYPE_CHECKING:
 _NODE = "/rsb_internal"
 _GID = b"rsb_internal".ljust(16, b"\0")
 _HEADER = b"\x00\x01\x00\x00"
+"""The encapsulation header of CDR, little endian, with which each message of a route begins (PROTOCOL.md, 13)."""
 _STAMP = 8  # bytes
 _SAMPLES = 100_000
+"""Latencies of a run that are kept. A round figure: a peer decides how long the run is."""
 _AT_ONCE, _BYTES_AT_ONCE = 64, 8 << 20
+"""Messages and bytes of a batch: as many messages as the ROS thread takes (`ros_interface.BATCH`)."""
 _PAUSE = 0.0005
+"""s between two looks at the clock: rates above 2 kHz come in bursts (bench/README.md, Method)."""
 _LATE, _LATE_SECONDS = 2, 0.5
 """A run ends after this multiple of its duration plus these seconds: the sender does not keep up."""
 _BYTES_PER_KB = 1024
@@ -100,6 +104,7 @@ class BenchSource:
                 self.sent = sent
             clocks.sleep(_PAUSE)
         passed = clocks.now() - began
+        # The last message is due before its interval is over, so that the quotient of a short run is too high.
         self.rate = min(rate, sent / passed) if passed > 0 else rate
 
     def _is_over(self, ends: float) -> bool:
@@ -117,14 +122,11 @@ class BenchDrain:
     """Takes the messages of one internal route that measures, where they arrive.
 
     Args:
-        closed: called at the end.
         admits: whether a message of so many bytes may come.
 
     Attributes:
         count: messages since the last reset.
         messages: in all, and `bytes` of them.
-        closed: whether it takes no more.
-        gid: an id as publishers have.
     """
 
     subscriber_count = 1
@@ -201,7 +203,6 @@ class PictureSink:
 
     Attributes:
         taken: called with each picture; set by the user.
-        gid: as of `BenchDrain`.
     """
 
     subscriber_count = 1
@@ -224,9 +225,6 @@ class PictureSink:
 class InternalEnds(Generic[SourceT, DrainT]):
     """The ends of all internal routes of one purpose, over all links. Only a link that serves the purpose has ends.
 
-    Args:
-        purpose: of the routes.
-
     Attributes:
         sources: make the messages of the internal routes that this side sends on, by internal route and link.
         drains: take those of the internal routes that this side receives on, by internal route and link.
@@ -248,7 +246,6 @@ class InternalEnds(Generic[SourceT, DrainT]):
         """Make the ends of a link's internal routes from now on.
 
         Args:
-            link: name of the link.
             source: makes a source, which passes its messages to the sink, and calls the function once it is closed.
             drain: makes a drain, which calls the function once it is closed.
         """
@@ -290,6 +287,7 @@ class InternalEnds(Generic[SourceT, DrainT]):
 
 
 def _forget(held: dict[tuple[str, Hashable], Any], key: tuple[str, Hashable], which: object) -> None:
+    # A route that was opened again has another end under this key by now.
     if held.get(key) is which:
         del held[key]
 

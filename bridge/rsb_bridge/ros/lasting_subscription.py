@@ -14,8 +14,10 @@ if TYPE_CHECKING:
 
     from rsb_bridge.ros.ros_interface import OnFailure, Subscription
 
-_FIRST_DELAY, _LONGEST_DELAY = 0.5, 30.0  # s
-_HEALED_AFTER = 60.0  # s
+_FIRST_DELAY, _LONGEST_DELAY = 0.5, 30.0
+"""s. Round figures: a subscription that fails at once costs an attempt each 30 s in the end."""
+_HEALED_AFTER = 60.0
+"""s after which a failure is a new one, with the first delay again: twice the longest delay."""
 
 
 class LastingSubscription:
@@ -76,6 +78,7 @@ class LastingSubscription:
         return subscription
 
     def _failed(self, subscription: Subscription, reason: str) -> None:
+        # `reopen` may have replaced it since it failed.
         if subscription is self._subscription:
             self._drop()
             if self._loop.time() - self._opened_at >= _HEALED_AFTER:

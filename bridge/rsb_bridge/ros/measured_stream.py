@@ -75,6 +75,7 @@ def talk(node: Node, topics: Sequence[str]) -> None:
             continue
         rate = float(numbers[0])
         count, size = map(int, numbers[1:3])
+        # Without rclpy's wrapper: what that would cost pays for the stamps.
         publish = publishers[int(numbers[3]) if len(numbers) > 3 else 0].handle.publish_raw
         began, sent = time.perf_counter(), 0
         while sent < count:
@@ -82,6 +83,7 @@ def talk(node: Node, topics: Sequence[str]) -> None:
             for _ in range(due - sent):
                 publish(stamped_string(size))
             sent = max(sent, due)
+            # Bursts of half a millisecond: a talker that looked at the clock all the time would take a core.
             time.sleep(0.0005)
         # A single message takes no time; a rate has intervals.
         _answer(rate=min(rate, count / max(time.perf_counter() - began, 1e-9)))
@@ -99,6 +101,7 @@ def _publish_many(node: Node, topics: Sequence[str]) -> None:
     while not ends.is_set():
         for publisher in publishers:
             publisher.publish(stamped_string(_OF_MANY))
+            # Spread over the second: hundreds of messages at once would be another load.
             if ends.wait(1 / len(publishers)):
                 break
 

@@ -34,9 +34,6 @@ class MiddlewareProblem(Wording):
 def check_middleware(environment: Mapping[str, str]) -> None:
     """Check that the middleware implementation that the environment asks for is installed.
 
-    Args:
-        environment: the process's environment variables.
-
     Raises:
         RosError: it is not installed; the message lists the installed ones.
     """

@@ -44,9 +44,13 @@ _Key: TypeAlias = "tuple[str, Hashable]"
 _log = logging.getLogger(__name__)
 
 _CLOSED_REMEMBERED = 1000
-"""Publishers of our own that were closed: their messages are still known as ours."""
+"""Publishers of our own that were closed: their messages are still known as ours.
 
-_STOP_WITHIN = 1.0  # s
+A round figure. One that is forgotten too early gets its last messages back, if its topic crosses a link both ways.
+"""
+
+_STOP_WITHIN = 1.0
+"""s, ten times as long as a sink waits for the I/O loop (`ros_thread._PATIENCE`)."""
 _Taken = TypeVar("_Taken")
 
 
@@ -62,6 +66,7 @@ class RosNode:
     def __init__(self, domain_id: int, name: str) -> None:
         self.instance_id = secrets.token_hex(4)
         self._domain_id = domain_id
+        # In ROS, a node's name has letters, digits and _ only, and at most 255 of them.
         self.node_name = f"rsb_{re.sub(r'[^A-Za-z0-9_]', '_', name)[:64]}_{self.instance_id}"
         self.turns = RosTurns(self._wake)
         self.shortfalls: tuple[str, ...] = ()
@@ -70,8 +75,9 @@ class RosNode:
         """Held during questions to other nodes, so that the domain is not left meanwhile."""
         self._participant: Participant | None = None
         self._thread: threading.Thread | None = None
-        self._drains: dict[int, Drain[Any]] = {}  # by endpoint's address; replaced, never changed
-        self._publishers: frozenset[_Publisher] = frozenset()  # likewise
+        # These two are replaced and never changed, so that the thread, and questions about the graph, need no lock.
+        self._drains: dict[int, Drain[Any]] = {}  # by endpoint's address
+        self._publishers: frozenset[_Publisher] = frozenset()
         self._retired: deque[Incoming] = deque()
         self._on_graph_change: Callable[[], None] = _nothing
         self._on_failure: Callable[[str], None] = _log.error
@@ -85,6 +91,7 @@ class RosNode:
         Raises:
             RosError: rclpy or the middleware is missing, or the domain could not be joined.
         """
+        # Before rclpy is loaded: with a wrong middleware, loading it would end the process.
         check_middleware(os.environ)
         try:
             from rsb_bridge.ros.participant import Participant  # noqa: PLC0415  only a node that starts needs rclpy
@@ -101,6 +108,7 @@ class RosNode:
     def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
         """Have functions called; see `rsb_bridge.ros.ros_interface.RosInterface.watch`."""
         self._on_graph_change, self._on_failure = on_graph_change, on_failure
+        # The thread may have failed before anybody watched it.
         if self._failure:
             on_failure(self._failure)
 
@@ -119,6 +127,7 @@ class RosNode:
     def topics(self) -> dict[str, list[str]]:
         """Every topic of the graph with its type names; topics that only our own node holds are left out."""
         participant = self._joined()
+        # DDS is asked only about our own topics who else has them: each question takes some 50 µs.
         own = {each.topic for each in self._subscriptions()} | {each.topic for each in self._publishers}
         return {
             topic: types
@@ -138,7 +147,7 @@ class RosNode:
         """The type hash of a message type that is installed here, else None."""
         try:
             installed = installed_class(type_name)
-        except ValueError:
+        except ValueError:  # a name that a DDS program without ROS gave to its type
             return None
         return None if installed is None else hash_of(installed)
 
@@ -163,6 +172,7 @@ class RosNode:
         """Ask a node for a type's description; see `rsb_bridge.ros.ros_interface.RosInterface.ask_description`."""
         with self._asking:
             participant = self._joined()
+            # A stop ends the waiting, as `_leave` waits for the end of this question.
             return participant.ask_description(
                 node, type_name, type_hash, lambda: self._participant is participant and still_wanted()
             )
@@ -182,6 +192,7 @@ class RosNode:
             participant = self._joined()
             reader = participant.create_reader(topic, type_name, type_hash, qos)
             key = (reader.topic, origin)
+            # It gets the set itself: the messages of publishers that this link makes later are left out, too.
             subscription = _Subscription(reader, qos, sink, on_failure, key, self._own[key], self._retire)
             self._drain(subscription, participant)
         return subscription
@@ -245,6 +256,7 @@ class RosNode:
 
     def own_subscriptions(self, topic: str, offered: Qos) -> int:
         """How many of our own subscriptions match a publisher of that QoS on a topic."""
+        # DDS counts a subscription whose QoS does not fit as not matched, so it is not subtracted either.
         return sum(each.topic == topic and not incompatible(offered, each.qos) for each in self._subscriptions())
 
     def forget(self, publisher: _Publisher) -> None:
@@ -262,6 +274,7 @@ class RosNode:
     def _tidy(self, key: _Key) -> None:
         """Forget a topic on which we neither publish, nor did lately, nor subscribe."""
         own = self._own.get(key)
+        # A subscription keeps its set. With another one in its place, messages of later publishers would come back.
         if own is not None and not own and not any(each.own is own for each in self._subscriptions()):
             del self._own[key]
 
@@ -280,8 +293,12 @@ class RosNode:
         participant.wake()
 
     def _retire(self, drain: Drain[Any]) -> None:
-        """Have the thread free a drain's endpoint. It is out of `_drains` before it is in `_retired`."""
+        """Have the thread free a drain's endpoint.
+
+        It is out of `_drains` before it is in `_retired`, so that no wait begins with a freed one.
+        """
         with self._lock:
+            # False for one that is closed twice, also if a later endpoint has its address by now.
             if self._drains.get(drain.endpoint.handle.address) is drain:
                 self._drains = {address: each for address, each in self._drains.items() if each is not drain}
                 if isinstance(drain, _Subscription):
@@ -291,6 +308,7 @@ class RosNode:
                     self._participant.wake()
 
     def _wake(self) -> None:
+        # `_leave` takes the lock, too, before it frees what is triggered here.
         with self._lock:
             if self._participant is not None:
                 self._participant.wake()
@@ -305,15 +323,18 @@ class RosNode:
         turns = self.turns
         try:
             while self._participant is participant:
+                # Before `_drains` is read: an endpoint that is freed here is certainly missing there.
                 while self._retired:
                     self._retired.popleft().close()
                 if drains is not self._drains:
                     drains = self._drains
                     endpoints = tuple(each.endpoint for each in drains.values())
+                # Unwatched, it waits without end: no timer wakes a quiet side.
                 addresses, graph_changed = participant.wait(endpoints, LONGEST_WAIT if turns.watched else None)
                 if turns.watched:
                     turns.turned()
                 for address in addresses:
+                    # A sink of this turn may have stopped the node. A drain that it has closed takes nothing.
                     if self._participant is participant:
                         drains[address].deliver()
                 if graph_changed:
@@ -357,9 +378,7 @@ class Drain(Generic[_Taken]):
         """Begin.
 
         Args:
-            endpoint: which the thread frees.
             take: takes up to so many from it.
-            on_failure: called if it fails.
             retire: has the thread free the endpoint.
         """
         self.endpoint = endpoint
@@ -382,7 +401,7 @@ class Drain(Generic[_Taken]):
                 if self._on_failure is not None:
                     self._on_failure(error)
                 return
-            if batch:
+            if batch:  # all of it may have been our own messages
                 self._sink(batch)
 
     def close(self) -> None:
@@ -467,6 +486,7 @@ class _Publisher:
     @property
     def subscriber_count(self) -> int:
         own = self._node.own_subscriptions(self.topic, self._qos)
+        # The two are counted one after the other: a subscription of ours may have come in between.
         return max(0, self.writer.matched - own)
 
     @property

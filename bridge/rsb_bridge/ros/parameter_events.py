@@ -85,7 +85,7 @@ def with_node(payload: bytes, node: str) -> bytes:
             copy.take(8, 8)  # the double
             copy.string()
             for size in _ARRAYS:
-                if count := copy.length():
+                if count := copy.length():  # an empty array has no padding before its elements
                     copy.take(count * size, size)
             for _ in range(copy.length()):
                 copy.string()
@@ -209,6 +209,7 @@ class ParameterEvents:
 
     def _end(self, topic: EventsTopic, shared: _Shared, listener: _Listener) -> None:
         shared.listeners = tuple(each for each in shared.listeners if each is not listener)
+        # One that has failed is closed already, and another may have its place.
         if not shared.listeners and self._shared.get(topic) is shared:
             del self._shared[topic]
             shared.subscription.close()

@@ -48,7 +48,8 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.native.named_types import BorrowedType
     from rsb_bridge.ros.native.rclpy_extension import Entity, Kind, Question
 
-_TRY_AGAIN_NS = 100_000_000  # after which answers that are kept are tried again, if nothing happens before
+_TRY_AGAIN_NS = 100_000_000
+"""After that, kept answers are tried again if nothing happens before: half of the interval between two attempts."""
 _KEPT = 5000  # messages: Fast DDS's limit on a history that keeps all
 
 _CALLS = Qos("reliable", "volatile", "keep_last", _KEPT)
@@ -94,7 +95,7 @@ class Participant:
             self._context.init(ARGUMENTS, domain_id=domain_id)
             self._node = found.node(node_name, self._context)
         except RuntimeError as error:
-            self._context.try_shutdown()
+            self._context.try_shutdown()  # `shutdown` raises if `init` has failed
             raise RosError(RosProblem.DOMAIN_REFUSED(domain=domain_id, reason=reason_of(error))) from error
         self.shortfalls = found.shortfalls
         self._name = self._node.handle.get_fully_qualified_name()
@@ -167,6 +168,7 @@ class Participant:
             RosError: the type, the name or the QoS will not do.
         """
         latched = qos.latched
+        # The history of a latched topic may begin with any number, as its publisher keeps the newest only.
         earlier = None if latched else frozenset(each.gid for each in self.publishers(topic))
         handle = self._create("subscription", topic, borrow_type(type_name, type_hash), qos)
         return Reader(handle, self._buffer, earlier)
@@ -211,13 +213,15 @@ class Participant:
         waits = self._waits
         waits.clear_entities()
         waits.add_guard_condition(self._guard)
+        # By rcl, because rclpy has no object for the guard condition of the graph.
         add_guard_condition(waits.pointer, self._graph_guard, self._graph_guard_index)
         for add, handle in self._adding:
             add(handle)
-        within = -1 if longest is None else int(longest * 1e9)
+        within = -1 if longest is None else int(longest * 1e9)  # rcl waits without end
         waits.wait(_TRY_AGAIN_NS if self._late else within)
         head = WaitSetHead.from_address(waits.pointer)
         graph_changed = bool(head.guard_conditions[self._graph_guard_index.value])
+        # Before the late answers, which look for their callers in the graph as it is now.
         self._graph_version += graph_changed
         if self._late:
             self._try_again()
@@ -240,6 +244,7 @@ class Participant:
     def _try_again(self) -> None:
         """Try late answers again."""
         for server in tuple(self._late):
+            # Before the attempt: an answer that another thread keeps meanwhile puts the server in again.
             del self._late[server]
             if server.try_again():
                 self._late[server] = None

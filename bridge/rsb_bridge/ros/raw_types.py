@@ -98,7 +98,6 @@ class BorrowedService(NamedTuple):
     """A service class that an endpoint uses.
 
     Attributes:
-        type: its class, and how to give it back.
         raw: calls are carried as bytes; else as the installed class's messages.
     """
 
@@ -137,4 +136,5 @@ def borrow_service(type_name: str, type_hash: str) -> BorrowedService:
         raise RosError(UnusableType.INVALID_SERVICE_HASH(type_hash=type_hash, prefix=HASH_PREFIX))
     if reason:
         raise RosError(UnusableType.NOT_CARRIED(type_name=type_name, reason=reason, remedy=remedy(type_name)))
+    # Also of an installed type: to have rclpy convert its messages costs 10 µs to ms a call.
     return BorrowedService(named_services.borrow(type_name, type_hash), raw=True)

@@ -26,9 +26,11 @@ _ASKED_EVERY = 1.0
 _KNOWN_FOR = 10.0
 """Seconds that an answer is kept."""
 _MOST_ANSWERS = 1000
+"""A round figure: beyond it all are forgotten, and searched for again."""
 _ALIKE = 0.7
+"""Ratio of `difflib` from which on names are alike. A round figure; the default is 0.6."""
 _MOST_NAMES = 2000
-"""Names that a search compares."""
+"""Names that a search compares. A round figure: other programs may put any number into the graph."""
 CALLED: tuple[Kind, ...] = tuple(kind for kind, lanes in LANES.items() if lanes)
 WHOLES: tuple[Kind, ...] = tuple(kind for kind in CALLED if len(LANES[kind]) > 1)
 """Kinds that consist of several services."""
@@ -47,7 +49,6 @@ class Searches(Generic[Asked]):
 
     Args:
         search: searches; may raise `RosError`.
-        now: returns the time in s.
     """
 
     def __init__(self, search: Callable[[Asked], str], now: Callable[[], float]) -> None:
@@ -66,19 +67,14 @@ class Searches(Generic[Asked]):
         if len(self._answers) >= _MOST_ANSWERS:
             self._answers.clear()
         answer = ""
-        with contextlib.suppress(RosError):
+        with contextlib.suppress(RosError):  # a hint is worth no error
             answer = self._search(asked)
         self._answers[asked] = (answer, now)
         return answer
 
 
 class SimilarTopics:
-    """Finds published topics of a similar name, for names that may be mistyped.
-
-    Args:
-        ros: whose graph is searched.
-        now: gives the time in s.
-    """
+    """Finds published topics of a similar name, for names that may be mistyped."""
 
     def __init__(self, ros: RosInterface, now: Callable[[], float]) -> None:
         self._ros = ros
@@ -106,7 +102,7 @@ def topics_of(ros: RosInterface) -> list[TopicInfo]:
             continue
         publishers, subscriptions = ros.publishers(topic), ros.subscriptions(topic)
         endpoints = publishers or subscriptions
-        if not endpoints:
+        if not endpoints:  # they are our own, or have just gone
             continue
         type_name, type_hash = agreed_type(endpoints)
         qos = match_publishers([e.qos for e in publishers]) if publishers else None
@@ -149,7 +145,6 @@ def called_in(ros: RosInterface, kinds: Collection[Kind]) -> list[TopicInfo]:
     services that ``ros2 service list`` hides.
 
     Args:
-        ros: the side whose graph is read.
         kinds: the kinds to list; topics are ignored.
 
     Raises:
@@ -181,6 +176,7 @@ def _wholes(kind: Kind, services: Mapping[str, Sequence[str]]) -> Iterator[tuple
     lead = LANES[kind][0]
     for name, types in services.items():
         whole = name.removesuffix(lead.suffix)
+        # Nodes that disagree about a type make no action together: what they have stays a list of services.
         if len(types) != 1 or whole in (name, ""):
             continue
         if lead.type_name and types[0] == lead.type_name:
@@ -202,12 +198,7 @@ def _entry(ros: RosInterface, kind: Kind, name: str, type_name: str) -> TopicInf
 
 
 class NameSuggester:
-    """Finds an entry of the same name but another kind, or of a similar name.
-
-    Args:
-        ros: whose graph is searched.
-        now: gives the time in s.
-    """
+    """Finds an entry of the same name but another kind, or of a similar name."""
 
     def __init__(self, ros: RosInterface, now: Callable[[], float]) -> None:
         self._ros = ros

@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 
 
 BATCH = 64
-"""Messages or calls taken from one endpoint before the next has its turn."""
+"""Messages or calls taken from one endpoint before the next has its turn.
+
+A round figure. A flood on one topic must not keep the others waiting; with fewer, each message pays for more turns.
+"""
 
 
 class RosProblem(Wording):

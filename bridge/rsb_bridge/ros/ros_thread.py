@@ -17,13 +17,18 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
 LONGEST_WAIT = 0.25
-"""Seconds that the thread waits at most while it is watched."""
+"""Seconds that the thread waits at most while it is watched. A lease ends after 1 s without a turn (`route.lease`)."""
 _LATE = 0.5
-"""Seconds between two turns from which on the thread, or the whole process, stood still."""
+"""Seconds between two turns from which on the thread, or the whole process, stood still: twice the longest wait."""
 _CATCHES_UP = 0.25
-"""Seconds after a standstill in which DDS may still bring what it should have brought before."""
+"""Seconds after a standstill in which DDS may still bring what it should have brought before.
+
+A round figure: how long DDS takes was not measured. If it takes longer, an armed message counts as younger than it is.
+"""
 _BACKLOG = 64
+"""Batches: 4,096 messages, or 256 MiB of large ones. A round figure."""
 _PATIENCE = 0.1
+"""Seconds that the ROS thread waits for the loop at most: a loop that hangs must not keep the node from stopping."""
 T_contra = TypeVar("T_contra", contravariant=True)
 T = TypeVar("T")
 
@@ -57,8 +62,10 @@ class RosTurns:
             return
         self._watchers.add(watcher)
         if not self.watched:
+            # Before `watched`: the thread compares with these once it sees that it is watched.
             self.at = self.since = self._steady()
             self.watched = True
+            # Its present wait may have no end.
             self._wake()
 
     def leave(self, watcher: Hashable) -> None:
@@ -124,6 +131,7 @@ class RosToLoopQueue:
             self._is_full = False
 
     def _drain(self) -> None:
+        # First: a batch that is put in after the last look at the queue schedules a drain of its own.
         self._scheduled = False
         try:
             while self._batches:

@@ -60,6 +60,7 @@ ARGUMENTS = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs", "--
 FAST_DDS = "rmw_fastrtps_cpp"
 
 _DOMAIN = 101
+"""The last one whose ports Linux gives to no other program (`model.limits.SAFE_DOMAIN`)."""
 _ALONE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
 """No discovery, and no shared memory, for which processes that test at the same time would compete."""
 _QOS = Qos("reliable", "volatile", "keep_last", 5)
@@ -68,8 +69,10 @@ _HASH = HASH_PREFIX + 32 * "5a"
 _MESSAGE, _SERVICE = ("rsb_self_test/msg/Any", _HASH), ("rsb_self_test/srv/Any", f"{_HASH}+{_HASH}")
 _PAYLOAD = b"\0\1\0\0\4\0\0\0rsb\0"
 """A std_msgs/msg/String, serialized."""
-_WITHIN = 1.0  # s
-_RECENT = 60 * 10**9  # ns
+_WITHIN = 1.0
+"""s. A round figure: the whole test takes 15 ms, and what does not come within it is not held against ROS."""
+_RECENT = 60 * 10**9
+"""ns. A round figure: in another layout, the field has any number of 64 bits."""
 
 
 class Shortfall(Wording):
@@ -96,8 +99,6 @@ class Findings(NamedTuple):
     """The test's result.
 
     Attributes:
-        node: the class of our nodes.
-        middleware: the name of the rmw implementation.
         public_only: the reason why rclpy's public classes are used, or an empty string.
         no_messages: the reason why messages of types that are not installed can't be carried, or an empty string.
         no_numbers: the reason why neither losses in DDS nor depths of latched topics are known, or an empty string.
@@ -150,6 +151,7 @@ def _found(node: Callable[[str, Context], OwnNode], context: Context) -> Finding
         reason = RosProblem.NO_STRINGS(package=package_of("std_msgs"))
         return Findings(node, middleware, "", reason, reason)
     type_support_of(string)  # which loads it
+    # First, and an error ends the start: without installed types nothing can be bridged.
     _try(node, context, _messages_cross, string)
     no_numbers = "" if feature_supported(PUBLICATION_NUMBERS) else Shortfall.NO_NUMBERS(middleware=middleware)
     if middleware in {FAST_DDS, CYCLONE_DDS}:
@@ -157,7 +159,7 @@ def _found(node: Callable[[str, Context], OwnNode], context: Context) -> Finding
     else:  # it would look for what these type supports do not have
         no_messages = Shortfall.ANOTHER_MIDDLEWARE(middleware=middleware)
     if middleware == FAST_DDS:
-        no_calls = no_messages or _why_not(
+        no_calls = no_messages or _why_not(  # the type of a call consists of two such messages
             Shortfall.CALLS, partial(_try, node, context, _calls_cross), named_services, _SERVICE
         )
     else:
@@ -237,6 +239,7 @@ class _Endpoints:
             while time.monotonic() < deadline:
                 waits.clear_entities()
                 getattr(waits, f"add_{kind}")(handle.rclpy)
+                # Nobody waits for it: it shows whether the fields of the struct lie where they are read.
                 add_guard_condition(waits.pointer, graph_guard_condition(self.node.handle.pointer), None)
                 head = WaitSetHead.from_address(waits.pointer)
                 if head.guard_condition_count != 1 or head.subscription_count != (kind == "subscription"):
@@ -259,6 +262,7 @@ def _messages_cross(endpoints: _Endpoints, interface: type) -> None:
     endpoints.closed_at_end(reader)
     writer = Writer(endpoints.make("publisher", interface))
     endpoints.closed_at_end(writer)
+    # The answers do not matter, only whether this distribution takes these arguments.
     for question in (PUBLISHERS, SUBSCRIPTIONS):
         ask(question, endpoints.node.handle, _NAME, False)
     writer.publish(_PAYLOAD)

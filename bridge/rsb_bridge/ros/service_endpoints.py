@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.service_graph import CallerTable
 
 _CALLERS_REMEMBERED = 1024
+"""Callers of one server whose readers it knows. A round figure."""
 
 _CALLER_FOUND_WITHIN = 10.0
 """Seconds that the discovery of a caller may take. A caller that has gone is never discovered.
@@ -59,8 +60,9 @@ _LATE_ANSWERS_TRIED_EVERY = 0.2
 """s; a caller that is there, but not matched, holds up everybody for half of that."""
 _MOST_LATE_ANSWERS = 1000
 _MOST_LATE_BYTES = 16 << 20
-"""Of one server."""
+"""Of one server. Round figures: callers that go before their answers come must not fill the memory in 10 s."""
 _CALLS_REMEMBERED = 5000
+"""As many as DDS keeps of one service (`participant._KEPT`)."""
 
 
 class ServiceEndpoint:
@@ -74,6 +76,7 @@ class ServiceEndpoint:
 
     def close(self) -> None:
         """Free it. To be called once."""
+        # A thread that sends with it has finished then, and the next one finds it closed.
         with self._using:
             self._closed = True
         self.handle.free()
@@ -94,11 +97,7 @@ class ServiceEndpoint:
 
 
 class RawServiceServer(ServiceEndpoint):
-    """A raw service.
-
-    Attributes:
-        kind: what it is in a wait set.
-    """
+    """A raw service."""
 
     kind: Literal["service"] = "service"
 
@@ -127,6 +126,7 @@ class RawServiceServer(ServiceEndpoint):
         taken: list[bytes] = []
         requests = []
         for _ in range(limit):
+            # The list is in the place of the ROS message, see `fast_cdr`.
             code = take_request(address, info, id(taken))
             if code == NO_REQUEST:
                 break
@@ -171,6 +171,7 @@ class RawServiceServer(ServiceEndpoint):
             raise RosError(
                 f"{self.name}: this caller asked an earlier server: its middleware takes no answer of this one"
             )
+        # In a variable, as the middleware gets only its address.
         writing = outgoing(payload)
         code = send_response(self.handle.address, CALLER.pack(to, number), id(writing))
         if code == NOT_MATCHED:
@@ -181,11 +182,7 @@ class RawServiceServer(ServiceEndpoint):
 
 
 class RawServiceClient(ServiceEndpoint):
-    """A raw client of a service.
-
-    Attributes:
-        kind: what it is in a wait set.
-    """
+    """A raw client of a service."""
 
     kind: Literal["client"] = "client"
 
@@ -226,6 +223,7 @@ class RawServiceClient(ServiceEndpoint):
         number = ctypes.c_int64()
         with self._using:
             self._check_open()
+            # In a variable, as the middleware gets only its address.
             writing = outgoing(payload)
             code = send_request(self.handle.address, id(writing), number)
             if code:
@@ -305,7 +303,10 @@ warnings.filterwarnings("ignore", "failed to send response", RuntimeWarning)
 
 _numbers = itertools.count(1)
 _asked: OrderedDict[bytes, Any] = OrderedDict()
-"""What rclpy knows callers by, of the process's calls that were not answered yet."""
+"""What rclpy knows callers by, of calls that were not answered yet.
+
+It is the process's, as a later server of the same service may have to answer them.
+"""
 
 
 class TypedServer(ServiceEndpoint):

@@ -78,6 +78,7 @@ class CallerTable:
             reader: the GUID of its reader of responses.
         """
         version = self._version()
+        # One that was not found is asked for again: the number changes only with the ROS thread's next wait.
         if version == self._asked and (writer := self._writers.get(reader)) is not None:
             return writer
         now = time.monotonic()

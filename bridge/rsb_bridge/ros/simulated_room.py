@@ -81,8 +81,6 @@ def image(x: float, y: float, heading: float, width: int, height: int) -> bytes:
         x: m.
         y: m.
         heading: rad.
-        width: pixels.
-        height: pixels.
     """
     ahead = np.array([np.cos(heading), np.sin(heading)])
     right = np.array([np.sin(heading), -np.cos(heading)])

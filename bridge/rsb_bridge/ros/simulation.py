@@ -122,11 +122,7 @@ class Simulation:
 
 
 class Motion:
-    """The place of the robot: it drives in a circle, or by commands.
-
-    Args:
-        now: a clock, in s.
-    """
+    """The place of the robot: it drives in a circle, or by commands."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
@@ -145,6 +141,7 @@ class Motion:
     def pose(self) -> tuple[float, float, float]:
         """Return where the robot is now: x and y in m, and its heading in rad."""
         now = self._now()
+        # A process that was stopped makes no step through a wall: only the end of a step is checked.
         elapsed, self._at = min(0.2, now - self._at), now
         forward, turn = self._wanted(now)
         self._heading = math.remainder(self._heading + turn * elapsed, math.tau)

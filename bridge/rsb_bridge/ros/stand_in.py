@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
 _GID_LENGTH = 16
 _FLOOD_AT_ONCE = 16
+"""Messages of a batch of a flood. A round figure below `ros_interface.BATCH`."""
 _QOS = Qos()
 _HASHES = {STRING: STRING_HASH, BATTERY_STATE: BATTERY_STATE_HASH}
 _BATTERY_LASTS, _CHARGED_AT = 900.0, 0.1
@@ -147,7 +148,6 @@ class StandIn(NoRos):
     """A graph of one node that publishes and subscribes; `rsb_bridge.ros.ros_interface.RosInterface`.
 
     Args:
-        talks: what the node publishes.
         hears: topics that it subscribes to.
 
     Attributes:
@@ -182,6 +182,7 @@ class StandIn(NoRos):
             gid, stamp = self._gids[topic], time.time_ns()
             make = self._battery if self._types[topic] == BATTERY_STATE else stamped_string
             batch = [RawMessage(make(size), stamp, gid, first + each) for each in range(count)]
+            # A sink may close its reader, which then leaves the list.
             for reader in tuple(readers):
                 reader.take(batch)
 
@@ -298,6 +299,7 @@ class Metronome:
             if talk.rate:
                 due = time.monotonic() + self._random.random() / talk.rate
                 with self._changed:
+                    # Without numbers, two stand-ins that are due at the same time would be compared.
                     heapq.heappush(self._due, (due, next(self._numbers), ros, talk))
                     self._changed.notify()
             else:
@@ -333,4 +335,4 @@ class Metronome:
     def _flood(self, ros: StandIn, talk: Talk) -> None:
         while not self._stops:
             ros.publish(talk.topic, talk.size, _FLOOD_AT_ONCE)
-            time.sleep(0)
+            time.sleep(0)  # others may have the GIL, which a loop without waiting keeps for 5 ms a time

@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 _KEPT = 4 << 20
 """Characters of all descriptions together; a whole robot's take some 100,000."""
 _NODES = 3
-"""Nodes that are asked for one description."""
-_ASKS_AGAIN_AFTER = 10.0  # s
+"""Nodes that are asked for one description. Each may take 2.5 s (`rosidl_descriptions.ask_node`)."""
+_ASKS_AGAIN_AFTER = 10.0
+"""s: longer than it takes to ask three nodes that do not answer. One that starts later may have the answer."""
 _REMEMBERED = 1000
-"""Types that nobody could describe."""
+"""Types that nobody could describe. A round figure: a peer names them."""
 
 
 class TypeDescriptions:
     """Descriptions by their types' hashes. A text that does not describe its type is dropped.
 
     Args:
-        ros: this side's types and nodes.
         now: the clock that all timers use, in s.
     """
 
@@ -74,6 +74,7 @@ class TypeDescriptions:
         if (text := self.known(type_hash)) is not None:
             return text
         async with self._asking:
+            # Somebody else may have found it while this one waited.
             text = self.known(type_hash)
             if text is not None or self._now() < self._unknown.get(type_hash, 0.0):
                 return text
@@ -95,6 +96,7 @@ class TypeDescriptions:
             nodes = dict.fromkeys(each.node for each in endpoints if each.node and each.type_hash == type_hash)
             for node in list(nodes)[:_NODES]:
                 text = ros.ask_description(node, type_name, type_hash, lambda: not self._closed)
+                # Any node may answer anything; the next one may have the right one.
                 if text is not None and hash_of_text(text) == type_hash:
                     return text
         except RosError:
@@ -111,10 +113,6 @@ class TypeCheckers:
 
     A peer's description is not used: it would be checked by its own word. So a type is described by its installed
     package, or by a node of this domain that uses it.
-
-    Args:
-        ros: knows which types are installed.
-        descriptions: asks the nodes of this domain.
     """
 
     def __init__(self, ros: RosInterface, descriptions: TypeDescriptions) -> None:

@@ -42,6 +42,7 @@ _ROS_NAMES = {"float": "float32", "double": "float64", "octet": "byte", "boolean
 _NOUNS = {"boolean": "true or false", "float": "a number", "double": "a number"}
 
 # As YAML 1.2 writes them (core schema, section 10.3.2), and `nan` and `inf` as ROS prints them, without the point.
+# 40 digits are more than any type holds; Python raises another error beyond 4,300.
 _INTEGER = re.compile(r"[-+]?[0-9]{1,40}|0x[0-9a-fA-F]{1,40}")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _NO_NUMBER = re.compile(r"([-+]?)\.?(inf|nan)", re.IGNORECASE)
@@ -198,7 +199,7 @@ def _integer(number: int, kind: str, location: str) -> int | bytes:
                 location=location, value=number, low=low, high=high, type_name=_ROS_NAMES.get(kind, kind)
             )
         )
-    return bytes((number,)) if kind == "octet" else number
+    return bytes((number,)) if kind == "octet" else number  # rclpy has a byte as bytes
 
 
 def _number(text: str) -> float | None:

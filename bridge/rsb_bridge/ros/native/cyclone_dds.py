@@ -1,4 +1,4 @@
-"""Who has sent a message, where Cyclone DDS is the middleware (rmw_cyclonedds_cpp).
+"""The publisher of a message, where Cyclone DDS is the middleware (rmw_cyclonedds_cpp).
 
 The graph, and a bridge's announcements, know a publisher by its GUID. A message taken tells its instance handle, which
 means something in this process only (`message_info_from_sample_info` in rmw_cyclonedds_cpp/src/rmw_node.cpp). So does
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 CYCLONE_DDS: Final = "rmw_cyclonedds_cpp"
 _GUID_LENGTH = 16
 _PUBLISHERS_REMEMBERED = 1024
+"""A round figure, as of `topic_endpoints`: one that is forgotten is asked for again."""
 
 
 class _Endpoint(ctypes.Structure):

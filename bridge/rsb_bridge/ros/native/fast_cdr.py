@@ -111,10 +111,12 @@ def _cdr() -> _Cdr | None:
     new_cdr.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int, ctypes.c_int]
     bytes_of.argtypes, bytes_of.restype = [ctypes.c_void_p], ctypes.c_void_p
 
+    # 77 is a number that no other word of a FastBuffer has, so that `_place` finds it once.
     content, buffer, cdr = (ctypes.create_string_buffer(size) for size in (77, _ROOM, _ROOM))
     new_buffer(buffer, content, len(content))
     new_cdr(cdr, buffer, 1, 1)  # little endian, XCDR version 1
     write(cdr, b"here", 4)
+    # What is called by addresses has no types: only its effect shows whether it is what its name says.
     if bytes_of(cdr) != ctypes.addressof(content) or content.raw[:5] != b"here\0":
         return None
     try:

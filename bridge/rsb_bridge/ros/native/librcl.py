@@ -41,6 +41,7 @@ def function(name: str, *arguments: Any, returns: Any = ctypes.c_int, library: c
 
 _POINTER = ctypes.c_void_p
 reset_error = function("rcutils_reset_error", returns=None)
+"""Forgets the last error. If one stays, rcl writes to the terminal at the next one, into the console's screen."""
 
 
 class _Allocator(ctypes.Structure):
@@ -171,6 +172,7 @@ def _growing(large: list[bytes]) -> Callable[[int | None, int, int | None], int 
         try:
             payload: bytes = _new_bytes(None, size)
         except MemoryError:
+            # An exception cannot leave a callback. With a null pointer, rcl reports that there is no memory.
             return None
         large[:] = [payload]
         address: int = _address_of(payload)

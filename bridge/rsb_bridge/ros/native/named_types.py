@@ -162,12 +162,7 @@ class _Used:
 
 
 class NamedSupport:
-    """A message's type support under a name and a hash that can be changed.
-
-    Attributes:
-        type_support: for rcl and for the middleware.
-        callbacks: which the middleware calls.
-    """
+    """A message's type support under a name and a hash that can be changed."""
 
     def __init__(self) -> None:
         string = installed_class("std_msgs/msg/String")
@@ -188,6 +183,7 @@ class NamedSupport:
         find = FIND(lambda _, identifier: answers.get(identifier))
         get_hash = GET_HASH(lambda _: ctypes.addressof(type_hash))
         type_support.data, introspection.data = ctypes.addressof(callbacks), ctypes.addressof(members)
+        # Both: with its original functions, either would lead to String's type supports and hash.
         for each in (type_support, introspection):
             each.find = ctypes.cast(find, ctypes.c_void_p).value
             each.get_hash = ctypes.cast(get_hash, ctypes.c_void_p).value

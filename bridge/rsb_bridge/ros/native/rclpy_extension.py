@@ -43,6 +43,7 @@ def named(name: str) -> Any:
     def missing(*_arguments: object) -> None:
         raise RosError(RosProblem.LACKS(distribution=described(), name=f"rclpy's {name}"))
 
+    # It raises only when it is used: an error of this import would tell operators nothing.
     return getattr(_rclpy, name, missing)
 
 
@@ -243,6 +244,7 @@ def rcl_profile(qos: Qos) -> QoSProfile:
         reliability=ReliabilityPolicy[qos.reliability.upper()],
         durability=DurabilityPolicy[qos.durability.upper()],
         history=HistoryPolicy[qos.history.upper()],
+        # A depth of 0 would be the default of the middleware.
         depth=min(max(qos.depth, 1), _DEEPEST),
         deadline=_duration(qos.deadline),
         lifespan=_duration(qos.lifespan),

@@ -33,8 +33,9 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.native.rclpy_extension import OwnNode
 
 _SERVED_WITHIN = 0.5  # s: from when the client exists to when DDS has matched it
-_ANSWERED_WITHIN = 2.0  # s
+_ANSWERED_WITHIN = 2.0  # s: a round figure
 _SLICE_NS = 50_000_000
+"""Between two questions whether the answer is still wanted: a bridge that stops waits for this one's end."""
 _QOS = Qos("reliable", "volatile", "keep_last", 10)
 """That of services by default (rmw/qos_profiles.h)."""
 
@@ -136,8 +137,6 @@ def ask_node(
 
     Args:
         node: full name of the node to ask.
-        type_name: ``pkg/msg/Name``.
-        type_hash: ``RIHS01_...``.
         still_wanted: asked several times a second; False ends the waiting.
         entities: held while our node's endpoints are created or freed.
 
@@ -151,12 +150,14 @@ def ask_node(
         from type_description_interfaces.srv import GetTypeDescription  # noqa: PLC0415 (not every ROS has it)
     except ImportError:
         return None
-    check_for_type_support(GetTypeDescription)
+    check_for_type_support(GetTypeDescription)  # which the extension module takes for loaded
     with entities:
         entity = own.create("client", GetTypeDescription, f"{node}/get_type_description", _QOS)
+    # A wait set of its own: the other one belongs to the ROS thread.
     client, waits = entity.rclpy, wait_set(context, clients=1)
     try:
         deadline = time.monotonic() + _SERVED_WITHIN
+        # A request to a server that DDS has not matched yet is lost.
         while not client.service_server_is_available():
             if time.monotonic() > deadline or not still_wanted():
                 return None
