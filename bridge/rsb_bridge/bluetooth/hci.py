@@ -68,7 +68,6 @@ class Adapter:
     Attributes:
         name: the kernel's, ``hci0``.
         address: its MAC, which a server's session has as `server_ip`.
-        powered: whether it is on.
         alias: its name on other machines, or empty if BlueZ was not asked.
     """
 
@@ -91,11 +90,11 @@ def adapters() -> list[Adapter]:
             try:
                 fcntl.ioctl(sock, _HCIGETDEVINFO, info)
             except OSError as error:
-                if error.errno == errno.ENODEV:
+                if error.errno == errno.ENODEV:  # numbers may have gaps
                     continue
                 raise NoBluetoothError(_message(error)) from None
             _, name, address, flags = _DEVICE_INFO.unpack(info)
-            mac = ":".join(f"{byte:02X}" for byte in reversed(address))
+            mac = ":".join(f"{byte:02X}" for byte in reversed(address))  # the kernel has the last byte first
             found.append(Adapter(name.rstrip(b"\0").decode(), mac, bool(flags & _HCI_UP)))
     return found
 

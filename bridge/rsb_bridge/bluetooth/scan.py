@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot
 
 _TIMEOUT = 5.0
+"""s. A round figure: BlueZ answers within some ms, or hangs."""
 _NOT_THERE = {
     "org.freedesktop.DBus.Error.ServiceUnknown",
     "org.freedesktop.DBus.Error.NameHasNoOwner",
@@ -226,7 +227,7 @@ async def scan(adapter: str | None = None, own_channels: Collection[tuple[str, i
     devices: list[Device] = []
     try:
         known, devices = await read_bluez()
-        found |= {one.name: one for one in known}
+        found |= {one.name: one for one in known}  # BlueZ knows their aliases, too
     except BluezError as error:
         problems.append(ScanProblem.WITHOUT_BLUEZ(problem=error))
     chosen = [one for one in found.values() if adapter is None or adapter.casefold() in _names(one)]
@@ -236,6 +237,7 @@ async def scan(adapter: str | None = None, own_channels: Collection[tuple[str, i
     problems += [_why_off(one) for one in chosen if not one.powered]
     channels = {}
     try:
+        # Both: the kernel lets two listeners have one channel, one on an adapter and one on all of them.
         for address in (*(one.address for one in chosen), ANY_ADAPTER):
             own = {number for held_on, number in own_channels if held_on.upper() == address}
             channels[address] = {

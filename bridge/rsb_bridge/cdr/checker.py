@@ -35,7 +35,12 @@ _STRINGS, _WIDE_STRINGS, _BOUNDED_STRINGS = {17, 19, 21}, {18, 20, 22}, {19, 20,
 _SIZES = {2: 1, 3: 1, 4: 2, 5: 2, 6: 4, 7: 4, 8: 8, 9: 8, 10: 4, 11: 8, 13: 1, 15: 1, 16: 1}
 _WIDE_CHARACTER = 4  # bytes: rosidl_typesupport_fastrtps_cpp/serialization_helpers.hpp
 _ANY_LENGTH = 2**32
+"""Above each length, which has 32 bits."""
 _LENGTHS_INLINED = 16
+"""Lengths of a nested message up to which the outer one has them as its own. A round figure.
+
+Without a limit, 60 types that have the next one twice each would make 2^60 steps.
+"""
 _READERS: Final = (struct.Struct(">I").unpack_from, struct.Struct("<I").unpack_from)
 """By the second byte of the encapsulation header: CDR_BE, CDR_LE (DDSI-RTPS 2.5 section 10.2)."""
 _NATIVE: Final = int(sys.byteorder == "little")
@@ -215,6 +220,7 @@ class Checker:
         size = len(payload)
         if size < self._shortest or payload[0] or payload[1] > 1:
             self._explain_beginning(payload)
+        # A list, because the lengths that were read count also if the walk raises an error.
         end, spent = size - HEADER_LENGTH, [0]
         if self.loops:
             try:
@@ -224,6 +230,7 @@ class Checker:
                 pass
         elif self._fits(payload, end):
             return 0
+        # A malformed message is walked once more: to keep the names of fields would cost each good one.
         _Explainer(_words_of(payload), end, spent[0]).explain(self._body, 1, 0, "")
         raise MalformedError("", Malformed.LENGTHS(), spent[0])
 
@@ -270,6 +277,7 @@ def _words_of(payload: bytes) -> memoryview | _Words:
     """Return a message as words of four bytes, the encapsulation header too; each length is one of them."""
     if payload[1] != _NATIVE:
         return _Words(payload)
+    # A cast takes whole words only, and no length lies in the last bytes.
     return memoryview(payload)[: len(payload) & ~3].cast("I")
 
 
@@ -295,6 +303,7 @@ def _walk(words: memoryview | _Words, body: tuple[Any, ...], count: int, at: int
             at += tail[at & 7]
         return at
     for _ in range(count):
+        # Kinds are numbers here (`_Kind`): to look up the members would cost each length.
         for kind, sizes, bound, content, least, lengths in steps:
             if kind == 0:
                 for sizes in content:  # noqa: PLW2901 (a step of strings has no other sizes)
@@ -325,6 +334,7 @@ def _skip_aligned(
 ) -> int:
     """Return the place behind elements of which each part begins at a word; see `_aligned`. It counts in words."""
     word = (at + 3) >> 2
+    # Without the inner loop: TransformStamped and KeyValue, of which a message has hundreds, have two.
     if len(strings) == 2:
         (first, first_bytes), (second, second_bytes) = strings
         for _ in range(count):
@@ -417,6 +427,7 @@ class _Explainer:
             self._fail(name, Malformed.BEYOND_MESSAGE())
         if step.body is None:
             return at + needed
+        # A nested message with many lengths is an array of one, see `_Building.inline`.
         alone = step.kind is _Kind.ARRAY and step.bound == 1
         return self.explain(step.body, length, at, f"{name}." if alone else f"{name}[].")
 
@@ -522,7 +533,7 @@ class _Building:
             for step in element.steps:
                 self.step(step._replace(name=_joined(name, step.name)), 0)
             self.fix(_joined(name, element.last), element.tail)
-            self._least += element.least - min(element.tail)
+            self._least += element.least - min(element.tail)  # `fix` has added the tail
 
     def array(self, name: str, element: _Body, count: int) -> None:
         """Add an array."""

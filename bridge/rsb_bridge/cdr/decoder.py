@@ -51,7 +51,6 @@ class Items:
 
     Attributes:
         element: the name of its elements' type.
-        total: how many elements there are.
         raw: the bytes of all elements, if they are primitive and were asked for raw.
         code: code of `struct` for one element of `raw`, with the byte order.
     """
@@ -161,7 +160,9 @@ class _Reader:
         if container == _PLAIN:
             if base == _NESTED:
                 inner: Message = {}
+                # Before its fields are read, so that they stay if a later one is unreadable.
                 message[name] = inner
+                # A message without fields has no bytes either.
                 self._step()
                 self.read_message(kind.nested_type_name, inner, depth - 1)
             else:
@@ -180,6 +181,7 @@ class _Reader:
         self._step()  # an array of none has no bytes, and there may be very many
         strings = "wstring" if base in _WIDE_STRINGS else "string"
         items = message[name] = Items(kind.nested_type_name if base == _NESTED else strings, total)
+        # Elements beyond the limit are read, too, because the next field begins behind the last one.
         for number in range(total):
             if base == _NESTED:
                 element: Message = {}
@@ -209,6 +211,7 @@ class _Reader:
         code, _ = _PRIMITIVES[base]
         size = struct.calcsize(f"={code}")
         self._step()
+        # Without elements, there is no padding before them.
         if items.total == 0:
             return
         start = self._aligned(size)
@@ -235,6 +238,7 @@ class _Reader:
                 raise _UnreadableError(Unreadable.CHARACTER_TOO_WIDE())
             text = struct.pack(f"<{length}H", *units).decode("utf-16-le", "replace")
         else:
+            # Fast CDR reads strings of length 0, too.
             if content[-1:] not in (b"", b"\x00"):
                 raise _UnreadableError(Unreadable.STRING_WITHOUT_END())
             length = max(0, length - 1)

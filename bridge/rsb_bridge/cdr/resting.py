@@ -39,6 +39,7 @@ def _of_joy(message: bytes) -> bytes:
         at = aligned(at)
         (count,) = _read(_length_of(message), message, at)
         at += 4
+        # The peer chooses the count: zeros for 2^32 axes would take 16 GiB.
         if at + 4 * count > len(message):
             raise TooShortError
         rest[at : at + 4 * count] = bytes(4 * count)

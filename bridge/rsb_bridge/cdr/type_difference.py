@@ -53,6 +53,7 @@ def difference_of_texts(here: str, there: str) -> str:
 
 def difference(here: TypeDescription, there: TypeDescription) -> str:
     """Return the first differences between a type here and on the other side."""
+    # Types of one name in two packages may differ alike, and are named without their package.
     found = list(dict.fromkeys(_differences(here, there))) or [TypeDifference.NO_FIELD()]
     return in_half(here.type_description.type_name, join_first(found, _NAMED))
 

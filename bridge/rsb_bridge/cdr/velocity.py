@@ -43,6 +43,7 @@ def reduced(type_name: str, message: bytes, limits: VelocityLimits) -> bytes:
     new = bytearray(message)
     layout, at = _place(type_name, message)
     linear, angular = (
+        # A vector of zeros has no direction, and stays.
         tuple(each / (speed or 1.0) * allowed for each in vector)  # of one axis, exactly what is allowed
         for vector, speed, allowed in zip((numbers[:3], numbers[3:]), speeds, limits.reduced(*speeds), strict=True)
     )

@@ -31,7 +31,6 @@ class Finding(NamedTuple):
 
     Attributes:
         code: name of the examined thing, for programs: ``udp_buffers``.
-        grade: its grade.
         subject: name of the examined thing, for people.
         remedy: a command or advice, or an empty string.
         facts: figures and names for programs.

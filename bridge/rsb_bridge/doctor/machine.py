@@ -39,8 +39,11 @@ if TYPE_CHECKING:
 
 _MEGABYTE = 1 << 20
 _LITTLE_SHARED_MEMORY = 64 * _MEGABYTE
+"""As much as a container of Docker has in all, unless it is given more."""
 _LITTLE_DISK = 100 * _MEGABYTE
+"""A round figure: ten times what the files of events take at most (docs/budgets.md)."""
 _FEW_DESCRIPTORS = 4096
+"""A round figure: enough for some 1,300 TCP links, at three each."""
 _NOT_SYNCHRONIZED = 5  # adjtimex: TIME_ERROR
 _TIMEX = 208  # bytes of a struct timex on 64 bits, and more than on 32
 _MAX_ERROR = struct.Struct("@Illl")  # modes, offset, freq, maxerror (µs)
@@ -51,7 +54,7 @@ _ANSWERS_WITHIN = 2.0  # s
 _CONFINED_WITHIN = 20.0  # s; a slow computer starts Python for seconds
 _LANDLOCK_OF_TCP = 4
 _LOCKED_WITHIN = 5.0
-"""s until Fast DDS has locked a new file."""
+"""s until Fast DDS has locked a new file. Before that, to try the lock could take it from the program that starts."""
 _Chain: TypeAlias = tuple[str, str, str]
 """Family, table and name."""
 _NAMED = 5
@@ -176,6 +179,7 @@ def _extras() -> Iterator[Finding]:
 
 def _pictures() -> Iterator[Finding]:
     """Have a process confine itself as the one that draws does."""
+    # A process of its own, because no measure can be undone.
     trial = (sys.executable, "-P", "-m", "rsb_bridge.view.confinement")
     try:
         ran = subprocess.run(trial, capture_output=True, timeout=_CONFINED_WITHIN, check=True)  # noqa: S603 -- own program
@@ -287,6 +291,7 @@ def _congestion_control() -> Iterator[Finding]:
 def _clock() -> Iterator[Finding]:
     timex = ctypes.create_string_buffer(_TIMEX)
     library = ctypes.CDLL(None, use_errno=True)
+    # Zeros ask, and change nothing.
     state = library.adjtimex(timex)
     if state < 0:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
@@ -356,6 +361,7 @@ def comes_back(address: str) -> bool:
 
 
 def _firewall() -> Iterator[Finding]:
+    # Most users have no sbin in their PATH.
     program = shutil.which("nft") or shutil.which("nft", path="/usr/sbin:/sbin")
     if program is None or os.geteuid():
         text = MachineText.NO_NFT() if program is None else MachineText.FIREWALL_UNREADABLE()
@@ -420,6 +426,7 @@ def _verdicts(expression: Any) -> Iterator[str]:
 
 
 def _descriptors() -> Iterator[Finding]:
+    # The program raises its soft limit to it.
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     limit = hard if hard != resource.RLIM_INFINITY else 1 << 30
     if limit < _FEW_DESCRIPTORS:
@@ -437,6 +444,7 @@ def _disk(folder: Path) -> Iterator[Finding]:
     megabytes = free // _MEGABYTE
     if not os.access(existing, os.W_OK):
         text = MachineText.FOLDER_NOT_WRITABLE(folder=existing)
+        # Not the nearest folder that exists, which may be /: the remedy gives the folder to the user.
         remedy = MachineText.FOLDER_REMEDY(folder=quote(str(folder)))
         yield Finding("disk", Grade.WARNING, "disk", text, remedy, facts)
     elif free < _LITTLE_DISK:

@@ -100,12 +100,14 @@ def _ros(environ: Mapping[str, str], self_test: Sequence[str], root: Path) -> It
     facts = {"distribution": distribution(), "rclpy": rclpy_version()}
     finding = partial(Finding, "ros", subject="ROS", facts=facts)
     try:
+        # Before the self-test: rcl ends the process of a wrong middleware without a word on the remedy.
         check_middleware(environ)
     except RosError as error:
         yield finding(grade=Grade.ERROR, text=str(error))
         return
     try:
         ran = subprocess.run(self_test, capture_output=True, text=True, timeout=_WITHIN, check=False)  # noqa: S603 -- own program
+        # The last line only: Fast DDS writes its faults to standard output, too.
         result = json.loads(ran.stdout.splitlines()[-1]) if ran.returncode == 0 and ran.stdout else None
     except subprocess.TimeoutExpired:
         text = RosText.HANGS(ros=described(), seconds=_WITHIN)
@@ -119,6 +121,7 @@ def _ros(environ: Mapping[str, str], self_test: Sequence[str], root: Path) -> It
             text = RosText.FAILED(ros=described(), problem=last)
         yield finding(grade=Grade.ERROR, text=text, remedy=RosText.FAILED_REMEDY())
         return
+    # In place, because `finding` has it.
     facts |= {name: result[name] for name in ("middleware", "shortfalls", "seconds") if name in result}
     if "error" in result:
         text = RosText.FAILED(ros=described(), problem=result["error"])
@@ -153,6 +156,7 @@ def _unusable(origin: str | None, root: Path) -> Finding | None:
     setups = [
         setup
         for setup in sorted((root / "opt/ros").glob("*/setup.bash"))
+        # To source a ROS for another Python is no remedy.
         if not any(place.is_relative_to(setup.parent) for place in others)
     ]
     if setups:

@@ -35,7 +35,9 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
 
 _BASE_TIMEOUTS = (sys.executable, "-P", "-m", "rsb_bridge.ros.base_timeouts")
-_ASKED_FOR = 30.0  # s
+"""-P: no module of the working folder runs."""
+_ASKED_FOR = 30.0
+"""s. To find the nodes takes 3 s, and each node that does not answer 4 s at most (`ros.base_timeouts`)."""
 
 
 class NeedText(Wording):
@@ -98,6 +100,7 @@ def _base(session: Session, environ: Mapping[str, str], command: Sequence[str]) 
         ran = subprocess.run(  # noqa: S603 -- own program
             [*command, str(domain), *names], capture_output=True, text=True, timeout=_ASKED_FOR, check=True
         )
+        # The last line only: Fast DDS writes its faults to standard output, too.
         said: dict[str, dict[str, dict[str, float] | None]] = json.loads(ran.stdout.splitlines()[-1])
     except (subprocess.SubprocessError, ValueError, IndexError):
         yield finding(grade=Grade.UNKNOWN, text=NeedText.BASE_NOT_ASKED(topics=", ".join(names)))
@@ -190,6 +193,7 @@ def _is_address(host: str) -> bool:
 
 def _own_bridge(path: Path, environ: Mapping[str, str]) -> RunningBridge | None:
     """Return the bridge that runs this session file on this machine."""
+    # The bridge may have been started by a link to the file.
     file = os.path.realpath(path)
     for bridge in running_bridges(environ):
         if bridge.info is not None and bridge.info.file and os.path.realpath(bridge.info.file) == file:
