@@ -17,16 +17,13 @@ DOT_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 """Bit of each dot in a braille pattern, by row and column."""
 _BRAILLE = 0x2800
 _STYLES = 256
+"""A cell's style is a byte."""
 LINE_DOTS = 500_000
 """Dots of all lines; of further lines, only the ends are drawn."""
 
 
 class Canvas:
     """Cells that are drawn on.
-
-    Args:
-        width: cells.
-        height: cells.
 
     Attributes:
         width: cells.
@@ -66,10 +63,12 @@ class Canvas:
 
     def line(self, x0: int, y0: int, x1: int, y1: int, style: str = "") -> None:
         """Set the dots between two points, both included; points far outside are cut off."""
+        # Otherwise one far point would use up the dots of all lines.
         limit = 4 * max(self.width * DOTS_ACROSS, self.height * DOTS_DOWN)
         x0, y0, x1, y1 = (max(-limit, min(limit, each)) for each in (x0, y0, x1, y1))
         steps = max(abs(x1 - x0), abs(y1 - y0), 1)
         self._line_dots -= steps
+        # A path to and fro over the canvas, of thousands of poses, must be drawn in bounded time.
         if self._line_dots < 0:
             steps = 1
         for step in range(steps + 1):
@@ -106,7 +105,6 @@ def lines_to_cells(lines: list[list[tuple[str, str]]], width: int, height: int) 
 
     Args:
         lines: lines of parts, each with its style; longer ones are cut off.
-        width: cells.
         height: cells; further lines are left out.
     """
     canvas = Canvas(width, max(1, min(height, len(lines))))

@@ -48,10 +48,12 @@ def confine() -> Confinement:
     """Confine this process, which has no other thread yet."""
     libc = ctypes.CDLL(None, use_errno=True)
     no_new_privileges = libc.prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0) == 0
+    # First: without capabilities, nothing may be dropped from the bounding set any more.
     for capability in range(_CAPABILITIES):
         libc.prctl(_DROP_FROM_BOUNDING_SET, capability, 0, 0, 0)  # only root may
     header, none = struct.pack("=Ii", _CAPABILITY_VERSION, 0), bytes(24)
     libc.capset(header, none)  # refused in the system's service, which has no capabilities anyhow
+    # Landlock demands that no program can give the process rights, and comes last: it leaves no /proc to read.
     return Confinement(no_new_privileges, _has_no_capabilities(), _landlock(libc) if no_new_privileges else 0)
 
 
@@ -85,7 +87,7 @@ def _readable() -> set[str]:
     """Return the places of Python, its modules and their libraries: drawing imports some only when they are needed."""
     libraries = os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)
     paths = {*sys.path, *libraries, sys.prefix, sys.base_prefix, *_SYSTEM}
-    return {path for path in paths if path.startswith("/") and path != "/"}
+    return {path for path in paths if path.startswith("/") and path != "/"}  # / would be every file
 
 
 def _allow_reading(libc: ctypes.CDLL, ruleset: int, path: str) -> None:
@@ -94,6 +96,7 @@ def _allow_reading(libc: ctypes.CDLL, ruleset: int, path: str) -> None:
     except OSError:
         return
     try:
+        # For a file, the kernel refuses a rule with rights of folders.
         rights = _READ_FILE | _READ_DIR if os.path.isdir(path) else _READ_FILE  # noqa: PTH112 -- Path costs an import
         libc.syscall(_ADD_RULE, ruleset, _PATH_BENEATH, struct.pack("=Qi", rights, place), 0)
     finally:

@@ -17,6 +17,7 @@ STATUSES = 2000
 _OLD = 5.0
 """s after which a status is stale, as in rqt_robot_monitor."""
 _VALUES = 20
+"""Values of a status that are remembered. A round figure: a node may send any number."""
 _LEVELS = {0: ("ok", "ok"), 1: ("WARN", "warning"), 2: ("ERROR", "error"), 3: ("STALE", "warning")}
 _ORDER = {2: 0, 1: 1, 3: 2, 0: 3}
 """Rank of each level: the worst comes first."""

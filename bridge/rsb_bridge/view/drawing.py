@@ -17,7 +17,6 @@ class TakenMessage(NamedTuple):
     """A message that a view takes.
 
     Attributes:
-        type_name: ``pkg/msg/Name``.
         message: its values; arrays of primitive elements are raw (`rsb_bridge.cdr.decoder.Items.raw`).
         time: s since the epoch, when DDS received it.
         author: full name of the node that published it, or empty if unknown.
@@ -36,7 +35,6 @@ class Drawn:
 
     Attributes:
         content: the picture, or None before the first message, or with a problem.
-        notes: lines about it.
         problem: the reason why it is missing or incomplete, and what to do.
     """
 

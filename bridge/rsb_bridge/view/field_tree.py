@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 _SHOWN = 8
 """Elements of an array."""
 _LINES = 2_000
+"""A round figure: a message may have any number of fields, and each picture goes through all lines."""
 
 
 class FieldsView(View):

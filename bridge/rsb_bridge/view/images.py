@@ -172,6 +172,7 @@ def _rows(data: Array, width: int, height: int, step: int, size: int, encoding: 
     if len(data) < total:
         problem = ImageProblem.TOO_SHORT(got=len(data), width=width, height=height, encoding=encoding, needed=total)
         raise UndrawableError(problem)
+    # The last row may lack its padding, so that the bytes cannot be reshaped to rows with it.
     rows = np.lib.stride_tricks.as_strided(data, (height, needed), (step, 1), writeable=False)
     return rows if step == needed else np.ascontiguousarray(rows)
 
@@ -295,7 +296,9 @@ def _compressed(message: Message, wish: Wish) -> tuple[Pixels, str]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            # By one of three decoders only: Pillow has dozens, which any bytes could choose from.
             image = Image.open(io.BytesIO(data), formats=[kind])
+        # Only the header was read so far, so that a bomb is refused before it takes memory.
         _check_size(*image.size)
         size = "×".join(map(str, image.size))
         note = f"{size} {kind.lower()} {words.partition(';')[0]}".strip()
@@ -303,10 +306,12 @@ def _compressed(message: Message, wish: Wish) -> tuple[Pixels, str]:
             depth = np.asarray(image).astype(np.float32) * 1e-3
             picture, span = _depth(_reduced(depth[:, :, None], wish)[:, :, 0], wish)
             return picture, f"{note}, {span}" if span else note
+        # A part that is zoomed needs all pixels.
         if wish.zoom <= 1:
             across = _SAMPLES * wish.width * wish.detail
             image.draft("RGB", (across, 2 * _SAMPLES * wish.height * wish.detail))  # JPEG: decodes less
         pixels = np.asarray(image.convert("RGB"))
     except (OSError, SyntaxError, ValueError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+        # Pillow raises each of them for a damaged file.
         raise UndrawableError(ImageProblem.BROKEN(error=error)) from None
     return _pixels(_reduced(pixels, wish), wish), note

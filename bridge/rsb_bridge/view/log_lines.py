@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 LINES = 2000
 """Lines that are remembered."""
 _LENGTH = 1000
+"""Characters of a line, and of a node's name, that are remembered: more than the widest picture shows."""
 _LEVELS = {
     10: ("debug", "dim"),
     20: ("info", ""),
@@ -46,6 +47,7 @@ class LogView(View):
             received.time,
             int(level) if level in _LEVELS else 20,
             text(message, "name")[:_LENGTH],
+            # Blanks instead of line breaks, which a row of cells cannot have.
             " ".join(text(message, "msg")[:_LENGTH].split()),
         )
         if self._lines and self._lines[-1][0][1:] == line[1:]:

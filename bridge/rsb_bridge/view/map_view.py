@@ -31,6 +31,7 @@ FRAMES = 500
 POSES = 5_000
 """Poses of a path that are drawn; of more, every second, third … is."""
 MOST_CELLS = 64 << 20
+"""Cells of a grid that is drawn at most. A round figure: copies of it must fit into `worker.MEMORY_LIMIT`."""
 _OCCUPIED = 65
 """Lowest value of an occupied cell (nav2_map_server's default, as a percentage)."""
 _LETHAL = 253
@@ -104,7 +105,6 @@ class _Layer(NamedTuple):
     """The part of the map that one topic adds, in its own frame.
 
     Attributes:
-        grid: a grid, or None.
         x: of points, m.
         y: of points, m.
         is_line: whether the points are joined.
@@ -171,7 +171,7 @@ class MapView(View):
         if extent is None:
             raise UndrawableError(problem or MapProblem.NOTHING(frame=target))
         canvas, paper = Canvas(wish.width, wish.height), _Paper(extent, wish)
-        for layer, place in sorted(placed, key=lambda each: each[0].pose is not None):
+        for layer, place in sorted(placed, key=lambda each: each[0].pose is not None):  # poses over all else
             _draw_layer(canvas, paper, layer, place)
         if any(topic.rpartition("/")[2].startswith("tf") for topic in self._topics):
             self._draw_frames(canvas, paper, target)
@@ -198,6 +198,7 @@ class MapView(View):
         poses, pose = {frame: Transform()}, Transform()
         for _ in range(_DEPTH):
             found = self._frames.get(frame)
+            # A hostile node, or two that disagree, may publish a circle.
             if found is None or found[0] in poses:
                 break
             frame, pose = found[0], found[1].after(pose)
@@ -218,7 +219,7 @@ class _Paper:
     def __init__(self, extent: tuple[float, float, float, float], wish: Wish) -> None:
         left, bottom, right, top = extent
         self._across, self._down = wish.width * DOTS_ACROSS, wish.height * DOTS_DOWN
-        fitting = max((right - left) / self._across, (top - bottom) / self._down, 1e-6)
+        fitting = max((right - left) / self._across, (top - bottom) / self._down, 1e-6)  # a single point has no extent
         self.metres = fitting * _MARGIN / wish.zoom
         """m a dot."""
         self.left = (left + right) / 2 - self._across * self.metres * (0.5 - wish.x)
@@ -277,8 +278,10 @@ def _grid(message: Message) -> _Layer:
         raise UndrawableError(MapProblem.BAD_GRID(width=width, height=height, got=len(content)))
     cells: NDArray[Any] = np.frombuffer(content, code, width * height).reshape(height, width)
     if costs:
+        # Costs are bytes without sign: -1 and 254 fit into 16 bits together.
         cells = np.where(cells == _UNKNOWN_COST, np.int16(-1), cells)
     resolution = number(message, f"{about}.resolution")
+    # Cells of no size would be divided by.
     if not 0 < resolution < _FAR:
         resolution = 1.0
     grid = _Grid(cells, resolution, _pose(message, f"{about}.origin"), _LETHAL if costs else _OCCUPIED)
@@ -288,6 +291,7 @@ def _grid(message: Message) -> _Layer:
 
 def _path(message: Message) -> _Layer:
     poses = elements(message, "poses")
+    # Without poses, the step would be 0, which no slice has.
     poses = poses[:: max(1, -(-len(poses) // POSES))]
     inner = "pose.position" if "header" in (poses[0] if poses else {}) else "position"
     x, y = (np.array([_coordinate(number(each, f"{inner}.{axis}")) for each in poses]) for axis in "xy")
@@ -350,6 +354,7 @@ def _extent(placed: Iterable[tuple[_Layer, Transform]]) -> tuple[float, float, f
         x, y = place.apply(x, y)
         xs.append(x)
         ys.append(y)
+    # The empty ones, because numpy refuses to concatenate nothing.
     x, y = np.concatenate([*xs, np.empty(0)]), np.concatenate([*ys, np.empty(0)])
     valid = np.isfinite(x) & np.isfinite(y)
     if not valid.any():

@@ -66,6 +66,7 @@ class _Track:
     def add(self, time: float, value: float) -> None:
         self.times.append(time)
         self.values.append(value)
+        # Seldom: to delete from the front moves all values.
         if len(self.times) > VALUES + VALUES // 4 or (len(self.times) % 256 == 0 and time - self.times[0] > _SECONDS):
             keep = max(bisect_left(self.times, time - _SECONDS), len(self.times) - VALUES)
             del self.times[:keep], self.values[:keep]
@@ -89,6 +90,7 @@ class PlotView(View):
                     continue
                 track = self._tracks[path] = _Track()
             if abs(value) <= MOST_VALUE:  # false for NaN, too
+                # Not with its own time: `bisect_left` needs ascending ones.
                 track.add(self._newest, value)
 
     def draw(self, wish: Wish) -> Drawn:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float32]
 
 MOST_POINTS = 200_000
-"""Points that are drawn; of more, every second, third … is."""
+"""Points that are drawn; of more, every second, third … is. 100,000 take 15 ms (bench/README, Pictures)."""
 _FAR = 98.0
 """Percentile of the distances that fits the picture with zoom 1."""
 _LEAST_SPAN = 0.1  # m
@@ -52,7 +52,6 @@ class Points(NamedTuple):
         x: m, ahead.
         y: m, to the left.
         z: m, up.
-        intensity: of each, or None.
         total: number of points in the message.
     """
 
@@ -71,6 +70,7 @@ def scan_points(message: Message) -> Points:
     angles = number(message, "angle_min") + np.arange(count, dtype=np.float64) * number(message, "angle_increment")
     low, high = number(message, "range_min"), number(message, "range_max")
     valid = np.isfinite(ranges) & np.isfinite(angles) & (ranges >= low)
+    # A driver may leave range_max at 0, and all points would be beyond it.
     if high > low:
         valid &= ranges <= high
     kept, angles = ranges[valid], angles[valid]
@@ -108,6 +108,7 @@ def cloud_points(message: Message) -> Points:
     if total and (row_step < width * step or len(content) < row_step * (height - 1) + width * step):
         raise UndrawableError(PointsProblem.TOO_SHORT(got=len(content), points=total, step=step))
     data = np.frombuffer(content, np.uint8)
+    # The last row may lack its padding, so that the bytes cannot be reshaped to rows with it.
     if row_step != width * step and total:
         rows = np.lib.stride_tricks.as_strided(data, (height, width * step), (row_step, 1), writeable=False)
         data = np.ascontiguousarray(rows).ravel()
@@ -190,6 +191,7 @@ def _values(points: Points, wish: Wish) -> tuple[Floats, str]:
 def put_dots(canvas: Canvas, across: NDArray[Any], down: NDArray[Any], style: str = "") -> NDArray[Any]:
     """Set dots that are on the canvas, all in one style; return their cells."""
     cells: NDArray[Any] = down // DOTS_DOWN * canvas.width + across // DOTS_ACROSS
+    # `at`: with `|=`, only the last one of several dots in a cell would be set.
     np.bitwise_or.at(np.frombuffer(canvas.dots, np.uint8), cells, _BITS[down % DOTS_DOWN, across % DOTS_ACROSS])
     np.frombuffer(canvas.styles, np.uint8)[cells] = canvas.style(style)
     return cells

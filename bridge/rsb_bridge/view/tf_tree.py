@@ -63,6 +63,7 @@ class TfTree(View):
         self._newest = max(self._newest, received.time)
         static = received.topic.endswith("tf_static")
         for each in elements(received.message, "transforms"):
+            # As tf2 does, since older nodes begin the names of frames with a /.
             child, parent = (text(each, name).removeprefix("/") for name in ("child_frame_id", "header.frame_id"))
             frame = self._frames.get(child)
             if frame is None:
@@ -70,6 +71,7 @@ class TfTree(View):
                     self._too_many = True
                     continue
                 frame = self._frames[child] = _Frame()
+            # A hostile node may give a frame any number of parents, each with a line of its own.
             if len(frame.parents) < _TIMES or parent in frame.parents:
                 frame.parents[parent] = received.time
             if received.author and (len(frame.authors) < _TIMES or received.author in frame.authors):
@@ -102,6 +104,7 @@ class TfTree(View):
     def _lines(self, roots: Iterable[str], children: dict[str, list[str]]) -> Iterator[Line]:
         """Yield the lines of frames and of all below them, which are drawn below one of their parents only."""
         drawn: set[str] = set()
+        # Backwards, because the last one is drawn first.
         waiting = [(root, 0) for root in sorted(roots, reverse=True)]
         while waiting:
             name, depth = waiting.pop()

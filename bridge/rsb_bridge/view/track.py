@@ -39,10 +39,11 @@ class TrackView(View):
         latitude, longitude = number(received.message, "latitude"), number(received.message, "longitude")
         status = number(received.message, "status.status")
         self._note = _STATUS.get(int(status), "") if math.isfinite(status) else ""
-        if abs(latitude) <= 90 and abs(longitude) <= 360 and status != -1:
+        if abs(latitude) <= 90 and abs(longitude) <= 360 and status != -1:  # false for NaN, too
             self._positions.append((latitude, longitude))
             self._note += f", {latitude:.6f}, {longitude:.6f}"
         if len(self._positions) > POSITIONS:
+            # From the end: the newest one, around which all is drawn, stays.
             del self._positions[-2::-2]
 
     def draw(self, wish: Wish) -> Drawn:

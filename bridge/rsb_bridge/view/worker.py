@@ -38,6 +38,7 @@ TYPES_AT_MOST = 64
 _ELEMENTS, _STEPS = 100_000, 500_000
 """Messages in an array, and values, that are read from one message at most."""
 _NICE = 10
+"""On a busy core, the bridge's messages come before pictures."""
 _SECONDS = 60
 """Longest time for one picture: the process ends, even if the process that started it is gone."""
 _LENGTH_BYTES = 4
@@ -63,7 +64,6 @@ class TakenSample(msgspec.Struct, frozen=True, array_like=True):
     """A message as it was taken from DDS.
 
     Attributes:
-        type_name: ``pkg/msg/Name``.
         payload: serialized, with its encapsulation header.
         stamp: ns since the epoch, when DDS received it.
         author: full name of the node that published it, or empty if unknown.
@@ -127,6 +127,7 @@ class Artist:
         try:
             picture = self._draw(task, about)
         except MemoryError:
+            # The messages that it has gathered may take the memory.
             self._views.pop(task.view, None)
             return _failed(about, Undrawable.NO_MEMORY())
         except ModuleNotFoundError as error:
@@ -172,7 +173,7 @@ class Artist:
             content=drawn.content,
             taken=taken,
             stamp=stamp,
-            notes=tuple(sanitize_text(each, 255) for each in drawn.notes[:16]),
+            notes=tuple(sanitize_text(each, 255) for each in drawn.notes[:16]),  # PROTOCOL.md, 13
             problem=sanitize_text(problem or drawn.problem),
         )
 
@@ -257,6 +258,7 @@ def _limit_memory() -> None:
 def main() -> None:
     """Draw until the input ends."""
     os.nice(_NICE)
+    # Before `confine`, which leaves no /proc to read.
     _limit_memory()
     confine()
     artist, tasks = Artist(), msgspec.msgpack.Decoder(Task)
