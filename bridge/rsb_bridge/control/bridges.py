@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
 
 _ASKED_FOR = 2.0
+"""s. A round figure: each bridge that hangs delays a command so much, as they are asked one after the other."""
 _READ_SIZE = 64 << 10
 
 
@@ -144,6 +145,7 @@ def serve(
         started=time.time(),
         instance=uuid.uuid4().hex,
         program=__version__,
+        # A path need not be UTF-8, and a message has to be.
         file=None if file is None else encodable(str(file.absolute())),
         base=encodable(str((file.parent if file is not None else Path()).absolute())),
         has_console=has_console,
@@ -174,6 +176,7 @@ def _claim(info: BridgeInfo, environ: Mapping[str, str]) -> ControlSocket:
             return ControlSocket(path, make_folder=True)
         except TakenError:
             holder = _holder(path)
+            # One that does not answer may be of this session.
             if holder is not None and (holder.info is None or _is_same(holder.info, info)):
                 raise AlreadyRunningError(holder) from None
     raise AssertionError("endless")

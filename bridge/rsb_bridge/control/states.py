@@ -68,7 +68,6 @@ class Sender:
 
         Args:
             snapshot: newer than `sent`.
-            waits_for_operator: as in `rsb_bridge.api.EngineApi`.
             encoded: shared by all consoles.
         """
         # An object that is the same has not changed: snapshots are immutable.
@@ -127,6 +126,7 @@ class StateReceiver:
             route = decode_route(raw) if self._trusted else clean(decode_route(raw))
             self._routes[route.key] = route
         if not self._trusted:
+            # The sum counts: `keys` need never list what comes.
             check_length(len(self._routes))
         if state.more:
             return False
