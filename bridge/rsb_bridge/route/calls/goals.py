@@ -88,6 +88,7 @@ def accepted_by(payload: bytes) -> bool | None:
 
 def rejection_of(request: bytes) -> bytes:
     """Return a send_goal response that does not accept the goal."""
+    # In the request's byte order.
     return request[:2] + bytes(2 + _RESPONSE_LENGTH)
 
 
@@ -128,12 +129,7 @@ class _Goal:
 
 
 class Goals:
-    """The newest goals of an action, including goals of the server's other callers.
-
-    Args:
-        wall: returns s since the epoch.
-        now: returns s on a monotonic clock.
-    """
+    """The newest goals of an action, including goals of the server's other callers."""
 
     def __init__(self, wall: Callable[[], float], now: Callable[[], float]) -> None:
         self._wall = wall

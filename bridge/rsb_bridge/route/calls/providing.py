@@ -348,6 +348,7 @@ class ProvidingRoute(CallsRoute):
                 f"the link did not take an answer of {nodes} {within}: send less over it, or allow more time"
             )
             return
+        # DDS may hold the request on, for a server that has stopped.
         self.peer.budget.provided.linger(call.size, self.context.now())
         self.failures.say(f"{nodes} did not answer a call {within}")
 

@@ -131,6 +131,7 @@ class ProvidingActionRoute(ProvidingRoute):
 
     def disarm(self, why: Disarmed, reason: str = "") -> None:
         """Cancel the callers' goals, if a session wants that, and let nothing more cross."""
+        # First: what follows may close the clients.
         if self.on_end == CANCEL:
             self._cancels.cancel(self.action.goals.running())
         super().disarm(why, reason)
@@ -203,6 +204,7 @@ class ProvidingActionRoute(ProvidingRoute):
         """Answer a call from the kept answers, have it wait for one, refuse it, or ask the server."""
         todo = self.action.answers.take(question, frame.call, again=frame.what is What.AGAIN)
         if todo is AnswerAction.ASK and frame.lane == GET_RESULT:
+            # First: if ROS refuses the question, this call is refused.
             self._add(frame)
             self._ask_result(question, frame.call)
         elif todo is AnswerAction.ASK:
