@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _TICK = 0.25
 """s between two looks for news: an engine renews its snapshot no more often."""
 _HELLO_WITHIN = 5.0
-"""s. A round figure: whatever connects and says nothing holds one of the places for consoles."""
+"""s. A round figure: a silent connection holds one of the places for consoles."""
 _STALLED_FOR = 60.0
 """s for which a console may take nothing, until its connection is given up. A round figure: one that is stopped for
 30 s goes on afterwards."""
@@ -344,7 +344,7 @@ class AttachedConsole:
             await self._send_state()
 
     async def _send_state(self) -> None:
-        # Else an answer could send parts of a newer state between those of this one.
+        # Else an answer could send a newer state between two parts of this one.
         async with self._sending:
             engine, encoded = self._engine, self._served.encoded
             snapshot, session = engine.snapshot(), engine.session

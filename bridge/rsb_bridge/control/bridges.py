@@ -145,7 +145,7 @@ def serve(
         started=time.time(),
         instance=uuid.uuid4().hex,
         program=__version__,
-        # A path need not be UTF-8, and a message has to be.
+        # A path may have bytes that are no UTF-8, which a message cannot hold.
         file=None if file is None else encodable(str(file.absolute())),
         base=encodable(str((file.parent if file is not None else Path()).absolute())),
         has_console=has_console,
@@ -166,6 +166,7 @@ def _terminate() -> None:
 
 def _claim(info: BridgeInfo, environ: Mapping[str, str]) -> ControlSocket:
     """Listen on the first free socket of the session's name, if no other process runs the session."""
+    # Also in other folders than this process's own: systemd may run the session as a service.
     for bridge in running_bridges(environ):
         if bridge.info is not None and _is_same(bridge.info, info):
             raise AlreadyRunningError(bridge)

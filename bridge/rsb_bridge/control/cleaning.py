@@ -61,6 +61,7 @@ def clean(message: M) -> M:
     cleaned = _clean(message)
     match message:
         case Reply(value=str(text)):
+            # As it came, since `_clean` has made one line of it, and not cut: the description of a type is long.
             cleaned = _replace(cleaned, {"value": _lines(text)})
         case CommandFailed(reason=reason) | Goodbye(reason=reason) | HelloRefused(reason=reason):
             cleaned = _replace(cleaned, {"reason": _lines(reason[:TEXT])})
@@ -129,6 +130,7 @@ def _clean(value: Any) -> Any:
         names = _names[kind] = _fields(kind)
     before = {name: getattr(value, name) for name in names}
     after = {name: _clean(each) for name, each in before.items()}
+    # Also of a value without fields, such as an enum's, of which no copy could be made.
     if after == before:
         return value
     return _replace(value, after)

@@ -164,7 +164,7 @@ class ControlServer:
                     await self._one_less.wait()
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        # Those beyond `CONSOLES` are told so. That takes a connection, too, so it has a limit of its own.
+        # A console beyond `CONSOLES` gets the reason. That takes a connection, too, so there is a second limit.
         if self.attached() >= 2 * protocol.CONSOLES:
             writer.transport.abort()
             return

@@ -350,6 +350,7 @@ def result_of(command: Command[R], reply: Reply) -> R:
     if kind is type(None):
         return cast("R", None)
     value = next((each for name in _FIELD_OF.values() if (each := getattr(reply, name)) is not None), reply.value)
+    # A bridge on another machine may answer anything.
     if not isinstance(value, get_origin(kind) if get_origin(kind) is tuple else kind):
         raise EngineError(RequestProblem.UNEXPECTED_REPLY())
     if isinstance(value, Viewed):

@@ -234,8 +234,7 @@ class RemoteEngine(EngineApi):
             frames = protocol.frames_to_console()
             complete = False
             while True:
-                # From the first state on, a bridge may have nothing new for hours; `unreachable` tells if it owes an
-                # answer.
+                # Later, a bridge may have nothing new for hours; `unreachable` shows whether it owes an answer.
                 async with asyncio.timeout(None if complete else ANSWERS_WITHIN):
                     data = await connection.read()
                 if not data:

@@ -309,6 +309,7 @@ class FleetConnector:
             )
         failures = [failure.args[0] for failure in results.failures] or [TimeoutError()]
         if len(members) == 1:
+            # Alone it has a reason of its own, which says more than that none has proven the key.
             raise failures[0]
         said = next((str(each) for each in failures if isinstance(each, ControlError)), "no answer")
         raise ControlError(EngineChoice.NONE_PROVEN(count=len(members), engine=members[0].name, answer=said))

@@ -212,8 +212,7 @@ class Bridge:
         except (ListenError, RosError, LinkError, ValueError) as error:
             raise EngineError(str(error)) from None
         finally:
-            # Also after an error that nobody expects: a port that stays bound would keep the next start from binding
-            # it.
+            # Also after an unexpected error: the next start needs the port.
             if not started:
                 await self._close()
         self._snapshots.refresh_now(self._role)
@@ -272,7 +271,7 @@ class Bridge:
         self.context.announcements.stop()
         self.context.events.add(Level.INFO, EventCode.ENGINE_STOPPED, "stopped")
         self._snapshots.refresh_now(self._role, running=False)
-        # Last: the command for faults, which was told to end above, had the time of all this.
+        # Last: while all this took its time, the command for faults could end.
         self._exporters.join()
 
     def _bridges_changed(self) -> None:
@@ -336,7 +335,7 @@ class Bridge:
 
     async def _acknowledge(self, command: commands.Acknowledge) -> None:
         self._snapshots.refresh_now(self._role)
-        # The newest state counts: what the operator has seen may be over.
+        # In the newest state: the fault that the operator has seen may be over.
         faulty = find_faulty(self._snapshots.latest, command.key, command.link)
         acknowledgements = self._snapshots.acknowledged
         if command.acknowledged:
@@ -386,6 +385,7 @@ class Bridge:
         self._role.retry(command.link)
         self._log.add(EventCode.OPERATOR_RETRIED, "tried again", link=command.link)
 
+    # Topics' commands are made first: `Publishing` looks at messages with an inspector, which finds routes by them.
     async def _end_motions(self, topics: set[str]) -> bool:
         return await self._publishing.end_motions(topics)
 

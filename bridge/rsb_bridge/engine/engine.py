@@ -285,7 +285,7 @@ class Engine(EngineApi):
         try:
             started.result()
         except EngineError:
-            # The domain and the node's name are free for another attempt.
+            # Nothing of this attempt is left when `start` raises: the next one needs the same port.
             self._thread.join()
             self._thread = None
             ros.stop()
@@ -334,7 +334,7 @@ class Engine(EngineApi):
 
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
         bridge = self._bridge
-        # Needs no I/O thread: a bridge that hangs can be told to end, too.
+        # Needs no I/O thread, so that a bridge that hangs can be ended, too.
         if isinstance(command, Stop):
             return cast("Future[R]", self._record_stop())
         if bridge is None:

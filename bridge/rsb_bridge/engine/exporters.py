@@ -218,7 +218,7 @@ class DriverExporter:
             self._open()
 
     def _open(self) -> None:
-        # A new publisher has no latched message yet for those who come late.
+        # A new publisher has no latched message yet for late subscribers.
         self._said = ""
         self._topic.open()
 

@@ -104,7 +104,7 @@ round figure, which bounds memory."""
 _LINE = 60_000
 """Bytes of a report: a pipe holds 64 KiB, so that a command that does not read holds up nothing."""
 EVERY = 1.0
-"""s between two starts of the command, at least. Changes that come together are told together."""
+"""s between two starts of the command, at least. Changes that come together share one."""
 STARTS, STARTS_WITHIN = 10, 60.0
 """The most starts of the command, and the s in which they are counted."""
 FOR_LINKS = 3
@@ -189,7 +189,7 @@ class WaitingChanges:
         """Add a change. It replaces an earlier one of the same subject; if the queue is full, it is only counted."""
         earlier = self._waiting.pop(change.key, None)
         self._merged += earlier is not None
-        # Nobody was told of the change that this one replaces.
+        # The change that this one replaces was never reported.
         before = change.before if earlier is None else earlier.before
         kind = change.kind
         if change.key not in self._told:

@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 TOPICS = 32
 """Topics with publishers for messages by hand. A round figure: every node of the domain learns of each publisher."""
 ENDS_AFTER = 10.0
-"""s without a message after which a publisher is closed. A round figure: who goes on before need not wait for
+"""s without a message after which a publisher is closed. A round figure: a message that comes earlier does not wait for
 discovery again."""
 MATCHED_WITHIN = 3.0
 """s in which subscriptions and routes have to find a new publisher. A round figure: a subscription whose QoS never
@@ -77,7 +77,7 @@ _LONG = 4_096
 """Characters of fields that take 20 ms to read. Such messages are read one at a time, beside the short ones."""
 _REST_CROSSES = 0.1
 """s in which the message that ends a motion gets on its way, before its topic is disarmed or the bridge stops.
-A round figure: if it gets lost, the side of the robot publishes a rest by itself."""
+A round figure: if it gets lost, the robot's side publishes a rest by itself."""
 _EVERY_TOPIC = ""
 _STAMP = {"sec", "nanosec"}
 

@@ -155,7 +155,7 @@ class TopicCommands:
             # The present name is the client's already, and may look like one with the client's name before it.
             if topic.topic != old.topic:
                 topic = link.client_names(topic)
-            # Likewise.
+            # Before `_drop_demands`, as above.
             link.proposed.check_replace(route, topic)
             names_it = old.arm and not topic.arm
             self._drop_demands(link, old, route.local_topic, route, wanted=drop_arm, names_it=names_it)
@@ -291,7 +291,7 @@ class ArmingCommands:
         """Disarm a route if it is still held in an opening, and arm it: the robot stands in between."""
         link, route = self._find(command.key)
         with link.table.arming.waiting(route, console()):
-            # Whoever holds a later opening was not asked.
+            # The holder of a later opening was not asked.
             if route.id == opening and route.arming.held and route.arming.console != console():
                 await self._disarm(link, route)
         await self.arm(ArmTopic(command.key, command.shared))

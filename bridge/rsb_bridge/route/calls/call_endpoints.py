@@ -185,8 +185,7 @@ class LaneEndpoints:
         try:
             for lane, kind in wanted.items():
                 if lane not in self._endpoints:
-                    # First, as for topics: `close` goes through the uses, and has to end this one if ROS refuses the
-                    # endpoint.
+                    # First, as for topics: `close` goes through the uses, also if ROS refuses the endpoint.
                     self._use(lane, kind, is_service=True)
                     self._endpoints[lane] = self._open_service(lane, names[lane], kind)
                     self.types[lane] = kind

@@ -342,7 +342,9 @@ class LocalServers:
                     self.unknown = self.unknown or now - seen < _ANNOUNCED_WITHIN
                 elif counts:
                     others.append(server)
+            # The other services are looked at nevertheless, for `unknown`.
             trouble = trouble or self._trouble(service, others)
+        # The time may pass without any change of the graph, which has routes look.
         if self.unknown and self._timer is None:
             self._timer = context.loop.call_later(_ANNOUNCED_WITHIN, self._due)
         return trouble

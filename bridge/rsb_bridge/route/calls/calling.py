@@ -235,8 +235,7 @@ class CallingRoute(CallsRoute):
         if not lanes:
             self._retry.clear()
             self._end_offer()
-        # What is offered already stays so while a server of this bridge's name is unclear: a killed one may be seen for
-        # 40 s.
+        # What is offered stays offered while it is unclear whether a server of this bridge's name is a dead process's.
         elif (self._reach or not self._local_servers.unknown) and not self._retry.waits(self._provided.lanes):
             self._offer(lanes)
         self._verdict = None
@@ -396,6 +395,7 @@ class CallingRoute(CallsRoute):
 
     def _begin(self, call: CallerCall, payload: bytes, lease: int, stamp: int, what: What = What.CALL) -> None:
         """Send a call that has its place in the budget."""
+        # `_asked_for` notes this, too, but not of a call that is sent again in a new opening.
         self.came = True
         number = self._pending.begin(call, self.timeout_of(call.lane))
         self._outbox.put(CallFrame(what, call.lane, number, 0, payload, lease, stamp))
@@ -410,6 +410,7 @@ class CallingRoute(CallsRoute):
 
     async def call_by_hand(self, lane: int, request: bytes) -> bytes:
         """Make a call as a caller here would, but without waiting for the end of an interruption."""
+        # For its error, which says why nothing can be called.
         self.entry(lane)
         manual, limited = ManualCall(self.context.loop), self.members[lane].limited
         self._asked_for(len(request))

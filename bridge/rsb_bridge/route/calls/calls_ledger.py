@@ -130,6 +130,7 @@ class CallsLedger:
             took: s that the node took, on the callers' side as the peer says.
             total: s after which the answer came to the callers' side, or None on the other side.
         """
+        # The meters get all of a second at once, so that a call costs fewer functions.
         self._timed.append((took, total))
 
     def snapshot(self) -> CallsSnapshot:

@@ -22,7 +22,7 @@ _BATCH = 32
 """Frames of one batch. A round figure: long ones are bounded by `batch_bytes`."""
 _OF_CALLS = (What.CALL, What.AGAIN, What.ANSWER)
 _ZSTD_LEVEL = 3
-"""As of topics: 2.4 ns a byte (bench/README.md)."""
+"""As of topics: 2.4 ns a byte of a map (bench/README.md)."""
 _MOST_REFUSALS = 8192
 """Refusals that wait at most; a peer that calls and reads nothing makes more. A call with a dropped refusal expires."""
 _MESSAGE_BYTES = 32 << 20

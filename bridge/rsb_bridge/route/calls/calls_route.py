@@ -156,6 +156,7 @@ class CallsRoute(Route):
 
     def timeout_of(self, lane: int) -> float | None:
         """Return the seconds after which a lane's call expires, or None if it never does."""
+        # Not by `call_timeout`, which would be one more function for each call.
         return None if self.members[lane].patient else self.proposal.timeout or CALL_TIMEOUT
 
     @property
@@ -191,6 +192,7 @@ class CallsRoute(Route):
         """End the opening; pending calls are lost."""
         self._withdraw()
         self._give_up_all(reason)
+        # After `_give_up_all`, which queues refusals: the next opening has other calls of the same numbers.
         self._outbox.clear()
         self._unpacker.clear()
         self._unavailable = self._warning = None
@@ -250,7 +252,7 @@ class CallsRoute(Route):
         frame = unpack_call(payload)
         if frame.lane >= len(self.members) or self.members[frame.lane].is_topic != (frame.what is What.MESSAGE):
             raise ProtocolError(f"a frame of kind {frame.what.name} on lane {frame.lane}")
-        # A copy of each frame would cost time for nothing where neither is used.
+        # Where neither is used, a call is spared the copy.
         if lease or self.age.is_on:
             frame = frame._replace(lease=lease, stamp=stamp if self.age.is_on else 0)
         return frame

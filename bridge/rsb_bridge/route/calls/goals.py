@@ -110,6 +110,7 @@ def statuses_of(payload: bytes) -> list[GoalStatus] | None:
         return []
     # The id of the second and of later ones follows a state, one byte; the stamp behind it is aligned to four.
     next_begins = _COUNT_END + _FIRST_STATUS.size
+    # The count is anybody's word.
     if next_begins + (count - 1) * _NEXT_STATUS.size > len(payload):
         return None
     next_end = next_begins + (min(count, _MOST_STATUSES) - 1) * _NEXT_STATUS.size

@@ -224,7 +224,7 @@ class KeptAnswers:
         """
         kept = self._kept.get(question)
         if kept is None and again and question.lane == SEND_GOAL:
-            # The question may be one of those that were forgotten.
+            # The question may have been among the forgotten ones.
             return AnswerAction.LOSE if self._has_forgotten else AnswerAction.REFUSE
         if kept is None:
             return AnswerAction.ASK
@@ -256,7 +256,7 @@ class KeptAnswers:
             calls = (*(kept.calls if kept is not None else ()), *calls)
             self._forget(question)
             self._kept[question] = Kept(number, servers, [*calls])
-            # Once more: `_forget` has dropped those of the same question.
+            # Once more: `_forget` has dropped the calls of this question.
             self._waiting.update(dict.fromkeys(calls, question))
         self._by_number[question.lane, number] = question
         if len(self._kept) > MOST_KEPT:

@@ -81,8 +81,7 @@ class PendingCalls(Generic[C]):
         """Add a call that expires after `timeout` s, or never if that is None."""
         self._calls[number] = call
         if timeout is not None:
-            # At twice the number, a pass over all costs each call only a constant time. Else ended calls stay until
-            # their timeout.
+            # Else ended calls stay until their timeout. At twice the number, a pass over all costs each call little.
             if len(self._deadlines) > 2 * len(self._calls) + _ROOM:
                 self._deadlines = [each for each in self._deadlines if each[1] in self._calls]
                 heapq.heapify(self._deadlines)
@@ -125,7 +124,7 @@ class PendingCalls(Generic[C]):
     def _expire(self) -> None:
         now, deadlines = self._loop.time(), self._deadlines
         expired = []
-        # Those of ended calls go, too: the timer would be set for nothing.
+        # Ended calls go, too: the timer would be set for nothing.
         while deadlines and (deadlines[0][0] <= now or deadlines[0][1] not in self._calls):
             _, number = heapq.heappop(deadlines)
             if (call := self.end(number)) is not None:

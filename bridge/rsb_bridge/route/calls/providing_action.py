@@ -96,6 +96,7 @@ class ProvidingActionRoute(ProvidingRoute):
         super().advance()
         if not self.life.accepted:
             return
+        # New clients number their calls from the start: their answers would be taken for answers to earlier questions.
         if self._clients.types != opened:
             self.action.answers.clients_closed()
         if had_server and not self._provision.entries:
@@ -146,6 +147,7 @@ class ProvidingActionRoute(ProvidingRoute):
 
     def _is_limited(self, frame: CallFrame) -> bool:
         """Return whether arming, pauses and limits apply to a call: not if it only asks about a goal again."""
+        # A call whose goal's id cannot be read may begin a goal.
         asks_again = frame.what is What.AGAIN and question_of(frame.lane, frame.content) is not None
         return super()._is_limited(frame) and not asks_again
 
