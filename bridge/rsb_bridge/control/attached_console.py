@@ -25,15 +25,19 @@ if TYPE_CHECKING:
     from rsb_bridge.model.commands import AnyCommand
 
 _TICK = 0.25
+"""s between two looks for news: an engine renews its snapshot no more often."""
 _HELLO_WITHIN = 5.0
+"""s. A round figure: a silent connection holds one of the places for consoles."""
 _STALLED_FOR = 60.0
-"""s for which a console may take nothing, until its connection is given up."""
+"""s for which a console may take nothing, until its connection is given up. A round figure: one that is stopped for
+30 s goes on afterwards."""
 _WAITING_BYTES = 4 << 20
 """Bytes that may wait for one console beyond a state: answers to commands only."""
 _PAUSE = 0.0005
 """s of rest between two parts of a state, in which the bridge's threads run."""
 _ANSWERED_WITHIN = 2.0
-"""s after which a look is answered though nothing is new: the engine has stopped, the bridge's process has not."""
+"""s after which a look is answered though nothing is new: the engine has stopped, the bridge's process has not. After
+5 s (`remote_engine.ANSWERS_WITHIN`) the console would call the bridge unreachable."""
 
 
 class RequestRefused(Wording):
@@ -160,6 +164,7 @@ class AttachedConsole:
 
     def gone(self) -> None:
         """Take the end of the connection."""
+        # First: a command that its task has not begun yet would arm something after `doubted`.
         self._tasks.cancel()
         self.doubted()
 
@@ -206,6 +211,7 @@ class AttachedConsole:
                 self._looked_at = self._loop.time()
                 self._tasks.spawn(self._show())
         elif isinstance(message, protocol.FollowEvents):
+            # A rogue console's -2**63 is more than `EventLog.after` can count.
             self._after = max(0, message.after)
             self._send_events()
         elif isinstance(message, protocol.Watch):
@@ -246,6 +252,7 @@ class AttachedConsole:
             )
         else:
             self._requests += 1
+            # Before it is carried out: the console may go meanwhile, and `gone` has to know.
             self._has_armed |= isinstance(request.command, ArmTopic | AskHolder | TakeArming)
             self._tasks.spawn(self._answer(request))
 
@@ -332,10 +339,12 @@ class AttachedConsole:
             return
         is_new = self._engine.snapshot() is not self._sender.sent
         if is_new or self._loop.time() - self._looked_at > _ANSWERED_WITHIN:
+            # First: the console may poll for the next state while parts of this one wait to be sent.
             self._looking = False
             await self._send_state()
 
     async def _send_state(self) -> None:
+        # Else an answer could send a newer state between two parts of this one.
         async with self._sending:
             engine, encoded = self._engine, self._served.encoded
             snapshot, session = engine.snapshot(), engine.session

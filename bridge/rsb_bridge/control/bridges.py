@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
 
 _ASKED_FOR = 2.0
+"""s. A round figure: each bridge that hangs delays a command so much, as they are asked one after the other."""
 _READ_SIZE = 64 << 10
 
 
@@ -144,6 +145,7 @@ def serve(
         started=time.time(),
         instance=uuid.uuid4().hex,
         program=__version__,
+        # A path may have bytes that are no UTF-8, which a message cannot hold.
         file=None if file is None else encodable(str(file.absolute())),
         base=encodable(str((file.parent if file is not None else Path()).absolute())),
         has_console=has_console,
@@ -164,6 +166,7 @@ def _terminate() -> None:
 
 def _claim(info: BridgeInfo, environ: Mapping[str, str]) -> ControlSocket:
     """Listen on the first free socket of the session's name, if no other process runs the session."""
+    # Also in other folders than this process's own: systemd may run the session as a service.
     for bridge in running_bridges(environ):
         if bridge.info is not None and _is_same(bridge.info, info):
             raise AlreadyRunningError(bridge)
@@ -174,6 +177,7 @@ def _claim(info: BridgeInfo, environ: Mapping[str, str]) -> ControlSocket:
             return ControlSocket(path, make_folder=True)
         except TakenError:
             holder = _holder(path)
+            # One that does not answer may be of this session.
             if holder is not None and (holder.info is None or _is_same(holder.info, info)):
                 raise AlreadyRunningError(holder) from None
     raise AssertionError("endless")

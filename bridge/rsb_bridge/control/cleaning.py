@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 M = TypeVar("M")
 
 MOST_ITEMS: Final = 20_000
-"""Of anything that a message lists, and routes of an engine."""
+"""Of anything that a message lists, and routes of an engine. A round figure: the engine of `bench.fleet --robots 200`
+has 800 routes."""
 ROUTE_BYTES: Final = 32 << 10
 """Of one route in a message: the longest list of nodes, goals and figures takes a few kilobytes."""
 TEXT: Final = 4096
@@ -60,6 +61,7 @@ def clean(message: M) -> M:
     cleaned = _clean(message)
     match message:
         case Reply(value=str(text)):
+            # As it came, since `_clean` has made one line of it, and not cut: the description of a type is long.
             cleaned = _replace(cleaned, {"value": _lines(text)})
         case CommandFailed(reason=reason) | Goodbye(reason=reason) | HelloRefused(reason=reason):
             cleaned = _replace(cleaned, {"reason": _lines(reason[:TEXT])})
@@ -128,6 +130,7 @@ def _clean(value: Any) -> Any:
         names = _names[kind] = _fields(kind)
     before = {name: getattr(value, name) for name in names}
     after = {name: _clean(each) for name, each in before.items()}
+    # Also of a value without fields, such as an enum's, of which no copy could be made.
     if after == before:
         return value
     return _replace(value, after)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _TURNS = 10
 """Turns of the loop after which the last accepted connection is a console, and aborted connections are closed."""
 _SAID_WITHIN = 0.25
+"""s, twice, in which consoles have to take the end. Where one does not listen, the end of a bridge takes so long."""
 _CLOSED_WITHIN = 2.0
 """s that `ControlServer.close` waits for its thread, so that no socket remains. The thread needs only `_SAID_WITHIN`,
 unless the machine starves it."""
@@ -129,6 +130,7 @@ class ControlServer:
         try:
             asyncio.run(self._main())
         finally:
+            # `start` waits for this without a limit, also if `_main` has failed.
             self._ready.set()
             self._listener.close()
 
@@ -162,6 +164,7 @@ class ControlServer:
                     await self._one_less.wait()
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        # A console beyond `CONSOLES` gets the reason. That takes a connection, too, so there is a second limit.
         if self.attached() >= 2 * protocol.CONSOLES:
             writer.transport.abort()
             return

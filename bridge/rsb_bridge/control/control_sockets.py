@@ -28,7 +28,10 @@ SERVICES = Path("/run/rsb-console")
 ISOLATED = "RSB_CONSOLE_ISOLATED"
 """With this environment variable, only the folder that the environment names is searched (docs/attach.md)."""
 _BACKLOG = 16
+"""Consoles that wait to be accepted. A round figure: further ones try again (`try_connect`)."""
 _LOCKED_WITHIN = 5.0
+"""s. A round figure: the holder of the lock only probes or makes a socket, which never blocks, unless somebody has
+stopped it."""
 _PEER = struct.Struct("iII")  # pid, uid, gid: struct ucred of unix(7)
 
 
@@ -277,6 +280,7 @@ def _folder(path: Path, *, make: bool) -> Iterator[int]:
             path.parent.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(FileExistsError):
                 path.mkdir(mode=0o700)
+        # Anybody may put a link of a default folder's name into /tmp.
         handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | (os.O_NOFOLLOW if make else 0))
     except FileNotFoundError:
         raise NotServedError(SocketProblem.NO_FOLDER(path=path)) from None
@@ -294,6 +298,7 @@ def _lock(folder: int) -> None:
     deadline = time.monotonic() + _LOCKED_WITHIN
     while True:
         try:
+            # flock itself has no timeout.
             fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             if time.monotonic() > deadline:
@@ -309,6 +314,7 @@ def _folder_problem(status: os.stat_result, *, strict: bool) -> str:
         return SocketProblem.FOLDER_OF_ANOTHER()
     if strict and status.st_uid != os.geteuid():
         return SocketProblem.FOLDER_OF_USER(uid=status.st_uid)
+    # With the sticky bit, as /tmp has it, others can add files, but replace none.
     if others and not status.st_mode & stat.S_ISVTX:
         return SocketProblem.FOLDER_WRITABLE(mode=stat.S_IMODE(status.st_mode))
     return ""
@@ -343,6 +349,7 @@ _TTY_MAJOR, _CONSOLES = 4, 64
 _NO_LOGIN = 2**32 - 1
 _FIELDS_BEFORE_TTY = 4  # of /proc/PID/stat (proc_pid_stat(5)), behind the name in parentheses
 _ENVIRONMENT_LIMIT = 1 << 20
+"""Bytes that are read of a process's environment, which its user makes as long as the kernel allows. A round figure."""
 
 
 def identify(pid: int, uid: int, proc: Path = Path("/proc")) -> str:
@@ -386,6 +393,7 @@ def _login(process: Path) -> int | None:
 def _terminal(process: Path) -> str:
     """Return the process's controlling terminal, or an empty string."""
     try:
+        # The process's name, in parentheses, may contain blanks and parentheses.
         number = int((process / "stat").read_bytes().rpartition(b")")[2].split()[_FIELDS_BEFORE_TTY])
     except (OSError, ValueError, IndexError):
         return ""
@@ -408,6 +416,7 @@ def _ssh_client(process: Path) -> str:
         name, _, value = variable.partition(b"=")
         if name == b"SSH_CONNECTION":
             try:
+                # The user may have set any text: only an address gets into the log.
                 return str(ipaddress.ip_address(value.split()[0].decode()))
             except (ValueError, IndexError):
                 return ""

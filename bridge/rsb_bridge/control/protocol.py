@@ -47,7 +47,7 @@ TO_BRIDGE_LIMIT = 64 << 10
 TO_CONSOLE_LIMIT = 16 << 20
 """Bytes of a frame to a console: the largest is the topics of a graph."""
 ROUTES_IN_STATE = 50
-"""Routes in one `StateChange`; a snapshot of more comes in several."""
+"""Routes in one `StateChange`; a snapshot of more comes in several, between which the bridge's threads run."""
 EVENTS_AT_ONCE = 500
 """Events in one `Events`."""
 TO_WATCHER_LIMIT = 64 << 10
@@ -132,7 +132,6 @@ class BridgeInfo(msgspec.Struct, frozen=True, omit_defaults=True):
     """The description of a bridge that serves a control socket.
 
     Attributes:
-        role: ``client`` or ``server``.
         address: that it binds or calls.
         started: s since the epoch.
         instance: an id that differs from one engine to the next.
@@ -158,7 +157,6 @@ class ConsoleWelcome(_Message, frozen=True, tag="welcome"):
     """The answer to `ConsoleHello`.
 
     Attributes:
-        bridge: the one that answers.
         read_only: whether the bridge refuses this console all changes.
         may_take: whether this console may take an arming from its holder without asking.
     """
@@ -219,19 +217,14 @@ ToBridge: TypeAlias = ConsoleHello | CommandRequest | PollState | FollowEvents |
 class StateChange(_Message, frozen=True, tag="state"):
     """Changes of the engine's state since the last message.
 
+    Fields without an entry here are as in `rsb_bridge.model.snapshot.Snapshot`.
+
     Attributes:
         routes: new and changed routes.
         more: whether another message of this state follows; only the last one has the fields below.
         keys: of all routes, in order, or None if unchanged.
-        time: as in `rsb_bridge.model.snapshot.Snapshot`.
-        domain_id: as in `rsb_bridge.model.snapshot.Snapshot`.
-        address: as in `rsb_bridge.model.snapshot.Snapshot`.
-        running: as in `rsb_bridge.model.snapshot.Snapshot`.
-        links: as in `rsb_bridge.model.snapshot.Snapshot`.
-        last_event: as in `rsb_bridge.model.snapshot.Snapshot`.
         session: as in `rsb_bridge.api.EngineApi`, or None if unchanged.
         waits_for_operator: as in `rsb_bridge.api.EngineApi`.
-        refused: as in `rsb_bridge.model.snapshot.Snapshot`.
         ticket: for requests of the next moment.
     """
 
@@ -251,11 +244,7 @@ class StateChange(_Message, frozen=True, tag="state"):
 
 
 class Events(_Message, frozen=True, tag="events"):
-    """Events in order.
-
-    Attributes:
-        events: numbered as by the engine.
-    """
+    """Events in order, numbered as by the engine."""
 
     events: tuple[Event, ...]
 
@@ -282,13 +271,6 @@ class Reply(_Message, frozen=True, tag="reply"):
 
     Attributes:
         value: a route's key, topics, a message, the description of a type, or None.
-        reloaded: the result of `Reload`.
-        history: the result of `History`.
-        bench: the result of `Bench`.
-        viewed: the result of `Look`.
-        draft: the result of `DraftMessage`.
-        published: the result of `Publish`.
-        held: the result of `KeepArmed`.
         ticket: for requests of the next moment.
     """
 
@@ -368,6 +350,7 @@ def result_of(command: Command[R], reply: Reply) -> R:
     if kind is type(None):
         return cast("R", None)
     value = next((each for name in _FIELD_OF.values() if (each := getattr(reply, name)) is not None), reply.value)
+    # A bridge on another machine may answer anything.
     if not isinstance(value, get_origin(kind) if get_origin(kind) is tuple else kind):
         raise EngineError(RequestProblem.UNEXPECTED_REPLY())
     if isinstance(value, Viewed):
@@ -397,7 +380,6 @@ class Frames(Generic[M]):
 
     Args:
         limit: bytes of a frame at most.
-        decoder: of the messages that are expected.
     """
 
     def __init__(self, limit: int, decoder: msgspec.msgpack.Decoder[M]) -> None:
@@ -415,6 +397,7 @@ class Frames(Generic[M]):
         held += data
         while len(held) >= _LENGTH_BYTES:
             length = int.from_bytes(held[:_LENGTH_BYTES], "big")
+            # Before its bytes are waited for, which would be kept meanwhile.
             if length > self._limit:
                 raise ControlProtocolError(f"a message of {length:,} bytes; at most {self._limit:,} are allowed")
             end = _LENGTH_BYTES + length
@@ -438,6 +421,7 @@ def frames_to_console(limit: int = TO_CONSOLE_LIMIT) -> Frames[ToConsole]:
 def _decoded(decoder: msgspec.msgpack.Decoder[M], body: bytes | msgspec.Raw) -> M:
     try:
         return decoder.decode(body)
+    # Only the first is msgspec's own: text that is no UTF-8 and ten thousand levels raise the others.
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ControlProtocolError(f"an invalid message: {error}") from None
 

@@ -48,9 +48,11 @@ if TYPE_CHECKING:
 ANSWERS_WITHIN = 5.0
 """s in which a bridge welcomes a console, and after which one that is silent counts as unreachable."""
 _RETRY_EVERY = 0.5
+"""s between two attempts to attach again. A round figure: a console shows a restarted bridge so much later."""
 _COMES_BEFORE_USE = 0.1
 """s: the next state is asked for so long before it is likely to be used."""
 _USED_REGULARLY = 3.0
+"""s between two uses up to which the next use is expected after the same time. A round figure."""
 
 
 class AttachedAgain(Wording):
@@ -69,7 +71,6 @@ class RemoteEngine(EngineApi):
     Args:
         where: the path of its control socket, or another way to it.
         read_only: whether the bridge is to refuse all changes.
-        clock: the wall clock, or None for the machine's.
 
     Attributes:
         given_at: the time (s) of `Clock.steady` when the operator gave the commands that this engine gets, or None for
@@ -233,6 +234,7 @@ class RemoteEngine(EngineApi):
             frames = protocol.frames_to_console()
             complete = False
             while True:
+                # Later, a bridge may have nothing new for hours; `unreachable` shows whether it owes an answer.
                 async with asyncio.timeout(None if complete else ANSWERS_WITHIN):
                     data = await connection.read()
                 if not data:
@@ -267,6 +269,7 @@ class RemoteEngine(EngineApi):
                 self._ticket = message.ticket
                 self._send_request(self._requests.again(message))
             case protocol.Reply() | protocol.CommandFailed():
+                # Some refusals bring none.
                 self._ticket = message.ticket or self._ticket
                 self._requests.take(message)
             case protocol.RestartStep():
@@ -294,6 +297,7 @@ class RemoteEngine(EngineApi):
         assert received.session is not None
         self._session = received.session
         self._waits_for_operator = received.waits_for_operator
+        # Events have other numbers here: this side adds its own.
         self._shown = replace(received.snapshot, last_event=self._log.last)
         self._asked_at = None
         self._lost = ""
@@ -360,7 +364,6 @@ class _Waiting(Generic[R]):
     """A command that has no reply yet.
 
     Attributes:
-        command: as it was given.
         step: called with each step of a restart, or None.
         undo: whether it takes back an earlier command.
         given_at: the time (s) of `Clock.steady` when the operator gave it.

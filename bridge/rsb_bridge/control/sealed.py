@@ -90,7 +90,6 @@ class SealedAcceptor:
 
     Args:
         server: serves the engine; it has to be started.
-        access: says who may attach.
     """
 
     def __init__(self, server: ControlServer, access: Access) -> None:
@@ -197,6 +196,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
             self.abort()
 
     def data_received(self, data: bytes) -> None:
+        # A refused connection stays open until its answer is sent.
         if (
             self._detached
             if self._console is not None
@@ -219,6 +219,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
                     self._fail(reason, answer)
                 case _:
                     raise AssertionError("an event of links")
+        # Otherwise the answer goes with a refusal, perhaps later.
         if not events:
             self._transport.write(answer)
             if self._machine.accepted and self.stage is ConnectionStage.WAITING:
@@ -252,6 +253,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         if self._granted is None or self._granted.key.secret != admitted.key:
             self.reject(OperatorRefused.OPERATORS_CHANGED())  # and the review of that is still to come
             return
+        # Before `_leave`, which forgets it.
         self.when_attached()
         self._leave()
         place = f" from {admitted.host}" if admitted.host else ""
@@ -375,7 +377,6 @@ class OperatorConnector:
     """Connects to an engine over a network, with an operator's key.
 
     Args:
-        connect: makes a stream to the engine.
         operator: as the engine's session names them.
         engine: the name of the session that is meant: no other one can answer in its place.
         at: the engine's address in a Zenoh network, or empty.

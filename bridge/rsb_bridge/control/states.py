@@ -36,6 +36,7 @@ class EncodedRoutes:
     def of(self, route: RouteSnapshot) -> msgspec.Raw:
         """Return a route, encoded."""
         known = self._encoded.get(route.key)
+        # Snapshots are immutable: the same object has not changed.
         if known is not None and known[0] is route:
             return known[1]
         raw = encode_route(route)
@@ -68,7 +69,6 @@ class Sender:
 
         Args:
             snapshot: newer than `sent`.
-            waits_for_operator: as in `rsb_bridge.api.EngineApi`.
             encoded: shared by all consoles.
         """
         # An object that is the same has not changed: snapshots are immutable.
@@ -127,6 +127,7 @@ class StateReceiver:
             route = decode_route(raw) if self._trusted else clean(decode_route(raw))
             self._routes[route.key] = route
         if not self._trusted:
+            # Over all messages: a rogue bridge may send ever new routes, and list none of them in `keys`.
             check_length(len(self._routes))
         if state.more:
             return False

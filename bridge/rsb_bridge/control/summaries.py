@@ -35,6 +35,7 @@ BATTERIES_AT_ONCE = 4
 """Robots whose next message is waited for: other consoles look at messages, too."""
 ANSWERS_WITHIN = 5.0
 _HELD_FOR = 0.25
+"""s for which an engine that does not answer keeps another one from being tried. A round figure."""
 _SILENT_FOR = 3 * protocol.SIGN_OF_LIFE_EVERY
 
 
@@ -115,11 +116,7 @@ def charge_of(description: str, peeked: PeekedMessage) -> float | None:
 
 
 class SummaryBuilder:
-    """Makes the summaries that a `rsb_bridge.control.control_server.ControlServer` sends.
-
-    Args:
-        engine: to be summed up.
-    """
+    """Makes the summaries that a `rsb_bridge.control.control_server.ControlServer` sends."""
 
     def __init__(self, engine: EngineApi, version: str) -> None:
         self._engine = engine
@@ -146,7 +143,6 @@ async def watch(connector: Connector, may_open: asyncio.Semaphore | None = None)
     """Yield an engine's figures as they change, on the running loop. Close the generator at the end (`aclose`).
 
     Args:
-        connector: leads to the engine.
         may_open: held while the connection is made, for 0.25 s at most, or None.
 
     Yields:
@@ -189,6 +185,7 @@ async def _open(connector: Connector, may_open: asyncio.Semaphore | None) -> Con
     async with may_open or contextlib.nullcontext():
         opening = asyncio.create_task(connector.open(ANSWERS_WITHIN))
         try:
+            # `wait` leaves its task running when it is cancelled.
             await asyncio.wait([opening], timeout=_HELD_FOR)
         except asyncio.CancelledError:
             opening.cancel()

@@ -25,6 +25,7 @@ class TicketClock:
 
     def __init__(self, steady: Callable[[], float] = Clock.steady) -> None:
         self._steady = steady
+        # 40 bits of ms are 35 years: a ticket of another connection is far too old, or not issued yet.
         self._first = secrets.randbits(40) - int(steady() * 1e3)
 
     def issue(self) -> int:

@@ -74,7 +74,6 @@ class Member(NamedTuple):
     """An engine of a fleet, as it announces itself: anybody in the network may, under any name.
 
     Attributes:
-        role: ``client`` or ``server``.
         address: of its endpoint, new in each of its lives.
     """
 
@@ -100,7 +99,6 @@ class EngineAnnouncement:
 
     Args:
         server: serves the engine; it has been started.
-        access: says who may attach.
     """
 
     def __init__(self, server: ControlServer, access: Access, network: Network) -> None:
@@ -208,7 +206,7 @@ class FleetPresence:
     def _seen(self, seen: Seen, *, comes: bool) -> None:
         role, _, rest = seen.label.partition(" ")
         version, _, name = rest.partition(" ")
-        if not name or len(name.encode()) > NAME_BYTES:  # no engine's
+        if not name or len(name.encode()) > NAME_BYTES:  # no engine's: the handshake has no room for it
             return
         member = Member(name, role, version, seen.address)
         if not comes:
@@ -311,6 +309,7 @@ class FleetConnector:
             )
         failures = [failure.args[0] for failure in results.failures] or [TimeoutError()]
         if len(members) == 1:
+            # Alone it has a reason of its own, which says more than that none has proven the key.
             raise failures[0]
         said = next((str(each) for each in failures if isinstance(each, ControlError)), "no answer")
         raise ControlError(EngineChoice.NONE_PROVEN(count=len(members), engine=members[0].name, answer=said))

@@ -61,7 +61,7 @@ class Access:
         """Check that no operator has the key of a client that is to be accepted.
 
         Args:
-            keys: of the link, by its client's name.
+            keys: by the client's name.
 
         Raises:
             EngineError: an operator has such a key.
@@ -73,7 +73,7 @@ class Access:
         """Grant the rights of a changed session.
 
         Args:
-            granted: the new rights, by the operators' names.
+            granted: by the operators' names.
             dry_run: whether to report only, and change nothing.
 
         Returns:

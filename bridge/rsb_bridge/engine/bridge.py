@@ -83,7 +83,6 @@ def watch_shutdown_topic(
     """Wait for a node to publish the word ``shutdown``.
 
     Args:
-        topic: the name of the topic.
         act: called on the ROS thread each time.
         failed: called on the loop with the reason when the subscription fails; it is opened again.
 
@@ -96,6 +95,7 @@ def watch_shutdown_topic(
             act()
 
     def subscribe(on_failure: OnFailure) -> Subscription:
+        # A bridge needs no types: without std_msgs, the topic works nevertheless.
         type_hash = ros.installed_hash(STRING) or STRING_HASH
         return ros.subscribe(topic, STRING, type_hash, Qos(), sink, None, on_failure)
 
@@ -108,7 +108,11 @@ def watch_shutdown_topic(
 
 
 _ERROR_LOGGED_EVERY = 10.0
+"""s until the same internal error is logged again. A round figure: an error on the path of messages would otherwise
+write a traceback for each of them."""
 _TICK, _LONGEST_PAUSE = 1.0, 10.0
+"""s between two ticks, in which links, routes and exporters count; s at most until regular work that has failed starts
+again."""
 
 _logger = logging.getLogger(__name__)
 
@@ -119,7 +123,6 @@ class Bridge:
     All of it belongs to the thread of the running loop.
 
     Args:
-        context: the session, and the state that all parts share.
         snapshots: kept up to date for consoles.
         folder: gives the folder of the session file.
 
@@ -209,6 +212,7 @@ class Bridge:
         except (ListenError, RosError, LinkError, ValueError) as error:
             raise EngineError(str(error)) from None
         finally:
+            # Also after an unexpected error: the next start needs the port.
             if not started:
                 await self._close()
         self._snapshots.refresh_now(self._role)
@@ -258,6 +262,7 @@ class Bridge:
             self._shutdown_watch.close()
         self._exporters.close()
         self._viewing.close()
+        # Before the links end: the message that ends a motion has to cross them.
         await self._publishing.close()
         self.context.descriptions.close()
         await self._role.stop()
@@ -266,6 +271,7 @@ class Bridge:
         self.context.announcements.stop()
         self.context.events.add(Level.INFO, EventCode.ENGINE_STOPPED, "stopped")
         self._snapshots.refresh_now(self._role, running=False)
+        # Last: while all this took its time, the command for faults could end.
         self._exporters.join()
 
     def _bridges_changed(self) -> None:
@@ -299,6 +305,7 @@ class Bridge:
         now = self.context.now()
         if now - self._errors_logged.get(message, -_ERROR_LOGGED_EVERY) < _ERROR_LOGGED_EVERY:
             return
+        # Only the newest one: the texts of errors differ without end.
         self._errors_logged = {message: now}
         exc_info = (type(error), error, error.__traceback__) if isinstance(error, BaseException) else None
         _logger.error("%s", message, exc_info=exc_info)
@@ -328,6 +335,7 @@ class Bridge:
 
     async def _acknowledge(self, command: commands.Acknowledge) -> None:
         self._snapshots.refresh_now(self._role)
+        # In the newest state: the fault that the operator has seen may be over.
         faulty = find_faulty(self._snapshots.latest, command.key, command.link)
         acknowledgements = self._snapshots.acknowledged
         if command.acknowledged:
@@ -372,10 +380,12 @@ class Bridge:
 
     async def _retry(self, command: commands.Retry) -> None:
         if command.link:
+            # For its error: a server would do nothing about a name that no link has, and report success.
             link_named(command.link, self._role.links())
         self._role.retry(command.link)
         self._log.add(EventCode.OPERATOR_RETRIED, "tried again", link=command.link)
 
+    # Topics' commands are made first: `Publishing` looks at messages with an inspector, which finds routes by them.
     async def _end_motions(self, topics: set[str]) -> bool:
         return await self._publishing.end_motions(topics)
 
@@ -403,7 +413,6 @@ class Bridge:
 
         Args:
             session: differs from the present one in nothing that is fixed while the bridge runs.
-            dry_run: only say what would change.
             drop_arm: whether the demands to arm end that it does not make any more.
 
         Returns:
@@ -415,10 +424,12 @@ class Bridge:
         texts = [about(name=source.name, origin=origin) for source, origin in other.items()]
         first = [ReloadStep(text, lambda: None) for text in texts]
         if not drop_arm:
+            # What the file demands no longer stays demanded until an operator drops it by name.
             session = msgspec.structs.replace(session, armed=(*session.armed, *map(as_armed, other)))
         if dry_run:
             return [step.text for step in (*first, *self._steps_to(session, keys))], []
         if other and drop_arm:
+            # The first step drops all of them, and the others only name theirs.
             first[0] = ReloadStep(texts[0], partial(demands.drop, other))
         await self._publishing.end_motions()
         self._arming.end_all(Disarmed.RELOADED)
@@ -438,6 +449,7 @@ class Bridge:
             try:
                 step.apply()
             except (LinkError, ListenError, RosError, ValueError) as error:
+                # A step that fails keeps no other one from being done.
                 failed.append(f"{step.text}: {error}")
                 self.context.events.add(
                     Level.ERROR, EventCode.ENGINE_RELOAD_FAILED, f"{why}not done: {failed[-1]}", who=operator()
@@ -447,6 +459,7 @@ class Bridge:
                 self.context.events.add(Level.INFO, code, f"{why}{step.text}{undo_mark()}", who=operator())
 
         with self.context.demands.changing(operator()):
+            # Before the steps, which read it.
             self.context.session = session
             await in_slices([*(first or ()), *steps], take)
         return done, failed
@@ -478,6 +491,7 @@ class Bridge:
                 route.set_check()
 
     def _change_shutdown_topic(self) -> None:
+        # The new one first: if it cannot be opened, the old one is still there.
         before, self._shutdown_watch = self._shutdown_watch, self._watch_shutdown()
         if before is not None:
             before.close()
@@ -505,6 +519,7 @@ async def carry_out(order: BenchmarkStep, links: Sequence[Link]) -> Outcome:
     """
     if order.what == "measure":
         cpu, memory = resources()
+        # (0, 0), as there may be no link.
         sent, received = (sum(each) for each in zip((0, 0), *(link.bench.wire_bytes() for link in links), strict=True))
         return Outcome(Usage(cpu, memory, sent, received))
     link = link_named(order.link, links)

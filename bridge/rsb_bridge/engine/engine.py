@@ -88,6 +88,7 @@ class PendingCommands:
     ) -> None:
         if future.cancelled():
             self._take(future)
+        # `end` may have failed it before its turn came.
         elif not future.done():
             task = loop.create_task(self._run(work, future))
             self._tasks.add(task)
@@ -145,8 +146,12 @@ def _cancel(task: asyncio.Task[None], loop: asyncio.AbstractEventLoop) -> None:
 
 
 _STOP_WITHIN = 5.0
+"""s that `stop` takes at most. A round figure, below the 10 s after which systemd kills a service (configs/)."""
 _ROS_STOPS_WITHIN = 1.0
+"""s of these that `ros.node.RosNode.stop` may take."""
 _RECORDED_WITHIN = 0.5
+"""s for the recorder, and for its files, even if a hanging I/O thread has used up all: else the history lacks the end.
+A round figure."""
 
 _logger = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -280,6 +285,7 @@ class Engine(EngineApi):
         try:
             started.result()
         except EngineError:
+            # Nothing of this attempt is left when `start` raises: the next one needs the same port.
             self._thread.join()
             self._thread = None
             ros.stop()
@@ -296,9 +302,11 @@ class Engine(EngineApi):
         deadline = self._clock.steady() + timeout
         self._commands.refuse()
         bridge.context.call(bridge.stop)
+        # The rest of the time belongs to ROS and to the history, even if the I/O thread hangs.
         thread.join(max(0.0, timeout - _ROS_STOPS_WITHIN - _RECORDED_WITHIN))
         self._commands.end()  # the thread does so itself, unless it hangs
         bridge.context.ros.stop()
+        # In this order: the disk writes what the recorder notes last.
         self._recorder.stop(max(_RECORDED_WITHIN, deadline - self._clock.steady()))
         if self._disk is not None:
             self._disk.stop(max(_RECORDED_WITHIN, deadline - self._clock.steady()))
@@ -326,6 +334,7 @@ class Engine(EngineApi):
 
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
         bridge = self._bridge
+        # Needs no I/O thread, so that a bridge that hangs can be ended, too.
         if isinstance(command, Stop):
             return cast("Future[R]", self._record_stop())
         if bridge is None:
@@ -352,6 +361,7 @@ class Engine(EngineApi):
             _logger.exception("internal error of the engine")
             message = f"internal error, please report it: {error}"
             self._events.add(Level.ERROR, EventCode.ENGINE_ERROR, message)
+            # `start` waits for this without a limit.
             if not started.done():
                 started.set_exception(EngineError(message))
 
@@ -392,6 +402,7 @@ class Engine(EngineApi):
         """
         if self._session.role != "server":
             raise EngineError(Unable.NOT_A_SERVER())
+        # Others' key files may have changed, or be gone: that is for a reload to find.
         alone = msgspec.structs.replace(self._session, clients=(client,), operators=())
         keys, _ = await asyncio.to_thread(load_keys, alone, self._folder())
         self.access.check_link(keys)
@@ -405,6 +416,7 @@ class Engine(EngineApi):
     async def _reload(self, bridge: Bridge, command: Reload) -> Reloaded:
         dry_run, who = command.dry_run, operator()
         try:
+            # All files are read before anything changes, and no link waits for the disk.
             path, session, left = await asyncio.to_thread(self._read_again)
             places = await asyncio.to_thread(demand_places, path)
             keys, granted = await asyncio.to_thread(load_keys, session, path.parent)

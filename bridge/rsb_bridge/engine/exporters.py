@@ -101,7 +101,10 @@ _NAMED = 3
 """Types in one text."""
 _LATCHED = Qos(durability="transient_local", depth=1)
 _RETRIED_EVERY = 10.0
+"""s until an address that is taken is tried again. A round figure: an operator who has freed it waits so long."""
 _ENDS_WITHIN = 2.0
+"""s that the end of a bridge waits for a scrape. The I/O thread stands still meanwhile, and headless it has 2.5 s to
+end in all."""
 
 
 class DriverTopicText(Wording):
@@ -116,7 +119,6 @@ class _SessionTopic:
 
     Args:
         key: of the session.
-        qos: of the publisher.
     """
 
     def __init__(self, context: Context, key: str, type_name: str, qos: Qos) -> None:
@@ -139,11 +141,13 @@ class _SessionTopic:
         ros = self._context.ros
         type_hash = ros.installed_hash(self._type)
         if type_hash is None:
+            # No warning: sessions have a `diagnostics_topic` by default, with or without this package.
             self.failed(f"{self._type} is not installed here", Level.INFO)
             return
         try:
             self._publisher = ros.advertise(topic, self._type, type_hash, self._qos, self)
             endpoint = Endpoint(f"/{ros.node_name}", self._type, type_hash, self._qos, self._publisher.gid)
+            # As a node's, so that routes take it to other domains.
             self._context.announcements.announce(topic, self, endpoint, Origin(()))
         except RosError as error:
             self.failed(str(error))
@@ -195,11 +199,7 @@ class DiagnosticsExporter:
 
 
 class DriverExporter:
-    """Publishes who holds which topic, on the session's `driver_topic`: latched, and when it changes.
-
-    Args:
-        look: gives the newest snapshot.
-    """
+    """Publishes who holds which topic, on the session's `driver_topic`: latched, and when it changes."""
 
     def __init__(self, context: Context, look: Callable[[], Snapshot]) -> None:
         self._context = context
@@ -210,6 +210,7 @@ class DriverExporter:
 
     def open(self) -> None:
         """Publish from now on, on the topic that the session names now."""
+        # The new name may clash for the same reason, which is logged again then.
         self._clash = ""
         if self._clashes(self._look()):
             self._topic.close()
@@ -217,6 +218,7 @@ class DriverExporter:
             self._open()
 
     def _open(self) -> None:
+        # A new publisher has no latched message yet for late subscribers.
         self._said = ""
         self._topic.open()
 
@@ -225,6 +227,7 @@ class DriverExporter:
         before = self._clash
         if self._clashes(snapshot):
             return
+        # The clash had closed it.
         if before:
             self._open()
         if self._topic.is_open and (text := holders(snapshot)) != self._said:
@@ -269,7 +272,6 @@ class MetricsExporter:
     """Serves the session's `metrics` over HTTP, on threads of their own; the I/O thread, its owner, awaits no scrape.
 
     Args:
-        context: the session, and the event log.
         look: gives the newest snapshot, on any thread.
     """
 
@@ -315,11 +317,12 @@ class _Service:
     def _run(self) -> None:
         if self._before is not None:
             self._before.thread.join()  # it may have this port
-            self._before = None
+            self._before = None  # else each service keeps the one before it
         try:
             # Here, since they take a while to load, and only bridges with this key need them.
             from rsb_bridge.telemetry.metrics import MetricsServer, application  # noqa: PLC0415
         except ModuleNotFoundError as error:
+            # Any other missing module is a broken installation, which the extra would not mend.
             if error.name != "prometheus_client":
                 raise
             remedy = "it needs prometheus-client: pip install 'rsb-console[metrics]', and restart the bridge"
@@ -339,6 +342,7 @@ class _Service:
                 continue
             told = ""
             self._tell(Level.INFO, "metrics are served")
+            # Before `_ends` is asked: an `end` in between would wake nobody.
             self._stop = server.wake
             with server:
                 while not self._ends.is_set():
@@ -355,7 +359,6 @@ class Exporters:
     """All exporters of one engine, and its fault hook. They belong to the I/O thread; a failing one ends nothing else.
 
     Args:
-        context: the session, and what every part shares.
         look: gives the newest snapshot, on any thread.
         folder: gives the folder of the session file.
 
@@ -391,6 +394,7 @@ class Exporters:
         self._diagnostics.close()
         self._driver.close()
         self._fault_hook.close()
+        # Last: it alone waits for its thread.
         self._metrics.close()
 
     def join(self) -> None:

@@ -42,7 +42,6 @@ def fault_report(
     Args:
         changes: to report, the most important first.
         time: s since the epoch.
-        role: ``client`` or ``server``.
         ongoing: number of faults that are reported and not over, these included.
         merged: number of earlier changes for which no command was run.
 
@@ -71,6 +70,7 @@ def _about(change: FaultChange, time: float, role: str) -> dict[str, object]:
         content |= {"what": "link", "kind": "link", "name": _text(subject.name), "link": _text(subject.name)}
         text, from_peer, since = subject.reason or subject.warning, False, subject.fault_since
     elif isinstance(subject, PatternSnapshot):
+        # An entry's direction is the client's, on both sides.
         sends = (subject.spec.direction == "transmit") == (role == "client")
         content |= {"what": "pattern", "kind": subject.spec.kind, "name": _text(subject.spec.topic)}
         content |= {"link": _text(subject.link), "outgoing": sends}
@@ -96,27 +96,32 @@ def _text(text: str, limit: int = TEXT_LENGTH) -> str:
 
 
 RUNS_FOR = 10.0
-"""s after which a command is killed, with everything that it has started."""
+"""s after which a command is killed, with everything that it has started. A round figure: further changes wait for
+the end of the command."""
 WAITING = 256
-"""Changes of different links, routes and patterns that wait for their command; later ones are counted as merged."""
+"""Changes of different links, routes and patterns that wait for their command; later ones are counted as merged. A
+round figure, which bounds memory."""
 _LINE = 60_000
 """Bytes of a report: a pipe holds 64 KiB, so that a command that does not read holds up nothing."""
 EVERY = 1.0
-"""s between two starts of the command, at least."""
+"""s between two starts of the command, at least. Changes that come together share one."""
 STARTS, STARTS_WITHIN = 10, 60.0
 """The most starts of the command, and the s in which they are counted."""
 FOR_LINKS = 3
-"""Starts of these that are kept for changes of links."""
+"""Starts of these that are kept for changes of links. Otherwise, 30 silent topics use up all of them, and nobody is
+told of a link that is down."""
 OUTPUT = 1000
 """Characters of a command's output that are logged; the rest is read and dropped."""
 _ENDS_WITHIN = 1.0
 """s from SIGTERM to SIGKILL for a command that takes too long, and s that `join` waits for the thread."""
 _ENDS_WITHIN_AT_STOP = 0.2
+"""s from SIGTERM to SIGKILL while the bridge ends: `join` waits 1 s for all of it."""
 _LOOK_EVERY = 0.05
 """s between two checks of a running command."""
 _TOLD_EVERY = 60.0
 """s between two events about a problem, at least."""
 _READ_SIZE = 64 << 10
+"""Bytes that a pipe holds: one read empties it."""
 _OF_THE_BRIDGE = ("LD_", "PYTHON", "NOTIFY_SOCKET", "WATCHDOG_", "LISTEN_")
 """Prefixes of the environment variables that are meant for the bridge's process: for its loader, Python and
 supervisor."""
@@ -184,6 +189,7 @@ class WaitingChanges:
         """Add a change. It replaces an earlier one of the same subject; if the queue is full, it is only counted."""
         earlier = self._waiting.pop(change.key, None)
         self._merged += earlier is not None
+        # The change that this one replaces was never reported.
         before = change.before if earlier is None else earlier.before
         kind = change.kind
         if change.key not in self._told:
@@ -345,7 +351,9 @@ class _Runner:
                 if self._ends or was_late:
                     self._terminate(process, output)
                     break
+                # A full pipe would hold up the command.
                 output.read()
+                # No sleep: changes that come meanwhile are noted, and the end of the bridge is noticed at once.
                 self._wait(_LOOK_EVERY)
             _signal_group(process, signal.SIGKILL)  # the command's children
             output.read()
@@ -370,6 +378,7 @@ class _Runner:
 
     def _note(self, problem: str) -> None:
         """Log a problem once, and again after a while if the command worked in between."""
+        # Behind the colon is the command's output, which may differ each time.
         what, now = problem.partition(":")[0], self._clock.steady()
         if not problem:
             self._problem = ""
@@ -417,5 +426,6 @@ def _has_exited(process: subprocess.Popen[bytes]) -> bool:
 
 
 def _signal_group(process: subprocess.Popen[bytes], number: int) -> None:
+    # PermissionError: all of the group are another user's by now, as with sudo.
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, number)

@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 
 
 CALLS_AT_ONCE = 32
-"""Calls by hand that one bridge makes."""
+"""Calls by hand that one bridge makes at the same time. A round figure: a script that calls in a loop is refused long
+before it takes the places of the nodes' calls (4,096 a link)."""
 _GOAL_ID_BYTES = 16
 
 
@@ -42,7 +43,6 @@ class RouteInspector:
     """Executes commands that look at messages and types, or call by hand.
 
     Args:
-        context: the state that all parts share.
         find: gives a route and its link by the route's key.
 
     Attributes:
@@ -110,6 +110,7 @@ class RouteInspector:
 
     def _record(self, link: Link, route: CallsRoute, message: ByHand) -> None:
         """Record an operator's call, or its outcome, in the logs of both sides."""
+        # 0: it is not open. A call on the providing side needs no link.
         if message.route:
             link.send(message)
         code = EventCode.OPERATOR_CALL_ENDED if message.outcome else EventCode.OPERATOR_CALLED
@@ -120,9 +121,11 @@ class RouteInspector:
         """Return a request as bytes, and a note for its operator. Slow: not for the I/O thread."""
         ros, context = self._context.ros, self._context
         installed = ros.installed_service_hash(entry.type)
+        # The node would read the bytes as other fields.
         if installed is not None and installed != entry.type_hash:
             raise LinkError(f"{entry.type} is installed here in another version than the node has: install that one")
         fields, note = read_fields(request), ""
+        # By default, the ids of all goals are zeros, and a server refuses the second goal of an id.
         if _is_goal(route, lane) and isinstance(fields, dict) and "goal_id" not in fields:
             goal = fields["goal_id"] = context.random.randbytes(_GOAL_ID_BYTES).hex()
             note = f"# goal_id: {goal}\n"

@@ -54,6 +54,7 @@ class IoLoop(asyncio.SelectorEventLoop):
         # asyncio's debug mode refuses call_soon on any thread but the loop's.
         if self._waits.over or self._debug or not self._turn.acquire(False):
             return False
+        # The visiting thread may run a loop of its own.
         before = asyncio._get_running_loop()
         try:
             # A visitor overtakes no earlier callback, so that messages keep their order.
@@ -68,6 +69,7 @@ class IoLoop(asyncio.SelectorEventLoop):
                 raise
             except BaseException as error:  # noqa: BLE001 — as every event loop does
                 self.call_exception_handler({"message": f"exception in {work}", "exception": error})
+            # The loop has begun a wait that knows nothing of this work's callbacks and timers.
             if self._waits.due:
                 self.call_soon_threadsafe(_nothing)
         finally:
@@ -123,10 +125,12 @@ class _Selector(selectors.EpollSelector):
         """Wait. If only one socket is readable, read from it here, and wait on."""
         until = math.inf if timeout is None else time.monotonic() + timeout
         self.due = False
+        # At 0, callbacks are ready. The turn is not given away then: a visitor would overtake them.
         while timeout is None or timeout > 0:
             found, changes = [], self._changes
             self._turn.release()
             try:
+                # Two events show whether one socket alone is ready. Of several, asyncio asks for all below.
                 found = self._poll(-1 if timeout is None else timeout, 2)
             finally:
                 self.over = True
@@ -145,6 +149,7 @@ class _Selector(selectors.EpollSelector):
             if self.due:
                 break
             if timeout is not None:
+                # Else a socket that always has something to read would hold up timers.
                 timeout = until - time.monotonic()
         return super().select(0)
 
@@ -167,6 +172,7 @@ class _Selector(selectors.EpollSelector):
     def _changed(self, key: selectors.SelectorKey) -> selectors.SelectorKey:
         self._changes += 1
         self._readers.pop(key.fd, None)
+        # Of a socket that also waits to write, only asyncio finds out for which of the two it was woken.
         if key.events == selectors.EVENT_READ:
             # What asyncio registers is a pair of handles, for reading and for writing.
             callback, args = key.data[0]._callback, key.data[0]._args

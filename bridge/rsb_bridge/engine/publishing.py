@@ -54,25 +54,30 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.event_log import About
 
 TOPICS = 32
-"""Topics with publishers for messages by hand."""
+"""Topics with publishers for messages by hand. A round figure: every node of the domain learns of each publisher."""
 ENDS_AFTER = 10.0
-"""s without a message after which a publisher is closed."""
+"""s without a message after which a publisher is closed. A round figure: a message that comes earlier does not wait for
+discovery again."""
 MATCHED_WITHIN = 3.0
-"""s in which subscriptions and routes have to find a new publisher."""
+"""s in which subscriptions and routes have to find a new publisher. A round figure: a subscription whose QoS never
+matches delays the first message by so much."""
 _LOOK_EVERY = 0.02
+"""s between two looks for that: this side's ROS interface tells of no match."""
 _RESOLVE_EVERY = 2.0
-"""s after which the graph is asked again for the topic's type and QoS."""
+"""s after which the graph is asked again for the topic's type and QoS. A drive does not ask at each of its commands."""
 _NAMED = 5
 """Operators in one event."""
 _LAST_WITHIN = 1.0
 """s in which a message has to pass to be the beginning of an operator's."""
 _DEPTH = 10
+"""Messages: ROS's default."""
 AT_ONCE = 4
 """Messages of one operator on one topic that may wait for their turn, before those of others."""
 _LONG = 4_096
 """Characters of fields that take 20 ms to read. Such messages are read one at a time, beside the short ones."""
 _REST_CROSSES = 0.1
-"""s in which the message that ends a motion gets on its way, before its topic is disarmed or the bridge stops."""
+"""s in which the message that ends a motion gets on its way, before its topic is disarmed or the bridge stops.
+A round figure: if it gets lost, the robot's side publishes a rest by itself."""
 _EVERY_TOPIC = ""
 _STAMP = {"sec", "nanosec"}
 
@@ -149,11 +154,7 @@ class _Publication:
 
 
 class Publishing:
-    """Executes `Publish` and `DraftMessage`.
-
-    Args:
-        peeking: gives messages that pass.
-    """
+    """Executes `Publish` and `DraftMessage`."""
 
     def __init__(
         self, context: Context, links: Callable[[], Sequence[Link]], log: CommandLog, peeking: Peeking
@@ -210,6 +211,7 @@ class Publishing:
         finally:
             publication.commands -= Counter((who,))  # without those that have none left
             publication.used_at = self._context.now()
+            # Commands that fail must not take up the places for topics.
             if publication.publisher is None and not publication.commands:
                 self._publications.pop(topic, None)
 
@@ -231,6 +233,7 @@ class Publishing:
         assert publication.publisher is not None
         # Nothing is awaited from here on.
         routes = self._routes(topic)
+        # Again: arming and limits may have changed while the above was awaited.
         armed = self._check_armed(topic, resolved.type_name, routes, driven=driven)
         if armed and not 0 <= self._ticket() - command.ticket <= TICKET_LIFE * 1e3:
             return Published(is_done=False, ticket=self._ticket(), type_name=resolved.type_name)
@@ -238,6 +241,7 @@ class Publishing:
         publication.publisher.publish(payload)
         self._note_moved(topic, resolved, payload, armed)
         if driven:
+            # Else the timer of the command before ends the motion that goes on.
             publication.take_rest()
             timer = context.loop.call_later(command.rest_after, self._rest, publication, topic)
             publication.rest = _Rest(timer, rest, tuple((route, route.id) for route in armed))
@@ -314,6 +318,7 @@ class Publishing:
         refusals = [why_not_by_hand(route, now) for route in requiring]
         armed = [route for route, why in zip(requiring, refusals, strict=True) if why is None]
         if not armed and requiring:
+            # To arm it would not help: it is armed.
             if Refused.UNHEARD in refusals:
                 raise LinkError(PublishProblem.NOT_HEARD(topic=topic))
             reason = next((each.reason for route in requiring if (each := route.arming.snapshot(now)) is not None), "")
@@ -354,6 +359,7 @@ class Publishing:
             raise LinkError(PublishProblem.LIMITS_OF_OTHER_TYPE(topic=topic, lines=lines, type_name=type_name))
         for payload in payloads:
             speeds = speeds_of(type_name, payload)
+            # What is not finite stays so however much it is reduced.
             if speeds is None or limits.allow(*speeds) or (command.reduce and all(map(isfinite, speeds))):
                 continue
             linear, angular = speeds
@@ -402,6 +408,7 @@ class Publishing:
             raise LinkError(PublishProblem.OTHER_TYPE(topic=topic, actual=", ".join(sorted(known)), wanted=name))
         installed = await asyncio.to_thread(ros.installed_hash, name)
         type_hash = installed or ""
+        # Other nodes would read the bytes as other fields. Empty: the middleware does not tell the version.
         if type_hash and known.get(name, set()) - {"", type_hash}:
             raise LinkError(PublishProblem.OTHER_VERSION(type_name=name, topic=topic))
         return _Resolved(name, type_hash, self._qos(topic, name, publishers, subscriptions, routes))
@@ -410,6 +417,7 @@ class Publishing:
         """Return the types that the other sides of routes know for their topics: of a robot's motors, for example."""
         types: dict[str, set[str]] = {}
         for route in routes:
+            # A side that does not answer hides none of the others.
             with contextlib.suppress(LinkError):
                 for info in await topics_of_peer(self._links(), route.peer.name):
                     if info.topic == route.far_topic and info.kind == "topic" and info.type_name:
@@ -484,8 +492,10 @@ class Publishing:
         publisher = ros.advertise(topic, *resolved, self)
         try:
             endpoint = Endpoint(f"/{ros.node_name}", *resolved, publisher.gid)
+            # As a node's, so that routes take its messages.
             self._context.announcements.announce(topic, self, endpoint, Origin(()))
             await self._found(publisher, topic)
+        # Also if the command is cancelled meanwhile.
         except BaseException:
             self._withdraw(publisher)
             raise
@@ -546,6 +556,7 @@ class Publishing:
                 continue
             del self._publications[topic]
             self._close(publication)
+            # A single message has its event already.
             if publication.count > 1:
                 who = join_first(sorted(publication.operators), _NAMED)
                 text = f"{topic}: {publication.count:,} messages published by {who}"
@@ -554,6 +565,7 @@ class Publishing:
 
     async def close(self) -> None:
         """End all motions, and close all publishers. No message follows."""
+        # For good: `end_motions` alone would let commands in again.
         self._ending[_EVERY_TOPIC] += 1
         await self.end_motions()
         for publication in self._publications.values():

@@ -145,14 +145,17 @@ class TopicCommands:
         if route is None:
             if not topic.is_pattern:
                 raise LinkError(f"{old.topic} is a pattern, and {topic.topic} is none: {_INSTEAD}")
+            # Before `_drop_demands`, after which nothing may refuse the edit.
             link.patterns.check_replace(old.identity, topic)
             self._drop_demands(link, old, _local(link, old), None, wanted=drop_arm, names_it=old.arm and not topic.arm)
             new_key, name = link.patterns.replace(old.identity, topic), topic.topic
         else:
             if topic.is_pattern:
                 raise LinkError(f"{topic.topic} is a pattern, and {old.topic} is none: {_INSTEAD}")
+            # The present name is the client's already, and may look like one with the client's name before it.
             if topic.topic != old.topic:
                 topic = link.client_names(topic)
+            # Before `_drop_demands`, as above.
             link.proposed.check_replace(route, topic)
             names_it = old.arm and not topic.arm
             self._drop_demands(link, old, route.local_topic, route, wanted=drop_arm, names_it=names_it)
@@ -223,6 +226,7 @@ class TopicCommands:
             lines = ", ".join(map(demands.origin, others)) or PEER_DEMANDS
             raise LinkError(f"{name} still has to be armed: {lines} demands it, too; change that instead")
         demands.drop({each: demands.origin(each) for each in own})
+        # This side's own entry comes back once the other side's goes, and would bring the demand back.
         if route is not None and (listed := link.table.superseded.get(route.key)) is not None:
             link.table.superseded[route.key] = msgspec.structs.replace(listed, arm=False, deadman=None)
 
@@ -248,7 +252,6 @@ class ArmingCommands:
     """Executes commands about arming, each for the console that gives it.
 
     Args:
-        links: all of the bridge's.
         find: gives a route and its link by the route's key.
         end_motions: stops what operators drive by hand on topics, before that is no longer possible.
     """
@@ -265,6 +268,7 @@ class ArmingCommands:
 
     async def arm(self, command: ArmTopic) -> None:
         link, route = self._find(command.key)
+        # Raises at its end if the console has gone, which would leave the topic armed by nobody.
         with link.table.arming.waiting(route, console()) as waiting:
             await link.table.arming.load_type(route)
             link, route = self._find(command.key)  # it may have been edited meanwhile
@@ -287,6 +291,7 @@ class ArmingCommands:
         """Disarm a route if it is still held in an opening, and arm it: the robot stands in between."""
         link, route = self._find(command.key)
         with link.table.arming.waiting(route, console()):
+            # The holder of a later opening was not asked.
             if route.id == opening and route.arming.held and route.arming.console != console():
                 await self._disarm(link, route)
         await self.arm(ArmTopic(command.key, command.shared))

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.commands import EndLook, LookAtTopics
 
 VIEWS = 8
-"""Views of all consoles at the same time."""
+"""Views of all consoles at the same time. A round figure: one process draws them all."""
 WAITS_AT_MOST = 10.0
 """s after which a console gets None, and asks again."""
 ENDS_AFTER = 5.0
@@ -127,6 +127,7 @@ class Viewing:
         picture, view.newest = view.newest, None
         if picture is None:
             return None
+        # The clock may have been set back since.
         age = max(0.0, self._context.wall() - picture.taken / 1e9) if picture.taken else None
         return Viewed(picture, "", age, len(encode_picture(picture)))
 
@@ -185,6 +186,7 @@ class Viewing:
         """End the views that nobody looks at, and the process that draws if it has nothing to do."""
         now = self._context.now()
         for viewer, view in list(self._views.items()):
+            # A question may wait for longer than that.
             if not view.asking and now - view.used_at > ENDS_AFTER:
                 del self._views[viewer]
                 view.close()

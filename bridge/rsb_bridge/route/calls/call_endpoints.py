@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _FIRST_DELAY, _LONGEST_DELAY = 0.5, 30.0
-"""s."""
+"""s between attempts, at first and at most. Round figures: nothing announces that ROS would take an endpoint now."""
 _HEALED_AFTER = 60.0
 """s without a failure after which the first delay applies again."""
 
@@ -63,12 +63,7 @@ def route_type_of(member: ServiceMember, lane_type: str) -> str:
 
 
 class LaneType(NamedTuple):
-    """The type of a lane's endpoints.
-
-    Attributes:
-        type_name: ``pkg/srv/Name`` and the like.
-        type_hash: ``RIHS01_...``.
-    """
+    """The type of a lane's endpoints."""
 
     type_name: str
     type_hash: str
@@ -86,7 +81,6 @@ class LaneSink(Generic[T]):
     """Passes messages, requests or responses of one lane from the ROS thread to the I/O loop.
 
     Args:
-        context: what every part of the engine shares.
         lane: its place among the route's members.
         taken: gets them, on the I/O loop, as long as the sink is open.
         late: gets them after that, or None to drop them.
@@ -122,8 +116,6 @@ class LaneEndpoints:
     Services open and close together; a topic opens once its type has been found.
 
     Args:
-        context: what every part of the engine shares.
-        peer: the other side of the link.
         failed: called, on the I/O loop, for an endpoint that has failed and closed itself.
 
     Attributes:
@@ -183,6 +175,7 @@ class LaneEndpoints:
         """
         services = self.services_of(entries)
         wanted = {lane: kind for lane, kind in services.items() if lanes is None or lane in lanes}
+        # Then the topics close, too: the types of most follow from the route's.
         if any(services[lane] != kind for lane, kind in self.types.items()):
             self.close(keep=[lane for lane, kind in self.types.items() if wanted.get(lane) == kind])
         else:
@@ -192,6 +185,7 @@ class LaneEndpoints:
         try:
             for lane, kind in wanted.items():
                 if lane not in self._endpoints:
+                    # First, as for topics: `close` goes through the uses, also if ROS refuses the endpoint.
                     self._use(lane, kind, is_service=True)
                     self._endpoints[lane] = self._open_service(lane, names[lane], kind)
                     self.types[lane] = kind
@@ -233,6 +227,7 @@ class LaneEndpoints:
         self._sinks[lane] = sink  # type: ignore[assignment]  # they are only closed
 
         def failed(error: RosError) -> None:
+            # Not if another endpoint is in its place by then.
             context.call(lambda: self._endpoint_failed(lane, error) if sink.open else None)
 
         return sink, failed
@@ -257,7 +252,6 @@ class Clients(LaneEndpoints):
     """Clients of services, and subscriptions to topics, of one providing half.
 
     Args:
-        context: what every part of the engine shares.
         responded: gets a lane's responses.
         published: gets a lane's messages.
         failed: called for a client or a subscription that has failed and closed itself.
@@ -312,7 +306,6 @@ class Offers(LaneEndpoints):
     """Services that others can call, and publishers, of one callers' half.
 
     Args:
-        context: what every part of the engine shares.
         asked: gets a lane's requests.
         too_late: gets requests that come after the offer has ended.
         failed: called for a server that has failed and closed itself.
@@ -398,7 +391,6 @@ class RosRetry:
     """Delays new attempts after ROS has refused an endpoint.
 
     Args:
-        context: has the clock and the timers.
         try_again: called when a delay is over.
 
     Attributes:

@@ -126,6 +126,7 @@ def _topic_entry(ros: RosInterface, member: ServiceMember, topic: str, route_typ
     publishers = [each for each in ros.publishers(topic) if each.type_name == type_name]
     hashes = {each.type_hash for each in publishers if each.type_hash}
     type_hash = hashes.pop() if len(hashes) == 1 else ""
+    # Not if several versions are published: then the topic stays closed.
     if not hashes:
         type_hash = type_hash or ros.installed_hash(type_name) or ""
     qos = match_publishers([each.qos for each in publishers]) if publishers else None
@@ -224,7 +225,6 @@ class CallLoopGuard:
     This bridge's own offers for other links count as servers, too.
 
     Args:
-        context: what every part of the engine shares.
         peer: the side with the callers.
 
     Attributes:
@@ -311,10 +311,6 @@ class LocalServers:
     A killed earlier process of this bridge does not count, although DDS sees it for up to 40 s more. It has this
     bridge's name, and differs from another bridge of that name: it announces nothing, or that the same peer answers.
 
-    Args:
-        context: what every part of the engine shares.
-        look_again: has the route look.
-
     Attributes:
         unknown: whether it is still unclear for some server whether it counts.
     """
@@ -346,7 +342,9 @@ class LocalServers:
                     self.unknown = self.unknown or now - seen < _ANNOUNCED_WITHIN
                 elif counts:
                     others.append(server)
+            # The other services are looked at nevertheless, for `unknown`.
             trouble = trouble or self._trouble(service, others)
+        # The time may pass without any change of the graph, which has routes look.
         if self.unknown and self._timer is None:
             self._timer = context.loop.call_later(_ANNOUNCED_WITHIN, self._due)
         return trouble

@@ -235,6 +235,7 @@ class CallingRoute(CallsRoute):
         if not lanes:
             self._retry.clear()
             self._end_offer()
+        # What is offered stays offered while it is unclear whether a server of this bridge's name is a dead process's.
         elif (self._reach or not self._local_servers.unknown) and not self._retry.waits(self._provided.lanes):
             self._offer(lanes)
         self._verdict = None
@@ -262,6 +263,7 @@ class CallingRoute(CallsRoute):
             return frozenset()
         if not self.types.load(self._provided.lanes):
             return frozenset()
+        # Until the other side has heard of the end of the pause, it refuses calls.
         resumed = self._provided.pause_revision >= self._resumed_at
         return frozenset(
             number
@@ -293,6 +295,7 @@ class CallingRoute(CallsRoute):
             if any(offers.services_of(entries)[lane] != kind for lane, kind in offers.types.items()):
                 self._end_offer()
             was_offered = self.offered
+            # No request is older than the first server: an earlier stamp shows a caller's wrong clock.
             if not offers.types:
                 self.age.publishers.since = self.context.stamps.now()
             offers.open(entries, self.local_names, lanes | self._owed())
@@ -316,6 +319,7 @@ class CallingRoute(CallsRoute):
 
     def _offer_failed(self, error: RosError) -> None:
         self._end_offer()
+        # Also what stays open for the goals of an action.
         self._offers.close()
         self._ros_failed(f"cannot be offered here: {error}", self._provided.lanes)
 
@@ -391,6 +395,7 @@ class CallingRoute(CallsRoute):
 
     def _begin(self, call: CallerCall, payload: bytes, lease: int, stamp: int, what: What = What.CALL) -> None:
         """Send a call that has its place in the budget."""
+        # `_asked_for` notes this, too, but not of a call that is sent again in a new opening.
         self.came = True
         number = self._pending.begin(call, self.timeout_of(call.lane))
         self._outbox.put(CallFrame(what, call.lane, number, 0, payload, lease, stamp))
@@ -405,6 +410,7 @@ class CallingRoute(CallsRoute):
 
     async def call_by_hand(self, lane: int, request: bytes) -> bytes:
         """Make a call as a caller here would, but without waiting for the end of an interruption."""
+        # For its error, which says why nothing can be called.
         self.entry(lane)
         manual, limited = ManualCall(self.context.loop), self.members[lane].limited
         self._asked_for(len(request))
@@ -421,6 +427,7 @@ class CallingRoute(CallsRoute):
         try:
             return await manual.answered
         except asyncio.CancelledError:
+            # Each opening numbers its calls from 1: the number may be another call's by now.
             if (call := self._pending.get(number)) is not None and call.server is manual:
                 self._pending.end(number)
                 self.failures.lost(1, "the operator who made it has gone")

@@ -99,6 +99,7 @@ class CallingActionRoute(CallingRoute):
         super().provided(provide)
         if had_server and not self._has_providers:
             self.action.goals.server_gone()
+        # Else calls that were refused for now wait for the next tick.
         if self._reach:
             self._send_waiting()
 

@@ -23,6 +23,7 @@ _TIMED = 512
 _SAID_AGAIN_AFTER = 60.0
 """s until the log repeats a failure of the same route."""
 _MOST_SAID = 32
+"""Texts that are remembered: nodes' names in them make ever new ones."""
 
 REMEDIES = {
     Refused.CALLS_UNDER_WAY: "too many calls wait for answers on this link: make fewer at once, or shorten the timeout",
@@ -80,6 +81,7 @@ class CallsLedger:
         self.unanswered = False
         self._timed: deque[tuple[float, float | None]] = deque(maxlen=_TIMED)  # calls since the last tick
         self._before = 0, 0  # answered and expired, a second ago
+        # One more than `LATELY`, so that the first one is that old.
         self._lately: deque[tuple[int, Counter[Refused]]] = deque(maxlen=LATELY + 1)
 
     @property
@@ -93,6 +95,7 @@ class CallsLedger:
             if total is None:
                 self.node.add(took)
             else:
+                # `took` is the peer's word.
                 self.node.add(min(took, total))
                 self.way.add(max(0.0, total - took))
         self._timed.clear()
@@ -127,6 +130,7 @@ class CallsLedger:
             took: s that the node took, on the callers' side as the peer says.
             total: s after which the answer came to the callers' side, or None on the other side.
         """
+        # The meters get all of a second at once, so that a call costs fewer functions.
         self._timed.append((took, total))
 
     def snapshot(self) -> CallsSnapshot:

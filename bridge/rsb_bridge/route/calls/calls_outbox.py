@@ -19,8 +19,10 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Propose
 
 _BATCH = 32
+"""Frames of one batch. A round figure: long ones are bounded by `batch_bytes`."""
 _OF_CALLS = (What.CALL, What.AGAIN, What.ANSWER)
 _ZSTD_LEVEL = 3
+"""As of topics: 2.4 ns a byte of a map (bench/README.md)."""
 _MOST_REFUSALS = 8192
 """Refusals that wait at most; a peer that calls and reads nothing makes more. A call with a dropped refusal expires."""
 _MESSAGE_BYTES = 32 << 20
@@ -33,7 +35,6 @@ class CallsOutbox:
     The budget of calls bounds the requests and answers that wait; messages and refusals are bounded here.
 
     Args:
-        transport: what carries the route.
         proposal: what the two sides have agreed on.
         leaves: whether a call or an answer is still wanted; asked right before it is sent.
         stamp: gives the stamp of frames that have none.

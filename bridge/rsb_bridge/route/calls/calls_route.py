@@ -156,6 +156,7 @@ class CallsRoute(Route):
 
     def timeout_of(self, lane: int) -> float | None:
         """Return the seconds after which a lane's call expires, or None if it never does."""
+        # Not by `call_timeout`, which would be one more function for each call.
         return None if self.members[lane].patient else self.proposal.timeout or CALL_TIMEOUT
 
     @property
@@ -191,6 +192,7 @@ class CallsRoute(Route):
         """End the opening; pending calls are lost."""
         self._withdraw()
         self._give_up_all(reason)
+        # After `_give_up_all`, which queues refusals: the next opening has other calls of the same numbers.
         self._outbox.clear()
         self._unpacker.clear()
         self._unavailable = self._warning = None
@@ -221,6 +223,7 @@ class CallsRoute(Route):
 
     def deliver(self, messages: Iterable[Message]) -> None:
         """Handle frames that arrived whole and authentic, or queue them for later turns of the I/O loop."""
+        # Frames keep their order, also behind one that is unpacked off the loop.
         if self._unpacker.waiting:
             self._unpacker.wait(messages)
             return
@@ -249,6 +252,7 @@ class CallsRoute(Route):
         frame = unpack_call(payload)
         if frame.lane >= len(self.members) or self.members[frame.lane].is_topic != (frame.what is What.MESSAGE):
             raise ProtocolError(f"a frame of kind {frame.what.name} on lane {frame.lane}")
+        # Where neither is used, a call is spared the copy.
         if lease or self.age.is_on:
             frame = frame._replace(lease=lease, stamp=stamp if self.age.is_on else 0)
         return frame
@@ -318,6 +322,7 @@ class CallsRoute(Route):
         verdict = self.verdict()
         report = self.calls.report(self.id, record_of(verdict), node_names(self.endpoints))
         report = msgspec.structs.replace(report, offered=self.offered, given=self._given)
+        # Without the verdict's duration, which is another one each second.
         if report == self._last_report:
             return None
         self._last_report = report

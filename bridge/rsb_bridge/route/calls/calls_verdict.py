@@ -35,7 +35,6 @@ class CallsProgress(NamedTuple):
         served: whether nodes answer, or None if it is unknown.
         providers: names of these nodes.
         why_unserved: the reason why none answers, or empty.
-        type_known: whether the type is known.
         type_name: as last known, or empty.
         offered: whether callers can call it, as far as this half knows.
         offer_failed: whether this half is kept from its part in offering it.

@@ -88,6 +88,7 @@ def accepted_by(payload: bytes) -> bool | None:
 
 def rejection_of(request: bytes) -> bytes:
     """Return a send_goal response that does not accept the goal."""
+    # In the request's byte order.
     return request[:2] + bytes(2 + _RESPONSE_LENGTH)
 
 
@@ -109,6 +110,7 @@ def statuses_of(payload: bytes) -> list[GoalStatus] | None:
         return []
     # The id of the second and of later ones follows a state, one byte; the stamp behind it is aligned to four.
     next_begins = _COUNT_END + _FIRST_STATUS.size
+    # The count is anybody's word.
     if next_begins + (count - 1) * _NEXT_STATUS.size > len(payload):
         return None
     next_end = next_begins + (min(count, _MOST_STATUSES) - 1) * _NEXT_STATUS.size
@@ -128,12 +130,7 @@ class _Goal:
 
 
 class Goals:
-    """The newest goals of an action, including goals of the server's other callers.
-
-    Args:
-        wall: returns s since the epoch.
-        now: returns s on a monotonic clock.
-    """
+    """The newest goals of an action, including goals of the server's other callers."""
 
     def __init__(self, wall: Callable[[], float], now: Callable[[], float]) -> None:
         self._wall = wall

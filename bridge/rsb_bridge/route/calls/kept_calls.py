@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 INTERRUPTION = 3600.0
 """s for which a call outlives an interruption at most, and its answer on the other side."""
 MOST_CALLS = 256
+"""Calls of one action that wait. A round figure that bounds memory, as the three others here."""
 MOST_BYTES = 8 << 20
 """Bytes of the kept calls' requests."""
 
@@ -223,6 +224,7 @@ class KeptAnswers:
         """
         kept = self._kept.get(question)
         if kept is None and again and question.lane == SEND_GOAL:
+            # The question may have been among the forgotten ones.
             return AnswerAction.LOSE if self._has_forgotten else AnswerAction.REFUSE
         if kept is None:
             return AnswerAction.ASK
@@ -254,6 +256,7 @@ class KeptAnswers:
             calls = (*(kept.calls if kept is not None else ()), *calls)
             self._forget(question)
             self._kept[question] = Kept(number, servers, [*calls])
+            # Once more: `_forget` has dropped the calls of this question.
             self._waiting.update(dict.fromkeys(calls, question))
         self._by_number[question.lane, number] = question
         if len(self._kept) > MOST_KEPT:

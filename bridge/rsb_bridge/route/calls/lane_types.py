@@ -74,6 +74,7 @@ class LaneTypes:
         return types == self._loaded
 
     def _have_loaded(self, types: tuple[str, ...], done: asyncio.Future[Any]) -> None:
+        # Others may have been asked for since.
         if done.cancelled() or types != self._loading:
             return
         if (error := done.exception()) is not None and not isinstance(error, RosError):

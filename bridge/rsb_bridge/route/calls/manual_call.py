@@ -57,7 +57,6 @@ async def call_directly(
     """Call a service of this side's domain, even if the link is lost.
 
     Args:
-        context: what every part of the engine shares.
         entry: its type and hash.
         within: the timeout in s, or None to wait until the answer comes or the task is cancelled.
 
@@ -70,6 +69,7 @@ async def call_directly(
     call = ManualCall(context.loop)
 
     def take(responses: Sequence[Response]) -> None:
+        # Of two servers, the first answer counts.
         payload = responses[0].payload
         context.call(lambda: call.answer(b"", payload))
 

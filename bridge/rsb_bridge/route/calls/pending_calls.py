@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.peer import CallBudget
 
 _ROOM = 64
+"""Entries of ended calls that may stay, however few calls there are. A round figure."""
 
 
 @dataclass(slots=True)
@@ -80,6 +81,7 @@ class PendingCalls(Generic[C]):
         """Add a call that expires after `timeout` s, or never if that is None."""
         self._calls[number] = call
         if timeout is not None:
+            # Else ended calls stay until their timeout. At twice the number, a pass over all costs each call little.
             if len(self._deadlines) > 2 * len(self._calls) + _ROOM:
                 self._deadlines = [each for each in self._deadlines if each[1] in self._calls]
                 heapq.heapify(self._deadlines)
@@ -122,10 +124,12 @@ class PendingCalls(Generic[C]):
     def _expire(self) -> None:
         now, deadlines = self._loop.time(), self._deadlines
         expired = []
+        # Ended calls go, too: the timer would be set for nothing.
         while deadlines and (deadlines[0][0] <= now or deadlines[0][1] not in self._calls):
             _, number = heapq.heappop(deadlines)
             if (call := self.end(number)) is not None:
                 expired.append((number, call))
         self._look_at(deadlines[0][0] if deadlines else math.inf)
+        # After the next deadline is set: `_on_expired` may add calls.
         for number, call in expired:
             self._on_expired(number, call)

@@ -118,6 +118,7 @@ class ProvidingRoute(CallsRoute):
         self.notices.set_loop(found.unavailable.text if loop and found.unavailable else "")
         self._unavailable, self._warning = None if loop else self._or_gone(found.unavailable), found.warning
         if found.entries:
+            # Also while it is paused or not armed: the first call afterwards would wait for them.
             self.types.load(found.entries)
             self.type_name, self.type_hash = self.types.know(found.entries)
             self._served_in = self.peer.connections
@@ -343,11 +344,13 @@ class ProvidingRoute(CallsRoute):
     def _expired(self, number: int, call: PeersCall) -> None:
         self.calls.expired += 1
         nodes, within = " and ".join(node_names(self.endpoints)) or "the server", f"within {self.call_timeout:g} s"
+        # Its answer has come, and waits for the link.
         if call.number and self._by_number.pop((call.lane, call.number), None) is None:
             self.failures.say(
                 f"the link did not take an answer of {nodes} {within}: send less over it, or allow more time"
             )
             return
+        # DDS may hold the request on, for a server that has stopped.
         self.peer.budget.provided.linger(call.size, self.context.now())
         self.failures.say(f"{nodes} did not answer a call {within}")
 

@@ -96,6 +96,7 @@ class ProvidingActionRoute(ProvidingRoute):
         super().advance()
         if not self.life.accepted:
             return
+        # New clients number their calls from the start: their answers would be taken for answers to earlier questions.
         if self._clients.types != opened:
             self.action.answers.clients_closed()
         if had_server and not self._provision.entries:
@@ -131,6 +132,7 @@ class ProvidingActionRoute(ProvidingRoute):
 
     def disarm(self, why: Disarmed, reason: str = "") -> None:
         """Cancel the callers' goals, if a session wants that, and let nothing more cross."""
+        # First: what follows may close the clients.
         if self.on_end == CANCEL:
             self._cancels.cancel(self.action.goals.running())
         super().disarm(why, reason)
@@ -145,6 +147,7 @@ class ProvidingActionRoute(ProvidingRoute):
 
     def _is_limited(self, frame: CallFrame) -> bool:
         """Return whether arming, pauses and limits apply to a call: not if it only asks about a goal again."""
+        # A call whose goal's id cannot be read may begin a goal.
         asks_again = frame.what is What.AGAIN and question_of(frame.lane, frame.content) is not None
         return super()._is_limited(frame) and not asks_again
 
@@ -203,6 +206,7 @@ class ProvidingActionRoute(ProvidingRoute):
         """Answer a call from the kept answers, have it wait for one, refuse it, or ask the server."""
         todo = self.action.answers.take(question, frame.call, again=frame.what is What.AGAIN)
         if todo is AnswerAction.ASK and frame.lane == GET_RESULT:
+            # First: if ROS refuses the question, this call is refused.
             self._add(frame)
             self._ask_result(question, frame.call)
         elif todo is AnswerAction.ASK:
