@@ -37,7 +37,6 @@ class _Term(NamedTuple):
 
     Attributes:
         column: column to search, or an empty string for all columns.
-        regex: expression to search for.
         excludes: whether it must not match.
     """
 
@@ -144,6 +143,7 @@ class Prompt(Horizontal):
         self._before = text
         self.display = True
         field = self.query_one(Input)
+        # The text that is there filters already; only what is typed is news.
         with self.prevent(Input.Changed):
             field.value = text
         self.query_one("#problem", Static).update("")

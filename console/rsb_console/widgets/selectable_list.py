@@ -71,6 +71,7 @@ class SelectableList(LiveLines, can_focus=True):
         """List `keys`. The cursor stays on its item, or at its position if the item is gone."""
         before, follows = self.cursor_key, self.follows_top
         self.keys = keys
+        # First: Textual scrolls no further than the height that it knows.
         self.measure_lines()
         if follows:
             self._place(0)
