@@ -45,7 +45,7 @@ _ASKED_LINES, _ASKED_CHARACTERS = 200, 4 << 10
 RUNNING = "◌"
 _NO_KEYS_YET = "…"
 _LOOK_EVERY = 0.1
-"""s between two looks whether the keys of a question count."""
+"""s between two looks whether the keys of a question count: so much later, at most, it says that they do."""
 
 
 def beginning(fields: str) -> str:
@@ -60,8 +60,6 @@ class Dialog(Vertical):
     """A dialog's widgets, with a title on the frame, and the keys as its last line.
 
     Args:
-        title: title of the dialog.
-        widgets: widgets from the top.
         keys: keys to press, shown in the last line.
         shape: a further CSS class: ``-wide`` or ``-history``.
     """
@@ -79,6 +77,7 @@ class FullScreen(ModalScreen[T]):
     def action_leave_for(self, action: str) -> None:
         """Close the screen, and do something of the main screen."""
         self.dismiss(None)
+        # Later: the action is looked up on the screen that is on top then.
         self.app.call_later(self.app.run_action, f"screen.{action}")
 
 
@@ -158,8 +157,10 @@ class GuardedConfirmScreen(GuardedScreen, ConfirmScreen):
 
     def on_mount(self) -> None:
         """Name the keys only once they count."""
+        # Without a terminal, as in tests, no input is late.
         if InputGate.of(self.app).is_on:
             self._takes_keys = False
+            # From the picture on, as nobody can have answered what was not there.
             self.call_after_refresh(self._is_drawn)
 
     def _is_drawn(self) -> None:
@@ -197,9 +198,6 @@ class OfferScreen(ConfirmScreen):
 
 class UndoScreen(GuardedConfirmScreen):
     """Yes or No. The focus is on No if the undo removes something, or lets messages cross that do not cross now.
-
-    Args:
-        undo: the change to undo, with its effect in words.
     """
 
     SHAPE = "-wide"
@@ -210,6 +208,7 @@ class UndoScreen(GuardedConfirmScreen):
 
     def on_mount(self) -> None:
         """Put the focus on Yes if the undo is harmless."""
+        # Textual calls the handler of GuardedConfirmScreen, too.
         if not self._careful:
             self.query_one("#yes").focus()
 

@@ -33,7 +33,6 @@ class FleetScreen(Screen[None]):
     """All robots, live.
 
     Args:
-        fleet: fleet of the robots.
         view: the operator's settings of the table, from here or a screen before.
         open_robot: opens the console on one.
         change_rate: refreshes faster or slower by so many steps.

@@ -55,9 +55,6 @@ class KeyList(LiveLines, can_focus=True):
 
 class HelpScreen(ModalScreen[None]):
     """Every key; any of escape, q, ? and enter leaves.
-
-    Args:
-        console: the app with the keys.
     """
 
     BINDINGS: ClassVar = [Binding("escape,q,question_mark,f1,enter", "dismiss", show=False)]
@@ -96,9 +93,6 @@ class HelpScreen(ModalScreen[None]):
 @runtime_checkable
 class LabelsKeys(Protocol):
     """An app that knows the keys of actions, as `rsb_console.console_api.Console` does.
-
-    Attributes:
-        actions: all that it has.
     """
 
     actions: Sequence[Action]

@@ -264,7 +264,7 @@ class HistoryScreen(ModalScreen[None]):
 
     def action_span(self) -> None:
         self._span = SPANS[(SPANS.index(self._span) + 1) % len(SPANS)]
-        self._report = None
+        self._report = None  # of the span before
         self.show()
         self._ask()
 

@@ -159,9 +159,6 @@ def _span(seconds: float | None) -> str:
 
 class LinkScreen(ModalScreen[None]):
     """One link, with its topics, live.
-
-    Args:
-        console: the app with the link.
     """
 
     BINDINGS: ClassVar = [Binding("escape,q,enter", "dismiss", show=False)]

@@ -174,6 +174,7 @@ class NewSessionScreen(FormScreen[NewSession]):
             problems |= _at("path", path_problem(str(new.path)))
         else:
             problems["path"] = FileText.MISSING()
+        # Names of key files follow from these, and would be reported as a second mistake.
         if not {"key_file", "name", "clients"} & problems.keys():
             for path in _key_paths(new):
                 problems |= _at("clients" if new.session.listed_clients else "key_file", _key_problem(path))
@@ -200,6 +201,7 @@ class NewSessionScreen(FormScreen[NewSession]):
     @work(group=DIALOG)
     async def accept(self, result: NewSession) -> None:
         """Write the file and create missing keys; ask before a file is overwritten."""
+        # The file first: whoever says no to overwriting one gets no new keys beside it.
         if not await save_asking(self.console, result.session, result.path):
             return
         for path in _key_paths(result):

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from rsb_console.look.picture_rows import Row
     from rsb_console.screens.look_screen import Subject
 
-_TRIED_AGAIN_AFTER = 1.0
+_TRIED_AGAIN_AFTER = 1.0  # s; a round figure: how long a refusal outlives its cause
 _RATES = (0.2, 0.5, 1.0, 2.0, 5.0, MOST_RATE)
 _ZOOM, _PAN, _TILT = 1.5, 0.1, 15.0
 _WAYS = ("", "plot", "tree")
@@ -175,9 +175,6 @@ class PicturePane(Widget, can_focus=True):
 
 class ViewScreen(FullScreen[bool]):
     """Shows pictures of topics until it is closed. The result is true if they are to be shown as text instead.
-
-    Args:
-        subject: what the pictures are of.
     """
 
     BINDINGS: ClassVar = [
@@ -235,6 +232,7 @@ class ViewScreen(FullScreen[bool]):
 
     def on_mount(self) -> None:
         self.set_interval(1.0, self._entitle)
+        # The first wish has the size of the pane, which is known once that is laid out.
         self.call_after_refresh(self._begin)
 
     def on_unmount(self) -> None:
@@ -283,7 +281,7 @@ class ViewScreen(FullScreen[bool]):
                 self._entitle()
                 await asyncio.sleep(_TRIED_AGAIN_AFTER)
                 continue
-            if viewed is not None and self._goes_on.is_set():
+            if viewed is not None and self._goes_on.is_set():  # it may have been held since it asked
                 if viewed.picture.content is None and self._viewed is not None:  # keep the last good one in sight
                     self._problem = viewed.picture.problem
                 else:
@@ -362,6 +360,7 @@ class ViewScreen(FullScreen[bool]):
 
     def action_way(self) -> None:
         """Draw another kind of picture."""
+        # Another kind of picture has other coordinates.
         self._viewed = self._goal = None
         self._change(how=_WAYS[(_WAYS.index(self._wish.how) + 1) % len(_WAYS)])
 
