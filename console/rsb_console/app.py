@@ -236,7 +236,7 @@ class ConsoleApp(TerminalApp[None]):
     def stop(self) -> None:
         """Stop the engine, or detach from it, and close the session's resources; may take some seconds."""
         self._stop_engine()
-        self._resources.close()
+        self._resources.close()  # last: the engine runs on them, such as on the demo's folder
 
     def _stop_engine(self) -> None:
         if self.engine is not None:

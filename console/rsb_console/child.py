@@ -32,6 +32,7 @@ class ChildProcess(subprocess.Popen[str]):
 
     def __init__(self, module: str, *arguments: str, **options: Any) -> None:
         watched, held = os.pipe()
+        # If nobody has this object any more, its process ends, as it does with the parent.
         weakref.finalize(self, os.close, held)
         try:
             command = [sys.executable, "-P", "-m", __name__, str(watched), module, *arguments]

@@ -110,6 +110,7 @@ def to_ascii(text: str) -> str:
     # Most texts are, and this runs for each piece that is drawn.
     if text.isascii():
         return text
+    # One cell has no room for +-, so it takes a blank's, too.
     plain = text.replace(" ± ", " +-").translate(ASCII)
     return plain if plain.isascii() else "".join(c if c.isascii() else "?" * cell_len(c) for c in plain)
 

@@ -155,6 +155,7 @@ def _dithered(pixels: Pixels) -> list[Row]:
     for y in range(pixels.height):
         line = bytearray(grey[y * width : (y + 1) * width])
         for x, shades in enumerate(_SHADES[y % _SIDE]):
+            # All pixels of a row with one threshold in one call, not in a loop of Python.
             line[x::_SIDE] = line[x::_SIDE].translate(shades)
         lines.append(line)
     rows: list[Row] = []

@@ -33,6 +33,7 @@ def plot_rows(series: Series, width: int, height: int, *, cursor: int | None = N
     """
     styles_of = cycle(CURVE_STYLES)
     legend = [_legend(curve, next(styles_of), width, cursor) for curve in series.curves]
+    # A pane may be smaller than its legend and axes.
     rows = max(1, height - len(legend) - 2)
     across = max(1, width - AXIS)
     low, high = _range(series)

@@ -43,9 +43,10 @@ if TYPE_CHECKING:
 _SET, _SET_LANE = "set", "set_parameters"
 """The choice that sets one parameter by name and value, and the service behind it."""
 _MOST_LINES = 2_000
+"""Lines of an answer that are shown. A round figure: the event loop, for which keys wait, lays them out."""
 _NODES = 3
 _CHECKED = 4 << 10
-"""Longest request (characters) to check while it is typed; a longer one takes too long."""
+"""Longest request (characters) to check while it is typed. A round figure: each key has the whole YAML read again."""
 _KEYS = "F9 call   tab next   y copy the answer   esc close"
 
 
@@ -87,8 +88,7 @@ class PlannedCall(NamedTuple):
 
 
 class CallResult(NamedTuple):
-    """The result of a call.
-    """
+    """The result of a call."""
 
     text: str
     look: str

@@ -105,6 +105,7 @@ class ConfirmScreen(ModalScreen[bool]):
     def __init__(self, title: str, message: str, yes: str) -> None:
         super().__init__()
         self._title, self._message, self._yes = title, message, yes
+        # Not to be focused: ← and → go from button to button.
         self._scrolled = VerticalScroll(classes="message", can_focus=False)
         self._takes_keys = True
         self._keys = Static(_NO_KEYS_YET, classes="hint keys", markup=False)
@@ -160,7 +161,7 @@ class GuardedConfirmScreen(GuardedScreen, ConfirmScreen):
         # Without a terminal, as in tests, no input is late.
         if InputGate.of(self.app).is_on:
             self._takes_keys = False
-            # From the picture on, as nobody can have answered what was not there.
+            # The time counts from the picture on: earlier, there is no question to answer.
             self.call_after_refresh(self._is_drawn)
 
     def _is_drawn(self) -> None:
@@ -197,8 +198,7 @@ class OfferScreen(ConfirmScreen):
 
 
 class UndoScreen(GuardedConfirmScreen):
-    """Yes or No. The focus is on No if the undo removes something, or lets messages cross that do not cross now.
-    """
+    """Yes or No. The focus is on No if the undo removes something, or lets messages cross that do not cross now."""
 
     SHAPE = "-wide"
 

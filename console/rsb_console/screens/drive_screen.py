@@ -429,7 +429,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         if self._asking is not None:
             self._asking.cancel()
         route, engine = self._current(), self.console.engine
-        # What was armed before this screen, by A on the list of topics, stays so.
+        # A topic that A has armed on the list of topics stays armed.
         if not self._has_armed or engine is None or route is None or route.arming is None:
             return
         if route.arming.here and route.arming.armed:

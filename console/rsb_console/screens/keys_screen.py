@@ -79,6 +79,7 @@ def look_at(path: Path, user: str, used_by: Sequence[str], now: float) -> KeyFil
         used_by: the fingerprints of the keys that links use.
         now: s since the epoch.
     """
+    # Apart from the key: a file that cannot be read has a mode, which may be why.
     try:
         mode = f"{stat.S_IMODE(path.stat().st_mode):04o}"
     except OSError:
@@ -164,7 +165,7 @@ class KeysScreen(ModalScreen[None]):
         links = () if engine is None else engine.snapshot().links
         used = [link.fingerprint for link in links if link.state is State.OK]
         files = self._made
-        # Files of the same names here are not those of a bridge elsewhere.
+        # A bridge elsewhere has other files under these names.
         if engine is not None and engine.same_machine:
             files = files | key_files(engine.session, self.console.base)
         self.table.show([look_at(path, user, used, now) for path, user in files.items()])

@@ -127,6 +127,7 @@ class MainScreen(Screen[None]):
     BINDINGS = bindings(Group.VIEW, Group.OPERATE, Group.SESSION)
     BLANK = True  # as its `Panes`
     AUTO_FOCUS = "#topics"
+    # From 110 columns on, the table has `columns.WIDE` cells with the details in sight.
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (110, "-wide")]  # noqa: RUF012 -- Textual declares it without ClassVar
     VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short"), (30, "-tall")]  # noqa: RUF012 -- as above
 

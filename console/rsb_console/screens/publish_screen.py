@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from rsb_console.console_api import Console
 
 _CHECKED = 4 << 10
-"""Longest message (characters) to check while it is typed; a longer one takes too long."""
+"""Longest message (characters) to check while it is typed. A round figure: each key has the whole YAML read again."""
 _TYPED_FOR = 0.5
 """s without a key in the topic's name after which its fields are looked up."""
 _LANDING, _LOOK_EVERY = "landing", 0.1

@@ -119,8 +119,7 @@ def _question(session: Session, path: Path, opened: SessionFile | None) -> tuple
 
 
 class DiffLines(LiveLines, can_focus=False):
-    """The lines of a diff, coloured; a long one goes on in the next line.
-    """
+    """The lines of a diff, coloured; a long one goes on in the next line."""
 
     def __init__(self, lines: Sequence[str]) -> None:
         super().__init__(id="diff")

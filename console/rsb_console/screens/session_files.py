@@ -259,6 +259,7 @@ class WelcomeScreen(ModalScreen[str]):
         Binding("enter", "choose", show=False),
         Binding("escape", "dismiss('')", show=False),
         *(
+            # Also by the keys of the main screen, which the menu hides.
             Binding(f"{key},{BY_ID[choice].keys}", f"dismiss('{choice}')", show=False)
             for choice, (key, _, _) in CHOICES.items()
         ),

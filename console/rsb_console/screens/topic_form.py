@@ -306,6 +306,7 @@ class TopicScreen(FormScreen[TopicDraft]):
 
     def _look(self) -> None:
         """Ask both sides what they have; a side that has not answered yet is not asked again."""
+        # What a whole interval has not answered. A note about it at once would flicker, as most answers come soon.
         self._late = set(self._awaited)
         for side in (None, self._link):
             if side not in self._awaited:
@@ -384,6 +385,7 @@ def suggestions_for(
     }
     infos = [(info, is_here) for graph, is_here in ((here, True), (there, False)) for info in graph]
     suggestions: dict[str, Suggestion] = {}
+    # Publishers first, as the first suggestion of a key stays.
     for info, is_here in sorted(infos, key=lambda each: not each[0].publishers):
         suggestion = _suggestion(ends, info, is_here)
         from_here = info.kind == "topic" and is_here == bool(info.publishers)

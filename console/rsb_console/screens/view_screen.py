@@ -174,8 +174,7 @@ class PicturePane(Widget, can_focus=True):
 
 
 class ViewScreen(FullScreen[bool]):
-    """Shows pictures of topics until it is closed. The result is true if they are to be shown as text instead.
-    """
+    """Shows pictures of topics until it is closed. The result is true if they are to be shown as text instead."""
 
     BINDINGS: ClassVar = [
         Binding("escape", "leave", show=False),
@@ -206,6 +205,7 @@ class ViewScreen(FullScreen[bool]):
         super().__init__()
         self.console = console
         self._subject = subject
+        # The map itself is one of them.
         self._layers = subject.layers[: TOPICS_AT_ONCE - 1] if is_map(subject.type_name) else ()
         self._shows_layers = bool(self._layers)
         self._viewer = secrets.token_hex(8)
@@ -231,8 +231,9 @@ class ViewScreen(FullScreen[bool]):
         yield self.pane
 
     def on_mount(self) -> None:
+        # The age of a picture grows without a new one.
         self.set_interval(1.0, self._entitle)
-        # The first wish has the size of the pane, which is known once that is laid out.
+        # The first wish has the size of the pane, which has none before its layout.
         self.call_after_refresh(self._begin)
 
     def on_unmount(self) -> None:
@@ -261,6 +262,7 @@ class ViewScreen(FullScreen[bool]):
 
     def _fit(self) -> None:
         size = self.pane.scrollable_content_region.size
+        # The other side refuses a wish beyond these bounds.
         width, height = max(1, min(MOST_COLUMNS, size.width)), max(1, min(MOST_ROWS, size.height))
         self._wish = msgspec.structs.replace(self._wish, width=width, height=height)
         self.pane.border_subtitle = Content(f" {self._keys(size.width - _FRAME)} ")

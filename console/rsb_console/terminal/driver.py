@@ -104,7 +104,7 @@ def terminal_to_itself(log: Path) -> Iterator[int]:
     Yields:
         A descriptor of the terminal. It is never closed, because a thread may be stuck in a write to it.
     """
-    sys.stdout.flush()  # what was printed so far is for the terminal, not for the log
+    sys.stdout.flush()  # earlier output is for the terminal, not for the log
     terminal, errors = os.dup(1), os.dup(2)
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
@@ -182,7 +182,7 @@ class ConsoleDriver(LinuxDriver):
         """Return the terminal's columns and lines. Textual asks standard output, which may not be the terminal."""
         with contextlib.suppress(OSError):
             columns, lines = os.get_terminal_size(self._file.fileno())
-            if columns and lines:
+            if columns and lines:  # a pseudo-terminal that nobody has sized is 0 × 0
                 return columns, lines
         return super()._get_terminal_size()
 
@@ -308,7 +308,7 @@ def prefers_ascii(environ: Mapping[str, str]) -> bool:
     return "utf" not in locale.lower() or environ.get("TERM") == "linux"
 
 
-_SHOWN = 200  # characters of what was copied: a toast of a few lines
+_SHOWN = 200  # characters of the copied text: a toast of a few lines
 
 
 def copy(app: App[object], text: str) -> str:

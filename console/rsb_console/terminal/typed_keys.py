@@ -51,8 +51,8 @@ class TypedKeys:
         if os.isatty(self._fd):
             with contextlib.suppress(OSError, termios.error):  # then its keys count, as if it gave no answers
                 self._modes = termios.tcgetattr(self._fd)
-                # Opened anew: a terminal that hangs must not block the write, but O_NONBLOCK on standard input would
-                # hold for the shell, too.
+                # A descriptor of its own: a terminal that hangs must not block the write, but O_NONBLOCK on standard
+                # input would hold for the shell, too.
                 self._terminal = os.open(os.ttyname(self._fd), os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
         return self
 

@@ -134,6 +134,7 @@ def last_failure(route: RouteSnapshot) -> str:
     return "" if route.calls is None else route.calls.last_failure
 
 
+# Each `from_width` leaves the topics' names 14 cells at least, in a table of any width from 40 on.
 _FIGURES: tuple[Column[RouteSnapshot], ...] = (
     Column(
         "kB/s",

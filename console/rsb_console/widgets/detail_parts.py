@@ -140,7 +140,7 @@ def stages(route: RouteSnapshot, question: str, nothing: str, width: int) -> Ite
     """
     of_route = route.stages
     waiting = [index for index, stage in enumerate(of_route) if not stage.done]
-    # A stage that has failed explains more than an earlier one about which nothing is known.
+    # A failed stage explains more than an earlier one without a result.
     at = next((index for index in waiting if of_route[index].done is False), next(iter(waiting), None))
     yield ((" Stages" if route.state.flows else f" {question}", "head"),)
     if at is None:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _NAMED = 3
 _OWN_NAME = "\0"
-"""Stands for a fault's own name in its cause, so that causes which differ only there are alike."""
+"""Replaces a fault's own name in its cause, so that causes without another difference are alike."""
 _DURATION = re.compile(r"\b\d+ (?:s|min|h)\b")
 """Durations, which differ a little between topics that failed together."""
 _KEEPS_HEIGHT = 10.0
@@ -133,6 +133,7 @@ class Heights:
         for fault in faults:
             needs = len(_wrapped(fault, width))
             had, at = before.get(fault.key, (0, now))
+            # A snapshot has the machine's time, which may be set back: no height is kept until it has caught up.
             self._needed[fault.key] = (had, at) if had > needs and 0.0 <= now - at < _KEEPS_HEIGHT else (needs, now)
 
     def of(self, fault: Fault) -> int:
@@ -151,6 +152,7 @@ def fault_lines(
         most: lines.
         heights: least number of lines for each fault, or None.
     """
+    # Each fault takes a line at least, so there is no room for further ones.
     wrapped = [_wrapped(fault, width, heights.of(fault) if heights else 0) for fault in faults[:most]]
     if len(faults) <= most and sum(map(len, wrapped)) <= most:
         return [line for lines in wrapped for line in lines]

@@ -156,7 +156,7 @@ class Prompt(Horizontal):
             pattern = RowFilter(event.value) or None
         except PatternError as error:
             problem.update(str(error))
-            return
+            return  # the filter of before stays, for example while a bracket is still open
         problem.update("")
         self.post_message(self.Changed(pattern))
 

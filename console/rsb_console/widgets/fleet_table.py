@@ -95,12 +95,12 @@ def percent(share: float) -> str:
 
 def _loss(row: RobotRow) -> float:
     loss = row.robot.summary.loss
-    return -1.0 if loss is None else loss.share
+    return -1.0 if loss is None else loss.share  # if unknown, behind all others
 
 
 def _charge(row: RobotRow) -> float:
     battery = row.robot.summary.battery
-    return 2.0 if battery is None else battery.charge
+    return 2.0 if battery is None else battery.charge  # if unknown, behind all others, and not low
 
 
 def _by_state(row: RobotRow) -> tuple[object, ...]:
@@ -202,8 +202,7 @@ class FleetView:
 
 
 class FleetTable(SelectableList):
-    """One line for each robot and each group. The cursor stays on its robot when the order changes.
-    """
+    """One line for each robot and each group. The cursor stays on its robot when the order changes."""
 
     sticky = 1
     begins_at_top = True

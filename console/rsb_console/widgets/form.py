@@ -144,8 +144,7 @@ class Field(Vertical):
 
 
 class Form(VerticalScroll, can_focus=False):
-    """Fields, one below the other. Arrows and tab move between them, enter submits.
-    """
+    """Fields, one below the other. Arrows and tab move between them, enter submits."""
 
     BINDINGS: ClassVar = [
         Binding("up", "app.focus_previous", show=False),
@@ -182,6 +181,7 @@ class Form(VerticalScroll, can_focus=False):
         self._problems = problems
         for key, field in self.fields.items():
             field.problem.set_text(problems.get(key, "") if field.is_ready else "")
+        # Also the mistakes of hidden fields, which have no place of their own.
         elsewhere = [message for key, message in problems.items() if key not in self.values]
         self.problem.set_text("\n".join(elsewhere))
 
@@ -214,7 +214,7 @@ class Form(VerticalScroll, can_focus=False):
         event.stop()
         controls = [field.control for field in self.fields.values() if field.display]
         first = next((each for each in controls if isinstance(each, FieldInput)), None)
-        # Only before the focus has moved: whoever types ahead of a form means its first text.
+        # Only before the focus has moved: text that is typed ahead of a form is for its first text field.
         if first is not None and controls[0] is event.choice and not self._focus_moved:
             first.focus()
             InputQueue.of(self.app).insert([Paste(event.text)])

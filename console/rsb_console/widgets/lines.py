@@ -88,7 +88,7 @@ class LiveLines(ScrollView):
 
     def measure_lines(self) -> None:
         """Set the scrollable height to that of all lines."""
-        size = Size(0, self.line_count)
+        size = Size(0, self.line_count)  # no width: lines are cut, not scrolled sideways
         if size != self.virtual_size:
             self.virtual_size = size
 

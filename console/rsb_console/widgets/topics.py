@@ -177,7 +177,7 @@ def _cell(column: Column[Row], row: Row, width: int) -> tuple[str, str]:
     if len(text) > width:
         text = fit_middle(text, width) if column is TOPIC else text[: width - 1] + "…"
     look = ""
-    if row.acknowledged is not None and not is_armed(row):  # what is armed stands out, whatever is known about it
+    if row.acknowledged is not None and not is_armed(row):  # an armed topic may move a robot, so it is not dimmed
         look = "dim"
     elif column in {STATE, SIGN}:
         look = "armed" if is_armed(row) else row.state.value
