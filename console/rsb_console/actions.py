@@ -53,6 +53,7 @@ class Action:
     also: str = ""
 
 
+# No Ctrl+S, Q, A, B, J or Enter, and no Alt: terminals and multiplexers take these for themselves.
 # The footer shows them in this order, as many as fit: what an operator needs most comes first.
 ACTIONS: tuple[Action, ...] = (
     Action("move_down", "j,down", "down", "Next line", Group.MOVE),
@@ -211,6 +212,7 @@ FLEET_ACTIONS: tuple[Action, ...] = (
     *(replace(_CONSOLE_ACTIONS[name], help=text) for name, text in _ON_FLEET.items()),
     *(action for action in ACTIONS
       if action.group is Group.MOVE
+      # The fleet's app has no bell.
       or (action.group is Group.CONSOLE and action.id not in (*_ON_FLEET, "bell_on_fault"))),
 )  # fmt: skip
 

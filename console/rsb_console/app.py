@@ -51,15 +51,15 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
 LOCAL_RATE, SSH_RATE = 4.0, 2.0
+"""500 topics take 4 ms and up to 10 kB a refresh (docs/design.md, 9). Over SSH half as often: the line may be slow."""
 RINGS_EVERY = 10.0
-"""Least seconds between two rings."""
+"""Least seconds between two rings, so that faults which begin close together ring once."""
 
 
 class ConsoleApp(TerminalApp[None]):
     """Fulfils `rsb_console.console_api.Console`: owns the engine, the user's preferences, and the main screen.
 
     Args:
-        session: session to run, or None.
         path: the session's file, or None without a file.
         theme: name of the theme, or None for one that suits the terminal.
         config: the user's configuration folder, or None for the platform's.
@@ -128,6 +128,7 @@ class ConsoleApp(TerminalApp[None]):
     def on_ready(self) -> None:
         """Report problems of the preferences and start the session, after the first picture."""
         self.tell_problems()
+        # Not earlier: the first picture waits for no engine.
         self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
         if self._attach_to is not None:
             self._attach_to_bridge(self._attach_to)
@@ -154,6 +155,7 @@ class ConsoleApp(TerminalApp[None]):
             self._resources = resources or ExitStack()
             self.base = Path() if path is None else path.parent
             self.temporary = temporary
+            # With a path, a session whose file goes with it would be among the recent ones, and saved already.
             if temporary:
                 self.path = self.saved = self.file = None
             else:
@@ -161,6 +163,7 @@ class ConsoleApp(TerminalApp[None]):
             await self._start(session)
 
     async def start_again(self) -> None:
+        # Without it, R pressed twice would end the engine that the first one has just started.
         if self._changing.locked():
             self.notify(f"the bridge is {self.note}", timeout=3)
         else:
@@ -169,6 +172,7 @@ class ConsoleApp(TerminalApp[None]):
     @work(group="session")
     async def _start_again(self) -> None:
         async with self._changing:
+            # An attached bridge belongs to another process.
             if self.engine is not None and not self.attached_to:
                 await asyncio.to_thread(self._stop_engine)
                 await self._start(self.engine.session)
@@ -180,10 +184,12 @@ class ConsoleApp(TerminalApp[None]):
         self.attached_to = ""
         engine = self._make_engine(session, self.base)
         engine.use_file(self.path)
+        # Before the engine starts: with a bridge that runs this session already, it would fight for the port.
         if self._serve is not None:
             try:
                 self._server, running = await asyncio.to_thread(self._serve, engine, session, self.path)
             except EngineError as error:
+                # The session is worth more than its control socket, so it runs without.
                 running = None
                 self.notify(str(error), title="Nobody can attach", severity="warning", markup=False, timeout=15)
             if running is not None:
@@ -230,7 +236,7 @@ class ConsoleApp(TerminalApp[None]):
     def stop(self) -> None:
         """Stop the engine, or detach from it, and close the session's resources; may take some seconds."""
         self._stop_engine()
-        self._resources.close()
+        self._resources.close()  # last: the engine runs on them, such as on the demo's folder
 
     def _stop_engine(self) -> None:
         if self.engine is not None:
@@ -317,6 +323,7 @@ class ConsoleApp(TerminalApp[None]):
     def change_refresh_rate(self, step: int) -> None:
         index = REFRESH_RATES.index(self.refresh_rate) + step
         self.refresh_rate = REFRESH_RATES[max(0, min(len(REFRESH_RATES) - 1, index))]
+        # Textual cannot change the interval of a timer.
         self._pulling.stop()
         self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
         self.pull()
@@ -339,20 +346,13 @@ class ConsoleApp(TerminalApp[None]):
     async def on_event(self, event: events.Event) -> None:
         """Note that the operator is active (Textual's)."""
         if self.screen_stack and not self.input_gate.is_late(event):
+            # Keys that were pressed long ago do not show that somebody watches now.
             self.deadman.saw(event, self.screen)
         await super().on_event(event)
 
 
 class Bell:
-    """Rings when a fault of the shown engine begins. Earlier faults do not ring.
-
-    Args:
-        is_on: whether it rings at first.
-        clock: gives s on a clock that nobody sets.
-
-    Attributes:
-        is_on: whether it rings now.
-    """
+    """Rings when a fault of the shown engine begins. Earlier faults do not ring."""
 
     def __init__(self, ring: Callable[[], None], *, is_on: bool, clock: Callable[[], float] = time.monotonic) -> None:
         self.is_on = is_on
@@ -369,7 +369,7 @@ class Bell:
             self._watch = None
         elif self._watch is None or engine is not self._engine:
             self._engine, self._watch = engine, FaultWatch()
-            self._watch.assume(snapshot, now)
+            self._watch.assume(snapshot, now)  # what is wrong already does not ring
         else:
             begun = [change for change in self._watch.look(snapshot, now) if rings_for(change)]
             if begun and now - self._rang_at >= RINGS_EVERY:

@@ -19,19 +19,20 @@ from typing import Any
 from rsb_bridge.model.text import keep_output_clean
 
 _ENDS_WITHIN = 8.0
-"""Seconds from the parent's end until a child that still runs is killed."""
+"""Seconds from the parent's end until a child that still runs, such as one that ignores SIGTERM, is killed. A round
+figure: nothing was measured."""
 
 
 class ChildProcess(subprocess.Popen[str]):
     """Runs a module as ``python -P -m`` does: modules in the working folder are not found.
 
     Args:
-        arguments: arguments of the module.
         options: for `subprocess.Popen`.
     """
 
     def __init__(self, module: str, *arguments: str, **options: Any) -> None:
         watched, held = os.pipe()
+        # If nobody has this object any more, its process ends, as it does with the parent.
         weakref.finalize(self, os.close, held)
         try:
             command = [sys.executable, "-P", "-m", __name__, str(watched), module, *arguments]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 _CRASHES = 1 << 20
-"""Size in bytes at which crash.log is started again."""
+"""Size in bytes at which crash.log is started again. A round figure: a few hundred tracebacks."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -71,6 +71,7 @@ def _run(argv: list[str], given_at: float | None = None) -> int:
     arguments.given_at = Clock.steady() if given_at is None else given_at
     try:
         code: int = arguments.command(arguments)
+        # Here, where its errors are met: Python's own flush at exit would print a traceback and end with 120.
         sys.stdout.flush()
     except BrokenPipeError:
         # The reader of our output has gone (`| head`). Python's own flush at exit must not meet the pipe again.
@@ -102,6 +103,7 @@ def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
     """Insert `run` if the arguments do not begin with a command."""
     from difflib import get_close_matches
 
+    # `rsb-console --debug` alone opens the console.
     first = next((argument for argument in argv if argument != "--debug"), None)
     if first is None:
         return ["run", *argv]

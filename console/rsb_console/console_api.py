@@ -87,7 +87,6 @@ class Console(ConsoleShell, Protocol):
         temporary: whether the session's file is deleted when the session ends, like the demo's.
         attached_to: name of the attached bridge of another process, or empty if the engine is the console's own.
         note: the console's present work on the session (``starting``), or empty.
-        refresh_rate: Hz.
         changes: this console's changes to the engine that can be undone.
     """
 
@@ -145,7 +144,6 @@ class Console(ConsoleShell, Protocol):
         """Wait for a command to the engine, and notify the operator if it failed.
 
         Args:
-            future: future from the engine.
             done: text to show on success, or empty because the log has one.
 
         Returns:

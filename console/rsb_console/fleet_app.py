@@ -32,7 +32,6 @@ class FleetApp(TerminalApp["Robot"]):
 
     Args:
         fleet: a started fleet, which outlives the app.
-        view: the operator's settings of the table so far.
         theme: name of the theme, or None for one that suits the terminal.
         config: the user's configuration folder, or None for the platform's.
         after_quit: text about the bridges when the operator quits.

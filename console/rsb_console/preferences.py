@@ -60,6 +60,7 @@ def load_keymap(path: Path) -> dict[str, str]:
         return {}
     if not isinstance(loaded, dict):
         raise KeymapError(PreferenceProblem.NO_KEYMAP(path=path))
+    # YAML reads the key 5 as a number.
     keymap = {str(action): str(keys) for action, keys in loaded.items()}
     unknown = sorted(set(keymap) - set(BY_ID))
     if unknown:
@@ -69,6 +70,7 @@ def load_keymap(path: Path) -> dict[str, str]:
 
 
 def _refuse_shared_keys(path: Path, keymap: Mapping[str, str]) -> None:
+    # Each by itself: the two screens are never in one app, and share keys such as space.
     for actions in (ACTIONS, FLEET_ACTIONS):
         owner: dict[str, str] = {}
         for action in actions:

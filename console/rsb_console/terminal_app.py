@@ -91,6 +91,7 @@ class TerminalApp(App[ReturnType]):
 
     def on_mount(self) -> None:
         """Set themes and keys, before the first picture."""
+        # The key t goes through all themes. Only ours are checked to keep to the 256 colours that SSH leaves.
         for name in self.available_themes:
             self.unregister_theme(name)
         for theme in self.preferences.themes.values():
@@ -164,6 +165,7 @@ class TerminalApp(App[ReturnType]):
 
     async def on_event(self, event: events.Event) -> None:
         """Handle an event as Textual does, but input only when it is its turn."""
+        # The queue comes first: until an event's turn, another screen may be on top, which takes late keys or does not.
         if self.input_queue.takes(event):
             return
         if event.is_forwarded or not self.screen_stack or not self.input_gate.refuses(event, self.screen):
@@ -178,8 +180,10 @@ class TerminalApp(App[ReturnType]):
 
     def shut_down_soon(self, reason: ShutdownReason) -> None:
         """Call `shut_down` from a signal handler or another thread; end the process if the app hangs."""
+        # In tests the process is theirs, and must not be killed.
         if not self.is_headless:
             self._forced_end.begin()
+        # Not call_from_thread, which waits for the app for as long as a terminal stalls it.
         self.call_later(self.shut_down, reason)
 
     def has_ended(self) -> None:

@@ -38,6 +38,7 @@ def hertz(rate: float) -> str:
 
 def expected(rate: float) -> str:
     """Format an expected rate in Hz, without the unit: ``10``, ``0.5``, ``1000``."""
+    # From 1000 on, .3g would give 1e+03.
     return f"{rate:.3g}" if rate < 1000 else f"{rate:.0f}"
 
 
@@ -52,13 +53,14 @@ def byte_rate(bytes_per_second: float) -> str:
     if bytes_per_second < 1e3:
         return f"{bytes_per_second:.0f} B/s"
     value, unit = (bytes_per_second / 1e6, "MB/s") if bytes_per_second >= 1e6 else (bytes_per_second / 1e3, "kB/s")
-    return f"{value:.1f} {unit}" if value < 9.95 else f"{value:.0f} {unit}"
+    return f"{value:.1f} {unit}" if value < 9.95 else f"{value:.0f} {unit}"  # from 9.95 on, .1f gives 10.0
 
 
 def byte_count(count: int) -> str:
     """Format a number of bytes in at most seven characters: ``412 B``, ``9.4 kB``, ``312 MB``, ``3.1 TB``."""
     value, unit = float(count), "B"
     for larger in ("kB", "MB", "GB", "TB", "PB"):
+        # From here on, .0f gives 1000 kB instead of 1.0 MB.
         if value < 999.5:
             break
         value, unit = value / 1e3, larger
@@ -111,6 +113,7 @@ def age(seconds: float) -> str:
 
 def age_since(since: float, now: float) -> str:
     """Format the time from `since` to `now` (s) as `age`, in whole seconds: ``4s``, ``31s``, ``12m``."""
+    # Both cut to whole seconds: so all such figures of a screen change at one moment, in one redrawing.
     seconds = max(0, math.floor(now) - math.floor(since))
     return f"{seconds}s" if seconds < 100 else age(seconds)
 
@@ -125,7 +128,6 @@ def retry(number: int, seconds: float | None) -> str:
     """Format the time of a link's next attempt: ``retry 4 in 3 s``, ``retry 4 now``.
 
     Args:
-        number: number of the attempt.
         seconds: s until then, rounded up; 0 if the attempt runs now, or None if no attempt is planned.
     """
     if seconds is None:
@@ -141,6 +143,7 @@ def next_attempt(link: LinkSnapshot, now: float | None = None) -> str:
     """
     seconds = link.retry_in
     if seconds and now is not None:
+        # At least 1: 0 means that the attempt runs now.
         seconds = max(1, math.floor(now + seconds) - math.floor(now))
     if link.cause == LinkCause.SHUT_DOWN and seconds is not None:
         return f"asks again in {math.ceil(seconds)} s"
@@ -185,6 +188,7 @@ def known_type(route: RouteSnapshot) -> str:
 def counted_kinds(kinds: Iterable[Kind]) -> str:
     """Format a count of routes: ``8 topics, 2 services, parameters of 1 node``; of none, ``0 topics``."""
     counts = Counter(kinds)
+    # A route of parameters is named by its node: "2 parameters" would be two values.
     nodes = counts.pop("parameters", 0)
     parts = [counted(counts[kind], noun) for kind, noun in KIND_NOUN.items() if counts[kind]]
     parts += [f"parameters of {counted(nodes, 'node')}"] if nodes else []

@@ -59,6 +59,7 @@ def sparkline(values: Sequence[float], width: int, top: float = 0.0) -> str:
 def _level(value: float, top: float) -> int:
     if value <= 0 or top <= 0:
         return 0
+    # At least the lowest bar: a little must not look like nothing.
     return max(1, min(8, round(7 * value / top)))
 
 
@@ -79,6 +80,7 @@ def braille_plot(values: Sequence[float], width: int, height: int, top: float) -
     for index, level in enumerate(levels):
         before = levels[index - 1] if index else level
         x = first + index
+        # From the level before: a step is an edge, not two dots with a gap.
         for y in range(min(before, level), max(before, level) + 1):
             cells[height - 1 - y // 4][x // 2] |= _DOTS[x % 2][y % 4]
     return ["".join(chr(0x2800 + dots) for dots in line) for line in cells]
@@ -105,8 +107,10 @@ ASCII |= {0x2800 + dots: _ascii_braille(dots) for dots in range(256)}
 
 def to_ascii(text: str) -> str:
     """Replace every character that is not ASCII by ASCII of the same width."""
+    # Most texts are, and this runs for each piece that is drawn.
     if text.isascii():
         return text
+    # One cell has no room for +-, so it takes a blank's, too.
     plain = text.replace(" ± ", " +-").translate(ASCII)
     return plain if plain.isascii() else "".join(c if c.isascii() else "?" * cell_len(c) for c in plain)
 

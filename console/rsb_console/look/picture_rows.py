@@ -69,6 +69,7 @@ def picture_rows(
         UnreadableError: the other side's image is damaged.
     """
     if isinstance(content, Pixels):
+        # A larger image comes from a hostile side, and would hold the app up.
         if content.width > MOST_COLUMNS or content.height > 2 * MOST_ROWS:
             raise UnreadableError("an image is larger than any that blocks are asked for")
         if colours > _FEW:
@@ -123,7 +124,7 @@ def rgb_of(pixels: Pixels) -> bytes:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked before it is read
-            image = Image.open(io.BytesIO(pixels.data), formats=["WEBP"])
+            image = Image.open(io.BytesIO(pixels.data), formats=["WEBP"])  # no other decoder for a stranger's bytes
         if image.size == (pixels.width, pixels.height):
             return image.convert("RGB").tobytes()
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
@@ -136,8 +137,10 @@ def _half_blocks(pixels: Pixels) -> list[Row]:
     rows: list[Row] = []
     for y in range(0, pixels.height, 2):
         upper = rgb[y * line : (y + 1) * line]
+        # The last row of an odd height has no lower half.
         lower = rgb[(y + 1) * line : (y + 2) * line].ljust(line, b"\0")
         both = [(upper[at : at + 3], lower[at : at + 3]) for at in range(0, 3 * width, 3)]
+        # One part for cells of one colour: each part is an escape sequence on the line.
         runs = ((colours, len([*same])) for colours, same in groupby(both))
         rows.append(
             tuple(Part(_UPPER_HALF * count, f"#{fore.hex()}", f"#{back.hex()}") for (fore, back), count in runs)
@@ -152,6 +155,7 @@ def _dithered(pixels: Pixels) -> list[Row]:
     for y in range(pixels.height):
         line = bytearray(grey[y * width : (y + 1) * width])
         for x, shades in enumerate(_SHADES[y % _SIDE]):
+            # All pixels of a row with one threshold in one call, not in a loop of Python.
             line[x::_SIDE] = line[x::_SIDE].translate(shades)
         lines.append(line)
     rows: list[Row] = []

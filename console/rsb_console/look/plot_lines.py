@@ -16,8 +16,9 @@ _DOT_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _BRAILLE = 0x2800
 _ACROSS, _DOWN = 2, 4
 AXIS = 10
-"""Cells of the labels of values, with the axis."""
+"""Cells of the labels of values, with the axis: a label such as -1.23e-05 has nine."""
 _TICK_ROWS, _TICK_COLUMNS = 4, 16
+"""Least rows and columns from one label to the next. A label of time takes up to eleven columns."""
 _STEPS = (1, 2, 5, 10)
 
 
@@ -32,6 +33,7 @@ def plot_rows(series: Series, width: int, height: int, *, cursor: int | None = N
     """
     styles_of = cycle(CURVE_STYLES)
     legend = [_legend(curve, next(styles_of), width, cursor) for curve in series.curves]
+    # A pane may be smaller than its legend and axes.
     rows = max(1, height - len(legend) - 2)
     across = max(1, width - AXIS)
     low, high = _range(series)
@@ -47,6 +49,7 @@ def plot_rows(series: Series, width: int, height: int, *, cursor: int | None = N
             character = chr(_BRAILLE + dots[row][column]) if dots[row][column] else " "
             if column == cursor and not dots[row][column]:
                 character, style = "│", "dim"
+            # The first two parts are the label and the axis, which stay apart.
             if parts[-1][1] == style and len(parts) > 2:
                 parts[-1] = (parts[-1][0] + character, style)
             else:
@@ -68,6 +71,7 @@ def _range(series: Series) -> tuple[float, float]:
     """Return the lowest and the highest value, some way apart."""
     values = [value for curve in series.curves for value in (*curve.lows, *curve.highs) if value is not None]
     low, high = min(values, default=0.0), max(values, default=1.0)
+    # A constant curve: all further figures divide by the range.
     if high - low < 1e-9 * max(1.0, abs(high)):
         margin = max(abs(high) * 0.1, 1e-3)
         return low - margin, high + margin
@@ -91,7 +95,7 @@ def _dots(series: Series, across: int, rows: int, low: float, high: float) -> tu
             if least is None or most is None:
                 continue
             top, bottom = (round((high - value) / (high - low) * last) for value in (most, least))
-            if before is not None:  # connect a curve's steps
+            if before is not None:  # connect a curve's steps, which would be dots with gaps
                 top, bottom = min(top, before[1]), max(bottom, before[0])
             before = tuple(round((high - value) / (high - low) * last) for value in (most, least))
             for y in range(max(0, top), min(last, bottom) + 1):

@@ -98,6 +98,7 @@ def read_theme(path: Path) -> Theme:
     try:
         loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
     except yaml.YAMLError as error:
+        # On one line, as all mistakes together are one toast.
         raise ThemeError(" ".join(str(error).split())) from None
     if not isinstance(loaded, dict):
         raise ThemeError(ThemeProblem.NO_MAPPING())
@@ -117,7 +118,7 @@ def read_theme(path: Path) -> Theme:
     if not isinstance(variables, dict):
         raise ThemeError(ThemeProblem.NO_VARIABLES())
     for key, value in variables.items():
-        if key in VARIABLES:
+        if key in VARIABLES:  # Textual's own may be no colours, such as a style
             _check_color(f"variables.{key}", value)
     return Theme(name=path.stem, variables={str(key): str(value) for key, value in variables.items()}, **loaded)
 
@@ -125,7 +126,7 @@ def read_theme(path: Path) -> Theme:
 def _check_color(key: str, value: Any) -> None:
     try:
         Color.parse(value)
-    except (ColorParseError, TypeError, AttributeError):
+    except (ColorParseError, TypeError, AttributeError):  # no text: to YAML, #5fafff without quotes is a comment
         raise ThemeError(ThemeProblem.NO_COLOR(key=key, value=value)) from None
 
 

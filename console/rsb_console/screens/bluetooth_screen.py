@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from rsb_console.console_api import Console
 
-CHANNELS_A_LINE = 15
+CHANNELS_A_LINE = 15  # half of them, so that two lines fit 80 columns
 SIGNS = {ChannelUse.FREE: ("·", "dim"), ChannelUse.BUSY: ("✗", "down"), ChannelUse.OWN: ("●", "ok")}
 
 
@@ -141,7 +141,9 @@ class BluetoothScreen(ModalScreen[str | None]):
     async def action_scan(self) -> None:
         self._state.set_text("scanning …")
         engine = self.console.engine
+        # A channel that this process listens on looks like one that another program has taken.
         own = held_channels(engine.session, engine.snapshot()) if engine is not None else set()
+        # In a thread, with a loop of its own: the scan opens sockets, reads files, and waits up to 5 s for BlueZ.
         found = await asyncio.to_thread(lambda: asyncio.run(scan(own_channels=own)))
         self._state.set_text(
             "" if found.devices or not found.adapters else "No paired device: bluetoothctl pairs them."

@@ -43,9 +43,10 @@ if TYPE_CHECKING:
 _SET, _SET_LANE = "set", "set_parameters"
 """The choice that sets one parameter by name and value, and the service behind it."""
 _MOST_LINES = 2_000
+"""Lines of an answer that are shown. A round figure: the event loop, for which keys wait, lays them out."""
 _NODES = 3
 _CHECKED = 4 << 10
-"""Longest request (characters) to check while it is typed; a longer one takes too long."""
+"""Longest request (characters) to check while it is typed. A round figure: each key has the whole YAML read again."""
 _KEYS = "F9 call   tab next   y copy the answer   esc close"
 
 
@@ -73,7 +74,6 @@ class PlannedCall(NamedTuple):
     Attributes:
         lane: name of the service, if the route has several.
         text: the request's fields, as YAML.
-        question: question to the operator.
         means: consequences of a yes.
         yes: the label of the button that does it.
         sets: it sets one parameter.
@@ -88,11 +88,7 @@ class PlannedCall(NamedTuple):
 
 
 class CallResult(NamedTuple):
-    """The result of a call.
-
-    Attributes:
-        look: style of the text.
-    """
+    """The result of a call."""
 
     text: str
     look: str
@@ -144,6 +140,7 @@ class CallScreen(FormScreen[PlannedCall]):
         super().on_mount()
         self._pane.border_title = " Answer "
         self.set_interval(0.5, self._draw)
+        # Before the first layout, the pane has no width.
         self.call_after_refresh(self._draw)
 
     def on_resize(self) -> None:
@@ -179,6 +176,7 @@ class CallScreen(FormScreen[PlannedCall]):
             else:
                 field.note.set_text("")
                 self._templates[lane] = made.strip()
+        # The operator may have gone on meanwhile, to another operation or by typing.
         if lane == self._lane and field.value in ("", *self._templates.values()):
             field.value = self._templates.get(lane, "")
 
@@ -236,6 +234,7 @@ class CallScreen(FormScreen[PlannedCall]):
     async def _call(self, request: PlannedCall) -> None:
         """Wait for the answer. Closing the form ends the wait, but not the call."""
         began = self._under_way_since = time.monotonic()
+        # The answer of the call before would be taken for this one's.
         self._set_answer("", None)
         try:
             if self.console.engine is None:
@@ -247,6 +246,7 @@ class CallScreen(FormScreen[PlannedCall]):
             report = answered(self._route, time.monotonic() - began)
             refused = refusal(answer) if request.sets else None
             if refused is not None:
+                # The call itself has succeeded: a node refuses a parameter in its answer.
                 refusal_text = CallText.VALUE_REFUSED(sign=FAILED, report=report, why=_clean(refused))
                 self._set_answer(answer, CallResult(refusal_text, "down"))
             else:
@@ -333,6 +333,7 @@ def answer_lines(answer: str, width: int) -> Iterator[Line]:
     pieces = (
         (piece, "dim" if text.startswith("#") else "")
         for text in answer.splitlines()
+        # Cut first: a line of megabytes, such as an image's data, is not laid out beyond what is shown.
         for piece in (chop_cells(_clean(text[: width * (_MOST_LINES + 1)]), width) or [""])
     )
     for count, piece in enumerate(pieces):

@@ -83,6 +83,7 @@ class _ClientChange(Change):
         Raises:
             EngineError: it cannot be changed.
         """
+        # Asked before the change, after which the file differs in any case.
         is_known = self.console.file is not None and not is_changed(self.console.file)
         try:
             changed = change()
@@ -104,6 +105,7 @@ class ClientAdded(_ClientChange):
         in_file = _client_in(self.path, name)
         if current is None or in_file is None:
             raise CannotUndoError(f"client {name}: removed since; nothing to undo")
+        # Topics that were added to it since are no change of the client.
         if msgspec.structs.replace(current, topics=self.running.topics) != self.running or in_file != self.listed:
             raise CannotUndoError(f"client {name}: changed since: to remove it, open the links (c)")
 
@@ -135,6 +137,7 @@ class ClientRemoved(_ClientChange):
         name = self.listed.name
         if self._is_running(name) or _client_in(self.path, name) is not None:
             raise CannotUndoError(f"client {name}: added again since; nothing to undo")
+        # Without its key file, adding it would make a new key, which the robot does not have.
         if self.key_at is not None and not is_there(self.key_at):
             raise CannotUndoError(
                 f"client {name}: its key file {self.key_at} is gone: add the client again in the links (c)"
@@ -192,6 +195,7 @@ async def add_client(console: Console) -> None:
             ClientAdded(client.name, client.name, 0, console=console, path=path, listed=changed.client,
                         running=changed.client)
         )  # fmt: skip
+    # Also if the bridge has refused: the file is changed.
     _remember(console, changed, is_known=is_known)
     await console.ask(HandoutScreen(f"{client.name} is added", (changed,)))
 
@@ -249,6 +253,7 @@ class AddClientScreen(FormScreen[Client]):
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
         """Check the client by the session file's rules."""
+        # First: `result` leaves out grants that have a mistake.
         for key in ("allow", "deny"):
             try:
                 typed_grants(values[key])
@@ -262,6 +267,7 @@ class AddClientScreen(FormScreen[Client]):
         except ClientError:
             return {"name": ClientText.EXISTS()}
         problems: dict[str, str] = {}
+        # The new one is the last. Mistakes elsewhere in the session are not this form's.
         here = f"clients[{len(session.listed_clients) - 1}]."
         for problem in validate(session):
             if problem.location.startswith(here):
@@ -294,7 +300,6 @@ class HandoutScreen(ModalScreen[None]):
     """The files that each new client needs: its session file to copy from here, and its key.
 
     Args:
-        title: title of the dialog.
         handed: changed session file for each client.
     """
 

@@ -45,7 +45,7 @@ _ASKED_LINES, _ASKED_CHARACTERS = 200, 4 << 10
 RUNNING = "◌"
 _NO_KEYS_YET = "…"
 _LOOK_EVERY = 0.1
-"""s between two looks whether the keys of a question count."""
+"""s between two looks whether the keys of a question count: so much later, at most, it says that they do."""
 
 
 def beginning(fields: str) -> str:
@@ -60,8 +60,6 @@ class Dialog(Vertical):
     """A dialog's widgets, with a title on the frame, and the keys as its last line.
 
     Args:
-        title: title of the dialog.
-        widgets: widgets from the top.
         keys: keys to press, shown in the last line.
         shape: a further CSS class: ``-wide`` or ``-history``.
     """
@@ -79,6 +77,7 @@ class FullScreen(ModalScreen[T]):
     def action_leave_for(self, action: str) -> None:
         """Close the screen, and do something of the main screen."""
         self.dismiss(None)
+        # Later: the action is looked up on the screen that is on top then.
         self.app.call_later(self.app.run_action, f"screen.{action}")
 
 
@@ -106,6 +105,7 @@ class ConfirmScreen(ModalScreen[bool]):
     def __init__(self, title: str, message: str, yes: str) -> None:
         super().__init__()
         self._title, self._message, self._yes = title, message, yes
+        # Not to be focused: ← and → go from button to button.
         self._scrolled = VerticalScroll(classes="message", can_focus=False)
         self._takes_keys = True
         self._keys = Static(_NO_KEYS_YET, classes="hint keys", markup=False)
@@ -158,8 +158,10 @@ class GuardedConfirmScreen(GuardedScreen, ConfirmScreen):
 
     def on_mount(self) -> None:
         """Name the keys only once they count."""
+        # Without a terminal, as in tests, no input is late.
         if InputGate.of(self.app).is_on:
             self._takes_keys = False
+            # The time counts from the picture on: earlier, there is no question to answer.
             self.call_after_refresh(self._is_drawn)
 
     def _is_drawn(self) -> None:
@@ -196,11 +198,7 @@ class OfferScreen(ConfirmScreen):
 
 
 class UndoScreen(GuardedConfirmScreen):
-    """Yes or No. The focus is on No if the undo removes something, or lets messages cross that do not cross now.
-
-    Args:
-        undo: the change to undo, with its effect in words.
-    """
+    """Yes or No. The focus is on No if the undo removes something, or lets messages cross that do not cross now."""
 
     SHAPE = "-wide"
 
@@ -210,6 +208,7 @@ class UndoScreen(GuardedConfirmScreen):
 
     def on_mount(self) -> None:
         """Put the focus on Yes if the undo is harmless."""
+        # Textual calls the handler of GuardedConfirmScreen, too.
         if not self._careful:
             self.query_one("#yes").focus()
 

@@ -66,7 +66,9 @@ _STOOD_STILL = 1.0
 _TICKETS = 3
 """Tickets in a row that were too old when they came back."""
 _SPEED, _TURN = 0.2, 0.5
+"""m/s and rad/s to begin with. Round figures: nothing was measured."""
 _LEAST_SPEED, _MOST_SPEED = 0.02, 2.0
+"""m/s. Round figures; limits of a robot are its own (`rsb_bridge.model.velocity_limits`)."""
 _FASTER = 1.25
 _WAYS = {
     "up": (1, 0), "down": (-1, 0), "left": (0, 1), "right": (0, -1),
@@ -247,6 +249,7 @@ class Steering:
 
     def change_speed(self, factor: float) -> None:
         speed = max(_LEAST_SPEED, min(_MOST_SPEED, self.speed * factor))
+        # Both by one factor, so that a curve stays the same curve.
         self.turn *= speed / self.speed
         self.speed = speed
 
@@ -289,6 +292,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         self._pane = Static(id="drive", classes="dialog", markup=False)
 
     def compose(self) -> ComposeResult:
+        # Content is plain text: in a str, Textual reads brackets of a name as markup.
         self._pane.border_title = Content(f" Drive {escape_text(self._route.topic)} ")
         self._pane.border_subtitle = Content(f" {_KEYS} ")
         yield self._pane
@@ -375,8 +379,10 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         elif route.arming.armed:
             await self.console.command(engine.disarm(route.key))
         elif await self.console.ask(ArmScreen(route)):
+            # Before the command, so that a screen that is left meanwhile disarms.
             self._has_armed = True
             self.console.deadman.armed_on(self)
+            # Closed while the question was open: nobody would see what moves.
             if not self.is_running:
                 return
             await self.console.command(engine.arm(route.key))
@@ -423,6 +429,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         if self._asking is not None:
             self._asking.cancel()
         route, engine = self._current(), self.console.engine
+        # A topic that A has armed on the list of topics stays armed.
         if not self._has_armed or engine is None or route is None or route.arming is None:
             return
         if route.arming.here and route.arming.armed:

@@ -33,7 +33,6 @@ class FleetScreen(Screen[None]):
     """All robots, live.
 
     Args:
-        fleet: fleet of the robots.
         view: the operator's settings of the table, from here or a screen before.
         open_robot: opens the console on one.
         change_rate: refreshes faster or slower by so many steps.
@@ -113,7 +112,7 @@ class FleetScreen(Screen[None]):
                     f"{'app' if action.group is Group.CONSOLE else 'screen'}.{action.id}",
                     0 if action.id in ("help", "quit") else 1,
                 )
-                for action in FLEET_ACTIONS
+                for action in FLEET_ACTIONS  # none below a dialog, whose keys are the only ones then
                 if here and action.in_footer and self.check_action(action.id, ())
             ]
         )

@@ -30,8 +30,6 @@ class FormScreen(ModalScreen[T | None]):
     A subclass says what is wrong with the values (`problems`) and what they make (`result`).
 
     Args:
-        title: title of the dialog.
-        fields: fields from the top.
         yes: the label of the button that accepts.
     """
 
@@ -82,6 +80,7 @@ class FormScreen(ModalScreen[T | None]):
         if following is None:
             self.submit()
         else:
+            # This enter has submitted nothing, and its guard would swallow what is typed into the next field.
             self.form.input_guard.cancel()
             following.touched = True
             following.control.focus()
@@ -105,6 +104,7 @@ class FormScreen(ModalScreen[T | None]):
             event.stop()
             event.prevent_default()
         elif event.key == "enter" and isinstance(self.focused, Choice):
+            # Already here: keys behind enter are handled before its binding submits the choice.
             self.form.input_guard.begin()
 
     def accept(self, result: T) -> object:

@@ -38,6 +38,7 @@ class KeyList(LiveLines, can_focus=True):
         super().__init__(classes="dialog -wide")
         self.border_title = "Help: every key"
         self._make_lines = make
+        # The room in a wide dialog; the first resize says how much there is.
         self._lines = list(make(94))
 
     @property
@@ -54,11 +55,7 @@ class KeyList(LiveLines, can_focus=True):
 
 
 class HelpScreen(ModalScreen[None]):
-    """Every key; any of escape, q, ? and enter leaves.
-
-    Args:
-        console: the app with the keys.
-    """
+    """Every key; any of escape, q, ? and enter leaves."""
 
     BINDINGS: ClassVar = [Binding("escape,q,question_mark,f1,enter", "dismiss", show=False)]
 
@@ -81,6 +78,7 @@ class HelpScreen(ModalScreen[None]):
                 yield ((f"  {keys:<{KEYS_WIDTH - 2}}", "key"), (f"{first:<{room}}", ""), (action.id, "dim"))
                 yield from ((((" " * KEYS_WIDTH + text), ""),) for text in more)
             yield ()
+        # The fleet's screen has no pictures, and nothing to drive.
         if any(action.id == "look" for action in shown):
             for chapter, keys_there in KEYS_ON_SCREENS:
                 yield ((chapter, "head"),)
@@ -95,11 +93,7 @@ class HelpScreen(ModalScreen[None]):
 
 @runtime_checkable
 class LabelsKeys(Protocol):
-    """An app that knows the keys of actions, as `rsb_console.console_api.Console` does.
-
-    Attributes:
-        actions: all that it has.
-    """
+    """An app that knows the keys of actions, as `rsb_console.console_api.Console` does."""
 
     actions: Sequence[Action]
 

@@ -33,9 +33,10 @@ if TYPE_CHECKING:
     from rsb_console.widgets.filter import RowFilter
 
 SPANS = (3600.0, 8 * 3600.0, 24 * 3600.0)
-_RENEWED_EVERY = 5.0
-_SUMMARY_LINES = 6
+_RENEWED_EVERY = 5.0  # s; a round figure: an outage is shown at most so much later
+_SUMMARY_LINES = 6  # a round figure; `rsb-console report` has the others
 _DETAIL_LINES = 4
+# Cells of the columns, each with a blank: the longest start is "Mon 12:34:56".
 _START, _LENGTH, _ROBOT, _STATE = 13, 14, 12, 9
 _TOPIC_NARROW, _TOPIC_WIDE = 18, 30
 _LABEL = 9
@@ -201,6 +202,7 @@ class HistoryScreen(ModalScreen[None]):
         self._ask()
 
     def _ask(self) -> None:
+        # Exclusive: an answer about the span before must not come behind the one about the present span.
         self.run_worker(self._fetch(), exclusive=True, group="history")
 
     async def _fetch(self) -> None:
@@ -264,7 +266,7 @@ class HistoryScreen(ModalScreen[None]):
 
     def action_span(self) -> None:
         self._span = SPANS[(SPANS.index(self._span) + 1) % len(SPANS)]
-        self._report = None
+        self._report = None  # of the span before
         self.show()
         self._ask()
 

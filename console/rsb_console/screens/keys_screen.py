@@ -57,7 +57,6 @@ class KeyFile(NamedTuple):
     """The facts about a key file.
 
     Attributes:
-        path: path of the file.
         user: user of the key: a client, an operator or the session.
         mode: ``0600``, or an empty string if the file is missing.
         fingerprint: fingerprint, or an empty string if the file cannot be read.
@@ -77,11 +76,10 @@ def look_at(path: Path, user: str, used_by: Sequence[str], now: float) -> KeyFil
     """Read the facts about a key file.
 
     Args:
-        path: path of the file.
-        user: user of the key.
         used_by: the fingerprints of the keys that links use.
         now: s since the epoch.
     """
+    # Apart from the key: a file that cannot be read has a mode, which may be why.
     try:
         mode = f"{stat.S_IMODE(path.stat().st_mode):04o}"
     except OSError:
@@ -99,7 +97,6 @@ def key_files(session: Session, base: Path) -> dict[Path, str]:
     """Return the user of each of a session's key files.
 
     Args:
-        session: session with the key files.
         base: the folder that they are relative to.
     """
     found: dict[Path, str] = {}
@@ -143,7 +140,7 @@ class KeysScreen(ModalScreen[None]):
 
     BINDINGS: ClassVar = [
         Binding("escape,q", "dismiss", show=False),
-        Binding("g", "generate", show=False, priority=True),
+        Binding("g", "generate", show=False, priority=True),  # to the table, g means the first line
     ]
 
     def __init__(self, console: Console) -> None:
@@ -168,6 +165,7 @@ class KeysScreen(ModalScreen[None]):
         links = () if engine is None else engine.snapshot().links
         used = [link.fingerprint for link in links if link.state is State.OK]
         files = self._made
+        # A bridge elsewhere has other files under these names.
         if engine is not None and engine.same_machine:
             files = files | key_files(engine.session, self.console.base)
         self.table.show([look_at(path, user, used, now) for path, user in files.items()])
@@ -229,6 +227,7 @@ class GenerateScreen(FormScreen[Path]):
             if not await self.console.ask(ConfirmScreen(KeyText.REPLACE(file=result.name), message, "Replace")):
                 return
         try:
+            # A file that has come meanwhile is not overwritten, as nobody has agreed to that.
             key = write_key(result, force=exists)
         except KeyFileError as error:
             self.form.show_problems({"path": str(error)})

@@ -158,11 +158,7 @@ def _span(seconds: float | None) -> str:
 
 
 class LinkScreen(ModalScreen[None]):
-    """One link, with its topics, live.
-
-    Args:
-        console: the app with the link.
-    """
+    """One link, with its topics, live."""
 
     BINDINGS: ClassVar = [Binding("escape,q,enter", "dismiss", show=False)]
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _KEYS = " type to search · ↑↓ choose · ⏎ look · esc close"
 _SIDE, _TOPIC = 14, 34
 _ASKED_EVERY = 3.0
-"""s between two questions to all sides."""
+"""s between two questions to all sides. A round figure: each asks for the whole graph, over the link."""
 _LAYERS = {"sensor_msgs/msg/LaserScan", "tf2_msgs/msg/TFMessage"}
 
 
@@ -110,6 +110,7 @@ class LookScreen(ModalScreen[Subject]):
                     found[side] = await asyncio.wrap_future(engine.topics(side or None))
                 except EngineError as error:
                     problems.append(str(error))
+                # The first time, each side is shown as it answers: a slow one must not hold up the others.
                 if self._asking:
                     self._found = {**found}
                     self._list()

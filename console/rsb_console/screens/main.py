@@ -127,6 +127,7 @@ class MainScreen(Screen[None]):
     BINDINGS = bindings(Group.VIEW, Group.OPERATE, Group.SESSION)
     BLANK = True  # as its `Panes`
     AUTO_FOCUS = "#topics"
+    # From 110 columns on, the table has `columns.WIDE` cells with the details in sight.
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (110, "-wide")]  # noqa: RUF012 -- Textual declares it without ClassVar
     VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short"), (30, "-tall")]  # noqa: RUF012 -- as above
 
@@ -164,6 +165,7 @@ class MainScreen(Screen[None]):
     def on_mount(self) -> None:
         for pane in (self.topics, self.detail, self.log_pane):
             pane.add_class("pane")
+        # Their titles, which would come with the first snapshot only.
         self.topics.relist()
         self.log_pane.relist()
 
@@ -201,6 +203,7 @@ class MainScreen(Screen[None]):
 
     def show_detail(self) -> None:
         """Show the topic under the cursor."""
+        # The hidden pane of a narrow screen costs nothing.
         if self.detail.display:
             route = self.topics.selected
             self.detail.show(route, "" if route is None else self.console.peer_of(route))
@@ -231,6 +234,7 @@ class MainScreen(Screen[None]):
                     self.console.key_labels(action)[0],
                     labels.get(action.id, action.label),
                     f"{'app' if action.group is Group.CONSOLE else 'screen'}.{action.id}",
+                    # Help stays on any screen, as it lists all others.
                     0 if action.id in ("help", "quit") else 1 if counts.get(action.id) else 2,
                     counts.get(action.id, ()),
                 )
@@ -257,6 +261,7 @@ class MainScreen(Screen[None]):
 
     def on_key(self, event: events.Key) -> None:
         """Explain why a key for a change does nothing."""
+        # A key comes here only if its action is disabled.
         if self.console.readonly and any(a.changes and event.key in self.console.preferences.keys(a) for a in ACTIONS):
             self.notify(MainText.READ_ONLY(), timeout=2)
 

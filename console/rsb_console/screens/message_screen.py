@@ -37,7 +37,9 @@ _STEPS = 20_000
 """Most values to decode: about 100 ms in its own thread."""
 _HEX = 1024  # bytes
 _MOST_LINES = 2_000
-_TRIED_AGAIN_AFTER = 1.0  # s
+"""Lines of a message that are shown. A round figure: the event loop, for which keys wait, cuts each of them at every
+drawing."""
+_TRIED_AGAIN_AFTER = 1.0  # s, a round figure: the reason on the screen is at most so old
 _KEYS = " esc back · space hold · t picture · y copy "
 
 
@@ -98,7 +100,9 @@ class MessageScreen(FullScreen[bool]):
         first = True
         while True:
             try:
+                # Once only: a message that is kept for late joiners comes at once, and would come again and again.
                 peeked = await self._peek(kept=first)
+                # Behind the request: a message that comes while the screen is held is not shown.
                 await self._goes_on.wait()
                 if peeked is not None:
                     self._read = await self._made_readable(peeked)
@@ -217,4 +221,4 @@ def content_lines(read: ReadMessage, width: int) -> list[Line]:
 
 
 def _whole_text(decoded: Decoded) -> str:
-    return "\n".join(plain(line) for line in message_lines(decoded.message, 1 << 20))
+    return "\n".join(plain(line) for line in message_lines(decoded.message, 1 << 20))  # no line is wrapped

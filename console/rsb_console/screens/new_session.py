@@ -126,6 +126,7 @@ class NewSessionScreen(FormScreen[NewSession]):
             control = self._fields[key].control
             assert isinstance(control, Input)
             control.placeholder = f"{name}.{suffix}" if name else ""
+        # Before the check: the values of a hidden field do not count.
         self._fields["clients"].display = values["role"] == "server"
         self._fields["key_file"].display = encrypted and not self.result(self.form.values).session.listed_clients
         super().check()
@@ -174,6 +175,7 @@ class NewSessionScreen(FormScreen[NewSession]):
             problems |= _at("path", path_problem(str(new.path)))
         else:
             problems["path"] = FileText.MISSING()
+        # Names of key files follow from these, and would be reported as a second mistake.
         if not {"key_file", "name", "clients"} & problems.keys():
             for path in _key_paths(new):
                 problems |= _at("clients" if new.session.listed_clients else "key_file", _key_problem(path))
@@ -200,6 +202,7 @@ class NewSessionScreen(FormScreen[NewSession]):
     @work(group=DIALOG)
     async def accept(self, result: NewSession) -> None:
         """Write the file and create missing keys; ask before a file is overwritten."""
+        # The file first: without permission to overwrite it, no keys are made either.
         if not await save_asking(self.console, result.session, result.path):
             return
         for path in _key_paths(result):

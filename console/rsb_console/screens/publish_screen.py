@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from rsb_console.console_api import Console
 
 _CHECKED = 4 << 10
-"""Longest message (characters) to check while it is typed; a longer one takes too long."""
+"""Longest message (characters) to check while it is typed. A round figure: each key has the whole YAML read again."""
 _TYPED_FOR = 0.5
 """s without a key in the topic's name after which its fields are looked up."""
 _LANDING, _LOOK_EVERY = "landing", 0.1
@@ -136,6 +136,7 @@ class PublishScreen(FormScreen[Message]):
     @work(group="template", exclusive=True)
     async def _offer_template(self, after: float = 0.0) -> None:
         """Write all fields of the message, unless the operator has written something else."""
+        # Each further key cancels this worker, which is exclusive, and begins another.
         await asyncio.sleep(after)
         values, field, engine = self.form.values, self.form.fields["message"], self.console.engine
         if not values["topic"].startswith("/") or field.value not in ("", self._template) or engine is None:
@@ -145,7 +146,7 @@ class PublishScreen(FormScreen[Message]):
         except EngineError as error:
             field.note.set_text(PublishText.FIELDS_UNKNOWN(error=error))
             return
-        if field.value in ("", self._template):
+        if field.value in ("", self._template):  # asked again: the operator may have typed meanwhile
             field.note.set_text(PublishText.LAST() if draft.is_last else "")
             self._template = draft.fields.strip()
             field.value = self._template
@@ -185,6 +186,7 @@ class PublishScreen(FormScreen[Message]):
     @work(group="publish")
     async def _publish(self, message: Message) -> None:
         self._is_busy = True
+        # Reports of the message before would overwrite this one's result.
         self.workers.cancel_group(self, _LANDING)
         self._state.set_text("")
         landing = Landing(message.topic, self.console.snapshot())

@@ -48,7 +48,7 @@ _CHECKED = 5
 _FIXED = ("topic", "direction", "kind")
 """Fields that identify a topic: changing one means another topic."""
 SETTLE = 10.0
-"""Seconds that a robot has to be as well as before."""
+"""Seconds that a robot has to be as well as before. A round figure; it passes for each robot, one after the other."""
 _NAMED = 5
 _CAN_UNDO = "u undo the change   esc close"
 
@@ -156,6 +156,7 @@ class ChangeField(PickField):
         topic, keys = change
         seen: list[object] = []
         for each in self._bridged.get(topic, ()):
+            # Robots mostly have the same entry, which one check covers.
             if each.route.spec in seen:
                 continue
             if len(seen) == _CHECKED:
@@ -290,7 +291,6 @@ class RolloutScreen(ModalScreen[None]):
     """Asks for a change, shows its effect, and applies it after a yes.
 
     Args:
-        fleet: fleet of the robots.
         settle: seconds that a robot has to be as well as before.
     """
 
@@ -333,6 +333,7 @@ class RolloutScreen(ModalScreen[None]):
         self._change.offer()
         self._ask()
 
+    # Here and below: an error of one robot must not end the screen of all.
     @work(exclusive=True, group="ask", exit_on_error=False)
     async def _ask(self) -> None:
         found: list[Bridged] = []
@@ -446,9 +447,11 @@ class RolloutScreen(ModalScreen[None]):
 
     def _tell(self, step: RobotChange, what: str) -> None:
         """Report an action; called on another thread."""
+        # Not call_from_thread, which would wait for a terminal that stalls.
         self.app.call_later(self._told, step.robot.key, what)
 
     def _told(self, key: str, what: str) -> None:
+        # A report may come after the end, or after the screen has closed.
         if self.is_mounted and self.phase is RolloutPhase.RUNNING:
             self._marks[key] = what
             self._show()

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 _LOOKS = {"+": "ok", "-": "down", "@": "dim"}
-_UNWRAPPED, _NARROWEST = 1 << 20, 10  # cells
+_UNWRAPPED, _NARROWEST = 1 << 20, 10  # cells, before the first layout and after it
 
 
 class SaveText(Wording):
@@ -49,7 +49,6 @@ async def save_elsewhere(console: Console, session: Session, path: Path, opened:
         console: console that runs the session. If the session is temporary, its keys are copied to the new file's
             folder.
         session: the running session; its key files are relative to `console.base`.
-        path: path of the file.
         opened: as for `save_asking`.
 
     Returns:
@@ -59,6 +58,7 @@ async def save_elsewhere(console: Console, session: Session, path: Path, opened:
         session = moved(session, console.base, path.parent)
         return await save_asking(console, session, path, opened=opened)
     try:
+        # Keys go with the folder of a temporary session. They are copied last: a No leaves none behind.
         session, files = rescued(session, console.base, path.parent)
         if not await save_asking(console, session, path):
             return False
@@ -119,11 +119,7 @@ def _question(session: Session, path: Path, opened: SessionFile | None) -> tuple
 
 
 class DiffLines(LiveLines, can_focus=False):
-    """The lines of a diff, coloured; a long one goes on in the next line.
-
-    Args:
-        lines: lines of the diff.
-    """
+    """The lines of a diff, coloured; a long one goes on in the next line."""
 
     def __init__(self, lines: Sequence[str]) -> None:
         super().__init__(id="diff")
@@ -159,7 +155,6 @@ class DiffScreen(ConfirmScreen):
     Args:
         message: consequences of a yes.
         yes: label of the button that agrees.
-        lines: lines of the diff.
     """
 
     SHAPE = "-wide"

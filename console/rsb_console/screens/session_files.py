@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.session import Session
 
-LIMIT = 20
+LIMIT = 20  # sessions that are remembered; a round figure: the list has a filter
 MORE = {"new_session": "New…", "import_session": "Import…", "save": "Save", "save_as": "Save as…"}
 ABOUT = """\
 Bridges ROS 2 topics between domains and networks over encrypted sockets,
@@ -57,7 +57,7 @@ CHOICES = {
     "quit": ("q", "Quit", ""),
 }
 WATCHING = ("demo", "sessions", "quit")
-RECENT = 5
+RECENT = 5  # sessions in the menu, each with a digit as its key
 
 
 def recents_path() -> Path:
@@ -79,6 +79,7 @@ def remember(path: Path) -> None:
     Raises:
         OSError: the list could not be written.
     """
+    # A relative path would mean another file in another folder.
     path = path.resolve()
     newest = [path, *(other for other in recent_sessions() if other != path)][:LIMIT]
     recents_path().parent.mkdir(parents=True, exist_ok=True)
@@ -134,7 +135,6 @@ class SessionsScreen(FormScreen[OpenedFile | str]):
     Args:
         path: first text of the field.
         runs: a session runs, and can be saved.
-        readonly: nothing may be changed.
     """
 
     def __init__(self, path: str = "", *, runs: bool, readonly: bool) -> None:
@@ -259,6 +259,7 @@ class WelcomeScreen(ModalScreen[str]):
         Binding("enter", "choose", show=False),
         Binding("escape", "dismiss('')", show=False),
         *(
+            # Also by the keys of the main screen, which the menu hides.
             Binding(f"{key},{BY_ID[choice].keys}", f"dismiss('{choice}')", show=False)
             for choice, (key, _, _) in CHOICES.items()
         ),

@@ -107,6 +107,7 @@ class HandOverScreen(GuardedConfirmScreen):
     def _count(self) -> None:
         route = asked_about(self.console.snapshot(), self._key)
         if route is None:
+            # Textual closes the screen on top, which may be another one.
             if self.is_current:
                 self.dismiss(None)
         else:

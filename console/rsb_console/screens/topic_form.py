@@ -47,7 +47,7 @@ FIRST = ("link", "topic", "kind", "direction", "provider", "type", "qos", "proto
 """The keys of the fields that a form of something new begins with; the others have good defaults."""
 _LABELS: dict[Kind, str] = {"topic": "Topic", "service": "Service", "action": "Action", "parameters": "Node"}
 _FOLDERS: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "action"}
-LOOK_EVERY = 2.0  # s between two looks at the graphs
+LOOK_EVERY = 2.0  # s between two looks at the graphs; a round figure: each asks the other side for its graph
 _NAME_WIDTH, _WHERE_WIDTH, _TYPE_WIDTH = 32, 21, 24  # cells; the name gets the rest, at least so many
 _ENDS: dict[Kind, tuple[str, str]] = {
     "topic": ("publisher", "subscriber"),
@@ -62,7 +62,6 @@ def fields_by_kind(session: Session, ends: Ends, route: Row | None) -> dict[Kind
     """Return the fields of each kind that the form may have, by their keys.
 
     Args:
-        session: the session that it is for.
         route: the route to edit, or None for a form of something new, of any kind.
     """
     kinds = KINDS if route is None else (route.spec.kind,)
@@ -307,6 +306,7 @@ class TopicScreen(FormScreen[TopicDraft]):
 
     def _look(self) -> None:
         """Ask both sides what they have; a side that has not answered yet is not asked again."""
+        # What a whole interval has not answered. A note about it at once would flicker, as most answers come soon.
         self._late = set(self._awaited)
         for side in (None, self._link):
             if side not in self._awaited:
@@ -349,6 +349,7 @@ class TopicScreen(FormScreen[TopicDraft]):
         if key == "link":
             self._look()
         elif key == "kind":
+            # Not what a pick fills in: the list would then keep to that kind.
             self._kind_chosen = self._kind_chosen or event.field.control.has_focus
             self._show_kind()
             self._suggest()
@@ -384,6 +385,7 @@ def suggestions_for(
     }
     infos = [(info, is_here) for graph, is_here in ((here, True), (there, False)) for info in graph]
     suggestions: dict[str, Suggestion] = {}
+    # Publishers first, as the first suggestion of a key stays.
     for info, is_here in sorted(infos, key=lambda each: not each[0].publishers):
         suggestion = _suggestion(ends, info, is_here)
         from_here = info.kind == "topic" and is_here == bool(info.publishers)

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from rsb_console.look.picture_rows import Row
     from rsb_console.screens.look_screen import Subject
 
-_TRIED_AGAIN_AFTER = 1.0
+_TRIED_AGAIN_AFTER = 1.0  # s; a round figure: how long a refusal outlives its cause
 _RATES = (0.2, 0.5, 1.0, 2.0, 5.0, MOST_RATE)
 _ZOOM, _PAN, _TILT = 1.5, 0.1, 15.0
 _WAYS = ("", "plot", "tree")
@@ -174,11 +174,7 @@ class PicturePane(Widget, can_focus=True):
 
 
 class ViewScreen(FullScreen[bool]):
-    """Shows pictures of topics until it is closed. The result is true if they are to be shown as text instead.
-
-    Args:
-        subject: what the pictures are of.
-    """
+    """Shows pictures of topics until it is closed. The result is true if they are to be shown as text instead."""
 
     BINDINGS: ClassVar = [
         Binding("escape", "leave", show=False),
@@ -209,6 +205,7 @@ class ViewScreen(FullScreen[bool]):
         super().__init__()
         self.console = console
         self._subject = subject
+        # The map itself is one of them.
         self._layers = subject.layers[: TOPICS_AT_ONCE - 1] if is_map(subject.type_name) else ()
         self._shows_layers = bool(self._layers)
         self._viewer = secrets.token_hex(8)
@@ -234,7 +231,9 @@ class ViewScreen(FullScreen[bool]):
         yield self.pane
 
     def on_mount(self) -> None:
+        # The age of a picture grows without a new one.
         self.set_interval(1.0, self._entitle)
+        # The first wish has the size of the pane, which has none before its layout.
         self.call_after_refresh(self._begin)
 
     def on_unmount(self) -> None:
@@ -263,6 +262,7 @@ class ViewScreen(FullScreen[bool]):
 
     def _fit(self) -> None:
         size = self.pane.scrollable_content_region.size
+        # The other side refuses a wish beyond these bounds.
         width, height = max(1, min(MOST_COLUMNS, size.width)), max(1, min(MOST_ROWS, size.height))
         self._wish = msgspec.structs.replace(self._wish, width=width, height=height)
         self.pane.border_subtitle = Content(f" {self._keys(size.width - _FRAME)} ")
@@ -283,7 +283,7 @@ class ViewScreen(FullScreen[bool]):
                 self._entitle()
                 await asyncio.sleep(_TRIED_AGAIN_AFTER)
                 continue
-            if viewed is not None and self._goes_on.is_set():
+            if viewed is not None and self._goes_on.is_set():  # it may have been held since it asked
                 if viewed.picture.content is None and self._viewed is not None:  # keep the last good one in sight
                     self._problem = viewed.picture.problem
                 else:
@@ -362,6 +362,7 @@ class ViewScreen(FullScreen[bool]):
 
     def action_way(self) -> None:
         """Draw another kind of picture."""
+        # Another kind of picture has other coordinates.
         self._viewed = self._goal = None
         self._change(how=_WAYS[(_WAYS.index(self._wish.how) + 1) % len(_WAYS)])
 

@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from textual.app import App
     from textual.message import Message
 
-# Textual 8 ends on bytes that are not UTF-8, such as the legacy mouse reports that tmux sends (its issue 6668).
 _ESCAPE = "\x1b"
 _CONTINUES_ESCAPE = "[Obf\x7f"  # begins a sequence, or is a word's key of line editing
 _KIND = "<terminal-kind>"
+# Textual 8 ends on bytes that are not UTF-8, such as the legacy mouse reports that tmux sends (its issue 6668).
 _lenient = partial(getincrementaldecoder("utf-8"), "replace")
 vars(linux_driver)["getincrementaldecoder"] = lambda _encoding: _lenient
 
@@ -49,11 +49,13 @@ class KeyParser(XTermParser):
     _after_escape = False
 
     def feed(self, data: str) -> Iterator[Message]:
+        # An empty text is the end of the input to Textual, and the loop below would leave it out.
         if not data:
             yield from super().feed(data)
         for char in data:
             waits = self._awaiting.timeout is not None
             if self._after_escape and waits and char not in _CONTINUES_ESCAPE:
+                # What Textual does itself once its timeout is over, for which the second key came too soon.
                 self._timeout_time = None
                 self._awaiting = self._gen.throw(ParseTimeout())
             yield from super().feed(char)
@@ -85,9 +87,11 @@ async def _on_resize(screen: Screen[Any], event: events.Resize) -> None:
 Screen._on_resize = _on_resize  # type: ignore[method-assign, assignment]
 
 _LOOK_EVERY_MS = 500
+"""ms until the watch for a hangup notices that the app has ended. The kernel reports a hangup itself at once."""
 _LAST_ANSWER_WITHIN, _LOOK_EVERY = 0.3, 0.01
-"""s to wait for the terminal's answer at the end, which would go to the shell; and between two looks for it."""
-CLOSE_TIMEOUT = 1.0  # s; then a terminal that does not read is given up
+"""s to wait for the terminal's answer at the end, which would go to the shell; and between two looks for it. A round
+figure: over a line with a longer round trip, the shell may get some characters; longer, and quitting would drag."""
+CLOSE_TIMEOUT = 1.0  # s; then a terminal that does not read is given up. Round: to quit there takes up to twice as long
 
 
 @contextlib.contextmanager
@@ -100,10 +104,11 @@ def terminal_to_itself(log: Path) -> Iterator[int]:
     Yields:
         A descriptor of the terminal. It is never closed, because a thread may be stuck in a write to it.
     """
-    sys.stdout.flush()
+    sys.stdout.flush()  # earlier output is for the terminal, not for the log
     terminal, errors = os.dup(1), os.dup(2)
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
+        # A symbolic link that another user has put there is not followed.
         target = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_NOFOLLOW, 0o600)
         os.fchmod(target, 0o600)  # one of before may be open to others
     except OSError:
@@ -127,7 +132,6 @@ class TerminalFile:
     interpreter's exit.
 
     Args:
-        fd: descriptor of the terminal.
         gone: called once, when the terminal is gone.
     """
 
@@ -140,6 +144,7 @@ class TerminalFile:
         data = text.encode("utf-8", "replace")
         while data and self._gone is not None:
             try:
+                # A terminal may take a part only.
                 data = data[os.write(self._fd, data) :]
             except OSError:
                 self.hung_up()
@@ -177,7 +182,7 @@ class ConsoleDriver(LinuxDriver):
         """Return the terminal's columns and lines. Textual asks standard output, which may not be the terminal."""
         with contextlib.suppress(OSError):
             columns, lines = os.get_terminal_size(self._file.fileno())
-            if columns and lines:
+            if columns and lines:  # a pseudo-terminal that nobody has sized is 0 × 0
                 return columns, lines
         return super()._get_terminal_size()
 
@@ -207,6 +212,7 @@ class ConsoleDriver(LinuxDriver):
 
     def ask(self) -> None:
         """Ask the terminal for a sign that it gets what is written, and that its keys come here."""
+        # While frames are dropped, the question would be, too, and count as one that the terminal does not answer.
         if self._asks and not self._behind and (question := self.pulse.question()):
             self.write(question)
 
@@ -240,6 +246,7 @@ class ConsoleDriver(LinuxDriver):
     @mouse.setter
     def mouse(self, wanted: bool) -> None:
         if not wanted:
+            # Textual writes this only while the mouse counts as on, so before the change.
             self._disable_mouse_support()
         self._mouse = wanted
         self._enable_mouse_support()
@@ -280,7 +287,7 @@ class ConsoleDriver(LinuxDriver):
 
     def close(self) -> None:
         """Write the last frames, unless the terminal does not read."""
-        self._unwatched.set()
+        self._unwatched.set()  # a hangup is no news any more
         thread = self._writer_thread
         if thread is None:
             return
@@ -301,7 +308,7 @@ def prefers_ascii(environ: Mapping[str, str]) -> bool:
     return "utf" not in locale.lower() or environ.get("TERM") == "linux"
 
 
-_SHOWN = 200  # characters
+_SHOWN = 200  # characters of the copied text: a toast of a few lines
 
 
 def copy(app: App[object], text: str) -> str:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 SEEN_AFTER = 0.5
 """s from the picture of a question until its keys count: nobody reads and answers it earlier."""
 _TOLD_EVERY = 3.0
+"""s between two notes about late keys, and for which one stays: a held key would fill the screen with them."""
 
 
 class LateInput(Wording):
@@ -51,7 +52,6 @@ class InputGate:
     """Decides which input a `GuardedScreen` gets.
 
     Args:
-        app: the app of the screens.
         clock: gives s on the clock of `textual.events.Event.time`.
 
     Attributes:
@@ -85,12 +85,14 @@ class InputGate:
         """Whether a screen must not get an event; the operator is told why not."""
         if self.pulse is None or not _is_pressed(event):
             return False
+        # A form that splits a paste makes events of its own: these are as young as the paste.
         if is_from_terminal(event):
             self.is_young = not (self.pulse.relayed or self.is_late(event))
         if not isinstance(screen, GuardedScreen):
             return False
         if isinstance(event, events.Key) and event.key in screen.SAFE_KEYS:
             return False
+        # Without a note: while a question's keys do not count yet, it shows … in their place.
         if not self.is_late(event):
             return not self._was_seen(screen, heard_before(event))
         if self._clock() - self._told_at > _TOLD_EVERY:
@@ -112,4 +114,5 @@ class InputGate:
 
 
 def _is_pressed(event: Message) -> bool:
+    # Other events, such as moves of the mouse, do nothing that could come too late.
     return isinstance(event, (events.Key, events.Paste, events.MouseDown, events.MouseUp, events.Click))

@@ -26,8 +26,11 @@ if TYPE_CHECKING:
 
 DIALOG: Final = "dialog"
 """Group of the workers of a screen that may open a dialog."""
-PATIENCE = 5.0  # s; input waits no longer than this for the effects of the input before it
-_LOOK_EVERY = 0.005  # s
+PATIENCE = 5.0
+"""s that input waits at most for the effects of the input before it. A round figure: without it, a worker that hangs
+would hold keys back for ever; with much less, keys overtake a dialog that a busy machine is still opening."""
+_LOOK_EVERY = 0.005
+"""s between two looks whether the app has finished: at most so much later comes a key of a burst."""
 
 
 _queues: WeakKeyDictionary[App[Any], InputQueue] = WeakKeyDictionary()
@@ -40,7 +43,6 @@ class InputQueue:
     dialog. A worker that waits for an open dialog's answer holds nothing back: the input is for that dialog.
 
     Args:
-        app: app that gets the input.
         groups: groups of the workers that may open a dialog, besides `DIALOG`.
     """
 
@@ -71,6 +73,7 @@ class InputQueue:
         if event is self._next:
             self._next = None
             return False
+        # A lone key goes through at once. Textual may hold one more message than its queue shows.
         if not self.delivers and self._app._pending_message is None and self._has_settled():
             return False
         self._waiting.append(event)
@@ -100,6 +103,7 @@ class InputQueue:
             while self._waiting:
                 await self._settle()
                 self._next = self._waiting.popleft()
+                # The app is closing, and takes no messages any more.
                 if not self._app.post_message(self._next):
                     return
         finally:
@@ -110,6 +114,7 @@ class InputQueue:
         deadline = clock() + PATIENCE
         while not (_is_idle(self._app) and self._has_settled()):
             if clock() > deadline:
+                # Else each further input would wait for the same worker again.
                 self._abandoned.update(self._opening())
                 return
             await asyncio.sleep(_LOOK_EVERY)

@@ -23,15 +23,20 @@ if TYPE_CHECKING:
 ASKED_EVERY = 0.25
 """s between two questions while something can be driven or armed."""
 FRESH_FOR = 1.0
-"""s after a question, once it is answered, for which keys count."""
+"""s after a question, once it is answered, for which keys count. As `ASKED_EVERY` of it passes until the next question,
+a line may have a round trip of 0.7 s."""
 ANSWERS_WITHIN = 2.0
-"""s after which a terminal that has never answered counts as one that answers no questions."""
+"""s after which a terminal that has never answered counts as one that answers no questions. One that
+takes longer to answer has late keys anyway."""
 _OPEN_AT_MOST = 8
-"""Questions without an answer: a terminal that hangs gets no more of them."""
+"""Questions without an answer: a terminal that hangs gets no more of them. They are 2 s of questions, so that any line
+whose keys can count has fewer on the way."""
 _GIVEN_UP_AFTER = 30.0
-"""s after which such questions count as lost, and others are asked."""
+"""s after which such questions count as lost, and others are asked. A round figure: a terminal that has lost questions,
+but works again, has its keys refused for so long."""
 _FIRST_COLUMN, _COLUMNS = 20, 60
-"""The columns of the questions: with a lower one, the answer could be F3 with a modifier."""
+"""The columns of the questions: with a lower one, the answer could be F3 with a modifier, and a terminal of 80 columns
+has all of these."""
 
 WHO_ARE_YOU: Final = "\x1b[>c"
 """Asks for the kind of the terminal (DA2)."""
@@ -47,7 +52,6 @@ class Pulse:
 
     Args:
         environ: the environment, which names some multiplexers.
-        clock: gives s on a clock that nobody sets.
 
     Attributes:
         heard: when the question was asked that was answered last, or minus infinity.
@@ -59,6 +63,7 @@ class Pulse:
         self.round_trip: float | None = None
         self._clock = clock
         self._open: deque[tuple[int, float]] = deque()
+        # The driver reads answers on a thread of its own, while the app asks.
         self._lock = threading.Lock()
         self._next = 0
         self._began = clock()
@@ -102,6 +107,7 @@ class Pulse:
             asked = next((at for known, at in self._open if known == column), None)
             if asked is None:
                 return
+            # Answers come in order, so questions before this one will get none.
             while self._open.popleft()[0] != column:
                 pass
             self.heard, self.round_trip = asked, self._clock() - asked

@@ -28,7 +28,8 @@ class ShutdownReason(Enum):
     CRASH = "crash"
 
 
-ENDS_WITHIN = 10.0  # s
+ENDS_WITHIN = 10.0
+"""s. A round figure: with much less, a busy machine would leave the terminal as the app has it."""
 _FAILURE = 1  # exit status
 
 SIGNALS = {
@@ -62,7 +63,7 @@ class ForcedEnd:
 
     def _end(self) -> None:
         self._stop()
-        os._exit(_FAILURE)
+        os._exit(_FAILURE)  # sys.exit would end this thread only
 
 
 def shut_down_on_signals(shut_down: Callable[[ShutdownReason], None]) -> None:

@@ -22,8 +22,10 @@ if TYPE_CHECKING:
 
 _READ_SIZE = 4096
 _LOOKS, _LOOK_EVERY = 6, 0.05
-"""Looks at the end for the terminal's last answer, which would go to the shell; and s between them."""
+"""Looks at the end for the terminal's last answer, which would go to the shell; and s between them: 0.3 s in all, as in
+the console."""
 _LONGEST_ANSWER = 16
+"""Bytes, more than any answer has: a longer rest after an Escape is no answer that has come in part."""
 _PIECES: Final = re.compile(rb"\x1b\[\d+;(?P<column>\d+)R|(?P<line>[\r\n])|(?P<end>\x04)")
 _LOCAL_MODES = 3
 """The place of the local modes in `termios.tcgetattr`."""
@@ -34,7 +36,6 @@ class TypedKeys:
 
     Args:
         environ: the environment, which names some multiplexers.
-        clock: gives s on a clock that nobody sets.
     """
 
     def __init__(self, fd: int, environ: Mapping[str, str], clock: Callable[[], float] = time.monotonic) -> None:
@@ -50,6 +51,8 @@ class TypedKeys:
         if os.isatty(self._fd):
             with contextlib.suppress(OSError, termios.error):  # then its keys count, as if it gave no answers
                 self._modes = termios.tcgetattr(self._fd)
+                # A descriptor of its own: a terminal that hangs must not block the write, but O_NONBLOCK on standard
+                # input would hold for the shell, too.
                 self._terminal = os.open(os.ttyname(self._fd), os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
         return self
 
@@ -106,7 +109,9 @@ class TypedKeys:
             if (column := piece["column"]) is not None:
                 self._pulse.answered(int(column))
             elif piece["line"] is not None:
+                # A pipe answers no questions, so its lines count.
                 is_young |= self._terminal < 0 or self._clock() - self._pulse.heard_now < FRESH_FOR
+            # Ctrl-D: without line editing, the kernel passes it on as a byte. In a pipe it is one of the data.
             elif self._terminal >= 0:
                 self._ended = True
         start = data.rfind(b"\x1b")

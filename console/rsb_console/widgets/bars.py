@@ -31,7 +31,6 @@ class BarState:
 
     Attributes:
         session: the session file's name, or empty if the session is not saved.
-        refresh: Hz.
         frozen_since: s since the epoch, or None while the view is live.
         readonly: whether actions that change something are disabled.
         note: text in place of the link's state while no engine runs, otherwise empty.
@@ -83,6 +82,7 @@ class StatusBar(LiveLines):
         return _as_many(self._totals if fits else [self._signs, *self._totals[1:]], width)
 
     def show(self, snapshot: Snapshot, view: BarState) -> None:
+        # Once a second at any refresh rate: a cell is a second.
         if snapshot.running and snapshot.time - self._sampled >= 1.0:
             self._sampled = snapshot.time
             self._received.append(sum(link.rx_bytes_per_second for link in snapshot.links))
@@ -96,12 +96,14 @@ class StatusBar(LiveLines):
         armed = armed_count(snapshot.routes)
         known = acknowledged_count(snapshot.routes)
         self._signs = (*topics, *armed, *state_counts(snapshot.routes, State), *known)
+        # Calls have counts of their own: a call that fails is no lost message.
         drops = sum(route.ledger.dropped_total for route in snapshot.routes if route.calls is None)
         groups: list[Line] = [
             (*topics, *armed, *state_counts(snapshot.routes, State, words=True), *known),
             ((f"drops {formats.thousands(drops)}", "stale" if drops else ""),),
         ]
         groups += calls_group(snapshot.routes)
+        # Failed calls must not give way to the names of states.
         self._needed = len(groups) if len(groups) > 2 else 1
         rtts = [link.rtt for link in snapshot.links if link.rtt is not None]
         if rtts:
@@ -198,6 +200,7 @@ def link_state(snapshot: Snapshot, way_on: str) -> list[tuple[str, str]]:
         return [(f"   ✗ STOPPED{f': {way_on}' if way_on else ''}", "down")]
     if not snapshot.links:
         return [("   ◌ no client yet", "waiting")]
+    # With one link in the clear, nothing is called encrypted.
     return [_links_state(snapshot.links, snapshot.time), ("  encrypted ✓", "dim")][: 1 if _warnings(snapshot) else 2]
 
 
@@ -215,6 +218,7 @@ def _links_state(links: Sequence[LinkSnapshot], now: float) -> tuple[str, str]:
         return f"   {STATE_SIGN[worst]} {len(linked)} of {len(links)} linked", worst.value
     (link,) = links
     if linked:
+        # Both cut to whole seconds, as in `formats.age_since`.
         return f"   ● LINKED {formats.clock(math.floor(now) - math.floor(link.since))}", "ok"
     retry = formats.next_attempt(link, now)
     state = link.state
@@ -290,6 +294,7 @@ class KeyBar(LiveLines):
             return whole
         short = [(entry, _pieces(entry, "" if entry.counts else entry.label)) for entry in self._entries]
         room, fitting = self.width, []
+        # A key without room leaves it to shorter ones behind it.
         for index in sorted(range(len(short)), key=lambda index: short[index][0].rank):
             if (width := width_of(short[index][1])) <= room:
                 room -= width

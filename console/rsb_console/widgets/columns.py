@@ -26,6 +26,7 @@ _SHORT_NAMES = {"zenoh-drop": "DROP"}
 _BESIDE_CALLS = 100  # cells; wider tables have room for both topics' bytes and figures of calls
 
 
+# Compared by identity: by value, each look into a set of columns would hash all fields.
 @dataclass(frozen=True, slots=True, eq=False)
 class Column(Generic[R]):
     """One column of a table.
@@ -69,6 +70,7 @@ def _state(row: Row) -> str:
         return f"{ACK_WORD} {STATE_WORD[row.state]}"
     word = ARMED_WORD if is_armed(row) and row.state is State.OK else STATE_WORD[row.state]
     text = f"{_sign(row)} {word}"
+    # DISARMING has no room for its sign.
     return text if len(text) <= _STATE_WIDTH else word
 
 
@@ -132,6 +134,7 @@ def last_failure(route: RouteSnapshot) -> str:
     return "" if route.calls is None else route.calls.last_failure
 
 
+# Each `from_width` leaves the topics' names 14 cells at least, in a table of any width from 40 on.
 _FIGURES: tuple[Column[RouteSnapshot], ...] = (
     Column(
         "kB/s",

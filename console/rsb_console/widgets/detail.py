@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot
 
 _MOST_GOALS = 8
+"""Goals that are shown, two lines each. A round figure: each further one pushes the plot and the ledger down."""
 _ID_LENGTH = 8  # digits that tell goals apart
 _OVER = {
     "succeeded": (DONE, "ok"), "canceled": (UNKNOWN, "dim"), "aborted": (FAILED, "down"), "rejected": (FAILED, "stale"),
@@ -50,7 +51,6 @@ class DetailPane(LiveLines, can_focus=True):
         """Show a topic. If the topic changed, scroll to its first line.
 
         Args:
-            route: the topic's route, or None without a selection.
             peer: the other side's name or address.
         """
         if (route and route.key) != (self._route and self._route.key):
@@ -78,6 +78,7 @@ class DetailPane(LiveLines, can_focus=True):
 
     def on_resize(self) -> None:
         super().on_resize()
+        # Lines are cut and wrapped for the width that the pane had.
         self.show(self._route, self._peer)
 
 

@@ -28,8 +28,9 @@ if TYPE_CHECKING:
     from rsb_console.look.formats import Row
 
 PLOT_HEIGHT = 4
-LABEL = 11  # cells of a figure's name
+LABEL = 11  # cells of a figure's name, of which "subscribers" is the longest
 TIED = "\N{NO-BREAK SPACE}"
+"""Keeps a figure and its unit on one line: textwrap breaks no line there."""
 
 
 class DetailText(Wording):
@@ -133,13 +134,13 @@ def stages(route: RouteSnapshot, question: str, nothing: str, width: int) -> Ite
     """Yield the stages: those passed on one line, the first that fails with its reason, and the others on one line.
 
     Args:
-        route: route with the stages.
         question: question that they answer if it does not work.
         nothing: text for a route that passed all stages but no longer works.
         width: width of the pane in cells.
     """
     of_route = route.stages
     waiting = [index for index, stage in enumerate(of_route) if not stage.done]
+    # A failed stage explains more than an earlier one without a result.
     at = next((index for index in waiting if of_route[index].done is False), next(iter(waiting), None))
     yield ((" Stages" if route.state.flows else f" {question}", "head"),)
     if at is None:
@@ -174,11 +175,9 @@ def plot(route: RouteSnapshot, title: str, unit: str, width: int) -> Iterator[Li
     """Yield the present rate and a curve of the last seconds.
 
     Args:
-        route: route with the rate.
-        title: title of the curve.
-        unit: unit of the rate.
         width: width of the pane in cells.
     """
+    # A route keeps the last 120 s, two of which take a cell.
     cells = max(1, min(width - 2, 60))
     shown = route.history[-2 * cells :]
     usual = route.expected_rate if route.calls is None else None  # nobody expects calls

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _NAMED = 3
 _OWN_NAME = "\0"
+"""Replaces a fault's own name in its cause, so that causes without another difference are alike."""
 _DURATION = re.compile(r"\b\d+ (?:s|min|h)\b")
 """Durations, which differ a little between topics that failed together."""
 _KEEPS_HEIGHT = 10.0
@@ -36,8 +37,6 @@ class Fault:
     """One fault of a link or a topic.
 
     Attributes:
-        sign: sign of its state.
-        look: style of the sign.
         robot: robot of the topic if there are several robots, or empty.
         name: the link's, or the topic's.
         of_link: whether it is a link's.
@@ -99,8 +98,7 @@ class FaultLines(LiveLines):
 
         Args:
             most: lines that fit.
-            keys: keys that show the others.
-            now: s, the time of the snapshot.
+            now: the time of the snapshot.
         """
         self._faults, self._most, self._keys, self._now = faults, most, keys, now
         self._lay_out(self.app.size.width)
@@ -135,6 +133,7 @@ class Heights:
         for fault in faults:
             needs = len(_wrapped(fault, width))
             had, at = before.get(fault.key, (0, now))
+            # A snapshot has the machine's time, which may be set back: no height is kept until it has caught up.
             self._needed[fault.key] = (had, at) if had > needs and 0.0 <= now - at < _KEEPS_HEIGHT else (needs, now)
 
     def of(self, fault: Fault) -> int:
@@ -151,9 +150,9 @@ def fault_lines(
         faults: faults, the worst first.
         width: cells.
         most: lines.
-        keys: keys that show the remaining faults.
         heights: least number of lines for each fault, or None.
     """
+    # Each fault takes a line at least, so there is no room for further ones.
     wrapped = [_wrapped(fault, width, heights.of(fault) if heights else 0) for fault in faults[:most]]
     if len(faults) <= most and sum(map(len, wrapped)) <= most:
         return [line for lines in wrapped for line in lines]

@@ -37,7 +37,6 @@ class _Term(NamedTuple):
 
     Attributes:
         column: column to search, or an empty string for all columns.
-        regex: expression to search for.
         excludes: whether it must not match.
     """
 
@@ -144,6 +143,7 @@ class Prompt(Horizontal):
         self._before = text
         self.display = True
         field = self.query_one(Input)
+        # The text that is there filters already; only what is typed is news.
         with self.prevent(Input.Changed):
             field.value = text
         self.query_one("#problem", Static).update("")
@@ -156,7 +156,7 @@ class Prompt(Horizontal):
             pattern = RowFilter(event.value) or None
         except PatternError as error:
             problem.update(str(error))
-            return
+            return  # the filter of before stays, for example while a bracket is still open
         problem.update("")
         self.post_message(self.Changed(pattern))
 

@@ -48,6 +48,7 @@ ROBOT_LOOK = {
 """Styles of robots' states, as for topics' states of the same severity."""
 LOW_BATTERY = 0.2
 HIGH_LOSS = 0.05
+"""Shares from which on a cell is coloured. Round figures, not measured: they raise no fault."""
 
 
 class RobotRow(NamedTuple):
@@ -94,12 +95,12 @@ def percent(share: float) -> str:
 
 def _loss(row: RobotRow) -> float:
     loss = row.robot.summary.loss
-    return -1.0 if loss is None else loss.share
+    return -1.0 if loss is None else loss.share  # if unknown, behind all others
 
 
 def _charge(row: RobotRow) -> float:
     battery = row.robot.summary.battery
-    return 2.0 if battery is None else battery.charge
+    return 2.0 if battery is None else battery.charge  # if unknown, behind all others, and not low
 
 
 def _by_state(row: RobotRow) -> tuple[object, ...]:
@@ -185,12 +186,9 @@ class FleetView:
 
     Attributes:
         cursor: the key under the cursor, or None before it has moved.
-        faults_only: show only robots with a fault.
         grouped: keep the robots of a group together.
         folded: groups of which only the heading is shown.
         marked: keys of the marked robots.
-        sort_column: column to sort by.
-        reversed: whether the order is reversed.
     """
 
     cursor: str | None = None
@@ -204,11 +202,7 @@ class FleetView:
 
 
 class FleetTable(SelectableList):
-    """One line for each robot and each group. The cursor stays on its robot when the order changes.
-
-    Args:
-        view: the operator's settings of the table.
-    """
+    """One line for each robot and each group. The cursor stays on its robot when the order changes."""
 
     sticky = 1
     begins_at_top = True
@@ -228,16 +222,16 @@ class FleetTable(SelectableList):
         """Show the present state of the robots.
 
         Args:
-            fleet: fleet of the robots.
             now: s since the epoch.
         """
         self.rows = {robot.key: RobotRow(robot, fleet.rates(robot), now) for robot in fleet.robots()}
         self._servers = len(fleet.sources) > 1
+        # A robot that has gone, and comes back later, is not among those to change.
         self.view.marked.intersection_update(self.rows)
         self.relist()
         if self._restore in self.keys:
             self.move_to(self.keys.index(self._restore))
-        self._restore = None
+        self._restore = None  # from then on, the cursor is where the operator moves it
 
     def relist(self) -> None:
         view = self.view
@@ -329,6 +323,7 @@ class FleetTable(SelectableList):
             self.view.marked -= keys
         else:
             self.view.marked |= keys
+        # To the next robot: several in a row are marked with one key.
         if group is None:
             self.move_to(self.position + 1)
         self.sync()

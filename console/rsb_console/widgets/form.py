@@ -27,8 +27,6 @@ class Spec:
     """One field of a form.
 
     Attributes:
-        key: key of its value.
-        label: label to its left.
         help: one or two lines, shown while the field has the focus.
         blank: meaning of an empty field, shown in it.
         options: value and label of each choice, or empty for a text field.
@@ -64,9 +62,6 @@ class Field(Vertical):
     """A label, an input or a choice, and its problem.
 
     Attributes:
-        spec: definition of the field.
-        problem: problem of the value.
-        note: further note about the value.
         touched: the operator has typed or chosen here; mistakes are shown only then.
         position: in the form, from the top.
     """
@@ -137,6 +132,7 @@ class Field(Vertical):
     @on(Choice.Changed)
     def _changed(self, event: Message) -> None:
         event.stop()
+        # Values that a pick or a proposal fills in are nobody's mistakes yet.
         self.touched = self.touched or self.control.has_focus
         self.post_message(self.Changed(self))
 
@@ -148,11 +144,7 @@ class Field(Vertical):
 
 
 class Form(VerticalScroll, can_focus=False):
-    """Fields, one below the other. Arrows and tab move between them, enter submits.
-
-    Args:
-        fields: fields from the top.
-    """
+    """Fields, one below the other. Arrows and tab move between them, enter submits."""
 
     BINDINGS: ClassVar = [
         Binding("up", "app.focus_previous", show=False),
@@ -189,6 +181,7 @@ class Form(VerticalScroll, can_focus=False):
         self._problems = problems
         for key, field in self.fields.items():
             field.problem.set_text(problems.get(key, "") if field.is_ready else "")
+        # Also the mistakes of hidden fields, which have no place of their own.
         elsewhere = [message for key, message in problems.items() if key not in self.values]
         self.problem.set_text("\n".join(elsewhere))
 
@@ -221,6 +214,7 @@ class Form(VerticalScroll, can_focus=False):
         event.stop()
         controls = [field.control for field in self.fields.values() if field.display]
         first = next((each for each in controls if isinstance(each, FieldInput)), None)
+        # Only before the focus has moved: text that is typed ahead of a form is for its first text field.
         if first is not None and controls[0] is event.choice and not self._focus_moved:
             first.focus()
             InputQueue.of(self.app).insert([Paste(event.text)])

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 AT_MOST = 5.0  # s that a form ignores input if no result is ever shown
 LEAVING = ("escape", "ctrl+c")
 _SAME_WORD = 1.0
-"""Seconds after which a typed letter begins a new word."""
+"""Seconds after which a typed letter begins a new word. A round figure: people type the letters of a word faster."""
 
 
 class InputGuard:
@@ -68,6 +68,7 @@ class FieldInput(Input):
     # Textual calls these handlers of every class, Input's after ours, unless the default is prevented.
 
     def _on_focus(self, event: events.Focus) -> None:
+        # When the terminal's window gets the focus back, the cursor stays where it was.
         if not self.select_on_focus and not event.from_app_focus:
             self.cursor_position = len(self.value)
 
@@ -185,7 +186,7 @@ class Choice(Widget, can_focus=True):
         if event.character is None or not event.is_printable or event.character.isspace():
             self._typed = ""
             return
-        event.stop()
+        event.stop()  # a letter is no key of the screen here
         event.prevent_default()
         if event.time - self._typed_at > _SAME_WORD:
             self._typed = ""
@@ -214,6 +215,7 @@ class Choice(Widget, can_focus=True):
             self._before = self.value
         if named:
             self._typed = typed
+            # The chosen one stays if it fits: a letter does not jump to the first of several that begin alike.
             self.value = self.value if self.value in named else named[0]
         else:
             self._typed, self.value = "", self._before

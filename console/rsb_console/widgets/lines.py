@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 Line = tuple[tuple[str, str], ...]
 """Pieces of one line: text, and the name of its look (one of `LOOKS`, or empty for the pane's own)."""
 
-BREATH = 0.5e-3  # s
+BREATH = 0.5e-3
+"""s that a pane sleeps before it is drawn: see `yield_gil`."""
 
 LOOKS = (
     *(state.value for state in State), "dim", "strong", "armed", "key", "head", "alarm", "plot",
@@ -87,7 +88,7 @@ class LiveLines(ScrollView):
 
     def measure_lines(self) -> None:
         """Set the scrollable height to that of all lines."""
-        size = Size(0, self.line_count)
+        size = Size(0, self.line_count)  # no width: lines are cut, not scrolled sideways
         if size != self.virtual_size:
             self.virtual_size = size
 
@@ -96,6 +97,7 @@ class LiveLines(ScrollView):
 
     def _make(self, y: int) -> tuple[Line, bool]:
         index = self.index_at(y)
+        # Rows that were drawn before the list became shorter.
         if index >= self.line_count:
             return (), False
         return self.line(index), self.is_cursor(index)
@@ -159,7 +161,6 @@ def changed_width(old: Line, new: Line, width: int) -> int:
 
     Args:
         old: the line on screen.
-        width: width of the pane.
     """
     cells = width_of(new)
     if width_of(old) != cells:

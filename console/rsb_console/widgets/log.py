@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rsb_console.widgets.filter import RowFilter
     from rsb_console.widgets.lines import Line
 
-KEPT = 5000  # events
+KEPT = 5000  # events; a round figure: each relisting goes through all of them
 SEVERITY = {level: rank for rank, level in enumerate(Level)}
 LOOK = {Level.DEBUG: "dim", Level.INFO: "", Level.WARNING: "stale", Level.ERROR: "down"}
 WORD = {Level.DEBUG: "debug", Level.INFO: "info", Level.WARNING: "WARN", Level.ERROR: "ERROR"}

@@ -93,7 +93,6 @@ class PickField(Field):
     operator has gone into the list.
 
     Args:
-        spec: definition of the field.
         is_literal: whether a text is a value rather than something to look for.
     """
 
@@ -167,6 +166,7 @@ class PickField(Field):
     @on(Input.Submitted)
     def _pick(self, event: Input.Submitted) -> None:
         event.stop()
+        # Else Textual would also call the handler of Field, and enter would submit the form.
         event.prevent_default()
         self.post_message(self.Picked(self, self.picked))
 

@@ -71,6 +71,7 @@ class SelectableList(LiveLines, can_focus=True):
         """List `keys`. The cursor stays on its item, or at its position if the item is gone."""
         before, follows = self.cursor_key, self.follows_top
         self.keys = keys
+        # First: Textual scrolls no further than the height that it knows.
         self.measure_lines()
         if follows:
             self._place(0)
@@ -127,7 +128,7 @@ class SelectableList(LiveLines, can_focus=True):
     def on_click(self, event: events.Click) -> None:
         """Move the cursor to the item under the mouse; choose the item if the cursor is there already."""
         at = event.get_content_offset(self)
-        if at is None:
+        if at is None:  # on the border
             return
         if at.y < self.sticky:
             self.heading_clicked(at.x)

@@ -67,6 +67,7 @@ class TopicsTable(SelectableList):
         shown = [row for row in self.rows.values() if not filtered or self._wanted(row)]
         shown.sort(key=self.sort_column.order, reverse=self.reversed)
         if self.grouped:
+            # Sorting is stable: within a robot, the chosen order stays.
             shown.sort(key=lambda row: row.link)
         self.show_keys([row.key for row in shown])
         self._show_title()
@@ -80,6 +81,7 @@ class TopicsTable(SelectableList):
     def _wanted(self, row: Row) -> bool:
         if self.faults_only and row.state not in FAULTS:
             return False
+        # A word such as "topic" or the only peer's name would match every line.
         hidden = ("kind",) if self._peers else ("kind", "robot")
         return self.pattern is None or self.pattern.matches(_searched(row), hidden=hidden)
 
@@ -175,7 +177,7 @@ def _cell(column: Column[Row], row: Row, width: int) -> tuple[str, str]:
     if len(text) > width:
         text = fit_middle(text, width) if column is TOPIC else text[: width - 1] + "…"
     look = ""
-    if row.acknowledged is not None and not is_armed(row):
+    if row.acknowledged is not None and not is_armed(row):  # an armed topic may move a robot, so it is not dimmed
         look = "dim"
     elif column in {STATE, SIGN}:
         look = "armed" if is_armed(row) else row.state.value
