@@ -36,26 +36,47 @@ class Time:
         return self.now
 
 
+Place = tuple[int, int]
+"""Row and column."""
+
+
+def place_in(question: str) -> Place:
+    found = re.fullmatch(r"\x1b7\x1b\[(\d+);(\d+)H\x1b\[6n\x1b8", question)
+    assert found is not None
+    return int(found[1]), int(found[2])
+
+
 class Line:
     """A terminal at the other end of a line that may hang. What it sends arrives in order.
+
+    Args:
+        size: lines and columns. For a place beyond, the terminal takes its last line or column.
 
     Attributes:
         hangs: whether nothing passes in either direction.
     """
 
-    def __init__(self, clock: Time, environ: dict[str, str] | None = None, *, latency: float = 0.0) -> None:
+    def __init__(
+        self,
+        clock: Time,
+        environ: dict[str, str] | None = None,
+        *,
+        latency: float = 0.0,
+        size: tuple[int, int] = (24, 80),
+    ) -> None:
         self.clock, self.latency = clock, latency
         self.pulse = Pulse(environ or {}, clock)
         self.hangs = False
-        self._to_terminal: list[tuple[float, int]] = []
-        self._to_console: list[tuple[float, int | Message]] = []
+        self._size = size
+        self._to_terminal: list[tuple[float, Place]] = []
+        self._to_console: list[tuple[float, Place | Message]] = []
         self.keys: list[events.Key] = []
 
     def ask(self) -> None:
         if question := self.pulse.question():
-            found = re.fullmatch(r"\x1b7\x1b\[1;(\d+)H\x1b\[6n\x1b8", question)
-            assert found is not None
-            self._to_terminal.append((self.clock() + self.latency / 2, int(found[1])))
+            row, column = place_in(question)
+            place = min(row, self._size[0]), min(column, self._size[1])
+            self._to_terminal.append((self.clock() + self.latency / 2, place))
 
     def press(self, key: str = "up") -> None:
         self._to_console.append((self.clock() + self.latency / 2, events.Key(key, None)))
@@ -74,13 +95,13 @@ class Line:
         if self.hangs:
             return
         now = self.clock()
-        for due, column in [each for each in self._to_terminal if each[0] <= now]:
-            self._to_terminal.remove((due, column))
-            self._to_console.append((now + self.latency / 2, column))
+        for due, place in [each for each in self._to_terminal if each[0] <= now]:
+            self._to_terminal.remove((due, place))
+            self._to_console.append((now + self.latency / 2, place))
         while self._to_console and self._to_console[0][0] <= now:
             _, what = self._to_console.pop(0)
-            if isinstance(what, int):
-                self.pulse.answered(what)
+            if isinstance(what, tuple):
+                self.pulse.answered(*what)
             else:
                 self.pulse.stamp(what)
                 assert isinstance(what, events.Key)
@@ -99,6 +120,15 @@ def test_a_key_counts_while_the_terminal_answers(latency: float) -> None:
         line.go_on(latency / 2 + 0.02)
         assert line.fresh()[-1]
         line.go_on(0.3)
+
+
+def test_keys_of_a_small_terminal_count() -> None:
+    line = Line(Time(), size=(6, 20))
+    line.go_on(20.0)  # as many questions as there are places, and more
+    for _ in range(60):
+        line.press()
+        line.go_on(0.3)
+        assert line.fresh()[-1]
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.3])
@@ -138,16 +168,15 @@ def test_a_console_that_stood_still_finds_its_keys_old() -> None:
 def test_a_lost_answer_makes_no_other_one_older() -> None:
     clock = Time()
     pulse = Pulse({}, clock)
-    columns = [int(re.findall(r";(\d+)H", pulse.question())[0]) for _ in range(3)]
+    places = [place_in(pulse.question()) for _ in range(3)]
     clock.now += 0.1
-    pulse.answered(columns[2])
+    pulse.answered(*places[2])
     assert pulse.heard == 100.0
     asked = clock.now
-    column = int(re.findall(r";(\d+)H", pulse.question())[0])
-    pulse.answered(column)
+    pulse.answered(*place_in(pulse.question()))
     assert pulse.heard == asked
-    pulse.answered(columns[0])
-    pulse.answered(7)
+    pulse.answered(*places[0])
+    pulse.answered(1, 7)
     assert pulse.heard == asked
 
 
@@ -169,7 +198,7 @@ def test_a_terminal_that_hangs_gets_few_questions() -> None:
 )
 def test_a_multiplexer_is_known_by_its_kind(kind: str, relayed: bool) -> None:
     pulse = Pulse({})
-    pulse.answered(int(re.findall(r";(\d+)H", pulse.question())[0]))
+    pulse.answered(*place_in(pulse.question()))
     pulse.is_kind(kind)
     assert pulse.relayed is relayed
 
@@ -196,8 +225,8 @@ def test_a_terminal_that_never_answers_is_as_a_multiplexer() -> None:
 def test_answers_in_a_paste_are_taken_out() -> None:
     clock = Time()
     pulse = Pulse({}, clock)
-    column = re.findall(r";(\d+)H", pulse.question())[0]
-    assert pulse.without_answers(f"a: 1\x1b[1;{column}R\nb: 2") == "a: 1\nb: 2"
+    row, column = place_in(pulse.question())
+    assert pulse.without_answers(f"a: 1\x1b[{row};{column}R\nb: 2") == "a: 1\nb: 2"
     assert pulse.heard == 100.0
 
 

@@ -36,14 +36,14 @@ class Terminal:
     def __init__(self) -> None:
         self._there, self.here = os.openpty()
 
-    def questions(self) -> list[int]:
-        """Wait for a question, and return the columns of those that have come."""
+    def questions(self) -> list[bytes]:
+        """Wait for a question, and return the places of those that have come."""
         data = b""
-        found: list[int] = []
+        found: list[bytes] = []
         while not found:
             assert select.select([self._there], [], [], 30)[0], f"no question but {data!r}"
             data += os.read(self._there, 4096)
-            found = [int(each) for each in re.findall(rb"\x1b\[1;(\d+)H\x1b\[6n\x1b8", data)]
+            found = re.findall(rb"\x1b\[(\d+;\d+)H\x1b\[6n\x1b8", data)
         return found
 
     @property
@@ -60,9 +60,9 @@ class Terminal:
     def _unread(self) -> int:
         return int.from_bytes(fcntl.ioctl(self.here, termios.FIONREAD, bytes(4)), sys.byteorder)
 
-    def answer(self, *columns: int) -> None:
-        for column in columns:
-            self.send(f"\x1b[1;{column}R")
+    def answer(self, *places: bytes) -> None:
+        for place in places:
+            self.send(f"\x1b[{place.decode()}R")
 
     @property
     def is_plain(self) -> bool:
@@ -117,11 +117,25 @@ def test_an_answer_may_come_in_two_parts(terminal: Terminal) -> None:
     clock = Time()
     with TypedKeys(terminal.here, {}, clock) as keys:
         keys.wait(0)
-        (column,) = terminal.questions()
-        terminal.send("\x1b[1;")
+        (place,) = terminal.questions()
+        row, column = place.decode().split(";")
+        terminal.send(f"\x1b[{row};")
         assert not keys.wait(1)
         terminal.send(f"{column}R\n")
         assert keys.wait(1)
+
+
+def test_a_line_after_an_arrow_key_counts_once(terminal: Terminal) -> None:
+    clock = Time()
+    with TypedKeys(terminal.here, {}, clock) as keys:
+        keys.wait(0)
+        terminal.answer(*terminal.questions())
+        terminal.send("\x1b[A\n")
+        assert keys.wait(1)
+        for key in ("x", "y"):
+            terminal.answer(*terminal.questions())
+            terminal.send(key)
+            assert not keys.wait(1)
 
 
 def test_a_terminal_that_never_answers_is_believed(terminal: Terminal) -> None:

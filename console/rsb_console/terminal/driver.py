@@ -220,7 +220,7 @@ class ConsoleDriver(LinuxDriver):
         """Take the terminal's answers, and note how young its keys are (Textual's)."""
         match message:
             case events.CursorPosition():
-                self.pulse.answered(message.x + 1)
+                self.pulse.answered(message.y + 1, message.x + 1)
                 return
             case events.Key(key=key) if key == _KIND:
                 self.pulse.is_kind(KIND.fullmatch(message.character or "")["kind"])  # type: ignore[index]

@@ -5,7 +5,7 @@ as if it were new. But a terminal answers a question (DSR, the position of the c
 between the keys that were pressed before it and after it. So a key is as young as the last question that was answered
 before it, or younger.
 
-The question moves the cursor to a column of its own first. The answer repeats the column, so an answer that is lost
+The question moves the cursor to a place of its own first. The answer repeats the place, so an answer that is lost
 makes no other one look younger.
 """
 
@@ -34,14 +34,14 @@ whose keys can count has fewer on the way."""
 _GIVEN_UP_AFTER = 30.0
 """s after which such questions count as lost, and others are asked. A round figure: a terminal that has lost questions,
 but works again, has its keys refused for so long."""
-_FIRST_COLUMN, _COLUMNS = 20, 60
-"""The columns of the questions: with a lower one, the answer could be F3 with a modifier, and a terminal of 80 columns
-has all of these."""
+_PLACES: Final = tuple((row, column) for row in range(2, 6) for column in range(2, 17))
+"""Rows and columns of the questions. Each terminal has them: a smaller one would answer with its last column for all
+beyond, and its keys would count as late. In the first row, the answer could be F3 with a modifier."""
 
 WHO_ARE_YOU: Final = "\x1b[>c"
 """Asks for the kind of the terminal (DA2)."""
 KIND = re.compile(r"\x1b\[>(?P<kind>[\d;]*)c")
-_POSITION = re.compile(r"\x1b\[1;(\d+)R")
+_POSITION = re.compile(r"\x1b\[(\d+);(\d+)R")
 _MULTIPLEXERS: Final = re.compile(r"(84|83)(;|$)|1;10;0$")
 """The kinds of tmux, GNU screen, and mosh."""
 _ENVIRONMENT: Final = ("TMUX", "STY", "ZELLIJ")
@@ -62,7 +62,7 @@ class Pulse:
         self.heard = float("-inf")
         self.round_trip: float | None = None
         self._clock = clock
-        self._open: deque[tuple[int, float]] = deque()
+        self._open: deque[tuple[tuple[int, int], float]] = deque()
         # The driver reads answers on a thread of its own, while the app asks.
         self._lock = threading.Lock()
         self._next = 0
@@ -96,19 +96,20 @@ class Pulse:
                 self._open.clear()
             if len(self._open) >= _OPEN_AT_MOST:
                 return ""
-            column = _FIRST_COLUMN + self._next
-            self._next = (self._next + 1) % _COLUMNS
-            self._open.append((column, now))
-        return f"\x1b7\x1b[1;{column}H\x1b[6n\x1b8"
+            row, column = place = _PLACES[self._next]
+            self._next = (self._next + 1) % len(_PLACES)
+            self._open.append((place, now))
+        return f"\x1b7\x1b[{row};{column}H\x1b[6n\x1b8"
 
-    def answered(self, column: int) -> None:
+    def answered(self, row: int, column: int) -> None:
         """Take an answer. One that nobody has asked for changes nothing."""
+        place = row, column
         with self._lock:
-            asked = next((at for known, at in self._open if known == column), None)
+            asked = next((at for known, at in self._open if known == place), None)
             if asked is None:
                 return
             # Answers come in order, so questions before this one will get none.
-            while self._open.popleft()[0] != column:
+            while self._open.popleft()[0] != place:
                 pass
             self.heard, self.round_trip = asked, self._clock() - asked
 
@@ -120,7 +121,7 @@ class Pulse:
         """Return a pasted text without the answers that came in the midst of it, and take these."""
 
         def take(found: re.Match[str]) -> str:
-            self.answered(int(found[1]))
+            self.answered(int(found[1]), int(found[2]))
             return ""
 
         return _POSITION.sub(take, pasted)

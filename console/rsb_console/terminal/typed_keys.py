@@ -26,7 +26,7 @@ _LOOKS, _LOOK_EVERY = 6, 0.05
 the console."""
 _LONGEST_ANSWER = 16
 """Bytes, more than any answer has: a longer rest after an Escape is no answer that has come in part."""
-_PIECES: Final = re.compile(rb"\x1b\[\d+;(?P<column>\d+)R|(?P<line>[\r\n])|(?P<end>\x04)")
+_PIECES: Final = re.compile(rb"\x1b\[(?P<row>\d+);(?P<column>\d+)R|(?P<line>[\r\n])|(?P<end>\x04)")
 _LOCAL_MODES = 3
 """The place of the local modes in `termios.tcgetattr`."""
 
@@ -104,17 +104,19 @@ class TypedKeys:
 
     def _take(self, data: bytes) -> bool:
         """Take keys and answers, in their order; return whether there was a young line."""
-        data, is_young = self._begun + data, False
+        data, is_young, done = self._begun + data, False, 0
         for piece in _PIECES.finditer(data):
-            if (column := piece["column"]) is not None:
-                self._pulse.answered(int(column))
+            if piece["row"] is not None:
+                self._pulse.answered(int(piece["row"]), int(piece["column"]))
             elif piece["line"] is not None:
                 # A pipe answers no questions, so its lines count.
                 is_young |= self._terminal < 0 or self._clock() - self._pulse.heard_now < FRESH_FOR
             # Ctrl-D: without line editing, the kernel passes it on as a byte. In a pipe it is one of the data.
             elif self._terminal >= 0:
                 self._ended = True
-        start = data.rfind(b"\x1b")
-        is_cut = start >= 0 and _PIECES.match(data, start) is None and len(data) - start < _LONGEST_ANSWER
+            done = piece.end()
+        # Behind the last piece, so that a line after an arrow key does not count again with each further key.
+        start = data.rfind(b"\x1b", done)
+        is_cut = start >= 0 and len(data) - start < _LONGEST_ANSWER
         self._begun = data[start:] if is_cut else b""
         return is_young
