@@ -60,6 +60,7 @@ def read_fields(text: str) -> Fields:
     Raises:
         FieldError: it is no YAML, or too much of it.
     """
+    # The characters first: a text that is far too long is not copied.
     if len(text) > FIELDS_LENGTH or len(text.encode("utf-8", "replace")) > FIELDS_LENGTH:
         raise FieldError(FieldProblem.TOO_LONG(limit=f"{FIELDS_LENGTH:,}"))
     try:
@@ -94,6 +95,7 @@ def write_fields(decoded: Decoded) -> str:
     data = writing.plain(decoded.message, "")
     text = dump_yaml(data, width=_WIDTH)
     if not all(map(is_clean, text.split("\n"))):
+        # YAML calls marks that turn the direction of text printable; a terminal obeys them.
         text = dump_yaml(data, allow_unicode=False, width=_WIDTH)
     return text + "".join(f"# {note}\n" for note in writing.notes(decoded.problem))
 

@@ -88,11 +88,13 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
     try:
         with os.fdopen(handle, "wb") as file:
             if is_there(model):
+                # The owner first: with the mode first, this user's group could open the file for a moment.
                 give_owner(handle, model)
                 if like is not None:
                     os.fchmod(handle, stat.S_IMODE(model.stat().st_mode))
             file.write(content)
             file.flush()
+            # Before the rename: after a power cut, the new name must not lead to a file without contents.
             os.fsync(file.fileno())
         Path(name).replace(target)
     except BaseException:

@@ -46,13 +46,13 @@ def allot(capacity: float, wishes: Mapping[K, TopicDemand]) -> dict[K, float]:
 
     Args:
         capacity: bytes/s.
-        wishes: the demand of each topic.
 
     Returns:
         Bytes/s by topic, at most its demand.
     """
     shares: dict[K, float] = {}
     left, weights = max(0.0, capacity), sum(weight_of(wish.rank) for wish in wishes.values())
+    # Those that want the least for their weight first: what they leave is there for the others.
     for key, wish in sorted(wishes.items(), key=_per_weight):
         shares[key] = min(wish.bytes_per_second, left * weight_of(wish.rank) / weights)
         left -= shares[key]
@@ -112,9 +112,7 @@ class LinkLoad(NamedTuple):
     """The load that a topic puts on a link.
 
     Attributes:
-        rate: Hz.
         size: bytes of a message.
-        source: source of these figures.
         like: the topic it was measured on, or an empty string if it was not measured.
     """
 
