@@ -205,7 +205,7 @@ def read_key(path: Path) -> Key:
         if not stat.S_ISREG(kind):
             raise KeyFileError(KeyFileProblem.NOT_A_FILE(path=path, kind=kind_of_file(kind)))
         with path.open("rb") as file:
-            status = os.fstat(file.fileno())
+            status = os.fstat(file.fileno())  # of what is read, even if another file is there by now
             content = file.read(_MAX_FILE + 1)
         folder = Path(os.path.realpath(path)).parent
         of_folder = folder.stat().st_mode
@@ -247,6 +247,7 @@ def _parse(text: str, path: Path) -> Key:
 
 def _decode(text: str) -> bytes | None:
     try:
+        # Without `validate`, characters of no alphabet are skipped, so that a file's name may be a key.
         secret = base64.b64decode(text, altchars=b"-_", validate=True)
     except (binascii.Error, ValueError):  # ValueError: not ASCII
         return None

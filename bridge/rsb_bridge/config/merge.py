@@ -80,6 +80,7 @@ class _Merger:
     def text(self) -> str:
         """Return the text with all edits made."""
         parts, at = [], 0
+        # By place alone: of several at one place, the one that was made first comes first.
         for start, end, new in sorted(self._edits, key=lambda edit: edit[:2]):
             if start < at:  # new lines behind one that goes, which takes its line break with it
                 parts.append(new.removeprefix(self._newline) + self._newline)

@@ -454,7 +454,7 @@ def _meant_by(use: Use) -> list[str]:
 def _text(grant: Grant) -> str:
     """Return an entry as it is in a session file."""
     plain = msgspec.to_builtins(grant)
-    if grant.topics == grant.services or plain.keys() == {"topics"}:
+    if grant.topics == grant.services or plain.keys() == {"topics"}:  # both: `denying` makes them of a pattern
         return grant.topics or ""
     return inline(plain)
 

@@ -144,7 +144,7 @@ def dump(session: Session) -> str:
 
 
 def same(one: Session, other: Session) -> bool:
-    """Whether two sessions differ in nothing but the order of their topics and clients."""
+    """Whether two sessions differ in nothing but the order of topics and clients, which a merge leaves as it is."""
     return _in_order(one) == _in_order(other)
 
 

@@ -279,7 +279,7 @@ def text_if_there(path: Path) -> str | None:
         status = stat_of(path)
         if status is None:
             return None
-        if not stat.S_ISREG(status.st_mode):
+        if not stat.S_ISREG(status.st_mode):  # before it is opened: a FIFO would wait for a writer
             raise SessionError(path, [Problem("", FileProblem.NOT_A_FILE(kind=kind_of_file(status.st_mode)))])
         with path.open("rb") as file:
             content = file.read(MAX_FILE + 1)

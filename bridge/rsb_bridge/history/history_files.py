@@ -148,6 +148,7 @@ def read_events(path: Path, since: float) -> Iterator[Event]:
         with contextlib.suppress(OSError), numbered(path, number).open("rb") as file:
             for line in file:
                 with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+                    # Numbers count in one process only, so the files have none.
                     event = msgspec.convert({**_line.decode(line), "number": 0}, Event)
                     if event.time >= since and _is_dated(event):
                         yield event

@@ -29,7 +29,7 @@ def state_folder(environ: Mapping[str, str]) -> Path:
     systemd's own for a service (``$STATE_DIRECTORY``), else ``$XDG_STATE_HOME/rsb-console``, else
     ``~/.local/state/rsb-console``.
     """
-    if service := environ.get("STATE_DIRECTORY", "").partition(":")[0]:
+    if service := environ.get("STATE_DIRECTORY", "").partition(":")[0]:  # a unit may have several
         return Path(service)
     base = environ.get("XDG_STATE_HOME")
     return (Path(base) if base else Path(os.path.expanduser("~/.local/state"))) / "rsb-console"  # noqa: PTH111 -- never fails

@@ -373,6 +373,7 @@ def _state(
     called: Callable[[RouteSnapshot], str],
 ) -> tuple[RobotState, str, float]:
     """Return the state, why, and since when."""
+    # A bridge that is out of reach is shown as not running, too, with links that say why (`control.states`).
     if not snapshot.running and not any(link.state is State.DOWN for link in links):
         return RobotState.MISSING, SummaryText.STOPPED(), snapshot.time
     if down := [link for link in links if link.state is State.DOWN and link.acknowledged is None]:

@@ -42,10 +42,16 @@ def weight_of(rank: int) -> int:
 
 
 DEADMAN = 60.0
-"""s: the deadman time of a topic that names none."""
+"""s: the deadman time of a topic that names none.
+
+A round figure: much less would disarm whoever only watches, much more would leave a robot armed without its operator.
+"""
 
 CALL_TIMEOUT = 30.0
-"""s: until a call is given up whose service names no timeout."""
+"""s: until a call is given up whose service names no timeout.
+
+A round figure, longer than any link is silent before it is given up (15 s with the profile of LTE).
+"""
 
 Direction = Literal["transmit", "receive"]
 Kind = Literal["topic", "service", "action", "parameters"]

@@ -311,7 +311,7 @@ class ClockOffset:
             self._samples.clear()
             self._best = None
         self._samples.append((self.rtt, offset, back))
-        shortest = min(self._samples)
+        shortest = min(self._samples)  # by the round trip, which comes first
         self.uncertainty = shortest[0] / 2
         # A path that holds up all pings of the window must not move the clock: the best one from before counts on,
         # until the drift since then may be larger.

@@ -92,7 +92,7 @@ class SnapshotPublisher:
         self._looks = 0
         self._looks_at: deque[tuple[float, int]] = deque()
         self._turn = 0
-        self._is_looked_at = True
+        self._is_looked_at = True  # the first refresh renews all
 
     def _acknowledgement_ended(self, faulty: AnyFaulty) -> None:
         """Add an event: the fault counts again."""
