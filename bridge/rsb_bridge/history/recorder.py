@@ -213,6 +213,7 @@ class Recorder:
         if not snapshot.running:
             timeline.cut()
         elif snapshot is not seen:  # an engine that hangs renews none, and nothing is known of that time
+            # That an engine had ended needs no explanation.
             if seen is not None and seen.running and axis.now - self._observed > _GAP:
                 self._slept(axis.now - self._observed)
             self._observed = axis.now

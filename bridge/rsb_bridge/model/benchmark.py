@@ -45,7 +45,9 @@ class BenchmarkStep(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 LEAST_SIZE = 16
+"""Bytes: the encapsulation and the sender's clock (PROTOCOL.md, 9) have 12."""
 MOST_SIZE = 16 << 20
+"""Bytes; of the protocol (PROTOCOL.md, 3: BenchAsk)."""
 MOST_SECONDS = 30.0
 """Longest run, in seconds."""
 REFUSED, STOPPED = "refused by the other side", "stopped by the other side"

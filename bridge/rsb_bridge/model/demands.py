@@ -355,6 +355,7 @@ def _without(suffix: str, name: str) -> str:
 def _related(kind: Kind, name: str, client_name: str) -> Iterator[tuple[Kind, str, str]]:
     """Yield a name's two sides, and for services the names that consist of them, or of which they consist."""
     yield kind, name, client_name
+    # Lanes that are not limited stop or watch a robot: no demand may hold them up.
     if kind == "service":
         for other in _KINDS_OF_SERVICES:
             for lane in LANES[other]:
@@ -507,6 +508,7 @@ class RunningDemands:
 
     def _read(self) -> Demands:
         """Take in changes. No demand gets lost by them."""
+        # A reload replaces `armed` with the session, steps before it calls `changed`.
         if self._is_stale or self._given is not self._armed():
             before, present = self._demands.sources, self._present()
             if present != before:  # it is equal after most changes, of which peers can cause many

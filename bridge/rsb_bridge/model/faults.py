@@ -211,6 +211,7 @@ class FaultWatch:
             return
         watched.subject = subject
         kind = None if removed else watched.present()
+        # Until the first report, another cause does not restart the time: a fault whose cause flaps is one, too.
         if watched.reported is None:
             if kind is None:
                 del self._watched[key]

@@ -493,6 +493,7 @@ class Throughput:
         if full != self._full:
             self._full = full
             self._window.clear()
+        # It is negative if a connection was closed: its bytes are no longer in the caller's sum.
         self._window.append((max(0.0, arrived), now - began))
         rate = sum(size for size, _ in self._window) / sum(seconds for _, seconds in self._window)
         if len(self._window) >= _ENOUGH_ARRIVALS and rate:
