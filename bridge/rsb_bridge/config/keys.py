@@ -229,6 +229,7 @@ def _risks(path: Path, status: os.stat_result, folder: Path, of_folder: int) -> 
     user = os.geteuid()
     if user and status.st_uid not in (user, 0):  # root may read the files of any user
         yield KeyWarning.OTHER_OWNER(path=path, uid=status.st_uid)
+    # With the sticky bit, as of /tmp, nobody can replace another user's file.
     if of_folder & stat.S_IWOTH and not of_folder & stat.S_ISVTX:
         yield KeyWarning.REPLACEABLE(path=path, folder=folder)
 

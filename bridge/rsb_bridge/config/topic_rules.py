@@ -529,6 +529,7 @@ def service_names(kind: Kind, name: str) -> list[str]:
 def overlap(topic: Topic, others: Iterable[Topic]) -> str:
     """Return the reason why an entry cannot be bridged together with others of the link, or an empty string."""
     names = set(service_names(topic.kind, topic.topic))
+    # What overlaps among the others is not this entry's fault.
     related = [other for other in others if not names.isdisjoint(service_names(other.kind, other.topic))]
     return next((f"{topic.topic}: {problem.message}" for problem in overlaps([*related, topic], "")), "")
 

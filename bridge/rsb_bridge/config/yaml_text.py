@@ -204,6 +204,7 @@ def _plain(node: yaml.Node, location: str, document: Document) -> Any:
 def scalar(node: yaml.Node) -> Any:
     """Convert a scalar's node by the rules of session files."""
     pattern, convert = _SCALARS.get(node.tag, _SCALARS["tag:yaml.org,2002:str"])
+    # A value with a tag written before it (!!int x) may not fit the tag.
     return convert(node.value) if pattern.fullmatch(node.value) else node.value
 
 
