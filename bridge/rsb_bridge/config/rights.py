@@ -41,7 +41,7 @@ _TOPIC_ENTRIES: Final[tuple[May, ...]] = (*TOPIC_USES, "look")
 _MOST_BENCHMARKED = 1e6
 """s and MB in an hour; a round figure: an hour has 3,600 s, and so many MB are 278 MB/s."""
 _ENTRY = re.compile(r"\{[^{}]*\}?|[^\s,{]+")
-"""A mapping, or a word: entries have blanks or commas between them. One without its last brace counts: it is refused as YAML."""
+"""A mapping, or a word: entries have blanks or commas between them. Without its last brace, YAML refuses it."""
 _NAMED = 6
 _LISTED_AS: dict[May, tuple[Direction, str]] = {
     "publish": ("receive", "direction: receive"),
