@@ -84,7 +84,7 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
     if old is not None and not stat.S_ISREG(old.st_mode):
         raise OSError(errno.EINVAL, FileRefused.NOT_A_FILE(kind=kind_of_file(old.st_mode)), str(path))
     model = like if like is not None else target
-    # Beside the target: no rename crosses file systems.
+    # In the target's folder, because a rename does not cross file systems.
     handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)  # mkstemp's mode is 0600
     try:
         with os.fdopen(handle, "wb") as file:

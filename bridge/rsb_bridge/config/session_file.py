@@ -184,7 +184,7 @@ def save(session: Session, path: Path, opened: SessionFile | None = None) -> Ses
         opened.check_unchanged()
     try:
         _check_writable(path)
-        # Saving the same again must not replace the only copy of what was there before.
+        # A second save of the same text must not replace the backup, the only copy of the earlier contents.
         if path.is_file() and path.read_bytes() != text.encode():
             replace_file(backup_path(path), path.read_bytes(), like=path)
         replace_file(path, text.encode(), like=path)
@@ -244,7 +244,7 @@ def _merged(opened: SessionFile, session: Session) -> str:
         text = merge(opened.text, read_yaml(opened.text, opened.path).root, opened.session, session)
     except LayoutError:
         text = ""
-    # The last word: a text that would not be read as this session is never written.
+    # A mistake of the merge must not reach the file.
     if not _says(text, session, opened.path):
         raise UneditableError(opened.path, [Problem("", SavingProblem.LAYOUT())])
     return text

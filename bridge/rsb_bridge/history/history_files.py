@@ -301,7 +301,7 @@ class Disk:
             written = self._written
             self.turn()
             if self._trouble or written != self._written:
-                self._ends.wait(_EVERY)  # not for an event: those that come meanwhile are written together
+                self._ends.wait(_EVERY)  # a fixed pause, so that several events are written together
             elif self._is_restored:
                 pause = _EVERY if self._is_changed else _LOOKS_EVERY
                 self._events.wait(self._written, pause, self._ends.is_set)

@@ -165,7 +165,7 @@ class Recorder:
                 work = self._work.get(timeout=max(0.0, due - self._clock.steady()))
             except queue.Empty:
                 self.look()
-                # What a machine has slept through is not looked at afterwards.
+                # After a sleep of the machine, missed looks are not made up for.
                 due = max(due + _EVERY, self._clock.steady())
                 continue
             if work is None:
@@ -196,7 +196,7 @@ class Recorder:
         self._timeline.go_on(each for each in events if each.time - wall <= KEPT_FOR)
         self._axis = ClockAxis(self._clock.steady(), wall, floor=self._timeline.last)
         self._observed = self._axis.now
-        # The events of this process so far were in the time line that goes.
+        # The dropped time line had the events of this process so far; the new one gets them again.
         self._followed, self._seen = 0, None
 
     def look(self) -> None:
@@ -212,8 +212,8 @@ class Recorder:
         snapshot, seen = self._latest(), self._seen
         if not snapshot.running:
             timeline.cut()
-        elif snapshot is not seen:  # an engine that hangs renews none, and nothing is known of that time
-            # That an engine had ended needs no explanation.
+        elif snapshot is not seen:  # an engine that hangs makes no new one, and the history has a gap
+            # If the engine had ended, the gap needs no explanation.
             if seen is not None and seen.running and axis.now - self._observed > _GAP:
                 self._slept(axis.now - self._observed)
             self._observed = axis.now

@@ -551,14 +551,14 @@ class RunningDemands:
         Args:
             who: makes the change, in words.
         """
-        self._read()  # what changed before is not of this operator
+        self._read()  # earlier changes are not this operator's
         self._who, self._is_changing = who, True
         try:
             yield
             self._forget()
         finally:
             self._dropping = {}
-            self._read()  # while it is known who made the change
+            self._read()  # before the operator's name is reset
             self._who, self._is_changing = "", False
             self.apply()
 

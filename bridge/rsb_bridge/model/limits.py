@@ -64,8 +64,8 @@ KEPT_DEPTH = 10_000
 """Most messages that a receiver's publisher keeps for slow readers; a QoS may ask for more. A topic of 2 kHz brings as
 many in 5 s (`qos.AUTO_SECONDS`)."""
 LATCHED_DEPTH = 1000
-"""Most messages of one publisher that the receiving side keeps for late joiners; the publisher may keep more. Those of
-/rosout keep as many."""
+"""Most messages of one publisher that the receiving side keeps for late joiners; the publisher may keep more.
+/rosout has this depth."""
 QOS_TIME = Range(0.001, 1e9)
 """s: a deadline or lifespan where there is one. The shortest costs no timer storm, the longest is 30 years."""
 RATE = Range(0.001, 1e6)

@@ -52,7 +52,7 @@ def allot(capacity: float, wishes: Mapping[K, TopicDemand]) -> dict[K, float]:
     """
     shares: dict[K, float] = {}
     left, weights = max(0.0, capacity), sum(weight_of(wish.rank) for wish in wishes.values())
-    # Those that want the least for their weight first: what they leave is there for the others.
+    # The smallest demand for its weight first: what it leaves goes to the others.
     for key, wish in sorted(wishes.items(), key=_per_weight):
         shares[key] = min(wish.bytes_per_second, left * weight_of(wish.rank) / weights)
         left -= shares[key]

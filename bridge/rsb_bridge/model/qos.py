@@ -59,7 +59,7 @@ AUTO = "auto"
 AUTO_SECONDS = 5.0
 """What a reliable volatile topic brings in this time may wait with ``auto``: a link that stalls longer is given up."""
 _DEPTH_AT_FIRST = 500
-"""Messages, until a rate is known: what a topic of 100 Hz brings in `AUTO_SECONDS`."""
+"""Messages before a rate is measured: as many as a topic of 100 Hz brings in `AUTO_SECONDS`."""
 _LEAST_AUTO, _MOST_AUTO = 10, 10_000
 _MOST_AUTO_BYTES = 32 << 20
 """That DDS may hold for a topic of large messages; not measured."""

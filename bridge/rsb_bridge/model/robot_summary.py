@@ -437,7 +437,7 @@ def _and_more(text: str, count: int) -> str:
 def _seen(link: LinkSnapshot, now: float) -> float | None:
     if link.state is State.OK:
         return now
-    # Its domain is known once it has been linked.
+    # Before the first connection, the peer has no domain.
     return link.since if link.state is State.DOWN and link.peer_domain is not None else None
 
 

@@ -146,7 +146,7 @@ class ZenohTraits(TransportTraits):
     best_effort = "zenoh-drop"
     # Zenoh takes all that the window allows, and puts it on one connection: small messages wait behind large ones, and
     # the more is in transit, the longer TCP waits before it tries again after a gap. With 0.3 s instead of 0.8, joint
-    # states beside a camera came after 0.15 s instead of 0.41 (docs/design.md, 5).
+    # states came after 0.15 s instead of 0.41 on a Wi-Fi (docs/design.md, 5).
     ages = Ages(0.1, 0.3, 0.15, 1.0)
     local = False
 

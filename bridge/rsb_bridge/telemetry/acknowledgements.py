@@ -87,7 +87,7 @@ class Acknowledgements:
         if not self._known:
             self._marked.clear()
             return links, routes
-        # Only what `_keep` meets in this snapshot stays.
+        # A fault that this snapshot does not have is forgotten: `_keep` takes over the others.
         before, self._known = self._known, {}
         marked, self._marked = self._marked, {}
         new_links = tuple(self._link(link, before, marked, now) for link in links)
@@ -130,11 +130,11 @@ class Acknowledgements:
             if has_fault(faulty):
                 self._ended(faulty)
             return None
-        # The state began anew with its cause, so the comparison below has to begin anew, too: a killed publisher is
+        # Another cause restarts the state's time, so the comparison below has to restart, too: a killed publisher is
         # silent, and gone some 20 s later.
         if known.cause != faulty.cause:
             known = known._replace(cause=faulty.cause, at=self._clock.steady())
-        elif not isinstance(faulty, PatternSnapshot):  # a pattern does not know since when
+        elif not isinstance(faulty, PatternSnapshot):  # a pattern has no `since`
             since = faulty.fault_since if isinstance(faulty, LinkSnapshot) else faulty.since
             lasting, elapsed = now - since, self._clock.steady() - known.at
             if lasting + _TOLERANCE < elapsed:  # it was over meanwhile, and began again

@@ -159,7 +159,7 @@ class RateMeter:
             return  # one quiet second more makes no difference
         seconds = max(1, round(elapsed))
         length = elapsed / seconds
-        # The one tick after a process was stopped for hours stands for all of them.
+        # A process may have been stopped for hours, which make one tick.
         for number in range(max(0, seconds - HISTORY), seconds):
             share = messages * (number + 1) // seconds - messages * number // seconds
             count, end = self._marks[-1]
@@ -248,7 +248,8 @@ class LatencyMeter:
         self._reported_for = self._ticks
         self.p50, self.p99, self.jitter = (
             # NaN compares as false.
-            figure if figure is not None and abs(figure) <= _LARGEST_FIGURE else None for figure in (p50, p99, jitter)
+            figure if figure is not None and abs(figure) <= _LARGEST_FIGURE else None
+            for figure in (p50, p99, jitter)
         )
 
     def tick(self) -> None:

@@ -249,7 +249,7 @@ class MetricsServer(ThreadingMixIn, WSGIServer):
         failed: Callable[[Exception], None],
     ) -> None:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-        # Its own would be IPv4, whatever the address is.
+        # The default is IPv4, and the address may be IPv6.
         self.address_family, _, _, _, address = found[0]
         self._steady = steady
         self._failed = failed

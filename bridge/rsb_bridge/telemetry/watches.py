@@ -111,7 +111,7 @@ class StopWatch:
             if publishers == self._publishers:  # else the publisher died, and was started again
                 self._longest_pause = max(self._longest_pause, last - self.since)
             self.since = None
-        # Before `_publishers` is replaced: new ones are those that it lacks.
+        # Before `_publishers` is replaced: a new publisher is not in it.
         self._take_new(last, now, publishers)
         # While the topic has stopped, the publishers from before stay: the message that ends this tells by them whether
         # they have paused, or others have taken over.
