@@ -44,7 +44,7 @@ def weight_of(rank: int) -> int:
 DEADMAN = 60.0
 """s: the deadman time of a topic that names none.
 
-A round figure: much less would disarm an operator who only watches, much more would leave a robot armed without its operator.
+A round figure: much less would disarm an operator who only watches, much more would leave a robot armed without one.
 """
 
 CALL_TIMEOUT = 30.0
