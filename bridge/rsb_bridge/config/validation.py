@@ -254,7 +254,7 @@ def host_and_port(text: str) -> tuple[str, int]:
     bracketed = host.startswith("[") and host.endswith("]")
     if ":" in host and not bracketed:
         raise ValueError(AddressProblem.NO_BRACKETS(address=text))
-    # isdecimal() takes digits of any script, and int() a number of any length.
+    # isdecimal() takes digits of any script, and int() refuses thousands of them by an error of its own.
     if not (port.isascii() and port.isdecimal() and len(port) <= 5 and int(port) in PORT):
         raise ValueError(AddressProblem.INVALID_PORT(port=port, range=PORT))
     return (host[1:-1] if bracketed else host), int(port)

@@ -41,7 +41,7 @@ class ServiceMember(NamedTuple):
     limited: bool = True
 
 
-# As rcl_action and rclcpp make these topics: others would not match, or keep another number.
+# As rcl_action and rclcpp make these topics: another QoS would not match, or keep another number of messages.
 _FEEDBACK = Qos("reliable", "volatile", "keep_last", 10)
 _STATUS = Qos("reliable", "transient_local", "keep_last", 1)
 _EVENTS = Qos("reliable", "volatile", "keep_last", 1000)

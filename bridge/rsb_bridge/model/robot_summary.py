@@ -437,7 +437,7 @@ def _and_more(text: str, count: int) -> str:
 def _seen(link: LinkSnapshot, now: float) -> float | None:
     if link.state is State.OK:
         return now
-    # Before the first connection, the peer has no domain.
+    # Only a connection tells the domain of the peer.
     return link.since if link.state is State.DOWN and link.peer_domain is not None else None
 
 
