@@ -61,6 +61,7 @@ AUTO_SECONDS = 5.0
 _DEPTH_AT_FIRST = 500
 """Messages before a rate is measured: as many as a topic of 100 Hz brings in `AUTO_SECONDS`."""
 _LEAST_AUTO, _MOST_AUTO = 10, 10_000
+"""Messages: as many as ROS keeps by default, and as the receiving side keeps (`limits.KEPT_DEPTH`)."""
 _MOST_AUTO_BYTES = 32 << 20
 """That DDS may hold for a topic of large messages; not measured."""
 
