@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.event_log import EventLog
 
 _AT_ONCE, _REFRESHES = 128, 4
-"""Routes renewed in one refresh, at the least, which takes some 6 ms in slices of 1 ms (`tasks.SLICE`); the others follow.
+"""Routes renewed in one refresh, at the least, in some 6 ms by slices of 1 ms (`tasks.SLICE`); the others follow.
 Refreshes until each had its turn, while somebody looks at more than so many: then no route's is older than a second."""
 _LOOKED_AT_FOR = 2.0
 """s over which calls are counted. A reader that looks once a second has at most three of them: not above `_SELDOM`."""
