@@ -43,12 +43,9 @@ class Context:
 
     Attributes:
         session: for its defaults; the engine looks after its topics and clients.
-        domain_id: the ROS domain joined.
         ros_queue: from the ROS thread to the I/O loop.
         loop: the I/O loop; all engine state belongs to its thread.
-        clock: the wall clock.
         random: for jitter; never for secrets.
-        transports: carry links and routes.
         internal: the ends of internal routes, by purpose.
         limited: adds events that a peer may cause to `events`, up to a rate.
         now: seconds on the monotonic clock of all timers.
@@ -103,6 +100,7 @@ class Context:
         self.similar_topics = SimilarTopics(self.ros, self.now)
         self.suggester = NameSuggester(self.ros, self.now)
         self.renderer = Renderer(self.now)
+        # Functions, since the session is replaced by each change, and `demands` is not there yet.
         self.demands = RunningDemands(
             lambda: self.session.armed,
             self._set_armed,

@@ -35,6 +35,7 @@ class Tasks:
     def __init__(self, loop: asyncio.AbstractEventLoop, on_failure: Callable[[], None]) -> None:
         self._loop = loop
         self._on_failure = on_failure
+        # The loop refers to its tasks weakly only: without this, one may be collected while it waits.
         self._tasks: set[asyncio.Task[None]] = set()
         self._cancelled = False
 
@@ -71,7 +72,7 @@ class Tasks:
         error = None if task.cancelled() else task.exception()
         if error is not None or not self._cancelled:
             self._report(task, error)
-        self._loop.call_later(backoff.next(), self.keep, make, backoff)
+        self._loop.call_later(backoff.next(), self.keep, make, backoff)  # which does nothing once cancelled
 
     def _report(self, task: asyncio.Task[None], error: BaseException | None) -> None:
         what = "a task failed" if error else "a task ended that should go on"

@@ -112,6 +112,7 @@ def advise(session: Session, domain_variable: str | None, middleware: str = "") 
     yield from missing_transports(session)
     yield from _metrics(session)
     yield from _topics(session.topics, "", session)
+    # A client's own entries need no `allow`.
     yield from _denied(session.topics, "", dataclasses.replace(rights_of_server(session), allow=()), session)
     for at, client in enumerate(session.listed_clients):
         where = join("clients", at)

@@ -35,6 +35,7 @@ def with_client(session: Session, client: Client) -> Session:
     clients = _clients(session)
     if any(each.name == client.name for each in clients):
         raise ClientError(ClientProblem.EXISTS(name=client.name))
+    # Without a list of clients, `bench` is of the only one, whose entry has it now (`Session.accepted_clients`).
     return msgspec.structs.replace(session, clients=(*clients, client), bench=None)
 
 

@@ -85,6 +85,7 @@ def read(data: object, model: type[T], problems: list[Problem], location: str = 
         )
         problems.append(Problem(location, message))
         return model(**values)
+    # A file of something else: one mistake instead of one for each of its keys.
     if data and not location and known.keys().isdisjoint(data):
         message = ValueMistake.NO_KNOWN_KEY(model=model.__name__.lower(), keys=", ".join(known))
         problems.append(Problem(location, message))
@@ -132,7 +133,7 @@ def did_you_mean(word: str, options: list[str]) -> str:
 def _value(name: str, value: object, kind: Any, problems: list[Problem], location: str) -> dict[str, Any]:
     """Return the keyword argument for the struct; empty if the value has a problem."""
     listed = _alternatives(kind)
-    if len(listed) == 1 and get_origin(listed[0]) is tuple:  # a list, perhaps without a default
+    if len(listed) == 1 and get_origin(listed[0]) is tuple:  # each entry by itself: a mistake has its place
         kind = listed[0]
         if not isinstance(value, list | tuple):
             message = ValueMistake.NO_VALUE() if value is None else ValueMistake.NOT_A_LIST(value=show(value))
@@ -146,6 +147,7 @@ def _value(name: str, value: object, kind: Any, problems: list[Problem], locatio
 
 def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> Any:
     struct = _struct(kind)
+    # Where a text may stand instead of a mapping, only a mapping is read as one.
     if struct is not None and (struct is kind or isinstance(value, Mapping)):
         return read(value, struct, problems, location)
     if holds_key(value):

@@ -58,6 +58,7 @@ def changes(
         new: the same with changes.
         only: the fields to compare, or empty for all.
     """
+    # In the words of the file; entries of two kinds have different ones.
     if isinstance(old, Topic) and isinstance(new, Topic) and old.kind == new.kind:
         old, new = as_written(old), as_written(new)
     return [

@@ -21,10 +21,11 @@ if TYPE_CHECKING:
 ITEMS = 1000
 """Elements of an array that are written."""
 STEPS = 10_000
-"""Values of a message that are written."""
+"""Values of a message that are written. A test has so many written within 5 s of CPU."""
 _TEXT_LENGTH = 64 << 10
 """Characters of all texts of a message that are written."""
 _NOTES = 10
+"""Omitted parts that are named; the others are counted."""
 _WIDTH = 100
 _NOTHING_IN_IT = "structure_needs_at_least_one_member"
 """What rosidl puts into a message without fields."""
@@ -60,6 +61,7 @@ def read_fields(text: str) -> Fields:
     Raises:
         FieldError: it is no YAML, or too much of it.
     """
+    # The characters first: a text that is far too long is not copied.
     if len(text) > FIELDS_LENGTH or len(text.encode("utf-8", "replace")) > FIELDS_LENGTH:
         raise FieldError(FieldProblem.TOO_LONG(limit=f"{FIELDS_LENGTH:,}"))
     try:
@@ -94,6 +96,7 @@ def write_fields(decoded: Decoded) -> str:
     data = writing.plain(decoded.message, "")
     text = dump_yaml(data, width=_WIDTH)
     if not all(map(is_clean, text.split("\n"))):
+        # YAML calls marks that turn the direction of text printable; a terminal obeys them.
         text = dump_yaml(data, allow_unicode=False, width=_WIDTH)
     return text + "".join(f"# {note}\n" for note in writing.notes(decoded.problem))
 

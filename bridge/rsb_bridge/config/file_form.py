@@ -199,6 +199,7 @@ def as_session(written: msgspec.Struct) -> Session:
 def as_topic(kind: Kind, written: msgspec.Struct) -> Topic:
     """Return the topic that an entry of a file says."""
     given = {field: getattr(written, key) for key, field in KEYS[kind].items()}
+    # A topic's entry has its direction itself.
     return Topic(**given | {"direction": DIRECTIONS.get(given["direction"], given["direction"])}, kind=kind)
 
 

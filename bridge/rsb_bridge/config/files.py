@@ -84,15 +84,18 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
     if old is not None and not stat.S_ISREG(old.st_mode):
         raise OSError(errno.EINVAL, FileRefused.NOT_A_FILE(kind=kind_of_file(old.st_mode)), str(path))
     model = like if like is not None else target
+    # In the target's folder, because a rename does not cross file systems.
     handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)  # mkstemp's mode is 0600
     try:
         with os.fdopen(handle, "wb") as file:
             if is_there(model):
+                # The owner first: with the mode first, this user's group could open the file for a moment.
                 give_owner(handle, model)
                 if like is not None:
                     os.fchmod(handle, stat.S_IMODE(model.stat().st_mode))
             file.write(content)
             file.flush()
+            # Before the rename: after a power cut, the new name must not lead to a file without contents.
             os.fsync(file.fileno())
         Path(name).replace(target)
     except BaseException:

@@ -29,7 +29,6 @@ class FleetFile(NamedTuple):
     """The contents of such a file.
 
     Attributes:
-        zenoh: where the fleet is.
         operator: as its engines' sessions name them.
         base: the folder that the files it names are relative to.
     """

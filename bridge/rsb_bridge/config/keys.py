@@ -32,7 +32,7 @@ KEY_BYTES = 32
 DIFFERENT_BYTES = 12
 """Least number of different bytes in a key. Of random keys, one in 10^25 has fewer."""
 DEFAULT_KEY_FILE = "key.txt"
-_MAX_FILE = 4096  # bytes; a key file is 45
+_MAX_FILE = 4096  # bytes; a key file is 45, and one of the thesis has a date before the key
 # The second form is a key that lost its padding.
 _LIKE_A_KEY = re.compile(r"[A-Za-z0-9+/_-]{43}=|(?<![A-Za-z0-9+/_-])[A-Za-z0-9_-]{43}(?![A-Za-z0-9+/_-])")
 _DAY = 86400.0
@@ -150,7 +150,6 @@ def write_key(path: Path, *, force: bool = False) -> Key:
     """Generate a key and write it to a file, mode 0600.
 
     Args:
-        path: of the new file.
         force: replace a file that exists. A side with the old key can no longer link.
 
     Raises:
@@ -206,7 +205,7 @@ def read_key(path: Path) -> Key:
         if not stat.S_ISREG(kind):
             raise KeyFileError(KeyFileProblem.NOT_A_FILE(path=path, kind=kind_of_file(kind)))
         with path.open("rb") as file:
-            status = os.fstat(file.fileno())
+            status = os.fstat(file.fileno())  # of what is read, even if another file is there by now
             content = file.read(_MAX_FILE + 1)
         folder = Path(os.path.realpath(path)).parent
         of_folder = folder.stat().st_mode
@@ -230,6 +229,7 @@ def _risks(path: Path, status: os.stat_result, folder: Path, of_folder: int) -> 
     user = os.geteuid()
     if user and status.st_uid not in (user, 0):  # root may read the files of any user
         yield KeyWarning.OTHER_OWNER(path=path, uid=status.st_uid)
+    # With the sticky bit, as of /tmp, nobody can replace another user's file.
     if of_folder & stat.S_IWOTH and not of_folder & stat.S_ISVTX:
         yield KeyWarning.REPLACEABLE(path=path, folder=folder)
 
@@ -248,6 +248,7 @@ def _parse(text: str, path: Path) -> Key:
 
 def _decode(text: str) -> bytes | None:
     try:
+        # Without `validate`, characters of no alphabet are skipped, so that a file's name may be a key.
         secret = base64.b64decode(text, altchars=b"-_", validate=True)
     except (binascii.Error, ValueError):  # ValueError: not ASCII
         return None
@@ -300,7 +301,6 @@ def keys_of(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
     """Read the valid keys of each client, by its name, the next one last. Without encryption, a client has no keys.
 
     Args:
-        session: a server's, or a client's.
         base: the folder that its key files are relative to.
 
     Raises:
@@ -319,7 +319,6 @@ def session_keys(session: Session, base: Path) -> Iterator[tuple[str, Key | KeyF
     """Yield each key file that a session needs, its operators' too, with its key or its error.
 
     Args:
-        session: a server's, or a client's.
         base: the folder that its key files are relative to.
     """
     of_links = chain.from_iterable(key_files_by_client(session).values()) if session.use_encryption else ()
@@ -337,6 +336,7 @@ def key_warnings(keys: Mapping[str, tuple[Key, ...]], now: float) -> Iterator[st
         keys: by client's name, the next one last.
         now: s since the epoch.
     """
+    # Each once: clients may share a file.
     yield from dict.fromkeys(chain.from_iterable(key.warnings for valid in keys.values() for key in valid))
     for name, valid in keys.items():
         for following in valid[1:]:
@@ -388,6 +388,7 @@ def shared_key_problem(session: Session, keys: Mapping[str, Collection[Hashable]
         return ""
     owners: dict[Hashable, list[str]] = {}
     for name, valid in keys.items():
+        # One client may have the same key twice (`SAME_NEXT`), which shares it with nobody.
         for key in dict.fromkeys(valid):
             owners.setdefault(key, []).append(name)
     shared = [KeyFileProblem.ONE_KEY(names=join_first(names, _NAMED)) for names in owners.values() if len(names) > 1]

@@ -80,6 +80,7 @@ class _Merger:
     def text(self) -> str:
         """Return the text with all edits made."""
         parts, at = [], 0
+        # By place alone: of several at one place, the one that was made first comes first.
         for start, end, new in sorted(self._edits, key=lambda edit: edit[:2]):
             if start < at:  # new lines behind one that goes, which takes its line break with it
                 parts.append(new.removeprefix(self._newline) + self._newline)
@@ -106,6 +107,7 @@ class _Merger:
                 continue
             if name in pairs and self._nested(*pairs[name], before, after):
                 continue
+            # A value that became the default goes if the file has it.
             if name in plain or name in pairs:
                 changes[name] = plain.get(name, _GONE)
         self._mapping(node, changes, new.__struct_fields__)
@@ -113,12 +115,14 @@ class _Merger:
     def _nested(self, key: yaml.Node, node: yaml.Node, before: Any, after: Any) -> bool:
         """Edit inside a value. Return False if the whole value must be replaced or removed instead."""
         if isinstance(node, yaml.SequenceNode) and isinstance(before, tuple):
+            # Rights and armed names have no identity by which an entry could be found again, and may be texts.
             if any(
                 isinstance(each, msgspec.Struct) and not isinstance(each, Grant | ArmedName)
                 for each in (*before, *after)
             ):
                 self._entries(key, node, before, after)
                 return True
+            # Words keep their layout as long as some go and others come last; any other change writes all of them.
             kept = [each for each in before if each in after]
             if tuple(kept) == after[: len(kept)] and len(node.value) == len(before):
                 gone = {at for at, each in enumerate(before) if each not in after}
@@ -127,6 +131,7 @@ class _Merger:
         if isinstance(node, yaml.MappingNode) and isinstance(after, dict):
             changes = {key: value for key, value in after.items() if before.get(key, _GONE) != value}
             changes |= {key: _GONE for key in before if key not in after}
+            # Else no key stays, to whose place the others could be added.
             if any(key in after for key in before):
                 self._mapping(node, changes, _QOS_KEYS)
                 return True
@@ -262,6 +267,7 @@ class _Merger:
         """Return the position of the dash of a block list's entry."""
         line = self._line(node.value[at].start_mark.index)
         column = node.start_mark.column
+        # An entry may begin below its dash.
         while not _BLANKS.sub("", self._text[self._starts[line] : self._ends[line]], count=1).startswith("-"):
             line -= 1
         return self._starts[line] + column

@@ -89,7 +89,6 @@ def parse(text: str, path: Path) -> Session:
     """Read a session from a file's text.
 
     Args:
-        text: YAML.
         path: of the file, for the messages.
 
     Raises:
@@ -145,7 +144,7 @@ def dump(session: Session) -> str:
 
 
 def same(one: Session, other: Session) -> bool:
-    """Whether two sessions differ in nothing but the order of their topics and clients."""
+    """Whether two sessions differ in nothing but the order of topics and clients, which a merge leaves as it is."""
     return _in_order(one) == _in_order(other)
 
 
@@ -185,6 +184,7 @@ def save(session: Session, path: Path, opened: SessionFile | None = None) -> Ses
         opened.check_unchanged()
     try:
         _check_writable(path)
+        # A second save of the same text must not replace the backup, the only copy of the earlier contents.
         if path.is_file() and path.read_bytes() != text.encode():
             replace_file(backup_path(path), path.read_bytes(), like=path)
         replace_file(path, text.encode(), like=path)
@@ -244,6 +244,7 @@ def _merged(opened: SessionFile, session: Session) -> str:
         text = merge(opened.text, read_yaml(opened.text, opened.path).root, opened.session, session)
     except LayoutError:
         text = ""
+    # A mistake of the merge must not reach the file.
     if not _says(text, session, opened.path):
         raise UneditableError(opened.path, [Problem("", SavingProblem.LAYOUT())])
     return text

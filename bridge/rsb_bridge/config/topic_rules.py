@@ -226,6 +226,7 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
     yield from _transport(topic, location, session)
     yield from _qos(topic.qos, join(location, "qos"))
     useless_deadman = topic.deadman is not None and not topic.arm
+    # A number that has to go has no range to keep: one mistake, one remedy.
     yield from range_problems(msgspec.structs.replace(topic, deadman=None) if useless_deadman else topic, location)
     if useless_deadman:
         yield Problem(join(location, "deadman"), TopicMistake.DEADMAN_WITHOUT_ARM(kind=A_KIND[topic.kind]))
@@ -270,6 +271,7 @@ def _names(topic: Topic, location: str, session: Session | None, client: str | N
         yield from name_problems(topic.topic, name, topic.kind)
         if topic.remote_topic is not None:
             yield from name_problems(topic.remote_topic, remote, topic.kind)
+    # A name that is too long without the prefix is reported already.
     if topic.remote_topic is None and client is not None and len(topic.topic) <= TOPIC_LENGTH:
         yield from _length(server_topic(topic.topic, client), name, topic.kind, TopicMistake.NAME_TOO_LONG_WITH_PREFIX)
     if topic.kind != "topic":
@@ -307,7 +309,7 @@ def on_end_problems(text: str, location: str, kind: Kind | None) -> Iterator[Pro
         return
     if text == ZERO:
         return
-    if len(text) > LONGEST:
+    if len(text) > LONGEST:  # before it is read as YAML
         yield Problem(location, TopicMistake.ON_END_TOO_LONG(length=len(text), limit=LONGEST))
         return
     try:
@@ -427,16 +429,13 @@ def _qos(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:
 
 
 def pattern_problems(topic: Topic, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
-    """Mistakes in a pattern by itself.
-
-    Args:
-        topic: whose name is a pattern.
-    """
+    """Mistakes in a pattern by itself."""
     remote_key = key_of(topic.kind, "remote_topic")
     found = list(form_problems(topic.topic, join(location, key_of(topic.kind, "topic"))))
     if topic.remote_topic is not None:
         found += form_problems(topic.remote_topic, join(location, remote_key))
     yield from found
+    # What is not valid has no wildcards to compare.
     if topic.remote_topic is not None and not found:
         ours, theirs = Pattern(topic.topic).wildcards, Pattern(topic.remote_topic).wildcards
         if ours != theirs:
@@ -530,6 +529,7 @@ def service_names(kind: Kind, name: str) -> list[str]:
 def overlap(topic: Topic, others: Iterable[Topic]) -> str:
     """Return the reason why an entry cannot be bridged together with others of the link, or an empty string."""
     names = set(service_names(topic.kind, topic.topic))
+    # What overlaps among the others is not this entry's fault.
     related = [other for other in others if not names.isdisjoint(service_names(other.kind, other.topic))]
     return next((f"{topic.topic}: {problem.message}" for problem in overlaps([*related, topic], "")), "")
 

@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Client, Kind, ZenohSettings
 
 _LONGEST = 8192
-"""Characters of all words together."""
+"""Characters of all words together: a round figure, far below what the kernel takes (execve(2): 128 KiB a word)."""
 _OF_A_SHELL = frozenset({"|", "||", "&", "&&", ";", ">", ">>", "<", "2>&1", "2>"})
 
 
@@ -254,6 +254,7 @@ def host_and_port(text: str) -> tuple[str, int]:
     bracketed = host.startswith("[") and host.endswith("]")
     if ":" in host and not bracketed:
         raise ValueError(AddressProblem.NO_BRACKETS(address=text))
+    # isdecimal() takes digits of any script, and int() refuses thousands of them by an error of its own.
     if not (port.isascii() and port.isdecimal() and len(port) <= 5 and int(port) in PORT):
         raise ValueError(AddressProblem.INVALID_PORT(port=port, range=PORT))
     return (host[1:-1] if bracketed else host), int(port)
@@ -372,6 +373,7 @@ def domain_of(session: Session, variable: str | None) -> int:
 
 
 def _session(session: Session) -> Iterator[Problem]:
+    # A server with a list of clients has their names as prefixes, not its own.
     yield from _name(session.name, "name", use_name=session.use_name and session.clients is None)
     yield from _group(session.group, "group")
     yield from _address(session)
@@ -507,7 +509,6 @@ def _topics(topics: Sequence[Topic], where: str, session: Session, client: str |
     Args:
         topics: topics, services, actions and parameters.
         where: the location of the session or client that lists them.
-        session: the session of the link.
         client: as in `validate_topic`.
     """
     for topic, here in zip(topics, locations(topics), strict=True):
@@ -523,7 +524,7 @@ def _clashes(topics: Sequence[Topic], where: str, session: Session, client: str 
     routes: dict[Identity, int] = {}
     sources: dict[tuple[Kind, str], int] = {}
     ports: dict[tuple[str, int], int] = {}
-    shared = -1
+    shared = -1  # the index of no topic
     link = transports.of_link(session.server_ip)
     for name in (link.name, *link.companions):
         ports[name, session.server_port] = shared

@@ -23,10 +23,12 @@ if TYPE_CHECKING:
 
 MAX_FILE = 1 << 20  # bytes; a thousand topics are a tenth of it
 MAX_DEPTH = 20
+"""Nodes in one another; a session has fewer than ten. PyYAML, and what reads its nodes, calls itself for each."""
 
 _MAPPING = "tag:yaml.org,2002:map"
 _SEQUENCE = "tag:yaml.org,2002:seq"
 # Scalars as YAML 1.2 has them (core schema, section 10.3.2): in 1.1 a MAC of digits is a number and `no` is false.
+# A whole number of 300 digits still fits a float; Python refuses to read one of more than 4,300.
 _SCALARS: dict[str, tuple[re.Pattern[str], Callable[[str], Any]]] = {
     "tag:yaml.org,2002:null": (re.compile(r"~|null|Null|NULL|"), lambda text: None),
     "tag:yaml.org,2002:bool": (re.compile(r"true|True|TRUE|false|False|FALSE"), lambda text: text.lower() == "true"),
@@ -141,6 +143,7 @@ def read_yaml(text: str, path: Path) -> Document:
     Raises:
         SessionError: it is not YAML at all.
     """
+    # Before anything else, which might quote it.
     if is_key_file(text.removeprefix("\ufeff")):
         raise SessionError(path, [Problem("", YamlMistake.KEY_FILE())])
     try:
@@ -201,6 +204,7 @@ def _plain(node: yaml.Node, location: str, document: Document) -> Any:
 def scalar(node: yaml.Node) -> Any:
     """Convert a scalar's node by the rules of session files."""
     pattern, convert = _SCALARS.get(node.tag, _SCALARS["tag:yaml.org,2002:str"])
+    # A value with a tag written before it (!!int x) may not fit the tag.
     return convert(node.value) if pattern.fullmatch(node.value) else node.value
 
 
@@ -247,7 +251,7 @@ class _Dumper(yaml.SafeDumper):
         super().serialize(node)
 
     def ignore_aliases(self, data: Any) -> bool:
-        return True
+        return True  # a value that is there twice is written twice: session files have no aliases
 
 
 for _tag, (_pattern, _) in list(_SCALARS.items())[:-1]:
@@ -276,7 +280,7 @@ def text_if_there(path: Path) -> str | None:
         status = stat_of(path)
         if status is None:
             return None
-        if not stat.S_ISREG(status.st_mode):
+        if not stat.S_ISREG(status.st_mode):  # before it is opened: a FIFO would wait for a writer
             raise SessionError(path, [Problem("", FileProblem.NOT_A_FILE(kind=kind_of_file(status.st_mode)))])
         with path.open("rb") as file:
             content = file.read(MAX_FILE + 1)

@@ -31,15 +31,19 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.event_log import EventLog
 
 FILE_BYTES = 2 << 20
+"""Bytes; not measured. All files together have room for tens of thousands of usual events."""
 FILES = 5
 """Files kept: the newest, and older ones with a number, ``NAME.1.jsonl`` and so on."""
 _TEXT_LENGTH = 2000
-
+"""Characters of an event's text, as in the log (`event_log.EVENT_LENGTH`)."""
 _EMPTY = ("", None, False)
 _line = msgspec.json.Decoder(dict[str, object])
 _FILE_BYTES = 64 << 20
+"""Of the packed time line. That of 500 topics has 0.4 MB (bench/README)."""
 _BYTES = 256 << 20
+"""Of the unpacked one. That of all tracks that are kept has 21 MB for 24 h, outages and actions apart."""
 _LEVEL = 1
+"""Of zstd, the lowest usual one: the file is packed as a whole at each save."""
 
 
 class EventFile:
@@ -65,6 +69,7 @@ class EventFile:
             self.close()
         if self._fd is None:
             self._open()
+        # A batch that is longer than a file goes into an empty one all the same.
         if self._size and self._size + len(data) > FILE_BYTES:
             self.close()
             self._rotate()
@@ -72,6 +77,7 @@ class EventFile:
         assert self._fd is not None
         written = 0
         try:
+            # A disk that becomes full takes a part of it.
             while written < len(data):
                 written += os.write(self._fd, data[written:])
         except OSError:
@@ -142,6 +148,7 @@ def read_events(path: Path, since: float) -> Iterator[Event]:
         with contextlib.suppress(OSError), numbered(path, number).open("rb") as file:
             for line in file:
                 with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+                    # Numbers count in one process only, so the files have none.
                     event = msgspec.convert({**_line.decode(line), "number": 0}, Event)
                     if event.time >= since and _is_dated(event):
                         yield event
@@ -196,7 +203,9 @@ def read_history(path: Path) -> Saved:
     try:
         if zstandard.frame_content_size(packed) > _BYTES:  # it is taken at its word, and so much memory is allocated
             raise HistoryFileError("it is too large")
+        # The limit counts for a file that does not announce its size; for others it is ignored.
         content = zstandard.ZstdDecompressor().decompress(packed, max_output_size=_BYTES)
+        # First: the rest of another version's file may have any form.
         version = msgspec.msgpack.decode(content, type=_Versioned).version
         if version != VERSION:
             raise HistoryFileError("it was written by another version of rsb-console")
@@ -227,6 +236,7 @@ def report(files: Files, now: float, seconds: float) -> HistoryReport:
         raise HistoryFileError(f"{files.history}: {error}") from None
     if saved.time - now > KEPT_FOR:
         raise HistoryFileError(f"{files.history}: {FROM_THE_FUTURE}")
+    # The clock may have been set back since, up to a day.
     end = max(now, saved.time)
     timeline.go_on(event for event in read_events(files.events, saved.time) if event.time <= end)
     return timeline.report(end, seconds, running=False)
@@ -237,10 +247,13 @@ _EVERY = 0.5
 _LOOKS_EVERY = 2.0
 """s after which it looks whether the time line is due, if there is no event before."""
 _RETRIED_EVERY = 5.0
+"""s from one try to the next while the disk takes nothing."""
 SAVED_EVERY = 120.0
+"""s from one save to the next while nothing happens; not measured. A killed process loses the rates since then."""
 _SAVED_SOON = 5.0
 """s from one save to the next where an outage has begun or ended, or an operator did something."""
 _ANSWERED_WITHIN = 10.0
+"""s for an answer of the recorder's thread: at most 0.26 s in bench/README."""
 SET_ASIDE = ".bad"
 
 
@@ -251,7 +264,6 @@ class Disk:
     a limited number.
 
     Args:
-        folder: where the files are.
         role: ``client`` or ``server``.
         recorder: has the time line; goes on from the file that an earlier process left.
     """
@@ -270,6 +282,7 @@ class Disk:
         self._trouble = ""
         self._missing = 0
         self._ends = threading.Event()
+        # A daemon, and `stop` waits for a time only: a disk that never answers (NFS) must not keep the process.
         self._thread = threading.Thread(target=self._run, name="rsb-disk", daemon=True)
 
     def start(self) -> None:
@@ -277,11 +290,7 @@ class Disk:
         self._thread.start()
 
     def stop(self, timeout: float) -> None:
-        """Write the last events and the time line; the recorder has stopped.
-
-        Args:
-            timeout: s to wait for that, at most.
-        """
+        """Write the last events and the time line; the recorder has stopped."""
         self._ends.set()
         self._events.wake()
         if self._thread.is_alive():
@@ -292,10 +301,12 @@ class Disk:
             written = self._written
             self.turn()
             if self._trouble or written != self._written:
-                self._ends.wait(_EVERY)
+                self._ends.wait(_EVERY)  # a fixed pause, so that several events are written together
             elif self._is_restored:
                 pause = _EVERY if self._is_changed else _LOOKS_EVERY
                 self._events.wait(self._written, pause, self._ends.is_set)
+            # Else `_restore` has waited for the recorder already.
+        # The last turn tries even if one has failed a moment ago.
         self._tried_at = float("-inf")
         self.turn(last=True)
         if self._file is not None:
@@ -345,7 +356,7 @@ class Disk:
             saved = read_history(path)
             events = tuple(read_events(self._files.events, saved.time))
             self._recorder.ask(lambda: self._recorder.restore(saved, events)).result(_ANSWERED_WITHIN)
-        except TimeoutError:
+        except TimeoutError:  # of the recorder, but an OSError, which `turn` would take for the disk's
             return
         except FileNotFoundError:
             pass
@@ -374,8 +385,9 @@ class Disk:
         return now - self._saved_at >= (_SAVED_SOON if self._is_changed else SAVED_EVERY)
 
     def _save(self, now: float) -> None:
+        # Before the question: what happens during the save is saved by the next one.
         self._saved_changes = self._recorder.changes
-        with contextlib.suppress(TimeoutError):
+        with contextlib.suppress(TimeoutError):  # as in `_restore`
             saved = self._recorder.ask(self._recorder.save).result(_ANSWERED_WITHIN)
             write_history(self._files.history, saved)
             self._saved_at = now

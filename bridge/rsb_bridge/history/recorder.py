@@ -26,7 +26,11 @@ _SET_BY = 2.0
 T = TypeVar("T")
 _EVERY = 1.0
 _GAP = 30.0
-"""s without a new snapshot that count as a gap in the history."""
+"""s without a new snapshot that count as a gap in the history; not measured.
+
+The engine makes one a second. A much shorter time would give a busy machine gaps; through a longer one, the state
+before it would count on.
+"""
 
 
 class ClockAxis:
@@ -117,11 +121,7 @@ class Recorder:
         self._thread.start()
 
     def stop(self, timeout: float) -> None:
-        """Take note of how everything is at the end, and watch no more.
-
-        Args:
-            timeout: s to wait for that, at most.
-        """
+        """Take note of how everything is at the end, and watch no more."""
         self._work.put(None)
         if self._thread.is_alive():
             self._thread.join(timeout)
@@ -148,6 +148,7 @@ class Recorder:
             else:
                 answer.set_result(result)
 
+        # Without the lock, a question could come after the thread's last look at the queue, and never be answered.
         with self._ending:
             if not self._has_ended:
                 self._work.put(work)
@@ -164,6 +165,7 @@ class Recorder:
                 work = self._work.get(timeout=max(0.0, due - self._clock.steady()))
             except queue.Empty:
                 self.look()
+                # After a sleep of the machine, missed looks are not made up for.
                 due = max(due + _EVERY, self._clock.steady())
                 continue
             if work is None:
@@ -194,6 +196,7 @@ class Recorder:
         self._timeline.go_on(each for each in events if each.time - wall <= KEPT_FOR)
         self._axis = ClockAxis(self._clock.steady(), wall, floor=self._timeline.last)
         self._observed = self._axis.now
+        # The dropped time line had the events of this process so far; the new one gets them again.
         self._followed, self._seen = 0, None
 
     def look(self) -> None:
@@ -209,7 +212,8 @@ class Recorder:
         snapshot, seen = self._latest(), self._seen
         if not snapshot.running:
             timeline.cut()
-        elif snapshot is not seen:
+        elif snapshot is not seen:  # an engine that hangs makes no new one, and the history has a gap
+            # If the engine had ended, the gap needs no explanation.
             if seen is not None and seen.running and axis.now - self._observed > _GAP:
                 self._slept(axis.now - self._observed)
             self._observed = axis.now

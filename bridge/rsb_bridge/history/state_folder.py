@@ -18,7 +18,9 @@ SERVICES = Path("/var/lib/rsb-console")
 """The folder of bridges that systemd runs, `StateDirectory=` of their unit."""
 EVENTS, HISTORY, _LOCK = ".jsonl", ".history", ".lock"
 _BRIDGES_OF_A_NAME = 9
+"""A round figure: the tenth one is refused, and commands look for files under each number."""
 _ROLE_LENGTH = 20
+"""Bytes that are read of a lock's file: no role is as long."""
 
 
 def state_folder(environ: Mapping[str, str]) -> Path:
@@ -27,7 +29,7 @@ def state_folder(environ: Mapping[str, str]) -> Path:
     systemd's own for a service (``$STATE_DIRECTORY``), else ``$XDG_STATE_HOME/rsb-console``, else
     ``~/.local/state/rsb-console``.
     """
-    if service := environ.get("STATE_DIRECTORY", "").partition(":")[0]:
+    if service := environ.get("STATE_DIRECTORY", "").partition(":")[0]:  # a unit may have several
         return Path(service)
     base = environ.get("XDG_STATE_HOME")
     return (Path(base) if base else Path(os.path.expanduser("~/.local/state"))) / "rsb-console"  # noqa: PTH111 -- never fails
@@ -79,6 +81,7 @@ class Claim:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         for number in range(1, _BRIDGES_OF_A_NAME + 1):
             stem = file_stem(name, number)
+            # A file of its own: the others are replaced by renames, and a lock would stay with the old one.
             lock = os.open(folder / f"{stem}{_LOCK}", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
             try:
                 if _take(lock, role):
@@ -95,6 +98,7 @@ class Claim:
 
     def close(self) -> None:
         """Release the files for another process."""
+        # The lock's file stays: it says for which role the others are.
         os.close(self._lock)
 
 

@@ -42,6 +42,7 @@ _OPENS_WITHIN = 30.0
 _FOLLOWS_WITHIN = 15.0
 """s after a link's outage in which its topics may open again."""
 _CAUSE_LENGTH = 250
+"""Characters of a cause, so that the first and the last one have the length of one reason (`REASON_LENGTH`)."""
 _WORST_FIRST = tuple(State)
 _figures = re.compile(r"\d+(\.\d+)?")
 
@@ -85,6 +86,7 @@ class MinuteSeries:
             for kept, seconds in zip(self._times, (up, out, waiting), strict=True):
                 kept[-1] = min(255, kept[-1] + round(seconds * _STEPS))
             return
+        # A clock that jumps by years would make millions of minutes without figures, only to be cut again.
         if not len(self) or minute - self.end >= MINUTES:
             self._cut(len(self))
             self.first = minute
@@ -251,7 +253,6 @@ class TrackRecord:
         """Record the present state, which counts until the next call.
 
         Args:
-            reason: why it is not OK.
             rate: of a link, bytes/s; what is counted by `count` comes on top.
             is_open: whether a waiting topic could carry messages.
         """
@@ -282,6 +283,7 @@ class TrackRecord:
             self._open = _Open(now, state, reason, with_link=_follows(link, now))
         elif now - self._born >= _OPENS_WITHIN:
             self._opening = False
+            # `_pass` has not counted these seconds, as it might have opened in time.
             self._out += now - self._born
             self._open = _Open(self._born, state, reason, with_link=link is not None and link.is_out)
 
@@ -404,6 +406,7 @@ class TrackRecord:
         up, out, waiting = self.series.times(begin, end + 1)
         waits_for = ""
         if self.live:
+            # The series does not have the present minute yet.
             up, out, waiting = up + self._up, out + self._out, waiting + self._waiting
             if self._waits(now):
                 waits_for = sanitize_text(self._waits_for[:_CAUSE_LENGTH])

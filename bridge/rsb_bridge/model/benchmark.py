@@ -14,7 +14,6 @@ class BenchmarkLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, o
 
     Attributes:
         seconds: seconds of sending, by the peer or by this side at its request.
-        max_rate: messages a second.
         megabytes: megabytes of payload.
     """
 
@@ -33,7 +32,6 @@ class BenchmarkStep(msgspec.Struct, frozen=True, omit_defaults=True):
         transport: transport that carries the messages, or an empty string for the link's.
         direction: ``transmit`` goes from client to server.
         size: bytes of each message, at least `LEAST_SIZE`.
-        rate: Hz.
         count: number of messages.
     """
 
@@ -47,7 +45,9 @@ class BenchmarkStep(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 LEAST_SIZE = 16
+"""Bytes: the encapsulation and the sender's clock (PROTOCOL.md, 9) have 12."""
 MOST_SIZE = 16 << 20
+"""Bytes; of the protocol (PROTOCOL.md, 3: BenchAsk)."""
 MOST_SECONDS = 30.0
 """Longest run, in seconds."""
 REFUSED, STOPPED = "refused by the other side", "stopped by the other side"

@@ -5,13 +5,20 @@ from __future__ import annotations
 import msgspec
 
 TICKET_LIFE = 1.0
-"""s for which a ticket is valid: a command for a topic that has to be armed is not older than this."""
+"""s for which a ticket is valid: a command for a topic that has to be armed is not older than this, and neither are its
+messages (`demands.ARMED`)."""
 OLD_AFTER = 5.0
 """s after which a command that moves a robot is given up: what stood still for so long is no longer wanted."""
 REST_AFTER, LONGEST_REST = 0.5, 2.0
-"""s, as usual and at most, after which an engine publishes by itself the message that ends a motion."""
+"""s, as usual and at most, after which an engine publishes by itself the message that ends a motion.
+
+Not measured. A robot goes on for so long without its console; less, and each stall of a Wi-Fi stops it for a moment.
+"""
 ASKED_FOR = 10.0
-"""s in which the holder of an arming answers whether another operator may hold it instead; then it goes over."""
+"""s in which the holder of an arming answers whether another operator may hold it instead; then it goes over.
+
+Not measured: a holder has to read a line and press a key, and the other operator has to wait for so long.
+"""
 
 
 class Draft(msgspec.Struct, frozen=True, omit_defaults=True):

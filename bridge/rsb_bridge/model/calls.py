@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Kind
 
 MOST_LANES = 16
+"""Of the protocol (PROTOCOL.md, 3: Provide); parameters have the most, seven."""
 
 
 class ServiceMember(NamedTuple):
@@ -40,6 +41,7 @@ class ServiceMember(NamedTuple):
     limited: bool = True
 
 
+# As rcl_action and rclcpp make these topics: another QoS would not match, or keep another number of messages.
 _FEEDBACK = Qos("reliable", "volatile", "keep_last", 10)
 _STATUS = Qos("reliable", "transient_local", "keep_last", 1)
 _EVENTS = Qos("reliable", "volatile", "keep_last", 1000)

@@ -40,7 +40,7 @@ class Capacity(msgspec.Struct, frozen=True, array_like=True, gc=False):
 
 
 LASTS = 600.0
-"""Seconds after which a seen rate replaces a measured one: a robot moves, and its network changes."""
+"""Seconds after which a seen rate replaces a measured one: a robot moves, and its network changes. Not measured."""
 
 
 def newer(known: Capacity | None, found: Capacity) -> Capacity:

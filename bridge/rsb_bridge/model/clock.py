@@ -30,6 +30,7 @@ _SAME = 1_000_000
 _READ_WITHIN = 1_000_000
 """Longest time in ns between the readings of the two clocks."""
 _TRIES = 10
+"""On a busy machine, this thread may lose the processor between the readings; the last try counts as it is."""
 _UNSURE_FOR = 10_000_000_000
 """ns after the wall clock was set in which wall stamps are not trusted: older stamps may still come, if the thread that
 takes from ROS is held up."""
@@ -48,6 +49,7 @@ class StampClock:
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
+        # With a base of 0, the shift is the steady clock minus the wall clock.
         self._base = 0
         self._base = -self._measure()[0]
         self._looked = self.now()
@@ -63,6 +65,7 @@ class StampClock:
         """Compare it with the wall clock. To be called once a second, and before wall stamps are converted."""
         shift, now = self._measure()
         change = abs(shift - self.shift)
+        # It is within the error of reading two clocks (`_READ_WITHIN`), and would only make ages jump.
         if change < _SAME:
             self._looked = now
             return

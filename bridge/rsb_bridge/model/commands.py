@@ -110,7 +110,7 @@ class PauseTopics(Command[None], frozen=True, tag="pause"):
 
     @property
     def expires(self) -> bool:
-        return not self.paused
+        return not self.paused  # pausing may come late
 
 
 class Acknowledge(Command[None], frozen=True, tag="acknowledge"):

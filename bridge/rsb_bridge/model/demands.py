@@ -59,7 +59,6 @@ class DemandSource:
         type: of the names, or an empty string for every type.
         on_client: the name as the client has it, to which `excepts` refers.
         excepts: names and patterns on the client that a pattern leaves out.
-        arm: whether it demands arming.
         max_age: in seconds, 0 for no limit, or None if it says nothing.
         on_end: what the robot gets when an arming ends, as of `on_end.text_of`.
         limits: what a hand may ask, or None for any velocity.
@@ -118,7 +117,6 @@ def local_name(topic: Topic, client: str, *, on_server: bool, use_name: bool) ->
 
     Args:
         topic: the entry, as the client sees it.
-        on_server: whether the side is a server.
         use_name: whether the server prefixes the client's topics.
     """
     if not on_server:
@@ -242,6 +240,7 @@ class Demands:
             if source.kind in (None, kind):
                 yield source
         for beginning, pattern, on_client, excepts, source in self._patterns:
+            # Before the regular expression: a server of many robots has the patterns of each.
             if not name.startswith(beginning) or source.kind not in (None, kind):
                 continue
             if (parts := pattern.match(name)) is not None:
@@ -302,6 +301,7 @@ def kept(source: DemandSource, name: str) -> DemandSource:
     has_kind = is_pattern(name) or isinstance(source.key[1], str)
     kind, type_name = (source.kind, source.type) if has_kind else (None, "")
     new = replace(source, name=name, kind=kind, type=type_name, on_client="", excepts=())
+    # By way of the file's form, so that it equals the source that is read from `armed` later.
     return next(sources_of_names([as_armed(new)]))
 
 
@@ -355,6 +355,7 @@ def _without(suffix: str, name: str) -> str:
 def _related(kind: Kind, name: str, client_name: str) -> Iterator[tuple[Kind, str, str]]:
     """Yield a name's two sides, and for services the names that consist of them, or of which they consist."""
     yield kind, name, client_name
+    # Lanes that are not limited stop or watch a robot: no demand may hold them up.
     if kind == "service":
         for other in _KINDS_OF_SERVICES:
             for lane in LANES[other]:
@@ -507,6 +508,7 @@ class RunningDemands:
 
     def _read(self) -> Demands:
         """Take in changes. No demand gets lost by them."""
+        # A reload replaces `armed` with the session, steps before it calls `changed`.
         if self._is_stale or self._given is not self._armed():
             before, present = self._demands.sources, self._present()
             if present != before:  # it is equal after most changes, of which peers can cause many
@@ -516,6 +518,7 @@ class RunningDemands:
                     known = self._places.keys() | {source.key for source in before}
                     new_keys = (key for key, *_ in new if key not in known)
                     self._changed_by = dict.fromkeys(new_keys, self._who) | self._changed_by
+                # Once more: keeping may have added to `armed`.
                 self._demands = Demands(self._present())
             self._is_stale, self._given = False, self._armed()
         return self._demands
@@ -548,14 +551,14 @@ class RunningDemands:
         Args:
             who: makes the change, in words.
         """
-        self._read()
+        self._read()  # earlier changes are not this operator's
         self._who, self._is_changing = who, True
         try:
             yield
             self._forget()
         finally:
             self._dropping = {}
-            self._read()
+            self._read()  # before the operator's name is reset
             self._who, self._is_changing = "", False
             self.apply()
 

@@ -97,9 +97,7 @@ class FaultChange:
     """A change of the fault of a link, a route or a pattern.
 
     Attributes:
-        kind: kind of the change.
         subject: the newest snapshot of the link, the route or the pattern.
-        removed: whether it was removed.
         before: the state and the cause of the last report; of a fault that has begun, the earlier ones, or empty.
         seen: s since the epoch, the first snapshot with the reported state and cause.
     """
@@ -213,6 +211,7 @@ class FaultWatch:
             return
         watched.subject = subject
         kind = None if removed else watched.present()
+        # Until the first report, another cause does not restart the time: a fault whose cause flaps is one, too.
         if watched.reported is None:
             if kind is None:
                 del self._watched[key]

@@ -49,7 +49,7 @@ _PARTS = {Of.LINK: "", Of.ROUTE: "", Of.MESSAGES: "ledger.", Of.CALLS: "calls."}
 """The part of a snapshot that has a subject's figures."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True)  # no slots: a cached property needs a dict
 class Figure:
     """A figure of a link or a route.
 

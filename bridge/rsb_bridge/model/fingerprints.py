@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 
 FINGERPRINT_LENGTH = 8
-"""Bytes."""
+"""Bytes; of the protocol (PROTOCOL.md, 1.1). Two operators compare them by eye or by voice."""
 
 
 def fingerprint_of(secret: bytes) -> bytes:

@@ -30,7 +30,6 @@ class Outage:
         outgoing: whether this side sends the topic.
         state: the worst `rsb_bridge.model.snapshot.State` in this time.
         cause: the first reason in words, and the last one if it differs.
-        ongoing: whether the outage goes on.
         cut_off: whether the end is unknown, because the bridge stopped or the machine slept before.
         with_link: whether a topic was out because its link was out.
         kind: `LINK`, or the route's `rsb_bridge.model.session.Kind`.

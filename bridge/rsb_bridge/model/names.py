@@ -15,10 +15,12 @@ _PREFIX = re.compile(rf"{_PART}(/{_PART})*")
 _DIGITS = re.compile(r"([0-9]{1,18})")
 
 _STEM_LENGTH = 64
+"""Characters; a file's name has at most 255 bytes, and a suffix and a number come behind it."""
 
 
 def file_stem(name: str, number: int = 1) -> str:
     """Return a session's name as a file's name without suffix; the number tells sessions of one name apart."""
+    # No dot first: the file would be hidden.
     safe = re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:_STEM_LENGTH].lstrip(".") or "_"
     return safe if number == 1 else f"{safe}-{number}"
 

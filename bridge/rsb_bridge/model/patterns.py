@@ -13,10 +13,10 @@ ROUTES_BY_PATTERNS: Final = 250
 """Routes that all patterns of one side make on one link: a client takes 256 of a server's
 (`rsb_bridge.model.limits.ROUTES_PROPOSED_BY_SERVER`)."""
 PATTERNS_PER_LINK: Final = 64
-"""Patterns of one side, on one link."""
+"""Patterns of one side, on one link; of the protocol (PROTOCOL.md, 3: Follow)."""
 EXCEPTIONS_PER_PATTERN: Final = 256
 NAMES_FOLLOWED: Final = 1000
-"""Names that one side of a link tells the other because they match its patterns."""
+"""Names that one side of a link tells the other because they match its patterns; of the protocol (3: Followed)."""
 GONE_AFTER: Final = 300.0
 """s for which a route stays whose topic nobody publishes any more."""
 

@@ -223,7 +223,7 @@ def decode_picture(encoded: bytes) -> Picture:
         raise PictureError(f"a picture of {len(encoded):,} bytes; at most {PICTURE_LIMIT:,} are read")
     try:
         picture = _decoder.decode(encoded)
-    except (msgspec.MsgspecError, ValueError) as error:
+    except (msgspec.MsgspecError, ValueError) as error:  # ValueError: a text that is not UTF-8
         raise PictureError(str(error)) from None
     return check_picture(picture)
 
@@ -241,7 +241,7 @@ def check_picture(picture: Picture) -> Picture:
     elif isinstance(content, Cells):
         if len(content.styles) not in (0, sum(map(len, content.rows))):
             raise PictureError("not each character has a style")
-        if max(content.styles, default=0) >= max(1, len(content.palette)):
+        if max(content.styles, default=0) >= max(1, len(content.palette)):  # 0 needs no palette
             raise PictureError("a character has a style that is not in the palette")
         if not all(style in STYLES or style.startswith("#") for style in content.palette):
             raise PictureError("the palette has a style that is none")

@@ -27,7 +27,6 @@ class Purpose:
         is_shown: whether operators see its routes as rows, in the history and in the log.
         fills_link: whether it fills the link on purpose, which is then no sign of contention.
         type_name: the type of its messages, which is installed nowhere, or an empty string for those of topics.
-        type_hash: the hash of that type.
     """
 
     name: str

@@ -59,8 +59,11 @@ AUTO = "auto"
 AUTO_SECONDS = 5.0
 """What a reliable volatile topic brings in this time may wait with ``auto``: a link that stalls longer is given up."""
 _DEPTH_AT_FIRST = 500
+"""Messages before a rate is measured: as many as a topic of 100 Hz brings in `AUTO_SECONDS`."""
 _LEAST_AUTO, _MOST_AUTO = 10, 10_000
+"""Messages: as many as ROS keeps by default, and as the receiving side keeps (`limits.KEPT_DEPTH`)."""
 _MOST_AUTO_BYTES = 32 << 20
+"""That DDS may hold for a topic of large messages; not measured."""
 
 
 class QosProblem(Wording):
@@ -105,7 +108,7 @@ def parse_qos(value: object) -> Qos | None:
 def _qos_of(value: object) -> Qos:
     if isinstance(value, Qos):
         return value
-    if isinstance(value, int) and not isinstance(value, bool):
+    if isinstance(value, int) and not isinstance(value, bool):  # `qos: true` is no depth of 1
         return Qos(depth=value)
     if isinstance(value, str):
         if value in PROFILES:

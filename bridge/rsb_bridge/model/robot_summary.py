@@ -46,8 +46,10 @@ _CLIENT_NAMES = 1500
 """Characters for all names in `wrong_clients`, so that a summary stays within `SUMMARY_BYTES`."""
 _NAMED = 3
 _MARK_EVERY = 1.0
+"""s from one mark of a route's counts to the next, however often snapshots come."""
 _COUNT = 1 << 31
 _FIGURE = 1e15
+"""Beyond any real one; another program's figures are cut to these."""
 
 
 class SummaryText(Wording):
@@ -123,17 +125,13 @@ class RobotSummary(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     """The figures of one robot.
 
     Attributes:
-        group: its group, or empty.
         role: of its session: ``client``, ``server``, or empty if unknown.
         why: the worst verdict in words and the number of the others, or empty.
         since: s since the epoch, when the fault in `why` began, or without a fault, when the state began.
         seen: s since the epoch, when it was last connected, or None if it never was.
         host: the address of its link, or its machine's name.
         version: of its rsb-console, or empty if unknown.
-        links_up: number of links that are up.
-        links: number of links.
         flowing: number of routes that carry messages or calls.
-        routes: number of routes.
         states: number of routes in each state; the robot's own console shows the same figures.
         wrong_clients: of a server, names of clients with a fault, as many as fit.
         clients_wrong: number of clients with a fault.
@@ -375,6 +373,7 @@ def _state(
     called: Callable[[RouteSnapshot], str],
 ) -> tuple[RobotState, str, float]:
     """Return the state, why, and since when."""
+    # A bridge that is out of reach is shown as not running, too, with links that say why (`control.states`).
     if not snapshot.running and not any(link.state is State.DOWN for link in links):
         return RobotState.MISSING, SummaryText.STOPPED(), snapshot.time
     if down := [link for link in links if link.state is State.DOWN and link.acknowledged is None]:
@@ -438,6 +437,7 @@ def _and_more(text: str, count: int) -> str:
 def _seen(link: LinkSnapshot, now: float) -> float | None:
     if link.state is State.OK:
         return now
+    # Only a connection tells the domain of the peer.
     return link.since if link.state is State.DOWN and link.peer_domain is not None else None
 
 

@@ -27,6 +27,8 @@ RANKS: Final[dict[Priority, int]] = {"low": -1, "normal": 0, "high": 1}
 LOWEST, HIGHEST = -100, 100
 """Ranks that a newer peer may use; each counts as the word that is nearest."""
 _WEIGHTS: Final[dict[Priority, int]] = {"low": 1, "normal": 4, "high": 16}
+"""Not measured by themselves; with them, a high topic on a tunnel of 5 kB/s gets 82 % through, and 72 % without
+(bench/README, thin links)."""
 
 
 def priority_of(rank: int) -> Priority:
@@ -40,10 +42,16 @@ def weight_of(rank: int) -> int:
 
 
 DEADMAN = 60.0
-"""s: the deadman time of a topic that names none."""
+"""s: the deadman time of a topic that names none.
+
+A round figure: much less would disarm an operator who only watches, much more would leave a robot armed without one.
+"""
 
 CALL_TIMEOUT = 30.0
-"""s: until a call is given up whose service names no timeout."""
+"""s: until a call is given up whose service names no timeout.
+
+A round figure, longer than any link is silent before it is given up (15 s with the profile of LTE).
+"""
 
 Direction = Literal["transmit", "receive"]
 Kind = Literal["topic", "service", "action", "parameters"]
@@ -111,7 +119,6 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         on_end: what the robot gets when the arming ends: ``zero``, ``none`` or the fields of a message; None for zero
             of types that drive robots, and nothing of others.
         limits: what a hand may ask of a robot, or None for any velocity; only of Twist and TwistStamped.
-        kind: topic, service, action or parameters.
         timeout: s that a call waits for its answer, or None for `CALL_TIMEOUT`; not for topics.
         priority: on a full link, topics of a higher priority get a larger share; only for topics.
         excepts: names on the client that a pattern leaves out, patterns or not; ``except`` in a file.

@@ -27,7 +27,6 @@ def why_not_written(error: OSError, path: Path) -> str:
     """Return the reason why a file cannot be written.
 
     Args:
-        error: error that writing it raised.
         path: path of the file or of its folder.
     """
     reason = error.strerror or str(error)
@@ -58,4 +57,4 @@ def _has_inodes(mount: Path) -> bool:
         found = os.statvfs(mount)
     except OSError:
         return True
-    return found.f_files == 0 or found.f_favail > 0
+    return found.f_files == 0 or found.f_favail > 0  # btrfs has no fixed number of files, and says 0

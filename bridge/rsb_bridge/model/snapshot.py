@@ -86,7 +86,6 @@ class Event:
         code: its kind, an `rsb_bridge.model.codes.EventCode`; stable, unlike the text.
         text: one line, complete in itself.
         link: the peer's name, or empty.
-        topic: the topic, or empty.
         who: the operator who caused it, or empty.
         old: the value before an operator's change, or empty.
         new: the value after an operator's change, or empty.
@@ -242,7 +241,6 @@ class RouteSnapshot:
         jitter: s (RFC 3550 section 6.4.1), or None without a figure.
         age: s since the last message, or None before the first.
         history: messages in each of the last seconds, up to 120, oldest first.
-        last_error: the last error, or empty.
         last_error_at: s since the epoch, its time, or 0 without one.
         cause: of the state, an `rsb_bridge.model.verdict.Cause`, one of a newer peer, or empty.
         from_peer: whether the other side reports the state.
@@ -331,7 +329,6 @@ class PatternSnapshot:
         routes: number of routes that it has made.
         gone: number of these routes without a publisher now.
         beyond: number of matching names beyond the limit, which are not bridged.
-        acknowledged: the acknowledgement of its fault, or None.
     """
 
     key: str
@@ -386,7 +383,6 @@ class LinkSnapshot:
         full_out: the rates from here, or None if the link is not full.
         full_in: the rates to here, as the peer reports them, or None if the link is not full.
         warning_since: s since the epoch, when `warning` or its cause began, or None without a warning.
-        acknowledged: the acknowledgement of its fault, or None.
     """
 
     name: str
@@ -437,7 +433,6 @@ class RefusedClient:
         cause: the reason as an `rsb_bridge.model.verdict.LinkCause`.
         reason: the same in words, with the remedy.
         since: s since the epoch, when it was first refused.
-        attempts: its attempts so far.
     """
 
     name: str
@@ -459,7 +454,6 @@ class Snapshot:
         running: False: stopped, or not started.
         links: on a server, one for each known client.
         last_event: number of the newest event.
-        refused: a server's refused clients.
     """
 
     time: float

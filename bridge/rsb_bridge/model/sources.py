@@ -22,12 +22,13 @@ OF_EVERY_NODE = ("/parameter_events", "/rosout", ANNOUNCEMENT_TOPIC)
 """The topics that each node has, and each bridge; lists leave them out."""
 
 MOST_HOPS = 16
+"""Of one message; of the protocol (PROTOCOL.md, 3: Source)."""
 MOST_SOURCES = 16
 """Of one topic that one link carries: its number has four bits on the wire."""
 MOST_BRIDGES = 64
-"""In one domain."""
+"""In one domain; of the protocol (PROTOCOL.md, 3: Neighbours)."""
 HOP_LENGTH = 340
-"""Characters: a node's name and a topic's."""
+"""Characters: a node's name and a topic's, which alone may have 247."""
 
 
 def hop(node: str, topic: str) -> str:

@@ -19,6 +19,7 @@ _TOLERANCE = 2.0
 """s by which the beginning of a state may be wrong, because the wall clock is adjusted."""
 _ONE_FAULT = frozenset({Cause.PUBLISHER_SILENT, Cause.PUBLISHER_GONE})
 """Causes of one fault: DDS lists a publisher for up to 20 s after its process was killed."""
+# Unlike in `model.faults`, WAITING is a fault here: an operator may acknowledge what a topic waits for.
 _NO_FAULT = frozenset({State.OK, State.PAUSED, State.DISARMED, State.DISARMING})
 
 AnyFaulty: TypeAlias = RouteSnapshot | LinkSnapshot | PatternSnapshot
@@ -43,7 +44,6 @@ class Acknowledgements:
     """Marks the acknowledged faults of each snapshot, and forgets them once they are over, which bounds its size.
 
     Args:
-        clock: the wall clock.
         ended: called with each link, route or pattern whose acknowledgement ends because its fault became another one.
     """
 
@@ -83,9 +83,11 @@ class Acknowledgements:
             now: s since the epoch.
         """
         links, routes = tuple(links), tuple(routes)
+        # Nearly always: then no snapshot is copied.
         if not self._known:
             self._marked.clear()
             return links, routes
+        # A fault that this snapshot does not have is forgotten: `_keep` takes over the others.
         before, self._known = self._known, {}
         marked, self._marked = self._marked, {}
         new_links = tuple(self._link(link, before, marked, now) for link in links)
@@ -124,12 +126,15 @@ class Acknowledgements:
         if known is None:
             return None
         if not _same_fault(known, faulty):
+            # A fault that is over needs no operator; one that became another one counts again.
             if has_fault(faulty):
                 self._ended(faulty)
             return None
+        # Another cause restarts the state's time, so the comparison below has to restart, too: a killed publisher is
+        # silent, and gone some 20 s later.
         if known.cause != faulty.cause:
             known = known._replace(cause=faulty.cause, at=self._clock.steady())
-        elif not isinstance(faulty, PatternSnapshot):
+        elif not isinstance(faulty, PatternSnapshot):  # a pattern has no `since`
             since = faulty.fault_since if isinstance(faulty, LinkSnapshot) else faulty.since
             lasting, elapsed = now - since, self._clock.steady() - known.at
             if lasting + _TOLERANCE < elapsed:  # it was over meanwhile, and began again
@@ -147,6 +152,7 @@ class Acknowledgements:
         patterns: list[Acknowledgement | None],
     ) -> Faulty:
         old, new = marked.get(key, (None, None))
+        # Attached consoles are sent what is another object than before (`control.states`).
         if old is not faulty or new.acknowledged != record:
             new = dataclasses.replace(faulty, acknowledged=record)
             if isinstance(new, LinkSnapshot):

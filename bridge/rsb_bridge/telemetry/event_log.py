@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.clock import Clock
 
 KEPT = 5000
+"""Events; not measured. While the disk takes nothing, events wait here for it, and one link that floods the log
+displaces the others' after some minutes (`AT_ONCE`, `A_SECOND`)."""
 EVENT_LENGTH = 2000
 """Characters of an event's text."""
 _LENGTHS = {"text": EVENT_LENGTH} | dict.fromkeys(
@@ -30,6 +32,7 @@ AT_ONCE = 1000
 A_SECOND = 5.0
 """Lines; a client that keeps its delays between attempts causes no more about the link itself."""
 _REPORTED_EVERY = 10.0
+"""s; not measured: a flood that lasts shows up in the log while it lasts, with six lines a minute."""
 
 
 class About(TypedDict, total=False):
@@ -71,6 +74,7 @@ class EventLog:
 
         It goes to terminals and files from here, and may quote a peer: each text becomes one line of a limited length.
         """
+        # Outside of the lock, so that a long text holds up no other thread.
         event = replace(event, **_cleaned(event))
         with self._news:
             self.last = next(self._numbers)
@@ -84,6 +88,7 @@ class EventLog:
             missing = self.last - number
             if missing <= 0:
                 return []
+            # From the newest end: readers come several times a second, and lack a few of thousands.
             return list(itertools.islice(reversed(self._events), missing))[::-1]
 
     def wait(self, number: int, timeout: float, ends: Callable[[], bool] = lambda: False) -> list[Event]:
@@ -91,7 +96,6 @@ class EventLog:
 
         Args:
             number: of the last event that the caller has.
-            timeout: s to wait, at most.
             ends: returns whether to stop waiting; called after each `wake`.
         """
         with self._news:
@@ -110,6 +114,7 @@ def _cleaned(event: Event) -> dict[str, Any]:
 
 def _one_line(text: str, limit: int) -> str:
     return (
+        # Nearly all texts: they are neither encoded nor searched.
         text if text.isascii() and text.isprintable() and len(text) <= limit else sanitize_text(encodable(text), limit)
     )
 

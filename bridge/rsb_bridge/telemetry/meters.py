@@ -14,10 +14,13 @@ _WINDOWS = (3, 10, 30)
 _SHORTEST_TICK = 0.5
 """s; a shorter tick is left to the next one, as one message in so short a time says nothing about a rate."""
 _LATENCIES = 512
+"""Samples that percentiles are taken of: the 99th rests on the five largest."""
 _EARLIEST, _LATEST = -1.0, 3600.0
-_LARGEST_FIGURE = 1e9  # s
 """s: plausible transit times, with the error of comparing clocks; on a slow radio link messages wait for minutes."""
+_LARGEST_FIGURE = 1e9
+"""s; a peer may report any number, and screens and JSON show it."""
 _PINGS = 16
+"""Exchanges, one a second: the shortest of them is hardly held up, and a clock that drifts is followed."""
 _DRIFT_RATE = 1e-4
 """s a second by which two clocks drift apart, at 100 ppm."""
 _DRIFT = 2e-3
@@ -25,19 +28,22 @@ _DRIFT = 2e-3
 _LEAST = 1e-3
 """Per second; a smaller smoothed rate is 0, which halving alone would never reach."""
 _SAMPLES, _ENOUGH = 20, 15
-"""Samples that are judged: at the most, and at the least."""
+"""Samples that are judged: at the most, and at the least. They are 15 s of a busy topic, 15 messages of a slow one."""
 _JUDGED_OVER = 3.0
 """Messages, and s: a rate is judged over the longer of both (`RateMeter`, `rsb_bridge.telemetry.watches`)."""
 _RHYTHM_SAMPLES, _RHYTHM_STEADY = 5, 0.1
-"""Samples that show a rhythm before its rate can be learned, and how steady they have to be."""
+"""Samples that show a rhythm before its rate can be learned, and how steady they have to be.
+
+A few messages at the times at which an operator clicks are none.
+"""
 _STEADY = 0.15
 """Standard deviation, as a share of the rate, that the rate over so long may have; watches call less than 0.7 slow."""
 _LONGEST_GAP = 60.0
-"""s; a topic with longer ones has no usual rate."""
+"""s; a topic with longer ones has no usual rate, as learning it would take more than a quarter of an hour."""
 _QUIET_PERIODS, _QUIET = 5.0, 3.0
 """Periods and s without a message after which an outage has begun."""
 _CHANGED = 0.15
-"""A change of the rate beyond this share of it is not noise."""
+"""A change of the rate beyond this share of it is not noise: no more than `_STEADY` allows."""
 _LOWER_FOR = 600.0
 """s that a lower rate must last until it is the usual one."""
 _WINDOW = 4
@@ -59,6 +65,7 @@ class Smoothed:
         """Whether the rate is 0; then nothing has come since the last call either, at `now` (s)."""
         if self.rate:
             return False
+        # Else the next amount would be spread over the time in which nothing came.
         self._at = now
         return True
 
@@ -152,6 +159,7 @@ class RateMeter:
             return  # one quiet second more makes no difference
         seconds = max(1, round(elapsed))
         length = elapsed / seconds
+        # A process may have been stopped for hours, which make one tick.
         for number in range(max(0, seconds - HISTORY), seconds):
             share = messages * (number + 1) // seconds - messages * number // seconds
             count, end = self._marks[-1]
@@ -239,7 +247,9 @@ class LatencyMeter:
         """Take the figures of the other side, as far as they can be right. They, too, count for `ticks`."""
         self._reported_for = self._ticks
         self.p50, self.p99, self.jitter = (
-            figure if figure is not None and abs(figure) <= _LARGEST_FIGURE else None for figure in (p50, p99, jitter)
+            # NaN compares as false.
+            figure if figure is not None and abs(figure) <= _LARGEST_FIGURE else None
+            for figure in (p50, p99, jitter)
         )
 
     def tick(self) -> None:
@@ -295,14 +305,17 @@ class ClockOffset:
 
     def add(self, sent: int, received: int, answered: int, back: int) -> None:
         """Take one exchange. All in ns: sent and back on our clock, received and answered on the peer's."""
+        # It is negative where a clock was set meanwhile, and would be the shortest of all.
         self.rtt = max(0, (back - sent) - (answered - received)) / 1e9
         offset = ((received - sent) + (answered - back)) / 2e9
         if self._stepped(offset, self.rtt / 2):
             self._samples.clear()
             self._best = None
         self._samples.append((self.rtt, offset, back))
-        shortest = min(self._samples)
+        shortest = min(self._samples)  # by the round trip, which comes first
         self.uncertainty = shortest[0] / 2
+        # A path that holds up all pings of the window must not move the clock: the best one from before counts on,
+        # until the drift since then may be larger.
         if self._best is not None and self._best not in self._samples:
             rtt, _, at = self._best
             older = rtt / 2 + _DRIFT_RATE * abs(back - at) / 1e9
@@ -397,7 +410,7 @@ class UsualRate:
             return  # the first messages, or the first after an outage
         gaps, seconds = messages, last - previous
         quiet = began - previous
-        if gaps > 1 and quiet > 1.0:  # a long gap, and short ones after it
+        if gaps > 1 and quiet > 1.0:  # a long gap, and short ones after it: their mean would hide the burst
             self._samples.append((1, quiet))
             gaps, seconds = gaps - 1, seconds - quiet
         self._samples.append((gaps, seconds))
@@ -428,13 +441,14 @@ class UsualRate:
         if self.rate is None or rate > self.rate * (1 + _CHANGED):
             self.rate = rate
         elif rate >= self.rate * (1 - _CHANGED):
+            # So a rate that drifts is followed, and never far enough away to count as slow or stopped.
             self.rate += 0.1 * (rate - self.rate)
         else:
             self._lower_for += seconds
             if self._lower_for >= _LOWER_FOR:
                 self.rate = rate
             else:
-                return
+                return  # any other outcome ends the time for which it was lower
         self._lower_for = 0.0
 
     def _regular_rate(self, enough: int, steady: float) -> float | None:
@@ -443,7 +457,7 @@ class UsualRate:
             return None
         gaps = sum([gaps for gaps, _ in self._samples])
         period = sum([seconds for _, seconds in self._samples]) / gaps
-        if period <= 0.0:
+        if period <= 0.0:  # all of them came at one moment
             return None
         variance = sum([(seconds - gaps * period) ** 2 / gaps for gaps, seconds in self._samples])
         variation = sqrt(variance / (len(self._samples) - 1)) / period  # of a single gap
@@ -468,7 +482,6 @@ class Throughput:
         """Take what has arrived since the last look, about a second ago.
 
         Args:
-            arrived: bytes.
             at: s since the epoch, now.
             full: more waited to be sent all the time.
 
@@ -481,6 +494,7 @@ class Throughput:
         if full != self._full:
             self._full = full
             self._window.clear()
+        # It is negative if a connection was closed: its bytes are no longer in the caller's sum.
         self._window.append((max(0.0, arrived), now - began))
         rate = sum(size for size, _ in self._window) / sum(seconds for _, seconds in self._window)
         if len(self._window) >= _ENOUGH_ARRIVALS and rate:

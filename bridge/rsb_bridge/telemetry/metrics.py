@@ -55,8 +55,9 @@ _ROUTE = (*_TOPIC, "kind")
 _CONNECTIONS = 8
 """At once; more are closed without an answer."""
 _ANSWERED_WITHIN = 10.0
-"""s that a connection may last."""
+"""s that a connection may last: as long as Prometheus waits by default."""
 _LOOKS_EVERY = 1.0
+"""s from one look for overdue connections to the next, if none comes."""
 _BACKLOG = 16
 
 _Samples: TypeAlias = dict[tuple[str, ...], float]
@@ -110,11 +111,7 @@ FAMILIES = (
 
 
 def application(look: Callable[[], Snapshot], events: EventLog) -> WSGIApplication:
-    """Make the WSGI application that serves the metrics of one engine and its process in Prometheus' formats.
-
-    Args:
-        look: gives the newest snapshot.
-    """
+    """Make the WSGI application that serves the metrics of one engine and its process in Prometheus' formats."""
     registry = CollectorRegistry()
     registry.register(SnapshotCollector(look, events))
     ProcessCollector(registry=registry)
@@ -123,11 +120,7 @@ def application(look: Callable[[], Snapshot], events: EventLog) -> WSGIApplicati
 
 
 class SnapshotCollector(Collector):
-    """Makes metrics of the newest snapshot; scrapes may come on any thread.
-
-    Args:
-        look: gives the newest snapshot.
-    """
+    """Makes metrics of the newest snapshot; scrapes may come on any thread."""
 
     def __init__(self, look: Callable[[], Snapshot], events: EventLog) -> None:
         self._look = look
@@ -151,6 +144,7 @@ class SnapshotCollector(Collector):
                 carried = Of.MESSAGES if route.calls is None else Of.CALLS
                 samples = self._lives[route.key].highest(_samples(carried, route, snapshot.time))
                 families.add(labels if route.calls is None else of_route, samples)
+        # Outside of the lock: a slow reader holds up no other one.
         yield from families.made.values()
 
     def _of_bridge(self, snapshot: Snapshot, families: _Families) -> None:
@@ -190,9 +184,11 @@ class _Life:
         No correction makes the first counter, of messages offered or calls asked, fall.
         """
         counts = {sample: value for sample, value in samples.items() if sample[0].endswith("_total")}
+        # The order of `FIGURES` makes it that of the messages offered, or of the calls asked.
         first = next(iter(counts.values()))
         before = self._counts if first >= self._first else {}
         self._first = first
+        # A cause that is no longer listed counts as 0, and its counter must not fall either.
         self._counts = {each: max(before.get(each, 0), counts.get(each, 0)) for each in {**before, **counts}}
         return self._counts | {each: value for each, value in samples.items() if each not in self._counts}
 
@@ -253,6 +249,7 @@ class MetricsServer(ThreadingMixIn, WSGIServer):
         failed: Callable[[Exception], None],
     ) -> None:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        # The default is IPv4, and the address may be IPv6.
         self.address_family, _, _, _, address = found[0]
         self._steady = steady
         self._failed = failed
@@ -279,6 +276,7 @@ class MetricsServer(ThreadingMixIn, WSGIServer):
         """Take a connection; returns after a second without one, or after `wake`."""
         self.handle_request()
         now = self._steady()
+        # A copy: the connections' threads take themselves out.
         for request, began in list(self._open.items()):
             if now - began >= _ANSWERED_WITHIN:
                 _shut(request)
@@ -289,7 +287,7 @@ class MetricsServer(ThreadingMixIn, WSGIServer):
 
     def server_close(self) -> None:
         """Close everything; returns once all threads have ended."""
-        for request in list(self._open):
+        for request in list(self._open):  # else closing waits for readers that send nothing
             _shut(request)
         super().server_close()
 

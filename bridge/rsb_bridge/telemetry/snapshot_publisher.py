@@ -23,15 +23,16 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.event_log import EventLog
 
 _AT_ONCE, _REFRESHES = 128, 4
-"""Routes renewed in one refresh, at the least; the others follow in the next ones. Refreshes until each had its turn,
-while somebody looks at more than so many: then no route's is older than a second."""
+"""Routes renewed in one refresh, at the least, in some 6 ms by slices of 1 ms (`tasks.SLICE`); the others follow.
+Refreshes until each had its turn, while somebody looks at more than so many: then no route's is older than a second."""
 _LOOKED_AT_FOR = 2.0
+"""s over which calls are counted. A reader that looks once a second has at most three of them: not above `_SELDOM`."""
 _SELDOM = 1.5
 """Hz; somebody who looks no more often, as a log does once a second, is content with one renewal a second."""
 _EVERY, _EVERY_LOOKED_AT = 1.0, 0.25
 """s from one renewal to the next."""
 _EARLY = 0.01
-"""s that a timer may come early."""
+"""s that a timer may come early. Without it, such a turn would be counted as the one before, and done twice."""
 
 
 class ShownRoute(Protocol):
@@ -91,7 +92,7 @@ class SnapshotPublisher:
         self._looks = 0
         self._looks_at: deque[tuple[float, int]] = deque()
         self._turn = 0
-        self._is_looked_at = True
+        self._is_looked_at = True  # the first refresh renews all
 
     def _acknowledgement_ended(self, faulty: AnyFaulty) -> None:
         """Add an event: the fault counts again."""
@@ -138,6 +139,7 @@ class SnapshotPublisher:
     async def refresh(self, bridge: ShownBridge) -> None:
         """Renew the links, and a part of the routes, in turn; new ones at once, resting ones only if somebody looks."""
         links, routes = bridge.links(), _routes_of(bridge)
+        # Nothing else lets go of a removed route.
         self._routes = {route: self._routes[route] for route in routes if route in self._routes}
         changing = routes if self._is_looked_at else [route for route in routes if not route.idle]
         at_once = max(_AT_ONCE, -(-len(changing) // _REFRESHES))
@@ -162,6 +164,7 @@ class SnapshotPublisher:
 
     def _publish(self, bridge: ShownBridge, *, running: bool) -> None:
         """Publish the renewed links and routes that still exist; new ones follow in the next refresh."""
+        # Between the slices of a refresh, links and routes come and go.
         self._links = {link: self._links[link] for link in bridge.links() if link in self._links}
         now = self._clock.time_ns() / 1e9
         shown = [self._routes[route] for route in _routes_of(bridge) if route in self._routes]

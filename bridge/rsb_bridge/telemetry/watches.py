@@ -10,23 +10,33 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _SLOW_BELOW, FAST_ABOVE = 0.7, 0.85
-"""Shares of the expected rate: below the one a topic gets slow, above the other it no longer is."""
+"""Shares of the expected rate: below the one a topic gets slow, above the other it no longer is.
+
+The lower one is two standard deviations below the least steady rate that can be learned (`meters._STEADY`). The other
+lies apart from it, so that a rate about one of them does not flap.
+"""
 _SLOW_AFTER, _FAST_AFTER = 5, 3
-"""s."""
+"""s in a row; not measured. A minute would be late news for an operator, one second would count each late message."""
 _SLOWEST = 0.3
 """Hz; the rate of a topic that should have less than that is too uncertain to call it slow."""
 _STOPPED_PERIODS, _STOPPED_AFTER = 5.0, 2.0
-"""Periods and s without a message: the longer of both."""
+"""Periods and s without a message: the longer of both.
+
+tests/telemetry/test_regularity.py has publishers at random and in bursts, none of which may be called stopped.
+"""
 _PAUSES = 2.0
 """A topic may pause for so many times as long as it has paused before."""
 _WINDOW = 10.0
 """s over which losses are counted."""
 _LOSSY_ABOVE, _WHOLE_BELOW, _LEAST_LOST = 0.05, 0.02, 3
-"""Shares of the messages, and messages: from the one on a topic loses messages, below the other it no longer does."""
+"""Shares of the messages, and messages: from the one on a topic loses messages, below the other it no longer does.
+
+Two shares, so that a loss about one of them does not flap.
+"""
 _ROW_LASTS = 2.0
 """Times as long as between the last two losses in a row for which they count: a topic that ended owes nothing."""
 _FEW_FOR = 10
-"""Ticks in a row with fewer losses than make a fault, after which a topic has recovered."""
+"""Ticks in a row with fewer losses than make a fault, after which a topic has recovered: as long as `_WINDOW`."""
 _LOSSLESS_TICKS, _RECOVERED_TICKS = 2, 4
 """Ticks in which messages arrive and none is lost, after which a topic recovers, and after which it has recovered."""
 _EXPECTED_LOSSES = 3.0
@@ -95,14 +105,16 @@ class StopWatch:
 
         Args:
             last: s, when the last message came.
-            expected: Hz.
             promised: an operator expects that rate, so that pauses are faults.
         """
         if self.since is not None and last > self.since:
             if publishers == self._publishers:  # else the publisher died, and was started again
                 self._longest_pause = max(self._longest_pause, last - self.since)
             self.since = None
+        # Before `_publishers` is replaced: a new publisher is not in it.
         self._take_new(last, now, publishers)
+        # While the topic has stopped, the publishers from before stay: the message that ends this tells by them whether
+        # they have paused, or others have taken over.
         if self.since is None and publishers != self._publishers:
             self._publishers, self._longest_pause = publishers, 0.0
         waited = now - max(last, self._came_at)
@@ -205,6 +217,8 @@ class LossWatch:
         if self._marks and delivered < self._marks[-1][1]:
             self.reset()  # the counts have begun again
         self._marks.append((now, delivered, lost))
+        # One mark from before the window stays, to count from; and the last two, which are compared even if ticks come
+        # late.
         while len(self._marks) > 2 and now - self._marks[1][0] >= _WINDOW:
             self._marks.popleft()
         self._count_since_loss(now)
@@ -230,11 +244,13 @@ class LossWatch:
             recovering = self._few > 0
             if self.loss is not None:
                 recovering |= self._lossless >= _LOSSLESS_TICKS and self._not_chance(self.loss)
+                # Another cause would be a new fault, for losses that are over.
                 cause = self.loss.cause if recovering else cause
             since = self.loss.since if self.loss else now
             if total >= settled and self._arrived_at is not None:
                 since = max(since, self._arrived_at)
             self.loss = Loss(total, settled, cause, since, recovering)
+        # While nothing at all settles, a loss of everything is no news and goes on.
         elif settled or now - self._marks[0][0] >= _WINDOW:
             self.loss = None
 
@@ -246,6 +262,7 @@ class LossWatch:
             self._arrived_at = now
             self._row.clear()
         else:
+            # A count falls if a message arrives after all that had been given up.
             self._row.add({cause: max(0, count - lost_before.get(cause, 0)) for cause, count in lost.items()}, now)
         if any(count > lost_before.get(cause, 0) for cause, count in lost.items()):
             self._lossless = self._since_loss = 0
@@ -255,6 +272,7 @@ class LossWatch:
 
     def _not_chance(self, loss: Loss) -> bool:
         """Whether so many messages have arrived since the last loss that the losses are probably over."""
+        # Never more than 60 messages: at the 2 % to which a loss may fall, it would be 150.
         return self._since_loss * max(loss.share, _LOSSY_ABOVE) >= _EXPECTED_LOSSES
 
     def reset(self) -> None:
