@@ -1,17 +1,22 @@
 """Every button of every dialog, pressed as an operator does: each does its thing once, and the console goes on."""
 
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 from tests.console.driving import ended, fill, on_main, shown, text, until
-from tests.console.scripted import SESSION
+from tests.console.scripted import SESSION, route
 from textual.pilot import Pilot
+from textual.screen import Screen
 from textual.widgets import Button
 
+import rsb_console
 from rsb_bridge.config.session_file import save
+from rsb_bridge.model.snapshot import ArmingSnapshot
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.session_files import FileText
+from rsb_console.screens.take_over import AskHolderScreen
 
 KEYS = {  # dialog: the key that opens it on the main screen
     "Sessions": "o",
@@ -86,3 +91,24 @@ async def test_every_button_that_leads_back(app: ConsoleApp, pilot: Pilot[None])
         (label,) = set(labels) & set(BACK)
         await press(app, pilot, dialog, label)
         await until(pilot, lambda: app.screen is app.main, "the main screen")
+
+
+@pytest.mark.parametrize(("button", "answer"), [("yes", True), ("take", True), ("disarm", True), ("no", False)])
+@on_main()
+async def test_a_question_closes_itself_alone(app: ConsoleApp, pilot: Pilot[None], button: str, answer: bool) -> None:
+    below: Screen[None] = Screen()
+    answers: list[bool | None] = []
+    await app.push_screen(below)
+    held = route("/cmd_vel", arming=ArmingSnapshot(by="anna"))
+    await app.push_screen(AskHolderScreen(held, may_take=True), answers.append)
+    app.screen.query_one(f"#{button}", Button).focus()
+    await pilot.press("enter")
+    await until(pilot, lambda: bool(answers), "an answer")
+    await pilot.pause()
+    assert (answers, app.screen) == ([answer], below)
+
+
+def test_no_handler_calls_the_one_of_its_base() -> None:
+    """Textual calls the handlers of all classes by itself, so it would run twice."""
+    for path in Path(rsb_console.__file__).parent.rglob("*.py"):
+        assert not re.search(r"super\(\)\.on_(?!event)", path.read_text(encoding="utf-8")), path

@@ -137,7 +137,6 @@ class CallScreen(FormScreen[PlannedCall]):
 
     def on_mount(self) -> None:
         self._show_lane()
-        super().on_mount()
         self._pane.border_title = " Answer "
         self.set_interval(0.5, self._draw)
         # Before the first layout, the pane has no width.

@@ -51,7 +51,6 @@ class KeyList(LiveLines, can_focus=True):
 
     def on_resize(self) -> None:
         self._lines = list(self._make_lines(self.size.width))
-        super().on_resize()
 
 
 class HelpScreen(ModalScreen[None]):

@@ -118,7 +118,6 @@ class LinkDetail(LiveLines, can_focus=False):
         self.sync()
 
     def on_resize(self) -> None:
-        super().on_resize()
         self.show(self._link, server=self._server)
 
 

@@ -281,7 +281,6 @@ class ImportScreen(FormScreen[OpenedFile]):
         self._notes: list[str] = []
 
     def on_mount(self) -> None:
-        super().on_mount()
         files = yaml_files(Path.cwd(), Path.cwd() / "config")
         self._bringup.suggest(list(suggestions(files, "here")), no_suggestion)
 

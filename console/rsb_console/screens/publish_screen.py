@@ -123,7 +123,6 @@ class PublishScreen(FormScreen[Message]):
         yield Button("Close", id="no", compact=True)
 
     def on_mount(self) -> None:
-        super().on_mount()
         self._offer_template()
 
     # -- the message --------------------------------------------------------------------------------------------------

@@ -136,7 +136,6 @@ class DiffLines(LiveLines, can_focus=False):
 
     def on_resize(self) -> None:
         self._wrap(max(_NARROWEST, self.size.width))
-        super().on_resize()
 
     def _wrap(self, width: int) -> None:
         self._lines: list[Line] = []

@@ -158,7 +158,6 @@ class SessionsScreen(FormScreen[OpenedFile | str]):
                 yield Button(label, id=action, compact=True)
 
     def on_mount(self) -> None:
-        super().on_mount()
         recent = recent_sessions()
         known = {path.resolve() for path in recent}
         here = [path for path in yaml_files(Path.cwd()) if path.resolve() not in known]

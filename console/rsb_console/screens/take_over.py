@@ -76,10 +76,11 @@ class AskHolderScreen(GuardedConfirmScreen):
         yield Button("No", id="no", compact=True)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
+        # For the other buttons, Textual calls the handler of ConfirmScreen itself. A second dismissal would close the
+        # screen below.
         if event.button.id in ("take", "disarm"):
+            event.prevent_default()
             self.action_choose(event.button.id)
-        else:
-            super().on_button_pressed(event)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         return (self._may_take or parameters != ("take",)) and super().check_action(action, parameters)
@@ -101,7 +102,6 @@ class HandOverScreen(GuardedConfirmScreen):
         yield self._text
 
     def on_mount(self) -> None:
-        super().on_mount()
         self.set_interval(_LOOK_EVERY, self._count)
 
     def _count(self) -> None:

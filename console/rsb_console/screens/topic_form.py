@@ -299,7 +299,6 @@ class TopicScreen(FormScreen[TopicDraft]):
 
     def on_mount(self) -> None:
         """Look at the graphs, and go on looking."""
-        super().on_mount()
         if self._route is None:
             self._look()
             self.set_interval(LOOK_EVERY, self._look)

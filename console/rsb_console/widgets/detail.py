@@ -77,7 +77,6 @@ class DetailPane(LiveLines, can_focus=True):
         self.scroll_end(animate=False)
 
     def on_resize(self) -> None:
-        super().on_resize()
         # Lines are cut and wrapped for the width that the pane had.
         self.show(self._route, self._peer)
 

@@ -106,7 +106,6 @@ class FaultLines(LiveLines):
 
     def on_resize(self) -> None:
         self._lay_out(self.size.width)
-        super().on_resize()
 
     def _lay_out(self, width: int) -> None:
         self._heights.look(self._faults[: self._most], width, self._now)

@@ -99,7 +99,6 @@ class LogPane(SelectableList):
 
     def on_blur(self) -> None:
         """Return to the newest line, except for the filter's prompt or when the terminal's window loses the focus."""
-        super().on_blur()
         if isinstance(self.screen.focused, LiveLines):
             self.move_to(0)
 
