@@ -82,4 +82,4 @@ class RouteChannels(Extension):
             if route.id:  # a slice before this one may have closed it
                 route.advance()
 
-        await in_slices(self._link.ids.open_routes(), advance)
+        await in_slices(self._link.ids.open_routes(), advance)  # hundreds may wait for the same path
