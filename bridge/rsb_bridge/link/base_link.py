@@ -203,6 +203,7 @@ class BaseLink(ABC):
         self.fullness = LinkFullness(partial(self.log, link_status=True))
         self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers, self.fullness)
         self.path = PathWatch(partial(self.log_of_peer, link_status=True), self._judge_again)
+        # Not the keepalive's own methods, as each connection has another one.
         self.handlers: dict[type, Callable[[Any], Slices | None]] = {
             Ping: self._on_ping,
             Pong: self._on_pong,

@@ -318,7 +318,7 @@ class Contention:
                 continue
             ledger = route.ledger()
             counts = self._counts[route] = _Counts(ledger.delivered, ledger.dropped.get("queue full", 0))
-            last = before.get(route, counts)  # what it delivered before it had a channel did not come in this second
+            last = before.get(route, counts)  # what it delivered before it was looked at did not come now
             whole = max(0, counts.delivered - last.delivered)
             arrived += whole * traffic.size
             parts += max(0.0, each.by_datagrams() - whole) * traffic.size

@@ -39,8 +39,8 @@ only. Round figures: nothing was measured."""
 CONTROL_NUMBER = 0
 """The number of the control connection where it is a data stream, too."""
 _OUT_OF_ORDER = 1024
-"""How far below the newest a stream's number may be (PROTOCOL.md, 1.3): the streams of several ports are opened at once,
-and arrive in any order. Older numbers are refused, so none of them is remembered."""
+"""How far below the newest a stream's number may be (PROTOCOL.md, 1.3): the streams of several ports open at once, and
+arrive in any order. Older numbers are refused, so none of them is remembered."""
 
 
 class UdpChannels:

@@ -283,7 +283,7 @@ class TopicLists(Extension):
         self._questions.answer(question.request, partial(self._find, question))
 
     def _answered(self, message: TopicList | TopicListParts) -> Slices:
-        if not self._questions.awaited(message.request):
+        if not self._questions.awaited(message.request):  # a list that nobody waits for is not even decoded
             return 0
         entries: list[TopicEntry] = []
         last = yield from in_slices(topic_entries(message), entries.append)

@@ -296,7 +296,7 @@ class ServerRole:
             robot.readmit()
         step(f"closing {len(linked)} {plural(len(linked), 'link')} on both sides")
         if self._binding is not None:
-            self._binding.cancel()
+            self._binding.cancel()  # it would close the ports that are bound below
         self._server.stop()
         await _farewell(linked, "restart", retry_after=0.0)
         step(f"binding {self._context.session.server_ip} port {self._context.session.server_port}")
