@@ -104,7 +104,7 @@ def topic_of(proposal: Propose) -> Topic:
         deadman=proposal.deadman if proposal.arm else None,
         on_end=(proposal.on_end or None) if proposal.arm else None,
         kind=_known(KINDS, proposal.kind),
-        priority=priority_of(proposal.priority) if proposal.kind == "topic" else "normal",
+        priority=priority_of(proposal.priority) if proposal.kind == "topic" else "normal",  # calls rank above topics
         **_values_of(proposal),
     )
 
