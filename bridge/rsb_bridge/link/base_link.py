@@ -47,8 +47,9 @@ if TYPE_CHECKING:
 _E = TypeVar("_E", bound=Extension)
 
 _CLOSED_REMEMBERED = 4
-"""Closed ids that are remembered of each route: the peer's messages about one may come while the next ones come and
-go."""
+"""Closed ids that are remembered of each route: the peer's messages about one may come while the next ones come and go.
+
+A round figure: with none, a removal that crosses a reopening would be lost; more cost memory only."""
 
 
 class RouteIds:
@@ -71,7 +72,7 @@ class RouteIds:
             route.closed_ids.clear()
         self._by_id.clear()
         self._closed.clear()
-        self._newest_of_peer = 0
+        self._newest_of_peer = 0  # another process of the peer counts from the beginning
 
     def new(self) -> int:
         """Return an id for a route that this side opens."""
@@ -80,6 +81,7 @@ class RouteIds:
 
     def take_of_peer(self, route_id: int) -> bool:
         """Record an id that the peer gives; return False unless it is the peer's to give and newer than the last."""
+        # The ids of both sides only count up, so that no pair of key and nonce repeats (PROTOCOL.md, 1.3).
         if route_id % 2 == self._is_client or route_id <= self._newest_of_peer:
             return False
         self._newest_of_peer = route_id
@@ -142,28 +144,17 @@ class BaseLink(ABC):
     Attributes:
         transport: transport of the control connection.
         name: name of the client, on both sides.
-        is_client: whether this side is the client.
-        status: whether it is up, since when, and why not.
         routes: the routes, by key.
-        ids: ids of the routes' openings.
-        handlers: handlers of control messages, by type.
         control: the authenticated connection, or None without a link.
         keys: keys of the present connection, or None without a link.
         peer: `Hello` or `Welcome` of the present or last peer, or None before the first connection.
-        peer_name: name of the peer, for operators.
         instance: process of the present or last peer, or an empty string before the first connection.
         clock: offset of the peer's clock, on the present or last connection.
         stamps: offset of the clock by which the peer stamps messages.
         connections: number of connections so far.
         linked_at: time of the present or last connection, in s.
         bridges: names of the bridge nodes in the peer's domain, its own first; empty as long as they are unknown.
-        channels: channels of the routes.
-        fullness: whether the link is full.
-        contention: divides the link among the routes.
-        path: what the path of the present connection loses.
         budget: limits on what the peer may have this side hold and do.
-        revisions: numbers the changes made on this side.
-        fault: what is wrong with the link.
         report_soon: sends a route's counts before the next regular report. May be called for every batch.
         open_channel: opens the channel of a route, or begins to.
     """
@@ -201,6 +192,8 @@ class BaseLink(ABC):
             self.log_of_peer,
             self.budget.unfinished,
             self.send,
+            # Lambdas, as each connection has a clock of its own. What a message of the peer takes is certain only
+            # beyond the error of that clock, which is half of the shortest round trip.
             lambda: max(0.0, self.keepalive.ping_delay - (self.clock.uncertainty or 0.0)),
             lambda: 2 * (self.clock.uncertainty or 0.0),
             self._meter_of,
@@ -210,6 +203,7 @@ class BaseLink(ABC):
         self.fullness = LinkFullness(partial(self.log, link_status=True))
         self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers, self.fullness)
         self.path = PathWatch(partial(self.log_of_peer, link_status=True), self._judge_again)
+        # Not the keepalive's own methods, as each connection has another one.
         self.handlers: dict[type, Callable[[Any], Slices | None]] = {
             Ping: self._on_ping,
             Pong: self._on_pong,
@@ -348,14 +342,12 @@ class BaseLink(ABC):
         control.abort(f"{text}: check that it is on, its cable or Wi-Fi, and firewalls")
 
     def lost(self, reason: str, code: EventCode) -> None:
-        """End the connection.
-
-        Args:
-            reason: why it is over, for an operator.
-        """
+        """End the connection."""
         self.keepalive.stop()
+        # Before the extensions end: what they still send goes nowhere, and they find no link.
         self.control = self.keys = None
         cause = _CAUSES.get(code, LinkCause.CLOSED)
+        # The most telling first: without its router a link is silent, too. A killed process ends its streams in order.
         if cause is LinkCause.LOST and self.transport.problem:
             cause, reason = LinkCause.ROUTER_LOST, self.transport.problem
         elif cause is LinkCause.LOST and self._is_silent:
@@ -363,6 +355,7 @@ class BaseLink(ABC):
         elif cause is LinkCause.LOST and reason == CLOSED_BY_PEER:
             reason = _NO_GOODBYE
         self.status.down(cause, reason)
+        # `down` leaves the time as it is: each failed attempt calls it, but the link is down since now.
         self.status.since = self.context.wall()
         for each in reversed(self._extensions):
             each.disconnected()
@@ -421,7 +414,7 @@ class BaseLink(ABC):
 
     def _take_urgent(self, content: bytes) -> None:
         """Take a control message that came as a datagram."""
-        if self.control is None:
+        if self.control is None:  # another datagram of the same batch has ended the link
             return
         try:
             message = decode_urgent(content)
@@ -442,7 +435,7 @@ class BaseLink(ABC):
     def tick(self) -> None:
         """Do the regular work once a second, after the routes' own tick."""
         if self.control is not None:
-            self._tick_path(self.control)
+            self._tick_path(self.control)  # first: a path that loses packets is not taken for a full one
             self.contention.tick(self.keepalive, self.peer_name, lossy=self.path.loss.lossy > 0)
             self.send(self.keepalive.tick())
             self.channels.tick()

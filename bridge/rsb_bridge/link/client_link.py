@@ -37,25 +37,32 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.sealing import CipherSuite
 
 _HANDSHAKE_TIMEOUT = 5.0
+"""s for an answer, as long as a server waits for a handshake (`pending_connections`). A round figure: nothing was
+measured."""
 _FIRST_DELAY = 0.5
+"""s before the first further attempt. A round figure; `_LONGEST_DELAY_UNREACHED` bounds the next ones."""
 _JITTER = 0.5
-"""Share of a delay: all clients of a server lose it at the same moment, and must not all come back at another."""
+"""Share of a delay: all clients of a server lose it at the same moment, and must not all come back at another. The
+first attempts of 200 clients come within 0.5 s; with a fifth, it was 0.2 s."""
 _LONGEST_DELAY_UNREACHED = 1.0
 """s between attempts while the server is not reached, before jitter: once it is back, the link must be up within 3 s,
 with handshake and DDS discovery."""
 _MOVED_AND_QUIET = 1.5
 """s without a byte (pings come every second) after which a connection is closed whose source address this machine no
-longer has."""
+longer has: the client calls again after 2 s, and not only after the 6 s of a silent link."""
 _LONGEST_DELAY = 8.0
-"""s between attempts while the server refuses, before jitter: its answer seldom changes soon."""
+"""s between attempts while the server refuses, before jitter: its answer seldom changes soon. A round figure, on which
+servers rely: they forget a client that has not tried for longer (`refused_clients.FORGOTTEN_AFTER`)."""
 _KEY_CHANGED = "the client has another key now"
 _NAME_MAY_BE_FREED = 5
-"""Attempts that come soon although another client has this one's name."""
+"""Attempts that come soon although another client has this one's name. They take about 4.5 s, in which one that is dead
+has lost it (`server_link._SILENT`)."""
 _DUPLICATES_LOGGED_EVERY = 60.0
-"""s between lines about one more client of this one's name, while there is another already."""
+"""s between lines about one more client of this one's name, while there is another already. A round figure."""
 _UDP_RETRIED_AFTER = 1.0
+"""s until a socket for datagrams that could not be opened is tried again. A round figure: its topics wait as long."""
 _LONGEST_RETRY_AFTER = 60.0
-"""s that a server may have this side wait; a wrong figure must not keep it away."""
+"""s that a server may have this side wait (PROTOCOL.md, 3); a wrong figure must not keep it away."""
 
 
 class ClientLink(Link):
@@ -114,7 +121,7 @@ class ClientLink(Link):
     def retry(self) -> None:
         """Connect now instead of after the delay, and propose refused routes again."""
         self._stays_down = False
-        if not self.linked:
+        if not self.linked:  # else the first attempt after the link's next loss would come without a delay
             self._retry.set()
         self.table.retry()
 
@@ -124,7 +131,7 @@ class ClientLink(Link):
         if not self.status.attempts:
             self.log(Level.INFO, EventCode.LINK_CONNECTING, f"connecting to {self.peer_at}", link_status=True)
         else:
-            self.status.retry_at = self.context.now()
+            self.status.retry_at = self.context.now()  # consoles show 0 s as a running attempt
         failure = await self._connect(key)
         if failure is not None:
             self._failed(failure)
@@ -144,7 +151,7 @@ class ClientLink(Link):
         def begin(suite: CipherSuite | None) -> ClientConnection:
             return ClientConnection(self._hello, secret, suite or self._suite, multiplexed=self.transport.multiplexed)
 
-        if key is not None:
+        if key is not None:  # without a key nothing proves a server: the transport connects to the only one, or refuses
             try:
                 hosts = await self.transport.servers()
             except OSError as error:
@@ -158,7 +165,7 @@ class ClientLink(Link):
         """Connect to the announced server that proves the key. Return the failure, or None if the link is up."""
         remedied = partial(with_remedy, name=self.name, has_key=True)
         proven, failures, unproven = await self._search.find(hosts, begin, remedied)
-        if proven:
+        if proven:  # else the failure counts them
             self._note_unproven(unproven)
         accepting = [each for each in proven if each.refusal is None]
         if len(accepting) == 1:
@@ -166,10 +173,12 @@ class ClientLink(Link):
             established, more = server.confirm()
             self._linked(server.connection, server.stream, established, more)
             return None
+        # Several have the key, and nothing tells which of them is meant (PROTOCOL.md, 12).
         for each in accepting:
             each.give_up()
         if accepting:
             return Failure(self.transport.several([str(each.stream.address[0]) for each in accepting]))
+        # A refusal with the key is the server's; anybody may have sent the failures.
         refusals = [each.refusal for each in proven if each.refusal is not None]
         return refusals[0] if refusals else failure_of_search(self.transport, hosts, failures)
 
@@ -197,9 +206,11 @@ class ClientLink(Link):
         try:
             await transport.connect(host, port, attempt, rank)
             async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
-                return await asyncio.shield(attempt.outcome)
+                return await asyncio.shield(attempt.outcome)  # `silence` goes on waiting for it
         except OSError as error:
-            if attempt.outcome.done():  # it came as the time ran out
+            # The answer came as the time ran out, so the link is up. A further connection would end it, and so on for
+            # minutes.
+            if attempt.outcome.done():
                 return attempt.outcome.result()
             if attempt.connects and isinstance(error, TimeoutError):
                 is_new = self.peer is None and self.status.cause is not LinkCause.NO_ANSWER
@@ -228,6 +239,7 @@ class ClientLink(Link):
         expected = self.status.cause is LinkCause.CLOSED  # the server said goodbye, and is not back yet
         self.status.down(failure.cause, failure.reason)
         code = EventCode.LINK_REFUSED if failure.refused else EventCode.LINK_UNREACHABLE
+        # `peer_at` names the address already.
         reason = failure.reason.removeprefix(f"{self.address}: ")
         peer = "the server" if reason.startswith(f"{self.address} ") else self.peer_at
         level = Level.DEBUG if repeated else Level.WARNING if expected else Level.ERROR
@@ -264,6 +276,7 @@ class ClientLink(Link):
 
     def lost(self, reason: str, code: EventCode) -> None:
         super().lost(reason, code)
+        # They need the keys, which are gone: a failed assertion there would end the next connection.
         for opening in self._streams_opening.values():
             opening.cancel()
         self._streams_opening.clear()
@@ -296,11 +309,12 @@ class ClientLink(Link):
         self._retry.set()
         if self.control is not None:
             self.control.shut_down(reason, retry_after=None)
+        # After the link's end, which sets a reason of its own.
         self.status.down(LinkCause.CLOSED, f"{reason}; run `rsb-console retry` to connect again")
 
     def tick(self) -> None:
         super().tick()
-        if self.fault.unproven:
+        if self.fault.unproven:  # those whose announcements are gone; one of the rest is the linked server
             self.fault.unproven = min(self.fault.unproven, max(0, self.transport.announced_servers - 1))
         if self.control is None or self.keepalive.quiet < _MOVED_AND_QUIET:
             return
@@ -322,6 +336,7 @@ class ClientLink(Link):
 
     def change_listed(self, topics: set[Identity]) -> None:
         """Use the rights of another session, which lists these topics."""
+        # What a pattern has made is in no file, and may stay for as long as it is there.
         self.table.listed = topics | {route.spec.identity for route in self.routes.values() if route.pattern}
         self.table.rights_changed()
         self.patterns.renew()
@@ -369,7 +384,7 @@ class ClientLink(Link):
     async def _open_data_stream(self, transport: StreamTransport, port: int, *, large: bool) -> Failure | None:
         assert self.keys is not None
         assert self.control is not None
-        if descriptors.scarce():
+        if descriptors.scarce():  # again: the handshake of the first stream may have taken seconds
             return Failure(descriptors.scarcity_message("client"))
         # Channel 11 is not port 11: the link's own streams are those of its own transport only.
         own = 0 if transport is self.transport and port == self.shared_port() else port
@@ -381,6 +396,7 @@ class ClientLink(Link):
 
         # The address that the control connection reached: the server's name may resolve to another by now.
         host = self.control.stream.host if transport is self.transport else transport.host(self.context.session)
+        # Ranks as of topics: over Zenoh, small messages go ahead of large ones.
         rank = -1 if large and not transport.multiplexed else 0
         return await self._open(transport, host, port, connection, let_in, rank, self.keys.sample_secret)
 
@@ -390,7 +406,7 @@ class ClientLink(Link):
         if descriptors.scarce():
             self._udp_failed(descriptors.scarcity_message("client"))
             return None
-        address = self.control.stream.address
+        address = self.control.stream.address  # of IPv6 with flow and scope, without which no link-local one is reached
         server, ready = (address[0], port, *address[2:]), self.route_channels.udp_ready
         try:
             udp_channel = ClientUdpChannel(transport, server, self.channels.probe, self.context.now, ready)
@@ -401,7 +417,7 @@ class ClientLink(Link):
         return udp_channel
 
     def _udp_failed(self, text: str) -> None:
-        if text != self._udp_failure:
+        if text != self._udp_failure:  # it is tried each second; one event is enough
             self._udp_failure = text
             self.log_of_peer(Level.ERROR, EventCode.LINK_UDP_BLOCKED, text)
         if self._udp_retry is None:

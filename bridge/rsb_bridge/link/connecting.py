@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _EMPTY_LINE = b"\r\n\r\n"
 _PROBED_FOR = 0.5
-"""s to wait for a program that answers once it has read a whole line."""
+"""s to wait for a program that answers once it has read a whole line. A round figure: nothing was measured."""
 
 LetIn: TypeAlias = "Callable[[Stream, Established | Accepted, list[Event]], None]"
 """Gives an accepted stream its new handler. The events followed the server's answer."""
@@ -50,7 +50,6 @@ class ConnectAttempt(StreamHandler):
         connection: the state machine of the handshake, or of a route's data preamble.
         address: of the server, for messages.
         refusal_message: gives the text for operators about a refusal.
-        let_in: called when the server accepts the stream.
         sample_secret: both sides have it already, or None.
 
     Attributes:
@@ -91,6 +90,7 @@ class ConnectAttempt(StreamHandler):
         stream.write(self._connection.data_to_send())
         for index, event in enumerate(events):
             match event:
+                # `silence` has given it up: the next attempt would end a link that came up now.
                 case Established() | Accepted() if self._probing:
                     stream.abort("it answered too late")
                     return
@@ -126,6 +126,7 @@ class ConnectAttempt(StreamHandler):
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_PROBED_FOR):
                     answer = await asyncio.shield(self.outcome)
+                    # One that only closes the stream tells nothing about itself.
                     if answer is not None and answer.cause is LinkCause.NOT_A_BRIDGE:
                         return answer
         if self._heard:
@@ -156,7 +157,6 @@ def failure_of(event: Event, address: str, refusal_message: Callable[[RefusalCod
     """Return the failure that an event of the handshake means.
 
     Args:
-        event: the failure of the handshake.
         refusal_message: gives the text for operators about a refusal.
     """
     match event:

@@ -33,31 +33,35 @@ _BEGINS, _ENDS = 4, 4
 _WINDOW = 3
 """Ticks over which the arriving bytes are averaged: fewer than `_BEGINS`, so that a stall is no full link."""
 _OVERLOAD = 1.15
-"""A full link is asked for more than so many times the arriving bytes."""
+"""A full link is asked for more than so many times the arriving bytes. A round figure: nothing was measured."""
 _ALL = 0.95
 """Share of the asked bytes: a link that carries that much is not full, however short a time it does."""
 _FAR_LESS = 0.6
 """Share of the asked bytes: if less arrives on average, the link is full even if the last tick brought more."""
 _AFTER_STALL = 6
-"""Ticks after a stall in which the arriving bytes say nothing about the link's capacity."""
+"""Ticks after a stall in which the arriving bytes say nothing about the link's capacity. A round figure."""
 _SHOWN_OVER = 6
 """Ticks over which the shown figure of the arriving bytes is averaged: a report may be a second late."""
 _NAMED = 3
+"""Topics that the warning names."""
 _FASTEST = 1e12
+"""bytes/s: a peer may report any figure."""
 _BUSY = 0.5
 """s for which a channel has not been idle."""
 _HELD_UP = 0.2
 """s that two pings one after the other take longer than the shortest one: one alone may be the radio's."""
 _POOR, _MUCH = 0.35, 50e3
-"""The share of datagrams that arrive, and bytes/s of a topic."""
+"""The share of datagrams that arrive, and bytes/s of a topic, from which a link is full rather than poor, even if its
+queue is too short to hold anything up. Nothing was measured."""
 _LOSES, _QUEUES = 0.95, 0.2
 """The share of datagrams that arrive, and s that they take longer than before, if they pass through a queue that
 overflows; a poor radio loses datagrams without holding up the others."""
 _DELAYED = 1.0
-"""s of delay from which messages wait on the way."""
+"""s of delay from which messages wait on the way, as by the default of `late_after`."""
 _MORE = 1.1
-"""Times what arrives."""
+"""Times what arrives. If less is asked for, the link carries it, and somebody else's traffic causes the delay."""
 _SHORTEST_PINGS = 60
+"""Pings, one a second, of which the shortest met no queue. A round figure."""
 
 
 class Asked(NamedTuple):
@@ -76,9 +80,6 @@ class Asked(NamedTuple):
 
 class LinkFullness:
     """Whether a link is full: this side judges its own direction, and the peer reports the other.
-
-    Args:
-        log: adds an event about the link.
 
     Attributes:
         out: the rates from here, or None if the link is not full.
@@ -104,7 +105,6 @@ class LinkFullness:
             topics: that have something to send.
             arrived: bytes since the last tick.
             full: whether messages wait to be sent all the time, or are late.
-            peer: the other side's name.
         """
         asked = sum(each.bytes_per_second for each in topics)
         self._arrived.append(arrived)
@@ -112,6 +112,7 @@ class LinkFullness:
         # After a stall, one tick brings less than is asked for, and the next ones bring all of it.
         too_little = asked > _OVERLOAD * arrived or carried < _FAR_LESS * asked
         self._stalled = max(0, self._stalled - 1)
+        # If nothing arrives any more of what is asked for, the link stalls: a full one still carries some.
         if carried or not asked:
             self._flowed = bool(carried)
         elif self._flowed:
@@ -119,7 +120,7 @@ class LinkFullness:
         over = full and carried > 0.0 and not self._stalled and asked > _OVERLOAD * carried and too_little
         was = self.out is not None
         if asked and not arrived and (was or not self._other):
-            return  # in a gap nothing is known of what the link carries, and its last figures stay
+            return  # a gap does not show how much the link carries: its last figures stay
         if not was and not self._other:
             self._lately.clear()  # it carried what it was asked for
         self._lately.append(arrived)
@@ -127,7 +128,7 @@ class LinkFullness:
         self._other = self._other + 1 if over != was else 0
         carries_all = was and shown >= _ALL * asked
         if carries_all or self._other >= (_ENDS if was else _BEGINS):
-            self._other = 0
+            self._other = 0  # the decision is made: the next one takes as many ticks again
             was = not was
             if not was:
                 self.out = None
@@ -228,12 +229,7 @@ class _Counts(NamedTuple):
 
 
 class Contention:
-    """Decides for one link whether it is full.
-
-    Attributes:
-        sending: throughput of the link from here.
-        receiving: throughput of the link to here.
-    """
+    """Decides for one link whether it is full."""
 
     def __init__(
         self,
@@ -257,7 +253,6 @@ class Contention:
         """Judge once a second, while linked.
 
         Args:
-            peer: the other side's name.
             lossy: the path loses packets, which explains why less arrives than is asked for.
         """
         now, at = self._context.now(), self._context.wall()
@@ -274,8 +269,11 @@ class Contention:
         self._crossed = self.sending.look(arrived, now, at, full=full)
         busy = [each for each in asking if each.traffic.bytes_per_second > 0.0]
         wanted = [Asked(route.topic, route.remote_topic, traffic.bytes_per_second) for route, _, traffic in busy]
+        # While all windows still grow, what waits behind them says nothing about the link. The last condition looks at
+        # all routes.
         overloaded = full and not lossy and not all(each.channel.grows for each in busy) and not self._is_measured()
         before = self._fullness.out
+        # The link has carried the parts of incomplete messages, too, though nobody gets these.
         self._fullness.tick(wanted, arrived + parts, full=overloaded, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.look(received - self._received, now, at, full=False)
@@ -316,11 +314,11 @@ class Contention:
         before, self._counts = self._counts, {}
         for each in asking:
             route, traffic = each.route, each.traffic
-            if not traffic.bytes_per_second:
+            if not traffic.bytes_per_second:  # before its ledger is added up: quiet topics cost nothing
                 continue
             ledger = route.ledger()
             counts = self._counts[route] = _Counts(ledger.delivered, ledger.dropped.get("queue full", 0))
-            last = before.get(route, counts)
+            last = before.get(route, counts)  # what it delivered before it was looked at did not come now
             whole = max(0, counts.delivered - last.delivered)
             arrived += whole * traffic.size
             parts += max(0.0, each.by_datagrams() - whole) * traffic.size

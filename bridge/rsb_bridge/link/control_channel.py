@@ -85,14 +85,12 @@ class ControlChannel(StreamHandler):
     """The stream's handler once the handshake is done.
 
     Args:
-        connection: its state machine, which has authenticated the peer.
         handlers: handlers of control messages, by type. Each may return work to be done in slices before the next
             message.
         lost: is called once with reason and code when the connection is over. No message comes after it.
 
     Attributes:
         data: the same stream as a data stream, or None if data has streams of its own.
-        over: whether the connection has ended.
     """
 
     def __init__(
@@ -139,7 +137,7 @@ class ControlChannel(StreamHandler):
     def shut_down(self, reason: str, *, retry_after: float | None, code: EventCode = EventCode.LINK_CLOSED) -> None:
         """Tell the peer that this ends on purpose, and end it."""
         self.send(Shutdown(reason=sanitize_text(reason), retry_after=retry_after))
-        self._flush()
+        self._flush()  # `close` sends what waits in the stream, and knows nothing of what waits here
         self._goodbye, self._code = reason, code
         self.stream.close(reason)
         self._end(reason)
@@ -171,7 +169,7 @@ class ControlChannel(StreamHandler):
         """Handle events, a few at a time; reading pauses until all are handled."""
         waits = self._waits
         self._events.extend(events)
-        if not waits:
+        if not waits:  # else `_go_on` is due, and these come after the earlier ones
             self._act()
 
     def take_urgent(self, message: UrgentMessage) -> None:
@@ -206,7 +204,7 @@ class ControlChannel(StreamHandler):
                 return
         if self._waits:
             self.stream.pause_reading()
-            self._loop.call_later(max(0.0, delay), self._go_on)
+            self._loop.call_later(max(0.0, delay), self._go_on)  # even at once: other links have their turn before
 
     def _do_slice(self, work: Slices, now: float) -> int:
         """Do one slice of a message's work. Returns how many entries that had."""
@@ -277,6 +275,6 @@ class ControlChannel(StreamHandler):
         self._end(self._goodbye or reason)
 
     def _end(self, reason: str) -> None:
-        if not self.over:
+        if not self.over:  # the end of the stream follows each end that begins here
             self.over = True
             self._lost(reason, self._code)

@@ -34,18 +34,19 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
 _PROBE_EVERY, _QUICK_PROBES = 0.25, 8
+"""s between the first probes of a channel, and how many: its topics wait for an answer, and `tick` comes once a second
+only. Round figures: nothing was measured."""
 CONTROL_NUMBER = 0
 """The number of the control connection where it is a data stream, too."""
 _OUT_OF_ORDER = 1024
-"""How far below the newest a stream's number may be: a client opens those of several ports at once, and they arrive in
-any order. Older numbers need not be remembered."""
+"""How far below the newest a stream's number may be (PROTOCOL.md, 1.3): the streams of several ports open at once, and
+arrive in any order. Older numbers are refused, so none of them is remembered."""
 
 
 class UdpChannels:
     """A link's UDP channels by port, probed and watched as long as they are open.
 
     Args:
-        log: adds an event about the link.
         report: sends receipts of the link's streams.
         urgent: takes an urgent control message as it was encoded.
     """
@@ -66,6 +67,7 @@ class UdpChannels:
 
     def get(self, port: int) -> UdpChannel | None:
         """Return the open channel of a port."""
+        # One whose last route has left is over at once, and stays in the table until the next tick.
         channel = self._channels.get(port)
         return channel if channel is not None and not channel.over else None
 
@@ -97,7 +99,7 @@ class UdpChannels:
             elif before and not channel.trouble:
                 self._log(Level.INFO, EventCode.LINK_UDP_RESTORED, "UDP gets through again")
             for here, shortage in channel.shortages.items():
-                if here not in self._shortages_told:
+                if here not in self._shortages_told:  # the remedy is the same for all channels of a machine
                     self._shortages_told.add(here)
                     self._log(Level.WARNING, EventCode.LINK_UDP_BUFFER, _shortage_message(shortage))
 
@@ -131,13 +133,10 @@ class DataChannels:
     """The streams and UDP channels that carry the messages of one link's routes.
 
     Args:
-        log: adds an event about the link.
         unfinished: the budget for incomplete messages of the peer.
-        send_receipts: sends receipts to the peer.
         way_back: gives the s that a message of the peer takes to get here.
         ping: gives the s of the connection's shortest ping, or 0 if it is unknown.
         meter_of: gives the meter of a route by its id, or None for a route that has none.
-        routes: ids of the link's routes.
         urgent: takes an urgent control message as it was encoded.
 
     Attributes:
@@ -189,6 +188,7 @@ class DataChannels:
                 pair.end("the link is over")
         self._pairs.clear()
         self.udp.close()
+        # After all streams and sockets, which leave both at their end.
         if self._book is not None and self.scheduler is not None:
             self._book.close()
             self.scheduler.close()
@@ -219,25 +219,19 @@ class DataChannels:
         """Open the channel of a route on a pair of streams."""
         assert self.keys is not None
         route.channel = stream_channel(pair, route, self.keys)
-        pair.resume()
+        pair.resume()  # its first frames may have overtaken the control message that has opened it
 
     def attach(self, stream: Stream, name: StreamName, transport: StreamTransport, port: int, beginning: bytes) -> None:
-        """Use an accepted stream.
-
-        Args:
-            transport: that it belongs to.
-            port: that it was opened to.
-            beginning: bytes that arrived after the stream's preamble.
-        """
+        """Use an accepted stream; `beginning` are the bytes that arrived after its preamble."""
         self._newest = max(self._newest, name.number)
         self._taken.add(name.number)
-        if len(self._taken) > 2 * _OUT_OF_ORDER:
+        if len(self._taken) > 2 * _OUT_OF_ORDER:  # twice as many: it is rebuilt once in a thousand streams
             self._taken = {each for each in self._taken if each > self._newest - _OUT_OF_ORDER}
         pair = self._pair(transport.name, port)
         if (old := pair.large if name.large else pair.small) is not None:
             pair.lost(old, "replaced by a newer data connection")
-            pair = self._pair(transport.name, port)
-        pair.kept = not name.port
+            pair = self._pair(transport.name, port)  # another one, as a pair ends with its stream of small messages
+        pair.kept = not name.port  # the link's own, which stay while no route uses them (PROTOCOL.md, 1.5)
         both = transport.multiplexed
         added = pair.add(stream, name.number, large=name.large or both, small=both or not name.large)
         stream.handler = added
@@ -271,7 +265,7 @@ class DataChannels:
 
     def handle_receipts(self, receipts: Receipts) -> None:
         """Hand the peer's receipts and intervals to the streams."""
-        streams = {each.number: each for each in self._streams()}
+        streams = {each.number: each for each in self._streams()}  # not of ended ones, which receipts may cross
         for number, every in receipts.every:
             if number in streams:
                 streams[number].set_interval(every)

@@ -18,17 +18,17 @@ _LOOK_EVERY = 0.25
 _SHARE = 10
 """Looking takes at most one part in this many of the time, however many routes there are, until the longest pause."""
 _LONGEST_PAUSE = 2.0
+"""s. A round figure: on a slow machine with many routes, a new node is bridged so much later at worst."""
 _MATCHED_AFTER = 1.0
 """s after the last change: by then DDS has matched the endpoints that discovered each other."""
 _ALWAYS_AFTER = 10.0
-"""s after which routes look even without a change, in case one was missed."""
+"""s after which routes look even without a change, in case one was missed. A round figure."""
 
 
 class GraphWatch:
     """Advances all open routes: soon after a change of the graph, again when it has settled, and now and then.
 
     Args:
-        context: context of the engine.
         look_for_names: starts the search for names after a change.
     """
 
@@ -42,7 +42,7 @@ class GraphWatch:
 
     def changed(self) -> None:
         """Look soon: the graph has changed. May be called from any thread."""
-        if not self._noted:
+        if not self._noted:  # a robot that starts reports a hundred changes a second, each of which would wake the loop
             self._noted = True
             self._context.call(self._look_soon)
 
@@ -56,7 +56,8 @@ class GraphWatch:
                 except TimeoutError:
                     pass
                 else:
-                    self._look_for_names()
+                    self._look_for_names()  # not after a timeout: `name_watch` has one of its own
+                # Before the look: routes that have been asked already have to look again after a further change.
                 self._due.clear()
                 self._noted = False
                 cost = await self._look()
@@ -74,13 +75,13 @@ class GraphWatch:
     async def _look(self) -> float:
         """Advance all routes in slices; return the seconds that this took of the loop."""
         now, cost = self._context.now, 0.0
-        self._context.announcements.look()
+        self._context.announcements.look()  # first: routes ask it which publishers are bridges
         for link in self._links():
             routes = tuple(link.routes.values())
             for first in range(0, len(routes), SLICE):
                 began = now()
                 for route in routes[first : first + SLICE]:
-                    if route.id:
+                    if route.id:  # one of the slices before may have closed it
                         link.guarded(route.advance)
                 cost += now() - began
                 await asyncio.sleep(0)

@@ -30,6 +30,7 @@ _AT_ONCE, _A_SECOND = 5.0, 1 / 30
 ASKER_SILENT_AFTER: Final = 3.0
 """s without a sign of life after which the console that asks counts as gone: it gives one at least every 2 s."""
 _LOOK_EVERY = 0.05
+"""s between looks for the sign of life that the arming waits for. A round figure."""
 _LATE = 0.001
 """s by which a timer comes later than a moment that it must not come before: its clock is another one."""
 
@@ -77,9 +78,6 @@ class HolderQuestions:
     """Puts the questions of both sides' operators to the holders of a link's armings.
 
     Both sides record each question and how it ended. A peer's budget of questions bounds these events.
-
-    Args:
-        peer_operators: names the other side's operators.
     """
 
     def __init__(self, context: Context, peer: Peer, peer_operators: PeerOperators) -> None:
@@ -112,17 +110,18 @@ class HolderQuestions:
         self._askers.append(asker)
         try:
             await self._answered(answer, asker, question.until)
-        except asyncio.CancelledError:
+        except asyncio.CancelledError:  # the console that asked is gone
             self._end(route, question, "withdrawn")
             raise
         finally:
             self._askers.remove(asker)
+        # First: a console that stands still must not get it, even if the holder gives it.
         if self._context.now() - asker.seen_at >= ASKER_SILENT_AFTER:
             self._end(route, question, "withdrawn")
             raise LinkError(TakeOverText.ASKER_SILENT(topic=topic))
         if not answer.done():
             self._end(route, question, "unanswered")
-        elif answer.result() is False:
+        elif answer.result() is False:  # None: the arming has ended otherwise, and the route can be armed
             raise LinkError(TakeOverText.KEPT(who=holder, topic=topic))
 
     def seen(self, console: Hashable) -> None:
@@ -157,11 +156,12 @@ class HolderQuestions:
                 if arming.question_at(now) is None and self._budget.take(1, now):
                     who = self._peer_operators.says(message.who)
                     self._begin(route, Question(who, now + ASKED_FOR, _ignored, from_peer=True))
-                elif is_here:
+                elif is_here:  # the side of the holder answers, and the other one only shows the question
                     self._peer.send(AskEnded(route.id, "kept"))
             case AskEnded():
                 if question is None or question.from_peer is not message.own:
                     return  # it has ended otherwise, or was not to be heard
+                # The peer answers for holders of its own only: it must not give away an arming of this side.
                 if message.how in _BY_HOLDER and not is_here:
                     self._record_end(route, question, message.how)
                     question.answered(message.how == "given")

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.connection import ServerConnection
 
 _LIMITS = Limits(total=256, of_one_host=64, accepted=4, when_scarce=descriptors.RESERVE // 4)
-"""The streams that linked clients have yet to open are allowed on top of the first two."""
+"""The streams that linked clients have yet to open are allowed on top of the first two.
+
+Round figures: 256 connections take a quarter of what all strangers may have (`model.budgets`). With them, a robot links
+through floods of 20,000 connections a second (bench/README)."""
 _CODES = {
     RefusalCode.WRONG_KEY: EventCode.LINK_WRONG_KEY,
     RefusalCode.UNKNOWN_NAME: EventCode.LINK_UNKNOWN_NAME,
@@ -100,7 +103,7 @@ class InboundStreams(PendingConnections):
         if self.refusals.is_new("", message):
             text = f"new connections have to wait: {message}"
             self._context.log(Level.ERROR, EventCode.ENGINE_SHORTAGE, text)
-        if self._present:
+        if self._present:  # the next connection needs a descriptor
             self._reject_lowest(self._present, "the server has no file descriptors left")
 
     def tick(self) -> None:
@@ -138,6 +141,7 @@ class _InboundStream(PendingConnection, StreamHandler):
 
     def received(self, data: bytes) -> None:
         stream, connection = self._stream, self._connection
+        # The refusal may be delayed, and more may come until then.
         if stream is None or self.stage in (ConnectionStage.REFUSED, ConnectionStage.OVER):
             return
         events = connection.receive_data(data)
@@ -172,6 +176,7 @@ class _InboundStream(PendingConnection, StreamHandler):
                     return
                 case _:
                     pass
+        # The answer first, without a tag: before it the client has no key to check one (PROTOCOL.md, 12).
         stream.write(answer)
         if connection.accepted and self.stage < ConnectionStage.ACCEPTED:
             stream.authenticate(connection.sample_secret, opener=False)

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
 
 DEAD_AFTER = 5.0
-"""s without a byte from the peer until the link is given up."""
+"""s without a byte from the peer until the link is given up. A round figure: five pings in a row went unanswered."""
 _KERNELS = 1.0
-"""s by which the kernel is more patient with a connection."""
+"""s by which the kernel is more patient with a connection: it would end it as timed out, without the cause `silent`."""
 _LONGEST_PING = 3600.0
 """s; a ping that takes longer means that a clock was set."""
 _UNANSWERED = 600
-"""Pings that are remembered; later answers do not count for the clock."""
+"""Pings that are remembered, ten minutes' worth; later answers do not count for the clock. A round figure."""
 _ANSWERS, _ANSWERS_A_SECOND = 10, 4.0
 """A peer pings once a second; after a pause of its process, several times at once."""
 
@@ -48,7 +48,6 @@ class Keepalive:
         """Begin.
 
         Args:
-            context: context of the engine.
             carriers: gives the present carriers of the connection's bytes.
             patience: seconds without a byte after which the connection is given up, or None for `DEAD_AFTER`.
         """
@@ -94,7 +93,7 @@ class Keepalive:
     @property
     def ping_wait(self) -> float:
         """Seconds that the oldest unanswered ping has waited, about; 0 if all are answered."""
-        unanswered = self._pings - self.answered_pings
+        unanswered = self._pings - self.answered_pings  # one a second
         return self._context.now() - self._pinged_at + unanswered - 1 if unanswered else 0.0
 
     def watch(self, on_silence: Callable[[], None]) -> None:
@@ -132,7 +131,7 @@ class Keepalive:
         self._received, self._sent = received, sent
         for each in carriers:
             if isinstance(each, Stream):
-                if self._patience is not None:
+                if self._patience is not None:  # each second, as streams come and go; a repetition costs nothing
                     each.give_up_after(self._patience + _KERNELS)
                 if self.clock.rtt is not None:  # of an answered ping: not of one that waits for the network
                     each.round_trip_is(self.clock.rtt)
@@ -161,7 +160,8 @@ class Keepalive:
 
     def answered(self, pong: Pong) -> None:
         """Record the peer's answer to a ping."""
-        self.answered_pings = max(self.answered_pings, min(pong.n, self._pings))
+        self.answered_pings = max(self.answered_pings, min(pong.n, self._pings))  # a peer may name any number
         self.clock.add(pong.sent, pong.received, pong.answered, self._context.wall_ns())
+        # The ping has the time on the wall clock, which may be set; that on the clock of stamps was kept here.
         if (sent := self._sent_at.pop(pong.n, None)) is not None:
             self.stamps.add(sent, pong.received + pong.shift, pong.answered + pong.shift, self._context.stamps.now())

@@ -63,8 +63,6 @@ class Link(BaseLink):
     A new feature is an `Extension` that `__init__` registers.
 
     Attributes:
-        neighbourhood: the bridges in the ROS domains of both sides.
-        route_channels: gives the routes their channels.
         proposed: the topics that this side proposes.
         patterns: the same for patterns of names, and the names that the peer follows here.
         topic_lists: questions of the two sides about their graphs.
@@ -73,6 +71,7 @@ class Link(BaseLink):
 
     def __init__(self, context: Context, name: str, *, is_client: bool, encrypted: bool) -> None:
         super().__init__(context, name, is_client=is_client, encrypted=encrypted)
+        # First: Neighbours goes ahead of the proposals, as it decides what would loop (PROTOCOL.md, 3).
         self.neighbourhood = self.extend(Neighbourhood(self))
         self.route_channels = self.extend(RouteChannels(self))
         self.open_channel = self.route_channels.open
@@ -175,9 +174,6 @@ class Link(BaseLink):
 
 async def topics_of_peer(links: Iterable[Link], name: str) -> list[TopicInfo]:
     """Return the topics and services of the peer's graph.
-
-    Args:
-        name: of the peer's link.
 
     Raises:
         LinkError: there is no such link, it is down, or the peer does not answer.

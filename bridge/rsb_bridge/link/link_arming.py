@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 _LATE = 0.001
 """s by which a timer comes later than a moment that it must not come before: its clock is another one."""
 _LOOK_EVERY = 0.02
+"""s between looks whether a route is open: an operator waits so much longer at most. A round figure."""
 _AT_ONCE, _A_SECOND = 20.0, 1 / 30
 """Armings by one link's peer: each is in the log, so more than people need are refused."""
 DROPPED: Final = "arm_dropped"
@@ -81,15 +82,11 @@ class LinkLease:
     """Keeps a link's lease as long as anything is armed (PROTOCOL.md, 7.2): numbers to and from the other side.
 
     Args:
-        context: has the clock and the loop.
         is_needed: whether any route is armed or about to be.
         lives: is called when the two sides begin to hear each other.
         lapsed: is called when they no longer do, which disarms nothing yet.
         beat: is called whenever a number is sent, after it.
         disarm: disarms all routes after a standstill.
-
-    Attributes:
-        state: state of the lease.
     """
 
     def __init__(
@@ -115,7 +112,7 @@ class LinkLease:
 
     def hold(self) -> None:
         """Keep the lease from now on, for a route that is about to be armed, and send a number at once."""
-        if self.state.over is not None:
+        if self.state.over is not None:  # noticed just now: the end that `_over` has planned would hit the new arming
             self._end()
         if not self.state.is_on:
             self.state.begin()
@@ -131,7 +128,7 @@ class LinkLease:
         lives = state.alive and not was_alive
         if state.is_on and (lives or not message.echo):
             self._send()
-        if state.alive and state.begun and not (was_alive and had_begun):
+        if state.alive and state.begun and not (was_alive and had_begun):  # also after each time that it has lapsed
             self._lives()
 
     def stop(self) -> None:
@@ -149,7 +146,7 @@ class LinkLease:
         self._send()
         self._watch()
         self._on_beat()
-        if self.state.over is None and self._timer is None:
+        if self.state.over is None and self._timer is None:  # a number that comes late ends the lease
             self._timer = self._loop.call_later(BEAT, self._beat)
 
     def _watch(self) -> None:
@@ -176,7 +173,7 @@ class LinkLease:
     def _end(self) -> None:
         over = self.state.over
         if over is not None and self.state.is_on:
-            self._disarm(over)
+            self._disarm(over)  # first: how long the other side may still publish is forgotten with the lease
             self.stop()
 
 
@@ -184,9 +181,6 @@ class LinkArming:
     """Arms and disarms routes for the operators of both sides.
 
     Args:
-        context: has the clock and the log.
-        peer_operators: names the other side's operators.
-        routes: gives the link's routes.
         propose: reopens a route that this side proposes.
     """
 
@@ -223,11 +217,12 @@ class LinkArming:
         route.arming.opened(required=proposal.arm, deadman=proposal.deadman)
         route.arming.lease = self.lease.state
         own = route.arming.own = self._own(route)
+        # A proposal of this side has its own demands; the peer's come with Accept.
         route.arming.peer_on_end = "" if route.proposed_here else _suiting(route, proposal.on_end)
         route.arming.peer_limits = None if route.proposed_here else proposal.limits
         route.arming.demand(required=own.arm, deadman=own.deadman)
         self._say_who_demands(route)
-        if route.arming.required:
+        if route.arming.required:  # begun now, since the operator who arms it waits for it, up to a second
             self._context.load_type(full_type(route.proposal.type))
 
     async def load_type(self, route: Route) -> None:
@@ -265,6 +260,7 @@ class LinkArming:
         agreed = (before.arm, before.deadman, before.on_end, before.limits)
         if (own.arm, own.deadman, own.on_end, own.limits) != agreed:
             return True
+        # The acceptor has named its limit in Accept, which comes once in an opening; the proposer sends an Amend.
         if own.max_age != before.max_age and not route.proposed_here:
             return True
         route.arming.own = own
@@ -288,6 +284,7 @@ class LinkArming:
         """Return what this side's session, or some lines of it, demands of a route's names."""
         if not route.purpose.in_graph:
             return None
+        # A server's session may call a topic as the client does.
         client, far = ("", "") if self._peer.is_client else (self._peer.name, route.far_topic)
         kind, type_name = route.spec.kind, route.proposal.type
         return demands.of(kind, route.local_topic, type_name, client=client, client_name=far)
@@ -320,6 +317,7 @@ class LinkArming:
             raise LinkError(f"{topic} cannot be armed: {why_not}")
         answered = asyncio.Event()
         who = acting_operator()
+        # In this order: `ask` notes from which number on messages count, and Lease precedes Arm (PROTOCOL.md, 7.2).
         self.lease.hold()
         arming.ask(who, console, self._context.now(), answered.set, shared=shared)
         self._peer.send(Arm(route.id, who))
@@ -380,7 +378,7 @@ class LinkArming:
         else:
             self._peer.send_urgent(message)
         self._ended(route, why, f"disarmed by {who}" if who else reason)
-        if why is Disarmed.OPERATOR:
+        if why is Disarmed.OPERATOR:  # recorded once the other side publishes nothing more
             route.settling.then(lambda: self._disarmed_by(route, who))
 
     def _ended(self, route: Route, why: Disarmed, reason: str = "") -> None:
@@ -472,11 +470,12 @@ class LinkArming:
                         reason = f"disarmed ({who})"
                         self._disarmed_by(route, who, from_peer=True)
                     self._ended(route, why, reason)
-                    route.settling.answered(route_id)
+                    route.settling.answered(route_id)  # who disarms publishes nothing more, and sends no answer
 
     def _armed_there(self, route: Route, who: str) -> None:
         arming, now = route.arming, self._context.now()
         if arming.held and arming.console is None:
+            # A further Arm tells of a key (PROTOCOL.md, 7). It does not revive what is overdue.
             if arming.stands(now):
                 arming.take(who, now)
             return
@@ -488,7 +487,7 @@ class LinkArming:
             self._refuse(route, Disarmed.PAUSED)
             self._not_armed(route, Disarmed.PAUSED, who)
         else:
-            self.lease.hold()
+            self.lease.hold()  # first: a Lease goes right before Armed (PROTOCOL.md, 7.2)
             arming.take(who, now)
             self._peer.send(Armed(route.id))
             self._armed_by(route, who, from_peer=True)

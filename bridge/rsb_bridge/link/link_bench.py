@@ -43,25 +43,23 @@ if TYPE_CHECKING:
 HOUR = 3600.0
 _LITTLE_LEFT = ", of which too little is left"
 _DEPTH = 2000
+"""Messages that may wait, as in the figures of bench/README."""
 _ANSWERED_WITHIN = 5.0
 _IDLE_FOR = 5.0
-"""s after which the routes of a benchmark that orders nothing more are removed."""
+"""s after which the routes of a benchmark that orders nothing more are removed. Round figures: nothing was measured."""
 _STOPPED_FOR = 60.0
 """s for which the peer may not begin again after this side's operator has stopped it."""
 _QUIET = 0.7
-"""s without a message after which no more is waited for."""
+"""s without a message after which no more is waited for. A round figure: nothing was measured."""
 _LOOK_EVERY = 0.05
 _MORE, _MORE_AT_ONCE = 1.25, 10
-"""By how much more than the peer may send has to come from one tick to the next until that is too much."""
+"""By how much more than the peer may send has to come from one tick to the next until that is too much: ticks are not
+exactly a second apart."""
 _ENDED = "the benchmark is over"
 
 
 class BenchBudget:
-    """Limits a peer that measures the link, within an hour from its first use.
-
-    Args:
-        now: the clock of all timers, in s.
-    """
+    """Limits a peer that measures the link, within an hour from its first use."""
 
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
@@ -75,8 +73,7 @@ class BenchBudget:
 
         Args:
             leave: the limits that the session sets now, or None if nothing is allowed.
-            seconds: duration of the sending, in s.
-            size: bytes to send.
+            seconds: duration of the sending.
         """
         if leave is None:
             return "the session does not permit measuring the link (bench)"
@@ -108,7 +105,7 @@ class BenchBudget:
         self._renew()
         most = 0.0 if leave is None else leave.megabytes * 1e6
         if self._full or self._bytes + max(self._wire + wire, self._payload + payload) > most:
-            self._full = True
+            self._full = True  # for the rest of the hour, as smaller messages would still fit
             return False
         self._begin()
         self._wire += wire
@@ -216,7 +213,7 @@ class LinkBench(Extension):
             return "the side that asks sends on this route itself"
         if any(self._sends_for_peer(each) for each in self._internal.proposed(here=False)):
             return "messages of the previous run are still being sent"
-        size, seconds = max(ask.size, LEAST_SIZE), ask.count / max(ask.rate, 1e-3)
+        size, seconds = max(ask.size, LEAST_SIZE), ask.count / max(ask.rate, 1e-3)  # 0 is a rate on the wire
         if seconds > MOST_SECONDS:
             return f"a run takes at most {MOST_SECONDS:g} s"
         if refused := self._budget.refusal(self._link.rights.bench, seconds, size * ask.count, ask.rate):
@@ -266,6 +263,7 @@ class LinkBench(Extension):
     def _come(self) -> int:
         """Return how many messages the peer has sent since the last tick, on closed routes, too."""
         messages = 0
+        # Drains that have closed since, too: a peer that opens a route again and again would be charged nothing.
         opened, self._opened_drains = self._opened_drains, []
         for drain, before in (self._seen | dict.fromkeys(opened, 0)).items():
             if drain not in self._own:
@@ -357,6 +355,7 @@ class LinkBench(Extension):
         now = self.usage()
         mine = _between(ours, now)
         peers = _between(_usage_in(theirs), _usage_in(answer))
+        # Stamps are from the sender's wall clock, arrivals from the receiver's.
         offset = (self._link.clock.offset or 0.0) * (-1 if sends else 1)
         p50, p99, p999 = (each + offset for each in latencies)
         return Outcome(
@@ -388,7 +387,7 @@ class LinkBench(Extension):
                 order.direction,
                 protocol=protocol,
                 qos=_DEPTH,
-                compression="none",
+                compression="none",  # of the zeros in its messages nothing would be left
                 stale_after=0.0,
                 late_after=0.0,
             )
@@ -438,6 +437,7 @@ class LinkBench(Extension):
 
     def _deadline(self, order: BenchmarkStep) -> float:
         """Return when to give up waiting for a run and its last messages."""
+        # A sender that is too slow ends after twice the planned time (PROTOCOL.md, 9).
         return self._now() + 2 * order.count / order.rate + _QUIET
 
 

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
 _GONE: Final = f"gone for {GONE_AFTER / 60:g} min"
 _IN_ONE_MESSAGE = 200
+"""Names of either list: even the longest ones, with four bytes a character, take less than the 1 MiB of a frame."""
 
 
 def _from_client_graph(topic: Topic) -> bool:
@@ -57,7 +58,6 @@ class PatternEntry:
     """An entry of a session whose name is a pattern, ready for matching.
 
     Args:
-        client: name of the client, which is the prefix.
         prefixed: whether the server's names have the prefix if the entry has no `Topic.remote_topic`.
         always_prefixed: whether other names get the prefix, too, unless they begin with it.
 
@@ -119,7 +119,6 @@ class PeerSubscription:
     Args:
         context: looks for names again when the peer asks for others.
         shows: whether the peer may know of a name of a kind.
-        send: sends a control message.
     """
 
     def __init__(
@@ -159,6 +158,7 @@ class PeerSubscription:
 
     def look(self, names: Names) -> None:
         """Send the peer the changes of the matching names."""
+        # While the newest patterns wait to be compiled, these names match the earlier ones.
         if self._request is None or self._asked_for or not (self._patterns or self._told or not self._answered):
             return
         matching = [(named, type_name) for named, type_name in sorted(names.items()) if self._tells(named, type_name)]
@@ -171,6 +171,7 @@ class PeerSubscription:
         if not (present or gone or more != self._more or not self._answered):
             return
         self._told, self._more, self._answered = told, more, True
+        # At least one message: that nothing matches is an answer, too.
         for at in range(0, max(len(present), len(gone), 1), _IN_ONE_MESSAGE):
             part = slice(at, at + _IN_ONE_MESSAGE)
             self._send(Followed(self._request, tuple(present[part]), tuple(gone[part]), more))
@@ -178,6 +179,7 @@ class PeerSubscription:
     def _tells(self, named: Named, type_name: str) -> bool:
         kind, name = named
         matches = any(kind == each and pattern.match(name) is not None for each, pattern in self._patterns)
+        # The other side would end the connection for a longer text (PROTOCOL.md, 3).
         return matches and max(len(name), len(type_name)) <= TEXT_LENGTH and self._shows(name, kind)
 
 
@@ -194,7 +196,6 @@ class LinkPatterns(Extension):
 
     Attributes:
         followed: the names of this side's graph that the peer follows.
-        entries: the patterns, in order.
         there: the matching names in the peer's graph, or None as long as they are unknown.
         unseen: number of further matching names that the peer does not tell.
         gone: routes whose topic or service is gone, by identity, each with the time since when.
@@ -270,7 +271,7 @@ class LinkPatterns(Extension):
         name = route.spec.topic
         if not any(self._claims(entry, route) for entry in self.entries):
             return
-        if problem := self.brings_back(route):
+        if problem := self.brings_back(route):  # a session with more exceptions is invalid: the route comes back
             self._link.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, problem, topic=name)
             return
         self._set(
@@ -320,7 +321,7 @@ class LinkPatterns(Extension):
 
     def connected(self) -> None:
         """Follow the peer's graph; the names on the server are known from now on."""
-        self._request = 0
+        self._request = 0  # the end of the last connection has ended its Follow
         self.renew()
 
     def renew(self) -> None:
@@ -337,7 +338,7 @@ class LinkPatterns(Extension):
         theirs = tuple(
             NamePattern(entry.source.text, entry.topic.kind) for entry in self.entries if not self.is_local(entry)
         )
-        if self._link.linked and (theirs or self._request):
+        if self._link.linked and (theirs or self._request):  # without patterns, it only ends an earlier Follow
             self._request += 1
             self.there, self.unseen = None, 0
             self._link.send(Follow(self._request, theirs))
@@ -349,10 +350,11 @@ class LinkPatterns(Extension):
         for each in message.gone:
             if (kind := KINDS.get(each.kind)) is not None:
                 names.pop((kind, each.name), None)
-        for each in message.present:
+        for each in message.present:  # the new type of a known name counts even if the table is full
             kind = KINDS.get(each.kind)
             if kind is not None and ((kind, each.name) in names or len(names) < NAMES_FOLLOWED):
                 names[kind, each.name] = each.type
+        # `tick` acts on it: names are matched once a second, however often the peer sends some.
         self.there, self.unseen, self._due = names, message.more, True
 
     def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
@@ -383,7 +385,7 @@ class LinkPatterns(Extension):
             self._reconcile(self._wanted())
 
     def _reconcile(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
-        for each in self.entries:
+        for each in self.entries:  # first: `_keep` and `_add` fill both
             each.beyond, each.left_out = 0, {}
         routes = {route.spec.identity: route for route in self._link.routes.values()}
         self.gone = {identity: at for identity, at in self.gone.items() if identity in routes}
@@ -395,7 +397,7 @@ class LinkPatterns(Extension):
                 self._keep(route, *wanted[identity])
             elif (entry := self._entry_of(route)) is None:
                 self._drop(route, "no pattern matches it any more")
-            elif (self._here if self.is_local(entry) else self.there) is None:
+            elif (self._here if self.is_local(entry) else self.there) is None:  # unknown, as while the link is down
                 self.gone.pop(identity, None)
             else:
                 self.gone.setdefault(identity, self._context.now())
@@ -455,12 +457,12 @@ class LinkPatterns(Extension):
 
     def _keep(self, route: Route, entry: PatternEntry, topic: Topic) -> None:
         """Change a route to the present values of its pattern."""
-        if msgspec.structs.replace(topic, paused=route.spec.paused) != route.spec:
+        if msgspec.structs.replace(topic, paused=route.spec.paused) != route.spec:  # a pause is the operators'
             try:
                 route = self._proposed.replace(route, topic)
             except LinkError as error:
                 entry.left_out[topic.topic] = str(error)
-        route.pattern = entry.topic.topic
+        route.pattern = entry.topic.topic  # `replace` takes it for an operator's edit
 
     def _add(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
         """Add routes for topics without one, within the limits."""

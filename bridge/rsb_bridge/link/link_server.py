@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 _SESSION_CHANGED = "the server's session has changed: try again"
 _ASKED_AS = 3
-"""Number of clients whose keys other servers are asked to prove."""
+"""Number of clients whose keys other servers are asked to prove (PROTOCOL.md, 12). A round figure."""
 _PROVES_WITHIN = 1.0
 """s in which another server has to answer; this server waits so long before it listens."""
 _SHUT_DOWN = "the server shuts its links down: try again"
@@ -52,7 +52,6 @@ class Server:
     """The server's end of all its links.
 
     Attributes:
-        entries: of the admitted clients, by name.
         links: by client name; a client in the session has one even before it first connects.
         refused_clients: refused clients that no link shows.
     """
@@ -164,7 +163,7 @@ class Server:
             who: shuts down, in words.
         """
         for name, link in self.links.items():
-            self._pending.expel(name, _SHUT_DOWN)
+            self._pending.expel(name, _SHUT_DOWN)  # a client with an earlier Welcome would link
             link.shut_down_for(who)
 
     # --- inbound connections
@@ -212,7 +211,7 @@ class Server:
                 retry_after=_REPLACED_PAUSE,
                 code=EventCode.LINK_REPLACED,
             )
-        link.seen(stream, connection.fingerprint)
+        link.seen(stream, connection.fingerprint)  # before `up`, which logs which key it was
         control = ControlChannel(stream, connection, link.handlers, link.lost)
         link.up(control, event.peer, event.keys)
         return control
@@ -223,6 +222,7 @@ class Server:
         if link is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)
         assert link.keys is not None
+        # Before any refusal: on a data stream a server tags everything (PROTOCOL.md, 12).
         stream.authenticate(link.keys.sample_secret, opener=False)
         transport, port = link.take_stream(event)
         if refusal := link.descriptors.refusal:

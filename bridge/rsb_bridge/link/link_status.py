@@ -87,7 +87,7 @@ class LinkFault(Extension):
         self._warned: tuple[LinkCause, float] = (LinkCause.NONE, 0.0)
 
     def disconnected(self) -> None:
-        self.duplicates = DuplicateClients(self.duplicates.name)
+        self.duplicates = DuplicateClients(self.duplicates.name)  # without a link, nobody has the name
         self._warned = LinkCause.NONE, 0.0  # a link that is up again before the next tick is another one
 
     def tick(self) -> None:

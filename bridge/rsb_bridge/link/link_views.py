@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
 
 VIEWS_OF_PEER = 4
-"""Views that one peer has at the same time."""
+"""Views that one peer has at the same time (PROTOCOL.md, 13). A round figure."""
 _ANSWERED_WITHIN = 15.0
 """s: the other side may have to ask several nodes for a type."""
 _ENDED = "the view is closed"
@@ -101,6 +101,7 @@ class LinkViews(Extension):
     # --- for the peer
 
     def refusal(self, name: str) -> str:
+        # The same view, proposed again, takes its own place.
         own = [route for route in self._internal.proposed(here=False) if route.local_topic != name]
         return ViewRefused.TOO_MANY(limit=VIEWS_OF_PEER) if len(own) >= VIEWS_OF_PEER else ""
 
@@ -141,7 +142,7 @@ class LinkViews(Extension):
             context, context.renderer, context.renderer.next_view(), look.topics, wish, partial(_send, context, source)
         )
         await view.check()
-        if self._link.ids.open_route(look.route) is not route:
+        if self._link.ids.open_route(look.route) is not route:  # it was closed while the graph was asked
             view.close()
             raise LinkError(ViewRefused.NO_VIEW())
         self._drawing[look.route] = view, view.start(self._link.spawn)
@@ -219,7 +220,6 @@ class LinkViews(Extension):
 
         Args:
             topics: names on the peer's side.
-            seconds: to wait at most.
 
         Raises:
             LinkError: the peer refuses, or the link is lost.
@@ -263,7 +263,7 @@ class LinkViews(Extension):
         sink = self._internal.drain(route) if await self._internal.opened(route) else None
         if sink is None:
             raise LinkError(route.life.refusal or ViewRefused.NOT_OPENED(reason=route.trouble()))
-        if view.sink is not sink:
+        if view.sink is not sink:  # each opening has its own
             view.sink, sink.taken = sink, partial(self._arrived, view)
 
     def _arrived(self, view: PeerView, encoded: bytes) -> None:

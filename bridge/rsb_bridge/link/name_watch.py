@@ -26,10 +26,11 @@ Names = dict[Named, str]
 """The names of a graph, with their types."""
 
 _LOOK_EVERY = 1.0
-"""s between two looks at the least."""
+"""s between two looks at the least: a Followed comes once a second at most (PROTOCOL.md, 11)."""
 _SHARE = 20
 """Looking takes at most one part in this many of the time, until the longest pause."""
 _LONGEST_PAUSE = 10.0
+"""s. Round figures: nothing was measured. On a slow machine, a name is found so much later at worst."""
 _ALWAYS_AFTER = 60.0
 """s after which it looks even without a change, in case one was missed."""
 
@@ -59,9 +60,6 @@ class NameWatch:
 
     Names that only bridges publish or provide are left out, so that no pattern returns what another pattern or another
     bridge has brought. To pass such a topic on, list it by its name.
-
-    Args:
-        context: context of the engine.
     """
 
     def __init__(self, context: Context, followers: Callable[[], Iterable[Follower]]) -> None:
@@ -85,7 +83,7 @@ class NameWatch:
                     await self._due.wait()
             except TimeoutError:
                 pass
-            self._due.clear()
+            self._due.clear()  # before the look: a change meanwhile calls for another one
             began = now()
             await self._look()
             await asyncio.sleep(max(_LOOK_EVERY, min(_LONGEST_PAUSE, (now() - began) * (_SHARE - 1))))

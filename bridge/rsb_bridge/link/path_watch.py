@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.streams import Stream
 
 _TICKS = 20
-"""Ticks over which the share is averaged."""
+"""Ticks over which the share is averaged. A round figure: nothing was measured."""
 _COUNTED = 10
 """The most packets of a tick that count: a gap loses a whole window at once, and is not a lossy path."""
 _ENOUGH, _LOSES_IN = 30, 4
@@ -104,7 +104,7 @@ class PacketLoss:
             self.share = None
             return
         self.share = share = sum(part for _, part in self._ticks) / packets
-        if self.lossy:
+        if self.lossy:  # it ends at a lower share than it begins at, as a banner would flicker
             self.lossy = 0.0 if share < _WHOLE_BELOW else steady(self.lossy, share)
         elif share >= _LOSSY_ABOVE and sum(part > 0 for _, part in self._ticks) >= _LOSES_IN:
             self.lossy = steady(0.0, share)
@@ -126,12 +126,7 @@ def steady(shown: float, share: float) -> float:
 class PathWatch:
     """Watches the path of one link.
 
-    Args:
-        log: adds an event about the link.
-        changed: called when the fault has changed.
-
     Attributes:
-        fault: the fault of the path, or None.
         loss: the packets from here that are lost.
         into: the peer's record of the direction to here.
     """
@@ -167,13 +162,12 @@ class PathWatch:
         Args:
             streams: the packets of all streams, as far as they are known.
             senders: the channels that send datagrams.
-            peer: the other side's name.
             large_vanish: none of the last large datagrams has arrived, while probes of their sockets are answered.
 
         Returns:
             The streams that are stalled, to be opened again.
         """
-        if now - self._ticked_at > _FORGOTTEN_AFTER:
+        if now - self._ticked_at > _FORGOTTEN_AFTER:  # after a shorter gap, the losses of the last connection count
             self.loss.clear()
         self._ticked_at = now
         sent, lost, passed = self._gained(streams, senders)
@@ -185,6 +179,7 @@ class PathWatch:
         own = streams[control].lost if control in streams else 0
         stalled = self._probe_sizes(control, streams, pings, own, now, vanish=large_vanish)
         share = self.loss.share
+        # Losses of any packets explain that large ones are lost: a lower MTU would be the wrong advice.
         self._record = PathRecord(
             None if share is None else round(share, 2), self.loss.lossy, self._large and not self.loss.lossy
         )
@@ -257,6 +252,7 @@ class PathWatch:
     def take_record(self, record: PathRecord, peer: str) -> None:
         """Take the peer's record of the direction to here."""
         self.into = record
+        # Only `tick` knows whether the peer is silent; until then, it stays as it was.
         self._judge(peer, silent=self.fault is not None and self.fault.cause is LinkCause.SILENT)
 
     def _judge(self, peer: str, *, silent: bool) -> None:

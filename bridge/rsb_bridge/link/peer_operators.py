@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ByHand, Propose
 
 _AT_ONCE, _A_SECOND = 20.0, 1 / 300
-"""Actions of one link's peer that are recorded: the time line keeps 500 of all operators."""
+"""Actions of one link's peer that are recorded: the time line keeps 500 of all operators, and a peer must not displace
+the actions of this side."""
 
 
 def acting_operator() -> str:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.codes import EventCode
 
 _HANDSHAKE_WITHIN = 5.0
+"""s, as long as a client waits for an answer (`client_link`). A round figure: nothing was measured."""
 
 
 class Rejected(Wording):
@@ -63,8 +64,6 @@ class PendingConnections:
     """All connections that have not authenticated yet.
 
     Args:
-        recording: takes the events of refusals.
-        limits: the number that may wait.
         streams_awaited: returns how many connections are expected from a host, or in all if it is empty; they are
             allowed on top of the limits.
     """
@@ -108,12 +107,13 @@ class PendingConnections:
         return True
 
     def _full(self, count: int, limit: int, host: str = "") -> bool:
+        # The first condition only spares the second one, which looks at all open routes.
         return count >= limit and count >= limit + self._streams_awaited(host)
 
     def _uses_reserve(self) -> bool:
         """Whether idle connections would take file descriptors from the others."""
         limit = self._limits.when_scarce
-        return limit is not None and len(self._present) >= limit and descriptors.scarce()
+        return limit is not None and len(self._present) >= limit and descriptors.scarce()  # last, as it opens a socket
 
     def _reject_lowest(self, among: Iterable[PendingConnection], message: str) -> None:
         min(among, key=lambda each: each.stage).reject(message)
@@ -173,7 +173,7 @@ class PendingConnection(ABC):
         """Refuse the connection and close it, unless it is over."""
         if self.stage is ConnectionStage.OVER:
             return
-        if self.stage is not ConnectionStage.REFUSED:
+        if self.stage is not ConnectionStage.REFUSED:  # else it is logged, and has an answer of its own that waits
             self._log(self.rejected_code, message, cause)
             self._refusal = self._busy(message), message
         self._tell()
@@ -187,7 +187,7 @@ class PendingConnection(ABC):
         self.stage, self._refusal = ConnectionStage.REFUSED, (answer, message)
         if delay := refusals.delay(self.host):
             self._deadline = asyncio.get_running_loop().call_later(delay, self._tell)
-            self._pause_reading()
+            self._pause_reading()  # nothing that still comes is of use
         else:
             self._tell()
 
@@ -201,7 +201,7 @@ class PendingConnection(ABC):
         self.stage = ConnectionStage.OVER
         self._pending.remove(self)
         self._stop_waiting()
-        if self._counted:
+        if self._counted:  # else there was no room for it, or it has left before
             self._counted = False
             self._pending.strangers.give(CONNECTION)
 

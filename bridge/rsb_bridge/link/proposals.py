@@ -64,7 +64,6 @@ def proposal_of(
         topic: the validated topic, with the client's names.
         client_name: name of the client, which is the prefix.
         use_name: whether the server's name of the topic has the prefix.
-        purpose: of the route.
     """
     on_server = topic.remote_topic or (server_topic(topic.topic, client_name) if use_name else topic.topic)
     from_client = topic.direction == "transmit"
@@ -105,7 +104,7 @@ def topic_of(proposal: Propose) -> Topic:
         deadman=proposal.deadman if proposal.arm else None,
         on_end=(proposal.on_end or None) if proposal.arm else None,
         kind=_known(KINDS, proposal.kind),
-        priority=priority_of(proposal.priority) if proposal.kind == "topic" else "normal",
+        priority=priority_of(proposal.priority) if proposal.kind == "topic" else "normal",  # calls rank above topics
         **_values_of(proposal),
     )
 
@@ -194,7 +193,7 @@ def _authorized_internal(proposal: Propose, purpose: Purpose, link: BaseLink, se
     """
     for problem in internal_problems(topic_of(proposal), purpose, session):
         raise LinkError(str(problem))
-    if proposal.replaces:
+    if proposal.replaces:  # it would keep a session's entry waiting behind it
         raise LinkError(f"a route for {purpose.name} cannot take the place of another one")
     if proposal.qos is not None and proposal.qos.latched:
         raise LinkError(f"a route for {purpose.name} needs a QoS that keeps nothing for late joiners")

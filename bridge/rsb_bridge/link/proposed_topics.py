@@ -56,7 +56,6 @@ class ProposedTopics:
         """Propose an internal route to the peer, which has to permit it.
 
         Args:
-            purpose: of the route.
             entry: the route, in the form of a topic's entry; its name is a `Purpose.route_name`.
 
         Raises:
@@ -105,9 +104,9 @@ class ProposedTopics:
             LinkError: the topic has a mistake, or there is such a route; the old route stays.
         """
         table, proposal = self._table, self._proposal(topic)
-        if (key := route_key(self._link.name, proposal)) != route.key:
+        if (key := route_key(self._link.name, proposal)) != route.key:  # the peer may bridge the new name already
             table.keep_demand(topic, key)
-        self._check_replace(route, topic, proposal)
+        self._check_replace(route, topic, proposal)  # before the old route gives way: if it is refused, that one stays
         if _can_amend(route, proposal):
             route.pattern = ""
             table.amend(route, topic, proposal)

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 QUESTIONS_KEPT = 8
-"""Unanswered questions of the peer of one kind; further ones are ignored."""
+"""Unanswered questions of the peer of one kind; further ones are ignored (PROTOCOL.md, 3)."""
 _MOST_TYPES = 2 * MOST_LANES
 """Types of one route, each with a line of an answer."""
 _ANSWERED_WITHIN = 10.0
@@ -68,8 +68,6 @@ class Questions(Generic[T]):
     """The questions of one kind, in both directions of a link.
 
     Args:
-        send: sends a control message.
-        spawn: runs a coroutine as a task.
         answered_within: seconds that the peer has for an answer.
     """
 
@@ -104,12 +102,13 @@ class Questions(Generic[T]):
         asked.askers += 1
         try:
             async with asyncio.timeout(self._answered_within):
-                return await asyncio.shield(asked.answer)
+                return await asyncio.shield(asked.answer)  # others may wait for it, and longer
         except TimeoutError:
             asked.to_send = True
             raise LinkError(Denied.NO_ANSWER()) from None
         finally:
             asked.askers -= 1
+            # After an answer, a later question may have the same number: the id of a route.
             if not asked.askers and self._asked.get(number) is asked:
                 del self._asked[number]
 
@@ -158,14 +157,7 @@ class Questions(Generic[T]):
 
 
 class TypeQuestions(Extension):
-    """Asks the peer for descriptions of routes' types, and answers the same questions.
-
-    Args:
-        known: descriptions that this side knows.
-        open_route: returns the open route with an id.
-        send: sends a control message.
-        spawn: runs a coroutine as a task.
-    """
+    """Asks the peer for descriptions of routes' types, and answers the same questions."""
 
     def __init__(
         self,
@@ -248,6 +240,7 @@ class TypeQuestions(Extension):
 def description_in(compressed: bytes) -> str | None:
     """Return an answer's texts, one a line, without a check of their types, or None if it is empty or invalid."""
     try:
+        # Before anything is unpacked: a few bytes can become gigabytes.
         size = zstandard.frame_content_size(compressed) if compressed else 0
         if not 0 < size <= DESCRIPTION_LIMIT:
             return None
@@ -257,6 +250,7 @@ def description_in(compressed: bytes) -> str | None:
 
 
 _LISTED_WITHIN = 5.0
+"""s. A round figure: nothing was measured; the other side looks at its own graph only."""
 _MOST_ENTRIES = 4000
 """Entries of one list, which is one control frame: it holds about 5,000 with usual names, or 1,400 with the longest."""
 _MOST_BYTES = CONTROL_LIMIT - 4096
@@ -266,10 +260,7 @@ class TopicLists(Extension):
     """Asks the peer for the names in its graph, and answers the same question.
 
     Args:
-        ros: ROS interface with this side's graph.
         shows: whether the peer may know of a name of a kind; called on another thread.
-        send: sends a control message.
-        spawn: runs a coroutine as a task.
     """
 
     def __init__(
@@ -292,7 +283,7 @@ class TopicLists(Extension):
         self._questions.answer(question.request, partial(self._find, question))
 
     def _answered(self, message: TopicList | TopicListParts) -> Slices:
-        if not self._questions.awaited(message.request):
+        if not self._questions.awaited(message.request):  # a list that nobody waits for is not even decoded
             return 0
         entries: list[TopicEntry] = []
         last = yield from in_slices(topic_entries(message), entries.append)
@@ -304,6 +295,7 @@ class TopicLists(Extension):
 
     def _local_entries(self) -> list[TopicEntry]:
         """Return the entries that the peer may know, as many as one message holds."""
+        # For a longer text the other side would end the connection (PROTOCOL.md, 3).
         shown = [
             entry
             for entry in graph_of(self._ros, CALLED)

@@ -33,11 +33,14 @@ CAUSES: dict[RefusalCode | None, LinkCause] = {
 }
 """Why the link is down; with any other code, `LinkCause.REFUSED`."""
 ASKED_EVERY = 30.0
-"""s between the attempts of a client whose link is shut down, before jitter."""
+"""s between the attempts of a client whose link is shut down, before jitter (PROTOCOL.md, 3)."""
 _FAILURES = 5
 _FAILURES_WITHIN = 30.0
 _DELAY = 1.0
+"""s that a host waits for a refusal after so many failures within so many s: guesses cost time. Round figures: nothing
+was measured; ten times more, and a client would give up before it hears why it is refused."""
 _HOSTS_REMEMBERED = 1024
+"""A round figure: beyond it the first ones are forgotten, and refused at once."""
 _LOGGED_AFTER, _LOGGED_AFTER_AT_LAST = 60.0, 3600.0
 """s until the same refusal of the same host is logged again; twice as long each time."""
 _LINE_FORGOTTEN_AFTER = 60.0
@@ -46,8 +49,9 @@ _OF_ONE_HOST = 8
 """Different refusals that are logged one by one: a stranger chooses their words, such as its name."""
 _MANY = "many different reasons: further refusals of its host are not logged one by one"
 _LINES, _LINES_A_SECOND = 256, 0.5
-"""Lines about all hosts."""
+"""Lines about all hosts. Round figures."""
 MOST = 16
+"""Entries: they are on the first screen."""
 MOST_OF_ONE_HOST = 4
 """Robots behind one router share an address; a program that makes up names must not fill the table."""
 FORGOTTEN_AFTER = 30.0
@@ -55,13 +59,7 @@ FORGOTTEN_AFTER = 30.0
 
 
 def with_remedy(code: RefusalCode, message: str, *, name: str, has_key: bool) -> str:
-    """Return the server's message with the remedy for the client's operator.
-
-    Args:
-        code: code of the refusal.
-        name: name of the client.
-        has_key: whether the client has a key.
-    """
+    """Return the server's message with the remedy for the client's operator."""
     match code:
         case RefusalCode.WRONG_KEY if has_key:
             return f"{message}: copy one side's key file to the other"
@@ -215,6 +213,7 @@ def network(host: str) -> str:
         address = ipaddress.ip_address(host)
     except ValueError:
         return host
+    # Neighbours share the link-local /64, and all of IPv4 that of the mapped addresses.
     if address.version == 4 or address.ipv4_mapped or address.is_link_local:
         return host
     return str(ipaddress.IPv6Network((int(address), 64), strict=False))
@@ -275,7 +274,8 @@ class RefusedClients:
 
 
 NAME_TRIED_EVERY = 3.0
-"""s between the attempts of a client that is refused because of its name."""
+"""s between the attempts of a client that is refused because of its name. A round figure: the warning about it ends two
+of them after its last attempt."""
 _REMEMBERED = 2 * NAME_TRIED_EVERY
 """s after its last attempt."""
 DUPLICATES_KEPT = 4

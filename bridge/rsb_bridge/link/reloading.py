@@ -45,7 +45,6 @@ class ReloadStep:
     """One change.
 
     Attributes:
-        text: description of the change, for an operator.
         apply: makes the change; if it raises `LinkError`, nothing has changed.
     """
 
@@ -77,11 +76,7 @@ def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterato
 
 
 def server_steps(server: Server, entries: list[ClientEntry]) -> Iterator[ReloadStep]:
-    """Yield the changes of a server.
-
-    Args:
-        entries: the new entries of its clients.
-    """
+    """Yield the changes of a server."""
     wanted = {entry.client.name: entry for entry in entries}
     for name, entry in server.entries.items():
         if name not in wanted:
@@ -109,6 +104,7 @@ def _client_changes(old: ClientEntry, new: ClientEntry) -> list[str]:
     if old.use_name != new.use_name:
         parts.append(f"use_name {str(old.use_name).lower()} → {str(new.use_name).lower()}")
     parts += _key_changes(old.fingerprints, new.fingerprints)
+    # If nothing else differs, these changes have no effect, but the operator made them.
     return parts or changes(old.client, new.client, leave_out=("topics",))
 
 
@@ -226,7 +222,7 @@ def _change_superseded(link: Link, key: str, topic: Topic) -> None:
 def _replace(link: Link, topic: Topic) -> None:
     if (route := _proposed(link, topic.identity)) is not None:
         link.proposed.replace(route, topic)
-    else:
+    else:  # the other side has removed it meanwhile, and the file lists it
         link.proposed.add(topic)
 
 

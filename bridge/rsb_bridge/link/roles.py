@@ -37,10 +37,13 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RefusedClient
 
 _RESTART_WITHIN = 5.0
+"""s that a restart waits for the peers. A round figure."""
 _LOOK_EVERY = 0.05
 _FAREWELL = 0.5
+"""s in which a peer can take the reason. A round figure: if a peer takes nothing, a bridge stops so much later."""
 _RESTARTED_AFTER, _LONGEST_PAUSE = 1.0, 10.0
 _BOUND_AFTER, _LONGEST_BIND_PAUSE = 0.5, 5.0
+"""s. Round figures: nothing was measured."""
 
 Keys = Mapping[str, tuple[Key, ...]]
 """Valid keys by the client's name, the next one last; an empty tuple means no encryption."""
@@ -140,7 +143,7 @@ class ClientRole:
         self._tasks.keep(self._link.run, Backoff(_RESTARTED_AFTER, _LONGEST_PAUSE, self._context.random))
 
     async def stop(self) -> None:
-        self._tasks.cancel()
+        self._tasks.cancel()  # else it would connect again after its goodbye
         await _farewell(self.links(), "the client stops", retry_after=0.0)
         self._link.destroy()
 
@@ -216,6 +219,7 @@ class ServerRole:
         try:
             await self._server.start()
         except ListenError as error:
+            # An address of this machine that cannot be bound is a mistake; a router elsewhere may come later.
             if self._context.transports.of_link(self._context.session.server_ip).local:
                 raise
             self._bind_later(str(error))
@@ -223,7 +227,7 @@ class ServerRole:
     async def stop(self) -> None:
         self._stopped = True
         self._tasks.cancel()
-        self._server.stop()
+        self._server.stop()  # before the farewell, after which clients come back
         await _farewell(self.links(), "the server stops", retry_after=0.0)
         for link in self.links():
             link.destroy()
@@ -233,6 +237,7 @@ class ServerRole:
         links = tuple(self._server.links.values())
         clients = tuple(msgspec.structs.replace(link.entry.client, topics=link.listed_topics()) for link in links)
         session = self._context.session
+        # The form of a session for one client has no place for topics that the server proposes; without any, it stays.
         if session.clients is None and not any(client.topics for client in clients):
             return session
         return msgspec.structs.replace(session, clients=clients, bench=None)
@@ -291,11 +296,11 @@ class ServerRole:
             robot.readmit()
         step(f"closing {len(linked)} {plural(len(linked), 'link')} on both sides")
         if self._binding is not None:
-            self._binding.cancel()
+            self._binding.cancel()  # it would close the ports that are bound below
         self._server.stop()
         await _farewell(linked, "restart", retry_after=0.0)
         step(f"binding {self._context.session.server_ip} port {self._context.session.server_port}")
-        if self._stopped:
+        if self._stopped:  # during the farewell: a port that is bound now would stay bound
             raise LinkError(Denied.SERVER_STOPS())
         if failure := await self._bind():
             self._bind_later(failure)
@@ -364,4 +369,5 @@ def preferred_suite() -> CipherSuite:
         flags = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").split()
     except OSError:
         return CipherSuite.CHACHAPOLY
+    # ns a byte with AES instructions: AES-GCM 0.35, ChaCha20-Poly1305 1.0; without them 5.4 and 1.5 (bench/README).
     return CipherSuite.AESGCM if "aes" in flags else CipherSuite.CHACHAPOLY

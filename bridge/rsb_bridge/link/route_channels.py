@@ -40,6 +40,7 @@ class RouteChannels(Extension):
         udp_channel = carriers.udp.get(port)
         if udp_channel is None and (udp_channel := self._link.open_udp_channel(transport, port)) is not None:
             carriers.udp.open(port, udp_channel)
+        # Without one, a client tries again, and a server waits for its client's probe; both then call `udp_ready`.
         if udp_channel is not None:
             assert carriers.keys is not None
             assert carriers.scheduler is not None
@@ -82,4 +83,4 @@ class RouteChannels(Extension):
             if route.id:  # a slice before this one may have closed it
                 route.advance()
 
-        await in_slices(self._link.ids.open_routes(), advance)
+        await in_slices(self._link.ids.open_routes(), advance)  # hundreds may wait for the same path

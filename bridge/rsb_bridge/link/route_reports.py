@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _REPORTED_AT_ONCE = 250
 """Routes in one message, which must not exceed its limit even with the longest texts (PROTOCOL.md section 1)."""
 _EARLY = 0.1
-"""Seconds from `RouteReports.add` to the report."""
+"""Seconds from `RouteReports.add` to the report: messages that a killed receiver had not reported count as unknown."""
 
 
 def _reports(
@@ -82,5 +82,5 @@ class RouteReports(Extension):
 
     def _take_entry(self, entry: SentReport | ReceivedReport | CallsReport) -> None:
         route = self._link.ids.open_route(entry.route)
-        if route is not None and isinstance(entry, route.peer_report):
+        if route is not None and isinstance(entry, route.peer_report):  # a peer may report as the half that is here
             route.reported(entry)

@@ -117,11 +117,7 @@ def _dispatch(message: _HalfMessage, route: Route) -> None:
 
 
 class Pausing:
-    """Pauses and resumes routes on both sides, at the request of either side.
-
-    Args:
-        peer_operators: records the actions of operators there.
-    """
+    """Pauses and resumes routes on both sides, at the request of either side."""
 
     def __init__(self, peer: Peer, peer_operators: PeerOperators) -> None:
         self._peer = peer
@@ -161,8 +157,6 @@ class RouteTable(Extension):
     """Negotiates a link's routes, which live on while the peer is away.
 
     Attributes:
-        arming: arms and disarms the routes.
-        questions: to the holders of armings.
         superseded: entries of this side whose place the other side's own have taken, by the keys of those routes; they
             come back once the other side no longer proposes its own.
         listed: identities of the topics that this side proposes; named ones stay even if the other side removes them.
@@ -203,7 +197,7 @@ class RouteTable(Extension):
         for route in self._link.routes.values():
             route.close(self._link.status.reason)
             route.replaces = 0
-        self.arming.lease.stop()
+        self.arming.lease.stop()  # after the routes, which ask how long the other side may still publish
 
     # --- adding and removing
 
@@ -214,7 +208,6 @@ class RouteTable(Extension):
 
         Args:
             proposal: of it, with this side's names.
-            proposed_here: whether this side proposes it.
             replaces: the id that `give_way` has returned, if it takes that route's place.
             by_pattern: whether a pattern adds it, whose entry makes the demands.
 
@@ -222,8 +215,8 @@ class RouteTable(Extension):
             LinkError: there is such a route, or one that bridges the same service.
         """
         key = route_key(self._link.name, proposal)
-        if not by_pattern:
-            self.keep_demand(spec, key)
+        if not by_pattern:  # a pattern demands by itself, and a kept name would outlive it
+            self.keep_demand(spec, key)  # even if the route is refused, because the other side has one of this name
         self.check_add(spec, proposal, key)
         half = _half_of(proposal, is_client=self._link.is_client)
         route = self._link.routes[key] = half(self._context, self._link, spec, proposal, proposed_here=proposed_here)
@@ -261,7 +254,7 @@ class RouteTable(Extension):
     def remove(self, route: Route, reason: str, *, told: bool = True) -> None:
         """Remove a route on both sides; `told` means that the other side learns the operator's name."""
         self.listed -= {topic.identity for topic in (route.spec, self.superseded.get(route.key)) if topic is not None}
-        self._tell_removed(route, reason, acting_operator() if told else "")
+        self._tell_removed(route, reason, acting_operator() if told else "")  # first: `_forget` forgets its ids
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
 
     def undo_edit(self, route: Route, reason: str) -> None:
@@ -310,10 +303,11 @@ class RouteTable(Extension):
         """Remove a route on this side."""
         self._link.routes.pop(route.key, None)
         self.listed -= {route.spec.identity} if route.pattern else set()
+        # A route that only ends may be proposed again: this side's own entry waits behind it.
         superseded = self.superseded.pop(route.key, None) if code is EventCode.ROUTE_REMOVED else None
         if route.proposed_here or superseded is not None:
             self._context.demands.changed()
-        if route.arming.held:
+        if route.arming.held:  # else `destroy` would name another cause
             route.disarm(Disarmed.REMOVED)
         route.destroy()
         self._link.ids.forget(route)
@@ -414,11 +408,12 @@ class RouteTable(Extension):
         except ListenError as error:
             if route.id == route_id:
                 route.refuse(EventCode.ROUTE_PORT_UNAVAILABLE, str(error))
-        if route.id == route_id:
+        if route.id == route_id:  # else it was refused, or opened again while the port was being bound
             pausing = route.pausing
             opening = {"route": route_id, "paused": pausing.paused, "pause_revision": pausing.revision}
             opening["replaces"] = route.replaces
             opening |= self.arming.demanded(route)
+            # Together with the sending: each Propose advances the chain of keys on both sides (PROTOCOL.md, 1.3).
             self._link.derive_keys(route_id, proposed_here=True)
             self._link.send(msgspec.structs.replace(route.proposal, **opening, who=who))
 
@@ -429,7 +424,7 @@ class RouteTable(Extension):
         match message:
             case Propose():
                 self._proposed(message)
-            case Close(removed=True):
+            case Close(removed=True):  # first: an edit that is undone is both
                 self._removed(message)
             case Close(edited=True):
                 self._give_way_to_peer(message)
@@ -445,6 +440,7 @@ class RouteTable(Extension):
                 route = self._link.ids.open_route(message.route)
                 if route is not None:  # otherwise it was closed here before the message arrived
                     self._about_route(route, message)
+                # Also for an opening that is over (PROTOCOL.md, 7.2); a dropped demand disarms nothing.
                 if isinstance(message, Disarm) and message.cause != DROPPED:
                     self._link.send(Settled(message.route))
 
@@ -460,7 +456,7 @@ class RouteTable(Extension):
         if not self._link.ids.take_of_peer(proposal.route):
             self._link.protocol_error(f"invalid route id {proposal.route} in a proposal")
             return
-        self._link.derive_keys(proposal.route, proposed_here=False)
+        self._link.derive_keys(proposal.route, proposed_here=False)  # also if it is refused below (PROTOCOL.md, 1.3)
         replaced = self._link.ids.find(proposal.replaces)
         try:
             route = self._take_up(proposal, replaced)
@@ -505,7 +501,7 @@ class RouteTable(Extension):
         route = known or self.add(topic_of(ours), ours, proposed_here=False)
         if before is not None:
             route.arming.follow(before.arming)
-        same_process = route.instance == link.instance
+        same_process = route.instance == link.instance  # before it is opened, which notes the present process
         self._reopen(route, proposal.route)
         self._pausing.taken_up(route, proposal, known=same_process)
         return route
@@ -514,6 +510,7 @@ class RouteTable(Extension):
         connection = self._link.connections
 
         def current() -> bool:
+            # On the next connection another process of the peer may give the same id.
             return self._link.linked and self._link.connections == connection and route.id == proposal.route
 
         try:
@@ -555,7 +552,7 @@ class RouteTable(Extension):
                 self._abandoned(route, _EDIT_UNDONE)
             return
         reason = f"removed by the other side: {message.reason}"
-        if route.id != message.route:
+        if route.id != message.route:  # a newer opening, of which the peer hears later, would bring it back
             self._tell_removed(route, reason)
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
         if message.who:

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.sealing import SessionKeys
 
 _NAMED = 12
+"""Ports that a refusal lists."""
 _SILENT = 1.5
 """s without a byte (pings come every second) after which another process may take a client's name over."""
 UNKNOWN_ROUTE = "unknown route"  # the same for all, so that a stranger does not learn which links exist
@@ -88,10 +89,8 @@ class ClientEntry:
     """A client that the server accepts.
 
     Attributes:
-        client: entry of the session.
         keys: valid keys, the next one last; empty without encryption.
         use_name: whether the server prefixes its topics with its name.
-        rights: rights of the client on the server.
     """
 
     client: Client
@@ -172,7 +171,6 @@ def check_topic_port(domain: int, transport: TransportTraits, port: int) -> None
 
     Args:
         domain: ROS domain of this side.
-        transport: transport of the topic.
         port: number of the port, or channel.
 
     Raises:
@@ -195,12 +193,7 @@ class DescriptorShare:
     """
 
     def __init__(self, client: str, is_only_client: Callable[[], bool]) -> None:
-        """Begin without descriptors.
-
-        Args:
-            client: name of the client.
-            is_only_client: whether no other client needs any.
-        """
+        """Begin without descriptors; `is_only_client` tells whether no other client needs any."""
         self.held = 0
         self._client = client
         self._is_only_client = is_only_client
@@ -208,7 +201,7 @@ class DescriptorShare:
     @property
     def room(self) -> int:
         """Number of descriptors that it may still take."""
-        left = descriptors.left()
+        left = descriptors.left()  # with other clients, it may take one more while more are left than it holds
         return left if self._is_only_client() else (left - self.held + 1) // 2
 
     @property
@@ -284,7 +277,7 @@ class ServerLink(Link):
 
     def refused(self, stream: Stream, cause: LinkCause, message: str) -> None:
         """Record the refusal of a client by this name, while the link is down."""
-        if self.shut_down_by is not None:
+        if self.shut_down_by is not None:  # the operator's shutdown stays the reason
             return
         if self.status.cause is not cause:
             self.status.since = self.context.wall()
@@ -298,6 +291,7 @@ class ServerLink(Link):
         if self.control is not None:
             self.control.shut_down(self.shut_down_by.refusal(), retry_after=None, code=EventCode.LINK_SHUT_DOWN)
             self._awaits_question()
+        # After the link's end, which sets a reason of its own.
         self.status.down(LinkCause.SHUT_DOWN, self.shut_down_by.reason(self.name))
         self.status.since = self.shut_down_by.since
 
@@ -424,7 +418,7 @@ class ServerLink(Link):
     def streams_awaited(self) -> int:
         """Number of permitted streams that the client has yet to open."""
         awaited = sum(1 if transport.multiplexed else 2 for transport, _ in self._awaited())
-        return min(awaited, max(0, self.descriptors.room)) if awaited else 0
+        return min(awaited, max(0, self.descriptors.room)) if awaited else 0  # the room costs a call of the kernel
 
     def _awaited(self) -> set[tuple[StreamTransport, int]]:
         """Return the transports and ports of routes that wait for streams."""
@@ -452,6 +446,7 @@ class ServerLink(Link):
         ]
         if not transports or not self.channels.is_new(event.name):
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE, self.name)
+        # Several transports may have the port: the choice must not depend on the order of the routes.
         return min(transports, key=lambda each: (each is not self.transport, each.name)), port
 
     def open_udp_channel(self, transport: DatagramTransport, port: int) -> None:
@@ -465,9 +460,9 @@ class ServerLink(Link):
         check_topic_port(self.context.domain_id, transport, port)
         if refusal := self.descriptors.refusal:
             raise ListenError(refusal)
-        with ExitStack() as taken:
+        with ExitStack() as taken:  # gives all of it back if the port cannot be bound, or is not used any more
             taken.callback(self.descriptors.take())
-            if not route.proposed_here:
+            if not route.proposed_here:  # ports in this side's own session are not the client's wish
                 taken.callback(self._topic_ports.reserve(self.context.session, transport, port))
             taken.callback(await self._ports.open(transport.name, port))
             if route.id == route_id and route.release_port is None:  # else it was closed while the port was being bound

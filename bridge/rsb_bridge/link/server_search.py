@@ -104,6 +104,7 @@ class _Try(StreamHandler):
         assert self._stream is not None
         if self._over:
             return
+        # Each answer is tried by itself: that of a stranger, who may be first, must not use up the handshake.
         connection = self._connection.fork()
         events = connection.receive_data(data)
         if connection.proven:
@@ -122,7 +123,7 @@ class _Try(StreamHandler):
         stream.authenticate(connection.sample_secret, opener=True)
         if isinstance(events[0], Established):
             stream.trust()
-            stream.pause_reading()
+            stream.pause_reading()  # what follows is for the handler that the stream gets with `confirm`
         else:
             refusal = failure_of(events[0], self._address, self._refusal_message)
             stream.write(connection.data_to_send())
@@ -150,7 +151,6 @@ class ServerSearch:
     """Tries announced servers by the handshake, and remembers failed ones.
 
     Args:
-        now: the time, in s.
         patience: s that a server has to prove the key.
     """
 
@@ -209,7 +209,7 @@ class ServerSearch:
                 outcome.set_exception(UnprovenError(result))
 
         async def begin_all() -> None:
-            while True:
+            while True:  # once more for each other suite that an answer asks for, forged or not
                 each = _Try(connect(await asked.get()), host, address, refusal_message, ask, finish)
                 tries.append(each)
                 try:
@@ -221,6 +221,7 @@ class ServerSearch:
         try:
             return await outcome
         except asyncio.CancelledError:
+            # The search may end in the moment in which the server proves the key.
             if outcome.done() and not outcome.cancelled() and outcome.exception() is None:
                 outcome.result().give_up()
             raise

@@ -29,14 +29,16 @@ if TYPE_CHECKING:
     from rsb_bridge.view.renderer import Renderer
 
 KEPT_BYTES, KEPT_MESSAGES = 256 << 10, 2000
-"""Messages between two pictures that are kept for the next one, of each topic; the newest is always kept."""
+"""Messages between two pictures that are kept for the next one, of each topic; the newest is always kept. Round
+figures: nothing was measured."""
 MESSAGE_LIMIT = 64 << 20
-"""Bytes of a message that is drawn at most."""
+"""Bytes of a message that is drawn at most: as many as a message of a route may have."""
 _RESOLVE_EVERY = 2.0
 """s after which publishers and their QoS are looked up again."""
 _LATCHED_AGAIN_AFTER = 10.0
 """s after which kept messages may be asked for once more: one of them may be what ends the process that draws."""
 _DEPTH = 10
+"""Messages that DDS keeps until they are taken, as by default in ROS."""
 _SLOWEST = 0.05
 """Hz of pictures at the least, whatever is wished."""
 
@@ -203,6 +205,7 @@ class TopicView:
                 picture = await self._draw(topics)
             except LinkError as error:
                 picture = Picture(problem=sanitize_text(str(error)))
+            # Nothing before the first message: `look --once` would take it for its picture.
             if picture.content is not None or picture.problem or picture.messages:
                 await self._deliver(picture)
             due = began + 1 / max(_SLOWEST, min(MOST_RATE, self.wish.rate))
@@ -271,7 +274,7 @@ class TopicView:
         text = await self._context.descriptions.find(viewable.type_name, viewable.type_hash, topic)
         if text is None:
             raise LinkError(ViewProblem.TYPE_UNKNOWN(topic=topic, type_name=viewable.type_name))
-        if self._is_closed:
+        if self._is_closed:  # while its type was asked for: nobody would close the subscription
             raise LinkError(ViewProblem.ENDED())
         if feed is not None:
             self._close_feed(topic)
@@ -303,7 +306,7 @@ class TopicView:
         feed = self._feeds.get(topic)
         if feed is not None and self._context.now() - feed.resolved_at < _RESOLVE_EVERY:
             return feed.viewable, feed.authors
-        if feed is not None:
+        if feed is not None:  # before the graph is asked: a look that fails is not repeated for each picture
             feed.resolved_at = self._context.now()
         if (viewable := self._bridged(topic)) is not None:
             return viewable, {}
@@ -312,7 +315,7 @@ class TopicView:
         except RosError as error:
             raise LinkError(str(error)) from None
         if not publishers:
-            if feed is not None:
+            if feed is not None:  # its publisher may come back, and is heard then
                 return feed.viewable, feed.authors
             raise LinkError(ViewProblem.NO_PUBLISHER(topic=topic))
         type_name, type_hash = agreed_type(publishers)
