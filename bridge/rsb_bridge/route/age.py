@@ -78,7 +78,7 @@ class PublisherClocks:
         took = taken - source
         known = self._wrong.get(publisher)
         if known is None:
-            # Nothing of a volatile topic is from before the subscription: such a stamp shows that its clock is behind.
+            # A volatile topic has no message from before the subscription: an earlier stamp shows that its clock lags.
             if took >= -_SANE and (self.since is None or source >= self.since - _SANE):
                 return min(source, taken)
             if len(self._wrong) >= _MOST_PUBLISHERS:
@@ -86,8 +86,8 @@ class PublisherClocks:
             self._wrong[publisher] = took, taken
             return taken
         shortest, at = known
-        # What took longer than the shortest was held up by the difference, however wrong the clock is. Without the
-        # drift, each message of a clock that runs slow would count as older than the one before.
+        # A message that took longer than the shortest one was held up by the difference, even if the clock is wrong.
+        # Without the drift, each message of a slow clock would count as older than the one before.
         shortest = min(took, shortest + int(_DRIFT * max(0, taken - at)))
         if abs(shortest) <= _SANE:
             del self._wrong[publisher]  # its clock has been set
@@ -234,7 +234,7 @@ class MessageAge:
             return Cause.CLOCK_UNKNOWN if self.max_age else None
         age = (self._context.stamps.now() - stamp) / 1e9 + offset
         if self.max_age:
-            # The measured offset of the clocks is wrong, so the message may have any age.
+            # From the future: the measured offset of the clocks is wrong, and the message may have any age.
             if age < -uncertainty - _AHEAD:
                 return Cause.CLOCK_UNKNOWN
             if age + uncertainty > self.max_age:
@@ -263,7 +263,7 @@ class MessageAge:
         if not self.is_on and not self._lately:
             return
         self._lately.append((messages, self._counts.copy()))
-        # Switched off while it is late, it counts on, so that the lateness ends as it always does.
+        # If it is switched off while the topic is late, the counts go on until the lateness has ended.
         if not self.is_on and self._since is None:
             self._lately.clear()
         lost, of, _ = self._recent()
@@ -278,7 +278,7 @@ class MessageAge:
         messages, counts = self._lately[-1]
         before, counts_before = self._lately[0]
         lost = counts - counts_before
-        # What has waited came before these seconds, and may expire in them: no share is above 100 %.
+        # A message that waited may have come before these seconds: the share must not exceed 100 %.
         return lost.total(), max(messages - before, lost.total()), lost
 
     def late(self) -> Expired | None:

@@ -164,7 +164,7 @@ class Arming:
         self._clear(_Phase.FREE)
 
     def _clear(self, phase: _Phase) -> None:
-        # A command that waits for the other side must end, too, and sees that nothing is armed.
+        # A command may wait for the other side: it ends, and reports that nothing is armed.
         self._answer()
         question, self.question = self.question, None
         if question is not None:
@@ -327,7 +327,7 @@ class Arming:
     def take(self, by: str, now: float) -> None:
         """Arm it for an operator of the other side, who armed it or pressed a key at `now` (s)."""
         self._hold(_Phase.ARMED, by, None)
-        # This side's operator may have asked at the same moment, and is told that the other one arms it.
+        # This side's operator may have asked at the same moment: that command ends, and names the other operator.
         self._answer()
         self._begin_deadman(now, PEER_GRACE)
 
@@ -337,7 +337,7 @@ class Arming:
         self._clear(_Phase.SPENT)
 
     def _hold(self, phase: _Phase, by: str, console: Hashable | None) -> None:
-        # A key that was pressed on the other side comes here, too, and must not shut out what was taken before it.
+        # A key on the other side comes here, too. With a newer number, messages from before the key would not pass.
         if not self.held:
             self.first = self.lease.number if self.lease is not None else 0
         self._phase, self.by, self.console = phase, by, console

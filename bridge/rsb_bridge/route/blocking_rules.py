@@ -133,7 +133,7 @@ class LossyPath:
         suffers = (verdict.cause, verdict.text) == (Cause.LOSSY, path.text)
         if suffers:
             self._until = now + _SUFFERS_FOR
-        # A fault of another kind is none of the path's, however much that loses.
+        # A fault of another kind is not the path's.
         elif now >= self._until or (verdict.state, verdict.cause) not in _BETWEEN_LOSSES:
             return verdict
         if not suffers or verdict.state.rank > State.STOPPED.rank:

@@ -122,7 +122,7 @@ class CombinedVerdict:
         Called once a second.
         """
         verdict = self.shown(own).verdict
-        # Before anything returns: what is shown has begun, and `shown_cause` tells of it, whether it is logged or not.
+        # First, because `shown_cause` must be right even if nothing is logged.
         self.since(verdict, now)
         if path is not None and path.of_topic(verdict.cause) is not None:
             return None

@@ -115,6 +115,7 @@ class ArmedGate:
         lease = self._arming.lease
         if lease is None or not self._arming.stands(now):
             return Refused.DISARMED
+        # A caller learns that arming again does not help: the two sides do not hear each other.
         return None if lease.alive else Refused.UNHEARD
 
 
@@ -175,6 +176,7 @@ class CallRateGate:
 
     def __init__(self, rate: float, now: float) -> None:
         self.rate = rate
+        # A bucket that holds less than one token never gives any.
         self._bucket = TokenBucket(max(1.0, rate), rate, now)
 
     def check(self, _: object, now: float) -> Refused | None:
@@ -274,7 +276,7 @@ class LoopSieve:
             self._route.advance()  # finds their publishers, and may change the sources of the others
             sources = self._loops.table.flags
             sent = [message for message in admitted if message.gid in sources]
-            # A look at the graph may have ended the opening: then nothing would loop, but the link is gone.
+            # `advance` may have ended the opening: then the messages would not loop, but are lost with it.
             self._ledger.lose("would loop" if self._route.id else "link lost", len(admitted) - len(sent))
             admitted = sent
         self._ledger.lose("queue full", self._loops.give_up())
@@ -424,7 +426,7 @@ NO_SAMPLE = GatedMessage(0, 0)
 
 def unleased(payload: bytes, flags: int) -> tuple[int, bytes, int]:
     """Return the lease's number of a message, or 0 for none, and its payload and flags without it."""
-    # One that is too short for its header keeps its flag, with the number 0, which no lease has sent.
+    # A message that is too short for the header keeps its flag and gets 0, which is no lease's number: gates drop it.
     if not flags & LEASED or len(payload) < LEASE_HEADER_LENGTH:
         return 0, payload, flags
     return *split_number(payload), flags & ~LEASED
@@ -450,7 +452,7 @@ def incoming_gates(route: Route) -> IncomingGates:
     leased: Gates = (LeaseGate(arming),) if arming.required else ()
     young: Gates = (AgeGate(route.age),) if route.age.is_on else ()
     slow: Gates = (RateGate(route.peer.budget.rates, route.local_topic, rate),) if rate else ()
-    # The rate comes last: what the lease refuses takes nothing of it.
+    # The rate comes last, so that messages which the lease refuses take no token.
     return IncomingGates(batch=hand_gates(route), arriving=(*leased, *slow), leaving=(*leased, *young))
 
 

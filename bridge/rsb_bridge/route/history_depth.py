@@ -157,7 +157,7 @@ class Histories:
         new, samples = 0, list[Sample]()
         for message in batch:
             publisher = self._seen(message, now)
-            # The subscription was reopened, or the peer has it from before: DDS hands over the whole history each time.
+            # DDS hands over the whole history to each new subscription. The peer has this message, or will get it.
             if message.number and message.number <= publisher.taken:
                 continue
             new += 1
@@ -192,7 +192,7 @@ class Histories:
                 continue
             if publisher.gone_since is None:
                 publisher.gone_since = now
-            # A message shows that its publisher is there, whatever the graph says.
+            # A publisher that still sends is there, even if the graph has lost it.
             if now - max(publisher.latest, publisher.gone_since) > _FORGOTTEN_AFTER:
                 del self._publishers[gid]
 
@@ -263,7 +263,7 @@ class Histories:
                 publisher.settled = now >= settles_at
                 due += [] if publisher.settled else [settles_at]
             if publisher.held:
-                # From message 1 on, a history shows no depth to a probe either. Few messages may cost a publisher each.
+                # If message 1 is there, a probe finds no depth either. Few messages may cost a publisher each.
                 few = len(publisher.held) <= _PROBES_EACH_UNTIL
                 if now >= releases_at or (publisher.settled and publisher.first == 1 and few):
                     self._release(publisher)
@@ -320,7 +320,7 @@ class Histories:
 
     def _judge(self, publisher: _Publisher, target: int, first: int, last: int) -> None:
         """Judge the depth by a probe that began when `target` was the newest message and got `first` to `last`."""
-        # Nothing is overwritten yet: that is a lower bound, however many messages the publisher keeps.
+        # Nothing is overwritten yet, so this is only a lower bound.
         if first == 1 and last >= target:
             publisher.tries = 0
             publisher.at_least = max(publisher.at_least, min(target, publisher.at_most))

@@ -168,7 +168,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def described(self, description: Describe) -> None:
         """Make the publishers for the messages that the sender describes, or refuse the route."""
-        # Before the event: the sender describes again whenever a source is added, and that begins nothing anew.
+        # Asked before the event, because the sender describes its messages again whenever it adds a source.
         first = not self.life.described
         if not self.life.take(RouteEvent.DESCRIBE):
             return
@@ -221,7 +221,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         opening = self.id
 
         def refuse(difference: str) -> None:
-            # The difference may come after seconds, when the route is open anew, with another type.
+            # The answer may take seconds. By then the route may have another opening, with another type.
             if self.id == opening:
                 hashes = TypeClash.HASHES(there=description.type_hash, here=installed)
                 self._refuse_type(TypeClash.VERSIONS(type=description.type, difference=difference or hashes))
@@ -258,7 +258,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def advance(self) -> None:
         """Open the channel once there is a publisher, and look for subscribers."""
         if not self.outputs:
-            # Without a publisher the sender may know no type, and takes that of the subscriptions here.
+            # A sender without publishers takes the type of the subscriptions here.
             self._hint = type_hint(self.ends, self.remote_topic)
             return
         if self.life.accepted and self.channel is None:
@@ -276,7 +276,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if self.qos is None:
             return
         if any(clashes(self.qos, qos) for qos in requested):
-            # Only then, as it searches the graph: nothing else asks for them.
+            # Only then: it searches the graph, and only a clash needs the result.
             self._others = tuple(self.ends.publishers(self.remote_topic))
         if not self._subscribers:
             self._clash = next((clash for qos in requested if (clash := incompatible(self.qos, qos))), "")
@@ -315,7 +315,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         # With a bounded number of lengths, a check takes next to no time, and nothing of the budget: one call less.
         check = None if checker is None else self.check.check if checker.loops else checker.check
         count, size, number, published, look = 0, 0, 0, b"", None
-        # An iterator: what follows a message that has to wait is what is left of it.
+        # An iterator, so that `*messages` below is the rest after a message that has to wait.
         messages = iter(messages)
         for message in messages:
             payload, stamp, flags = message
@@ -464,7 +464,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         """Take the sender's ledger, which is right for both sides."""
         failed_before = self._failure
         self._report = report
-        # Until now this side only waited for the report, and its verdict said so.
+        # Until the first report of an opening, the verdict is that this side waits for it.
         if not self._is_reported:
             self._is_reported = True
             self._verdict = None

@@ -31,8 +31,8 @@ _ALONE = 16
 """Messages of a growing history for which there is a publisher each, so that each can be dropped alone: as many as the
 sender probes each message for (`history_depth`)."""
 _MATCHED_WITHIN = 0.5
-"""s that subscriptions have to discover a new publisher. What it publishes before comes to them late, after messages of
-other publishers, or is lost to those that want no history."""
+"""s that subscriptions have to discover a new publisher. They get its earlier messages late, after messages of
+other publishers, or never if they want no history."""
 _LOOKS_AGAIN_AFTER = 0.02  # s until DDS is asked again who has discovered what: a round figure
 _AT_ONCE, _GOES_ON_AFTER = 100, 0.005
 """Messages that waited are published so many at once, and the next ones after so many s: 20,000 a second, which an
@@ -206,7 +206,7 @@ class LatchedTopic:
             return False
         history.seen_at = now
         number = header.number or history.newest + 1
-        # A depth that was found out later holds for messages that were sent before, too.
+        # A depth that the sender has found since also holds for messages that it sent before.
         depth = min(header.depth, self._present.get(header.publisher, 0) or LATCHED_DEPTH)
         output = self._output_for(history, number, depth)
         # The message that gives way leaves its memory, so that a full publisher costs no more than before.
@@ -243,7 +243,7 @@ class LatchedTopic:
         if not needed or count >= depth:
             made = self._output(depth)
         else:
-            # One message each at first; later each publisher doubles the history, so that a long one has few of them.
+            # At first each message gets a publisher; later each one doubles the history, so that a long one needs few.
             made = self._output(max(depth - count, count if count >= _ALONE else 1))
         outputs.append(made)
         return made

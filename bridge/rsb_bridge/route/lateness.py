@@ -40,7 +40,7 @@ _LONGEST_UNDER_WAY = 60.0
 _REPORTED_EVERY = 1.0
 """s between the receiver's reports (`link.route_reports`)."""
 _MOST_MARKS = 600
-"""Those of ten minutes without a report: the age is that of the oldest one."""
+"""Marks of ten minutes without a report. The age is that of the oldest mark."""
 _USUAL = 0.1
 """Weight of a new delay in the usual one."""
 _USUAL_AFTER = 5
@@ -207,7 +207,7 @@ class SendersDelay:
 
     def with_report(self, report_delay: float) -> float:
         """Return the estimated s that a message and its report take together."""
-        # A message takes as long as a report at least, also before the first one has said how long.
+        # A message takes at least as long as a ping, even before the first report.
         return min(max(0.0, self.reported or 0.0, report_delay) + report_delay, _LONGEST_UNDER_WAY)
 
     def unreported(self, sent: int, accounted: int, now: float) -> float:

@@ -104,7 +104,7 @@ class LeaseHalf:
 
     def beat(self) -> tuple[int, int]:
         """Return the next number of this side, and the newest of the other one. To be called every `BEAT` s."""
-        # First: after a standstill, this number would hide that there was one.
+        # First, because this number would hide a standstill before it.
         self._look()
         now = self._steady()
         self._beaten = now
@@ -118,7 +118,7 @@ class LeaseHalf:
 
     def hear(self, number: int, echo: int) -> None:
         """Take a number of the other side, and the number of this side that it has heard."""
-        # First: after a standstill, numbers that have waited would revive the lease.
+        # First, because numbers that waited through a standstill would revive the lease.
         self._look()
         if 0 < echo <= self._newest_before:
             return  # it is of the lease before this one: datagrams may come late

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 _OVERDUE_AFTER = 2.0
-"""s after which a message that no report has counted is lost, if its channel may lose any. With a report each second, a
-loss is known after 3 s."""
+"""s after which an unreported message counts as lost, if its channel may lose any. Reports come each second, so that a
+loss shows after 3 s."""
 _FOUND_WITHIN = 3.0
 """s within which publishers find a new subscription; who has sent nothing by then sends nothing now."""
 _MOST_CAUSES = 31
@@ -202,9 +202,9 @@ class RouteLedger:
 
     def closed(self) -> None:
         """End the opening."""
-        # An opening without messages leaves the account of the one before open: its counts may still come.
+        # An opening without messages does not close the account of the one before, whose counts may still come.
         if self._opening.sent:
-            # One before that still waits for its counts: nobody will send them any more.
+            # If an earlier one still waits for its counts, they will not come: a receiver keeps those of one opening.
             self.settle(None, "")
             self._unsettled = self._opening
         self._opening = _Opening()
@@ -225,7 +225,7 @@ class RouteLedger:
         opening = self._opening
         opening.counted = _within(report, opening.sent)
         opening.marks.append((now, opening.sent))
-        # The mark that was just added ends this.
+        # This ends at the mark that was just added, at the latest.
         while now - opening.marks[0][0] >= _OVERDUE_AFTER + delay:
             opening.overdue = opening.marks.popleft()[1]
         return opening.counted.plausible
@@ -264,7 +264,7 @@ class RouteLedger:
             self.drop(opening.lost_as, left)
         else:
             self.unknown += left
-        # The receiver names the causes: there must not be more of them with each opening.
+        # The receiver names the causes, and must not make the table grow with each opening.
         self.dropped = _folded(self.dropped)
         return plausible
 
@@ -284,7 +284,7 @@ class RouteLedger:
                     drop(cause, count)
                 if lost := self._lost(opening, opening.counted):
                     drop(_ON_THE_WAY, lost)
-        # What the receiver lists among its drops, and what has a part of its own here.
+        # The receiver lists these among its drops; here they have parts of their own.
         throttled = self.throttled + dropped.pop(THROTTLED, 0)
         unknown = self.unknown + dropped.pop(UNKNOWN, 0)
         expired = self.expired + dropped.pop(EXPIRED, 0)

@@ -130,7 +130,7 @@ class Reopening:
 
     def failed(self, now: float, *, broke: bool) -> None:
         """Plan the next attempt after an opening failed at `now` (s), perhaps because its data connection broke."""
-        # Attempts that time out do not begin the wait anew: it is one fault.
+        # Further attempts that time out do not restart the wait: they belong to the same fault.
         if broke and self._broke_at is None:
             self._broke_at = now
         self.retry_at = now + self._backoff.next()

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 EXPLAINED_WITHIN = 3.0
 """Seconds in which a bridge has to announce a publisher's hops; then the publisher counts as an ordinary node's. A
-round figure: nothing was measured. With less, messages could go round while DDS is slow; with more, those of a node
-without a name would wait longer."""
+round figure: nothing was measured. With less, messages could go round while DDS is slow. With more, messages
+from a node without a name would wait longer."""
 HELD = -1
 """No number yet: keep the message until there is one."""
 LEFT_OUT = -2
 """No number ever: the message must not be carried."""
 _GONE_REMEMBERED = 256  # publishers: a round figure
-_MOST_HELD = 10_000  # messages: those of 3 s at 3 kHz
+_MOST_HELD = 10_000  # messages: 3 s at 3 kHz
 _MOST_HELD_BYTES = 32 << 20  # as many as wait to be sent: an image that comes first is not lost
 _MOST_NAMED = 5  # nodes in one sentence
 
@@ -98,7 +98,7 @@ class SourceTable:
         numbers: dict[bytes, int] = {}
         first_seen: dict[bytes, float] = {}
         echoes, too_far, unexplained = [], [], []
-        # The nearest first: the numbers may run out, and those who are left out should be the farthest.
+        # The nearest first: if the numbers run out, the farthest publishers are left out.
         for each in sorted(publications, key=_nearest_first):
             via = each.via
             if via is None:
@@ -238,7 +238,7 @@ class LoopFilter:
             for each in endpoints
         ]
         known = {each.gid for each in endpoints}
-        # A message may come before the graph shows its publisher. Without an id, no news of it will ever come.
+        # A message may come before the graph shows its publisher. A publisher without an id will never be shown.
         publications += [Publication(gid, "", None if gid else ()) for gid in {held.gid for held in self._held} - known]
         self.table.update(
             publications,
@@ -278,7 +278,7 @@ class LoopFilter:
         """Return the held messages that may be sent now; to be called after each change of the table."""
         if not self._held:
             return []
-        # `admit` holds those again that are still unknown, and they must not be held twice.
+        # `admit` holds messages of unknown sources again, so they are taken out first.
         held = tuple(self._held)
         self.forget()
         return self.admit(held)[0]

@@ -72,7 +72,7 @@ class _Expansion:
                 self.result = zstandard.ZstdDecompressor().decompress(self.payload)
             except zstandard.ZstdError as error:
                 self.result = error
-            # Without a result, its route would wait for it for ever.
+            # Without a result, the route would wait for ever.
             except MemoryError:
                 self.result = zstandard.ZstdError("not enough memory to unpack it")
 
@@ -107,7 +107,7 @@ class ExpansionBudget:
 
     def begin(self, size: int, loop: asyncio.AbstractEventLoop) -> bool:
         """Whether a message that grows by `size` bytes may be unpacked at this turn of the loop; if so, it counts."""
-        # The first of a turn may be longer than what a turn allows, or it would never come.
+        # The first message of a turn may exceed the turn's limit, or it would never be unpacked.
         if self._this_turn and self._this_turn + size > EXPANSION_A_TURN:
             return False
         if not self._this_turn and size > 0:
@@ -121,7 +121,7 @@ class ExpansionBudget:
 
     def _next_turn(self) -> None:
         self._this_turn = 0
-        # Counted before: what cannot be unpacked yet goes to the end again.
+        # The number is fixed before, because work that cannot go on yet joins the end again.
         for _ in range(len(self._waiting)):
             if self._this_turn >= EXPANSION_A_TURN:
                 break
@@ -224,7 +224,7 @@ class Unpacker:
             ExpandsTooMuchError: it is too much by now.
         """
         expansion, self._expansion = self._expansion, None
-        # It took its part of the budget when it began.
+        # Its budget was taken when it began.
         if expansion is not None and expansion.payload == payload and expansion.result is not None:
             if isinstance(expansion.result, zstandard.ZstdError):
                 raise expansion.result
@@ -236,7 +236,7 @@ class Unpacker:
 
 def _growth(payload: bytes) -> int:
     size = zstandard.frame_content_size(payload)
-    # A frame that does not say its size (-1) could grow to anything.
+    # A frame without a size (-1) could grow without limit.
     if not 0 <= size <= MESSAGE_LIMIT:
         raise zstandard.ZstdError(f"a compressed message claims {size:,} bytes")
     return size - len(payload)

@@ -157,7 +157,8 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def peer_ready(self, ready: Ready) -> None:
         """Subscribe: the peer has publishers. Its counts of the previous opening settle the ledger."""
-        # Before the event: the peer answers each description, and only the first answer of an opening begins anything.
+        # Asked before the event, because the peer answers each description, and only its first answer has this side
+        # subscribe.
         again = self.life.ready
         if not self.life.take(RouteEvent.READY):
             return
@@ -303,7 +304,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def close(self, reason: str) -> None:
         """End the opening. Waiting messages are lost; messages in flight are settled with the next opening."""
-        # Before the subscription ends. What has to be armed is not missed: nothing may cross meanwhile.
+        # Asked before the subscription ends. What must be armed should not cross meanwhile, and so is not missed.
         if self.endpoints and self._subscription.receives and not self.arming.required:
             self._ledger.missed.lost(self.context.now())
         self._end_subscription()
@@ -332,7 +333,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def tick(self) -> None:
         now = self.context.now()
         latched = self.is_latched  # may be silent for any time, unless an operator expects a rate
-        # Before the verdict, which `super().tick` makes of it.
+        # Before `super().tick`, whose verdict needs it.
         self._health.tick(
             Flow(
                 self.flowing and self._subscription.receives,

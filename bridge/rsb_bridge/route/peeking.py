@@ -54,7 +54,7 @@ class PeekSlot:
         self.wanted = False
         self.free_at = now + EVERY
         for future in waiting:
-            # Its viewer has waited for long enough, or is gone.
+            # A viewer that gave up has cancelled it.
             if not future.done():
                 future.set_result(message)
 
@@ -137,7 +137,7 @@ class Peeking:
         first: asyncio.Future[PeekedMessage] = context.loop.create_future()
 
         def take(batch: Sequence[RawMessage]) -> None:
-            # One for each publisher may come, in any order.
+            # The last message of each publisher comes, in any order.
             newest = max(batch, key=lambda message: message.stamp)
             context.call(lambda: show(newest))
 

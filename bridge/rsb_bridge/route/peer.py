@@ -217,7 +217,7 @@ class CallBudget:
         """Let a call of `size` bytes begin at `now` (s), or return the reason to refuse it."""
         if not self._rate.take(1.0, now):
             return Refused.TOO_FAST
-        # Without `Budget.take`: each call asks this on both sides, and costs fewer functions this way.
+        # Inline instead of `Budget.take`, because each call passes here on both sides.
         if self._calls.held >= self._calls.limit:
             return Refused.CALLS_UNDER_WAY
         lingering = self._lingers(now) if self._lingering else 0

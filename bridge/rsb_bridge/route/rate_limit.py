@@ -47,7 +47,7 @@ class AllowedRates:
 
     def _sweep(self, now: float) -> None:
         """Forget the topics that have been quiet for so long that their buckets are full again."""
-        # A peer names topics as fast as it likes, and a sweep asks all of them.
+        # A peer may name new topics at any rate, and a sweep asks all of them.
         if now < self._swept_at + 1.0:
             return
         self._swept_at = now
@@ -121,7 +121,7 @@ class RateLimit:
         """Take the rate that the other side allows."""
         self._there = rate
         self._changed()
-        # Of the opening before: the same limit again is no news.
+        # Kept over openings, so that the same limit is logged once.
         if rate != self._there_before:
             self._there_before = rate
             self._log(Level.INFO, EventCode.ROUTE_AMENDED, f"the other side allows {_figure(rate)}")

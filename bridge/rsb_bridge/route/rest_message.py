@@ -79,6 +79,7 @@ class RestMessage:
         self._context = context
         self._fields: Fields | None = None
         self._body_at = _BODY
+        # The zero of a type that does not drive is a message of defaults.
         if on_end != ZERO or spec.type_name not in DRIVING_TYPES:
             self._read_fields()
         self._failed = failed
@@ -122,7 +123,7 @@ class RestMessage:
 
         A hand may drive here while nodes of the other side, with a QoS of theirs, come and go.
         """
-        # A rest is made of the last message, and no message of another type can be made one of this.
+        # A rest is made from the last message, so that must have the same type.
         if before.spec.type_name != self.spec.type_name:
             return
         self._last, self.velocity = before._last, before.velocity
@@ -135,7 +136,7 @@ class RestMessage:
         if self.spec.type_name not in DRIVING_TYPES:
             return
         self._holds_until = self._context.now() + HOLDS + _LATE
-        # One timer, which looks again when it ends: each velocity would have to cancel the former one and set another.
+        # One timer that looks again when it ends, instead of a new one for each velocity.
         if self._timer is None:
             self._timer = self._context.loop.call_at(self._holds_until, self._end_hold)
 
@@ -227,7 +228,7 @@ class RestMessage:
 
     def _ended(self, task: asyncio.Task[None]) -> None:
         self._context.rests.discard(task)
-        # A later rest may be under way by now: this one was ended by a message.
+        # A message may have ended this rest, and a later one may have begun.
         if self._under_way is task:
             self._under_way = None
         if not self._is_wanted and self._under_way is None:
@@ -284,7 +285,7 @@ class RestAfterArming:
             rest = RestMessage(self._context, self._link, spec, on_end, self._failed, self._overdue)
         except (RosError, FieldError) as error:
             raise RosError(f"on_end: {error}; correct it in {self._who_says(on_end)}") from None
-        # Before the former one is closed, which forgets the motion.
+        # Before `close`, which forgets the motion.
         if before is not None:
             rest.replaces(before)
         self.close()

@@ -231,13 +231,13 @@ class Route:
         self.limit.opened()
         self._verdict = None
         self.life.take(RouteEvent.OPEN)
-        # What the other side said of the opening before is over.
+        # The other side's verdict belongs to the opening before.
         self.judged.take(None, self.context.now())
         self._may_flow()
 
     def close(self, reason: str) -> None:
         """End the present opening; state that outlives openings stays."""
-        # First, while the opening has its id: by that the other side says that it publishes nothing more.
+        # First, while the opening has its id: the other side's `Settled` names it.
         if self.arming.held:
             self.disarm(Disarmed.REOPENED if self.peer.linked else Disarmed.LINK_LOST)
         if self.channel is not None:
@@ -263,7 +263,7 @@ class Route:
         """Refuse the route; this side tries again later if it proposed it."""
         self.notices.error(code, reason)
         self._end(reason)
-        # The other side has closed it to open it again, which usually helps: nothing is refused meanwhile.
+        # A Close is no refusal: the route opens again, which usually solves the problem.
         self.reopening.refused = "" if code == EventCode.ROUTE_CLOSED else reason
 
     def _end(self, reason: str) -> None:
@@ -278,7 +278,7 @@ class Route:
     def channel_lost(self, reason: str) -> None:
         """Open the route again after its channel broke. It is an error only if the link survives."""
         if self.id:
-            # Asked before the opening ends: after that, nothing is owed any more.
+            # Asked first: a closed opening owes nothing.
             text, connection, owing = f"{DATA_CONNECTION}{reason}", self.peer.connections, self.owing
             # A side that disarms closes the channel; the closed channel may be noticed before the message about it.
             ends_with_arming = self.arming.required and not timed_out(reason)
@@ -332,7 +332,7 @@ class Route:
         arming, lease = self.arming, self.arming.lease
         if arming.armed and self.outgoing and lease is not None:
             self.settling.begin(self.id, lease.left)
-        # `LinkArming` records what an operator does. All others are logged once nothing is published any more.
+        # `LinkArming` records an operator's disarm. Other causes are logged once nothing is published any more.
         if why is not Disarmed.OPERATOR:
             text = f"disarmed: {reason or DISARM_TEXT[why]} ({arming.by} armed it)"
             self.settling.then(lambda: self.log(Level.WARNING, EventCode.ROUTE_DISARMED, text, cause=why))
@@ -433,7 +433,7 @@ class Route:
         """Return the part of this half's knowledge that does not depend on what the route carries."""
         now = self.context.now()
         arming = self.arming
-        # It stopped sending at that moment, but the tick that tells the other side comes later.
+        # This side has stopped sending, but the tick that tells the other side comes later.
         expires = arming.armed and arming.overdue(now) is not None and not arming.stands(now)
         return self.setup()._replace(
             refusal=self.reopening.shown_refusal(self.life, now - self.opened_at if self.id else 0.0),

@@ -180,7 +180,7 @@ class Overload:
             self.lasts, self._before = False, None
             return
         age = now - oldest_since
-        # What waits while the channel stands still says nothing about how fast it delivers.
+        # A queue behind a channel that stands still says nothing about its speed.
         if not moves:
             self._before = None
         elif self._before is None:
@@ -224,7 +224,7 @@ class Outbox:
 
     def pass_on(self, messages: Sequence[Message], size: int, channel: SendingChannel) -> bool:
         """Send messages of `size` bytes together past the empty queue, or return False: they have to wait in it."""
-        # It must overtake nothing that waits, and be no more than a turn of the scheduler carries.
+        # Only if nothing waits, or it would overtake that; and no more than one turn of the scheduler.
         if self._queue.waiting or channel.congested or len(messages) > _BATCH:
             return False
         if size > self.largest or size > channel.batch_bytes:
@@ -291,7 +291,7 @@ class Outbox:
         if qos is None or qos.history == "keep_all" or pace is Pace.FREE:
             return QueueLimits(0, 0.0, size, oldest)
         automatic = self._automatic and not best_effort
-        # Late joiners get the history of a latched topic, so that keeps its depth.
+        # A latched topic keeps its depth, because late joiners get its history.
         if automatic and self._overload.lasts and not qos.latched:
             return QueueLimits(1, WAITS, size)
         most = qos.depth or (profile.depth if best_effort else _AUTO_DEPTH)
@@ -336,7 +336,7 @@ class OutgoingPath:
 
     def _compose(self) -> None:
         if (rate := self._route.limit.rate) != self._throttle.rate:
-            # Only then: it begins the beat anew, and gates are composed for other reasons, too.
+            # Only on a change: `limit` restarts the beat, and gates are composed for other reasons, too.
             self._throttle.limit(rate)
         self.gates = gates = sending_gates(self._route, self._ledger, self._throttle, self._loop_filter, self._outbox)
         self._batch = chained(gates.batch)
@@ -381,7 +381,7 @@ class OutgoingPath:
             batch = self._sourced(batch)
         route.traffic.offered += len(batch)
         sources, arming = self._loop_filter.table.flags, route.arming
-        # Asked once: nearly all topics are plain, and a call for each message would be in vain.
+        # Asked once for the batch: nearly all topics are plain, and their messages save two calls.
         plain = self._compressor is None and not arming.required
         messages: list[Message] = []
         size = 0
@@ -459,7 +459,7 @@ class OutgoingPath:
         route.count(len(messages), size, now)
         if size > outbox.largest:  # else each one fits
             fitting = self._packed(messages)
-            # They ask nothing of the link: a late topic beside them would make it seem full.
+            # They ask nothing of the link. If they counted, a late topic would make it seem full.
             traffic.offered -= len(messages) - len(fitting)
             messages = fitting
             size = sum([len(message[0]) for message in messages])
@@ -467,7 +467,7 @@ class OutgoingPath:
                 return
         traffic.packed(len(messages), size)
         if outbox.pass_on(messages, size, channel):
-            # Otherwise nothing changes: a call less for nearly every message.
+            # Otherwise nothing changes, and nearly every message saves a call.
             if channel.congested or traffic.busy_since is not None:
                 traffic.busy(channel.congested, now)
             return

@@ -37,7 +37,7 @@ _BURST_BYTES = 1 << 20
 """Bytes kept for a burst from which on DDS is asked more often for acknowledgements."""
 _BURST_TIME = 2.0
 """Seconds for which more bytes may be kept before a publisher that keeps few messages replaces this one. A round
-figure: nothing was measured. With less, a burst would be overwritten while it is being acknowledged."""
+figure: nothing was measured. With less, a burst could be dropped before it is acknowledged."""
 _MATCHED_WITHIN = 2.0
 """Seconds that subscriptions have to find the new publisher before it takes over: what is published before is lost to
 them."""
@@ -146,6 +146,7 @@ class VolatileTopic:
     def _make_room(self, size: int) -> None:
         """Take memory for the next message: ask DDS what is acknowledged, or have another publisher, if needed."""
         growth, deep = size - self._memory(), self._depth > self._lasting_depth
+        # Ten large messages would be kept by the other publisher, too.
         full = deep and growth > 0 and self._held + growth > max(_BURST_BYTES, self._lasting_depth * size)
         if full or self._held + growth > self._held_when_asked + FREE:
             self._recycle()
@@ -157,7 +158,7 @@ class VolatileTopic:
         try:
             self._take(size, self._memory())
         except SlowSubscriberError:
-            # DDS may have memory enough that is free, but in pieces too small; or the burst that was kept fills it.
+            # DDS may have enough free memory, but in pieces that are too small, or a kept burst fills the budget.
             if self._renew is None or (not deep and (self._waiting or not self._free)):
                 raise
             self._begin_anew(self._renew)
@@ -190,6 +191,7 @@ class VolatileTopic:
     def _begin_anew(self, renew: Callable[[int], Publisher]) -> None:
         """Replace the publisher to free its memory, which is in pieces too small, or kept for a slow subscriber."""
         successor, self._successor = self._successor, None
+        # If there can be no other publisher, this raises, and the former one stays.
         former, self._publisher = self._publisher, successor or renew(self._lasting_depth)
         self._depth, self._unacknowledged_since = self._lasting_depth, None
         former.close()
@@ -399,7 +401,7 @@ class SourcePublishers:
         for source in sources:
             rest = range(count, len(self._outputs))
             at = next((each for each in rest if self._outputs[each].came_by == source.via[:-1]), None)
-            # Numbers have no gaps: what comes after one without a publisher is made anew.
+            # Numbers have no gaps, so publishers after a missing one are made again.
             if at is None:
                 break
             self._outputs.insert(count, self._outputs.pop(at))
@@ -430,7 +432,7 @@ class SourcePublishers:
         while len(self._outputs) > first:
             self.sinks.pop()
             self._outputs.pop().sink.close()
-            # The first one is in no budget: each topic has one.
+            # The first publisher is in no budget, because each topic has one.
             if self._outputs:
                 self._peer.budget.further_publishers.give(1)
         if not first:

@@ -46,7 +46,7 @@ class Throttle:
         if -2 * interval <= late < 0:
             return False
         if len(self._due) >= _MOST_PUBLISHERS:
-            # A message too many of each is better than a table that grows: any node can make publishers.
+            # Any node can make publishers: one message too many of each is better than a table without a limit.
             self._due.clear()
         # Due times keep their own beat, so that a 50 Hz topic throttled to 20 Hz gives 20, not 16.7.
         self._due[publisher] = (due if 0 <= late < interval else stamp) + interval
@@ -93,7 +93,7 @@ class LatestLater:
         for sample in samples:
             publisher, stamp = sample.header.publisher, sample.message.stamp
             passes = sample.replayed or self._throttle.passes(stamp, publisher)
-            # Also before one that passes: a late joiner must not get the older one last.
+            # Even if the new one passes: otherwise the older one would follow it, and late joiners would get that.
             if publisher in self._waiting:
                 left_out += self._forget(publisher)
             if passes:
@@ -128,6 +128,6 @@ class LatestLater:
         if self._paused():
             return
         due, sample = self._waiting.pop(publisher)
-        # It passes by itself, but the next one is due an interval later.
+        # This one passes anyway; the call sets when the next one is due.
         self._throttle.passes(due, publisher)
         self._send([sample])

@@ -103,7 +103,7 @@ class SilenceWatch:
 
     def seen(self, now: float) -> None:
         """Note a message that came at `now` (s)."""
-        # As nearly always: a call less for each message.
+        # Nearly always, so that each message saves a call.
         if not self._watch.warned:
             self._watch.quiet_since = now
             return
@@ -278,7 +278,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         self.age.tick(self._came_here, self.context.now())
         if self.link_full is not None:
             self._full_at = self.context.now()
-        # The verdict follows from all that was ticked until here; what follows asks for it.
+        # The verdict needs the ticks above; the lines below need the verdict.
         super().tick()
         self.limit.set_profile_rate(self._profile_rate())
         if not self.flowing:
@@ -286,7 +286,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         shown = self.judged.shown(self.verdict()).verdict
         now = self.context.now()
         self.silence.tick(now, due=shown.state in (State.STALE, State.STOPPED), cause=shown.cause)
-        # Last, so that whatever the tick has changed is among the signs.
+        # Last, so that the signs contain all that the tick has changed.
         self._idling.ticked(self._signs(), now, self._changes_at(shown, now))
 
     def _profile_rate(self) -> float:
@@ -297,7 +297,7 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     def count(self, messages: int, size: int, now: float) -> None:
         """Count messages that pass at `now` (s), of `size` bytes together."""
-        # Seldom true: a call less for nearly every message.
+        # Seldom true, so that nearly every message saves a call.
         if self.notices.last_error:
             self.notices.flowing()
         self.meter.add(messages, size, now)

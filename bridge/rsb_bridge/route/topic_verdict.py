@@ -347,7 +347,7 @@ def _publishers_qos(facts: Facts) -> Verdict | None:
         f"{_plural(others, 'offers', 'offer')} {', '.join(offer)}, but this topic asks for {', '.join(asked)}: "
         f"{whose} messages are not received; set qos: auto for this topic"
     )
-    # Some others are heard: then the topic is not down.
+    # If some publishers are heard, the topic is not down.
     all_of_them = len(others) == len(ours)
     return Verdict(State.DOWN if all_of_them else State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
 
@@ -421,7 +421,7 @@ def _lossy(facts: Facts) -> Verdict | None:
         why = f"the link is full ({facts.full.share}): set max_rate, compression: zstd or priority"
     elif facts.loss_of_full_link and cause is Cause.LOSSY:
         why = "the link was full"
-    # The figures still have the losses before it: they would accuse a topic that is well.
+    # The figures still contain the losses before the recovery.
     if loss.recovering:
         if facts.shown_cause not in LOSS_CAUSES:
             return None  # a fault that nobody was shown needs no end
