@@ -29,18 +29,22 @@ if TYPE_CHECKING:
 _CALLER = 16
 """Bytes of `Request.caller` that identify the caller; the others identify the request."""
 _SANE = 50_000_000
-"""ns by which a right clock may seem to be wrong."""
+"""ns by which a right clock may seem to be wrong, and so by which an age may be: as much as the smallest `max_age`.
+Nothing was measured. Ten times more would let commands pass that are half a second too old."""
 _DRIFT = 5e-4
-"""ns a ns by which a publisher's clock may run slower or faster, while it is being corrected, too."""
+"""ns a ns by which a publisher's clock may run slower or faster, while it is being corrected, too: as much as
+adjtimex(2) may change a clock's frequency (500 ppm)."""
 _MOST_PUBLISHERS = 1024
+"""Wrong clocks that are remembered: any node of the domain can make publishers. A forgotten one is measured again."""
 EXPIRED = "expired"
 """The cause under which the receiver reports messages that were too old."""
 _LATELY = 10
-"""s that verdicts look back on."""
+"""s that verdicts look back on, as for losses (`telemetry.watches`): `topic_verdict` compares the two numbers."""
 _MANY = 0.05
-"""Share of expired messages above which a topic is late."""
+"""Share of expired messages above which a topic is late; the same as for losses (`telemetry.watches`)."""
 _AHEAD = 0.05
-"""s, beyond the uncertainty, by which a message may seem to come from the future."""
+"""s, beyond the uncertainty, by which a message may seem to come from the future. A round figure: nothing was measured.
+Ten times more would publish commands whose age is wrong by half a second."""
 _REMEDIES = {
     Cause.LINK_SLOW: "the link is too slow: set max_rate or priority",
     Cause.CLOCK_UNKNOWN: "age unknown (clock set or slow link): wait 10 s",
@@ -74,6 +78,7 @@ class PublisherClocks:
         took = taken - source
         known = self._wrong.get(publisher)
         if known is None:
+            # A volatile topic has no message from before the subscription: an earlier stamp shows that its clock lags.
             if took >= -_SANE and (self.since is None or source >= self.since - _SANE):
                 return min(source, taken)
             if len(self._wrong) >= _MOST_PUBLISHERS:
@@ -81,6 +86,8 @@ class PublisherClocks:
             self._wrong[publisher] = took, taken
             return taken
         shortest, at = known
+        # A message that took longer than the shortest one was held up by the difference, even if the clock is wrong.
+        # Without the drift, each message of a slow clock would count as older than the one before.
         shortest = min(took, shortest + int(_DRIFT * max(0, taken - at)))
         if abs(shortest) <= _SANE:
             del self._wrong[publisher]  # its clock has been set
@@ -102,10 +109,7 @@ class Expired(NamedTuple):
 
     Attributes:
         cause: cause of most of them.
-        lost: number of dropped messages.
         of: the number of messages among which these were lost.
-        limit: s that they may be old.
-        since: s, when it began.
     """
 
     cause: Cause
@@ -147,7 +151,6 @@ class MessageAge:
 
         Args:
             demands: limits of both sides: s, 0 for no limit, or None if a session sets none.
-            armed: whether it requires arming.
             lifespan: s, of its publishers, or 0 for none.
         """
         self.max_age = effective_max_age(demands, armed=armed)
@@ -165,6 +168,7 @@ class MessageAge:
         if not clock.is_sure:
             if not self.max_age:
                 return [each._replace(stamp=shifted(each.stamp, shift)) for each in batch]
+            # 0 is older than any limit: the next sieve drops it, also that of a latched topic.
             return [each._replace(stamp=0) for each in batch]
         return [
             RawMessage(payload, born(source and source + shift, stamp + shift, gid), gid, number, lease, source)
@@ -230,9 +234,11 @@ class MessageAge:
             return Cause.CLOCK_UNKNOWN if self.max_age else None
         age = (self._context.stamps.now() - stamp) / 1e9 + offset
         if self.max_age:
+            # From the future: the measured offset of the clocks is wrong, and the message may have any age.
             if age < -uncertainty - _AHEAD:
                 return Cause.CLOCK_UNKNOWN
             if age + uncertainty > self.max_age:
+                # The remedies differ: an uncertain clock needs a moment, a slow link a lower rate.
                 doubtful = age <= self.max_age and uncertainty > self.max_age / 2
                 return Cause.CLOCK_UNKNOWN if doubtful else Cause.LINK_SLOW
         return Cause.LINK_SLOW if age - uncertainty > self._limit else None
@@ -257,6 +263,7 @@ class MessageAge:
         if not self.is_on and not self._lately:
             return
         self._lately.append((messages, self._counts.copy()))
+        # If it is switched off while the topic is late, the counts go on until the lateness has ended.
         if not self.is_on and self._since is None:
             self._lately.clear()
         lost, of, _ = self._recent()
@@ -271,6 +278,7 @@ class MessageAge:
         messages, counts = self._lately[-1]
         before, counts_before = self._lately[0]
         lost = counts - counts_before
+        # A message that waited may have come before these seconds: the share must not exceed 100 %.
         return lost.total(), max(messages - before, lost.total()), lost
 
     def late(self) -> Expired | None:

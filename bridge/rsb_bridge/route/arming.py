@@ -30,9 +30,10 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.framing import Message
 
 ANSWERED_WITHIN = 5.0
-"""Seconds in which the other side has to agree."""
+"""Seconds in which the other side has to agree (PROTOCOL.md, 7)."""
 CONSOLE_SILENT_AFTER = 5.0
-"""Seconds without a sign of life after which the console that armed a topic counts as gone."""
+"""Seconds without a sign of life after which the console that armed a topic counts as gone: it gives one every 2 s at
+least (`link.holder_questions`), so that one may be late."""
 PEER_GRACE = 2.0
 """Seconds beyond the deadman that a side waits if the other side armed it: keys are reported once a second."""
 
@@ -135,8 +136,6 @@ class Arming:
         console: that operator's console on this side, or None if it was armed on the other side or is not armed.
         shared: whether that operator's other consoles may publish by hand, too.
         question: of another operator to the holder, or None.
-        why: the cause why it is not armed.
-        reason: the same as a text.
         lease: lease of the link, or None before the first opening: nothing passes without it.
         first: the lease's number when somebody armed it.
     """
@@ -165,6 +164,7 @@ class Arming:
         self._clear(_Phase.FREE)
 
     def _clear(self, phase: _Phase) -> None:
+        # A command may wait for the other side: it ends, and reports that nothing is armed.
         self._answer()
         question, self.question = self.question, None
         if question is not None:
@@ -230,6 +230,7 @@ class Arming:
         """Whether operators want messages to cross at `now` (s), and the two sides have agreed on it."""
         if not self.required:
             return True
+        # Before the lease has begun, a goal could overtake what shows the other side that it is heard, and be refused.
         return self._phase is _Phase.ARMED and now < self._deadline and self.lease is not None and self.lease.begun
 
     def why_disarmed(self, now: float) -> str:
@@ -312,6 +313,7 @@ class Arming:
 
     def agreed(self, now: float) -> bool:
         """Take the other side's agreement at `now` (s). Return whether this side had asked."""
+        # An agreement that comes too late arms nothing, even before the tick that gives it up.
         if self._phase is not _Phase.ASKED or now >= self._deadline:
             return False
         self._phase = _Phase.ARMED
@@ -325,6 +327,7 @@ class Arming:
     def take(self, by: str, now: float) -> None:
         """Arm it for an operator of the other side, who armed it or pressed a key at `now` (s)."""
         self._hold(_Phase.ARMED, by, None)
+        # This side's operator may have asked at the same moment: that command ends, and names the other operator.
         self._answer()
         self._begin_deadman(now, PEER_GRACE)
 
@@ -334,6 +337,7 @@ class Arming:
         self._clear(_Phase.SPENT)
 
     def _hold(self, phase: _Phase, by: str, console: Hashable | None) -> None:
+        # A key on the other side comes here, too. With a newer number, messages from before the key would not pass.
         if not self.held:
             self.first = self.lease.number if self.lease is not None else 0
         self._phase, self.by, self.console = phase, by, console
@@ -359,6 +363,7 @@ class Arming:
         if self.console is None or console != self.console:
             return
         self._seen_at = now
+        # A key after the deadline revives nothing, even before the tick that disarms.
         if pressed and self._phase is _Phase.ARMED and now < self._deadline:
             self._begin_deadman(now, 0.0)
             self._key_pressed = True
@@ -420,6 +425,7 @@ class Settling:
 
     def begin(self, route_id: int, seconds: float) -> None:
         """Begin for an opening, for at most `seconds`."""
+        # The lease of the last message has run out already.
         if seconds <= 0:
             return
         if self._timer is not None:

@@ -21,7 +21,8 @@ _SUFFERS_FOR = 20.0
 """s for which a route counts as suffering from a lossy path after its last trouble: at 30 % loss, good times took up to
 15 s."""
 _STUCK_AFTER = 20.0
-"""s without a message after which a lossy path stops a route altogether, and is no longer what makes it slow."""
+"""s without a message after which a lossy path stops a route altogether, and is no longer what makes it slow. A
+round figure: how long the bad times of a path last was not measured."""
 _BETWEEN_LOSSES = frozenset(
     {
         (State.OK, Cause.NONE),
@@ -45,7 +46,6 @@ class RouteStatus(NamedTuple):
         refusal: the reason why the route is refused, or was refused until shortly ago, or empty.
         reopens: whether its data connection broke a short time ago, and has not been open since.
         loop: the reason why its messages or calls would loop, or empty.
-        paused: whether an operator has paused it.
         paused_by: the operator, or empty if unknown.
         disarmed: the reason why it is not armed although it must be, or empty.
         disarming: whether the other side may still act on messages from before it was disarmed.
@@ -133,6 +133,7 @@ class LossyPath:
         suffers = (verdict.cause, verdict.text) == (Cause.LOSSY, path.text)
         if suffers:
             self._until = now + _SUFFERS_FOR
+        # A fault of another kind is not the path's.
         elif now >= self._until or (verdict.state, verdict.cause) not in _BETWEEN_LOSSES:
             return verdict
         if not suffers or verdict.state.rank > State.STOPPED.rank:
@@ -248,6 +249,8 @@ def _disarmed(status: RouteStatus) -> Verdict | None:
     return Verdict(State.DISARMED, Cause.DISARMED, text)
 
 
+# Each loss of a channel refuses the route, too, so `_breaking` is asked before `_refused`: its text has the remedy.
+# A loop comes before the arming, as nothing would pass then either.
 _BLOCKING: tuple[Callable[[RouteStatus], Verdict | None], ...] = (
     _link, _breaking, _refused, _loop, _disarming, _paused, _disarmed,
 )  # fmt: skip

@@ -28,13 +28,16 @@ _ENOUGH_SAID_HERE = frozenset(
 _TEXT_LENGTH = 300
 """Characters of a text that is sent: a report has room for a thousand routes."""
 
-_LONGEST = 1e9  # s
+_LONGEST = 1e9
+"""s, 30 years: a peer that says more makes it up."""
 _JITTER = 2.0
-"""s by which two reports on the same fault may be apart."""
+"""s by which two reports on the same fault may be apart, or its time would jump on the screens with each of them."""
 _NODES, _NODE_LENGTH = 4, 64
-"""The most nodes in a report to the other side, and characters of their names."""
+"""The most nodes in a report to the other side, and characters of their names: a report has room for a thousand
+routes."""
 _LASTS = 3.0
-"""s that a verdict must last."""
+"""s that a verdict must last. A round figure: nothing was measured. With a tenth of it, each second that goes
+wrong would be logged."""
 _LOSS_LASTS = 7.0
 """s that a loss on the way must last: before that, its remedy is not known (`MEASURED_FOR`)."""
 _WAITS = 10.0
@@ -47,7 +50,8 @@ _MENDABLE: dict[str, Level] = {
 }
 """What a route may wait for that a person can mend: a name or a type that is typed wrong, a type to install."""
 _AGAIN_AFTER = 60.0
-"""s until the log repeats a verdict."""
+"""s until the log repeats a verdict. A round figure: nothing was measured. With a tenth of it, a topic that comes and
+goes would fill the log."""
 _MOST_SAID = 32
 _SAID_ELSEWHERE = frozenset(
     {
@@ -72,15 +76,7 @@ class Shown(NamedTuple):
 
 
 class CombinedVerdict:
-    """Puts both sides' verdicts together.
-
-    Args:
-        sends: this is the sending side.
-        peer_name: what the other side is called.
-
-    Attributes:
-        peer: the other side's verdict.
-    """
+    """Puts both sides' verdicts together. `peer` is the other side's."""
 
     def __init__(self, *, sends: bool, peer_name: str) -> None:
         self.peer = FINE
@@ -108,6 +104,7 @@ class CombinedVerdict:
         same = (own.state, own.cause) == (self.peer.state, self.peer.cause)
         if own.cause in _SAME_ON_BOTH or (same and own.cause in _ENOUGH_SAID_HERE):
             return Shown(own, from_peer=False)
+        # In the same order on both sides, so that both show the same one of two that are equally bad.
         verdict, from_sender = worse(*((own, self.peer) if self._sends else (self.peer, own)))
         if from_sender == self._sends:
             return Shown(verdict, from_peer=False)
@@ -125,6 +122,7 @@ class CombinedVerdict:
         Called once a second.
         """
         verdict = self.shown(own).verdict
+        # First, because `shown_cause` must be right even if nothing is logged.
         self.since(verdict, now)
         if path is not None and path.of_topic(verdict.cause) is not None:
             return None
@@ -146,6 +144,7 @@ def record_of(verdict: Verdict) -> VerdictRecord | None:
     """Return a verdict's record for the other side without its duration, or None if nothing is wrong."""
     if verdict == FINE:
         return None
+    # With its duration, each report would differ from the one before, and be sent.
     return VerdictRecord(verdict.state, verdict.cause, sanitize_text(verdict.text, _TEXT_LENGTH))
 
 

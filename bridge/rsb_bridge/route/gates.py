@@ -115,6 +115,7 @@ class ArmedGate:
         lease = self._arming.lease
         if lease is None or not self._arming.stands(now):
             return Refused.DISARMED
+        # A caller learns that arming again does not help: the two sides do not hear each other.
         return None if lease.alive else Refused.UNHEARD
 
 
@@ -175,6 +176,7 @@ class CallRateGate:
 
     def __init__(self, rate: float, now: float) -> None:
         self.rate = rate
+        # A bucket that holds less than one token never gives any.
         self._bucket = TokenBucket(max(1.0, rate), rate, now)
 
     def check(self, _: object, now: float) -> Refused | None:
@@ -262,6 +264,7 @@ class LoopSieve:
 
     def passing(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
         sources = self._loops.table.flags
+        # Nearly always all sources are known: then the batch passes as it is, without a copy.
         for message in batch:
             if message.gid not in sources:
                 return self._admitted(batch)
@@ -273,6 +276,7 @@ class LoopSieve:
             self._route.advance()  # finds their publishers, and may change the sources of the others
             sources = self._loops.table.flags
             sent = [message for message in admitted if message.gid in sources]
+            # `advance` may have ended the opening: then the messages would not loop, but are lost with it.
             self._ledger.lose("would loop" if self._route.id else "link lost", len(admitted) - len(sent))
             admitted = sent
         self._ledger.lose("queue full", self._loops.give_up())
@@ -394,6 +398,7 @@ def sending_gates(
 ) -> SendingGates:
     """Return the gates of messages from ROS to the channel."""
     age, ages = route.age, route.age.is_on
+    # A latched topic's messages wait in its histories; their age is asked when they leave these (`KeptAgeSieve`).
     fresh = (FreshSieve(age, ledger),) if ages and not route.is_latched else ()
     return SendingGates(
         batch=hand_gates(route),
@@ -421,6 +426,7 @@ NO_SAMPLE = GatedMessage(0, 0)
 
 def unleased(payload: bytes, flags: int) -> tuple[int, bytes, int]:
     """Return the lease's number of a message, or 0 for none, and its payload and flags without it."""
+    # A message that is too short for the header keeps its flag and gets 0, which is no lease's number: gates drop it.
     if not flags & LEASED or len(payload) < LEASE_HEADER_LENGTH:
         return 0, payload, flags
     return *split_number(payload), flags & ~LEASED
@@ -446,6 +452,7 @@ def incoming_gates(route: Route) -> IncomingGates:
     leased: Gates = (LeaseGate(arming),) if arming.required else ()
     young: Gates = (AgeGate(route.age),) if route.age.is_on else ()
     slow: Gates = (RateGate(route.peer.budget.rates, route.local_topic, rate),) if rate else ()
+    # The rate comes last, so that messages which the lease refuses take no token.
     return IncomingGates(batch=hand_gates(route), arriving=(*leased, *slow), leaving=(*leased, *young))
 
 
@@ -471,6 +478,7 @@ def calling_gates(route: Route, outbox: Carries, rate: CallRateGate, *, limited:
         return CallingGates((fits, budget), ())
     young: Gates = (YoungGate(route.age),) if route.age.is_on else ()
     slow: Gates = (rate,) if rate.rate else ()
+    # Rate and budget come last: a call that is refused before takes no token, and no place.
     return CallingGates((PauseGate(route.pausing), *hand_gates(route), *young, fits, *slow, budget), young)
 
 
@@ -494,6 +502,7 @@ def providing_gates(route: Route, *, limited: bool) -> ProvidingGates:
     young: Gates = (AgeGate(route.age),) if route.age.is_on else ()
     armed: Gates = (*hand_gates(route), LeaseGate(arming)) if arming.required else ()
     slow: Gates = (RateGate(route.peer.budget.rates, route.local_topic, rate),) if rate else ()
+    # As on the callers' side, only a call that nothing else refuses takes a token and a place.
     return ProvidingGates((*young, PauseGate(route.pausing), *armed), (*young, *armed, *slow, budget))
 
 

@@ -30,13 +30,15 @@ _HELD_FOR = 0.3
 """s; a probe takes 0.1 to 0.2 s on an idle machine. A publisher is busy that has not been quiet for so long."""
 _HELD = 64
 """Messages of one publisher. At 5 kHz they come within 13 ms, and released together they fit into usual depths."""
-_HELD_SIZE = 32 << 20  # bytes of one publisher's messages
-_PROBES_FOR = 1.0  # s
+_HELD_SIZE = 32 << 20  # bytes of one publisher's messages: as many as wait to be sent (`sending`)
+_PROBES_FOR = 1.0
+"""s until a probe ends that has not got what it waits for: five times as long as one takes on an idle machine."""
 _PROBE_SETTLES_AFTER = 0.05
 """s after all that a probe waits for: what overtook it in the other subscription has come, too."""
 _PROBES_EACH_UNTIL = 16
 """Up to this number each message is probed for, later every doubling of the number: a probe replays the history."""
 _MOST_TRIES = 5
+"""A round figure: nothing was measured. Each try subscribes once more, and has the publisher send its history again."""
 _MEANWHILE = 100
 """Messages from the start of a probe to its end, up to which it bounds the depth from above. A faster publisher may
 overwrite the beginning of its history before DDS has sent it: at 5 kHz, 1,000 messages were taken for 300 at times."""
@@ -50,7 +52,6 @@ class Sample(NamedTuple):
     """A message of a latched topic.
 
     Attributes:
-        header: its publisher, number and history depth.
         replayed: whether it comes from its publisher's history rather than live.
     """
 
@@ -69,7 +70,6 @@ class _Publisher:
         latest: s, when `newest` came.
         flows_since: s, when the first message came after the last silence of `_SETTLES_AFTER`.
         first: the first message number that this subscription brought, or 0 before the first message.
-        newest: the newest number seen.
         settled: whether its whole history has come.
         at_least: lower bound of the depth.
         at_most: upper bound of the depth.
@@ -77,7 +77,6 @@ class _Publisher:
         tries: probes in a row that did not show the depth.
         released: whether messages are no longer held.
         held: messages held, each with whether it was replayed.
-        held_size: bytes of `held`.
         arrivals: of a topic with a lifespan, the newest live messages' numbers and when (s) they came.
         gone_since: time (s) when it left the graph, or None while it is there.
     """
@@ -158,6 +157,7 @@ class Histories:
         new, samples = 0, list[Sample]()
         for message in batch:
             publisher = self._seen(message, now)
+            # DDS hands over the whole history to each new subscription. The peer has this message, or will get it.
             if message.number and message.number <= publisher.taken:
                 continue
             new += 1
@@ -184,11 +184,7 @@ class Histories:
             publisher.arrivals.clear()
 
     def look(self, present: Collection[bytes]) -> None:
-        """Forget publishers that are gone.
-
-        Args:
-            present: ids of the publishers in the graph.
-        """
+        """Forget publishers that are gone."""
         now = self._loop.time()
         for gid, publisher in tuple(self._publishers.items()):
             if gid in present:
@@ -196,6 +192,7 @@ class Histories:
                 continue
             if publisher.gone_since is None:
                 publisher.gone_since = now
+            # A publisher that still sends is there, even if the graph has lost it.
             if now - max(publisher.latest, publisher.gone_since) > _FORGOTTEN_AFTER:
                 del self._publishers[gid]
 
@@ -255,6 +252,7 @@ class Histories:
         due: list[float] = []
         wanted: dict[bytes, int] = {}
         for gid, publisher in self._publishers.items():
+            # Without numbers, or with a given depth, there is nothing to find out.
             if not publisher.first or self._depth:
                 continue
             releases_at = publisher.began + _HELD_FOR
@@ -265,6 +263,7 @@ class Histories:
                 publisher.settled = now >= settles_at
                 due += [] if publisher.settled else [settles_at]
             if publisher.held:
+                # If message 1 is there, a probe finds no depth either. Few messages may cost a publisher each.
                 few = len(publisher.held) <= _PROBES_EACH_UNTIL
                 if now >= releases_at or (publisher.settled and publisher.first == 1 and few):
                     self._release(publisher)
@@ -273,6 +272,7 @@ class Histories:
             publisher.released = publisher.released or now >= releases_at
             if publisher.wants_probe():
                 wanted[gid] = publisher.newest
+        # One at a time, for all publishers: each second subscription has DDS send all histories once more.
         if wanted and self._probe is None:
             self._start_probe(wanted, now)
         if self._probe is not None:
@@ -320,6 +320,7 @@ class Histories:
 
     def _judge(self, publisher: _Publisher, target: int, first: int, last: int) -> None:
         """Judge the depth by a probe that began when `target` was the newest message and got `first` to `last`."""
+        # Nothing is overwritten yet, so this is only a lower bound.
         if first == 1 and last >= target:
             publisher.tries = 0
             publisher.at_least = max(publisher.at_least, min(target, publisher.at_most))

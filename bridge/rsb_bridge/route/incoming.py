@@ -60,8 +60,10 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Owner
 
 _INCOMPLETE_IN_A_ROW = 3
+"""Messages given up incomplete since the last whole one. A round figure: nothing was measured. One may be bad luck."""
 _ASKED_EVERY = 0.9
-"""s until the graph is asked again who subscribes, where their number is the same."""
+"""s until the graph is asked again who subscribes, where their number is the same: less than the second after which
+`link.graph_watch` looks once more, when the graph has settled."""
 _REPORTS_AFTER = 100
 """Messages after which an early report is sent: if this process is killed, the sender never learns whether the
 unreported messages arrived."""
@@ -104,7 +106,6 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     Attributes:
         compare_types: asks the other side how its version of a type differs.
-        outputs: its publishers here.
         rest: follows the last message of an arming.
     """
 
@@ -167,6 +168,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
 
     def described(self, description: Describe) -> None:
         """Make the publishers for the messages that the sender describes, or refuse the route."""
+        # Asked before the event, because the sender describes its messages again whenever it adds a source.
         first = not self.life.described
         if not self.life.take(RouteEvent.DESCRIBE):
             return
@@ -177,11 +179,14 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             first = True
             self.outputs.close()
         elif first:
+            # A new opening numbers its sources from 0. What late joiners get stays with its source.
             self.outputs.renumber(description.sources)
+        # The sender leaves the history out, too; here nothing depends on its word.
         qos = without_history(description.qos) if self.arming.required else description.qos
         spec = PublicationSpec(self.remote_topic, description.type, description.type_hash, bounded(qos))
         try:
             self.outputs.make(spec, description.sources)
+            # Now, as a rest that does not fit the type must refuse the route instead of failing when it is needed.
             self.rest.prepare(spec)
         except (RosError, LatchedFullError) as error:
             self._refuse_type(str(error))
@@ -216,6 +221,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         opening = self.id
 
         def refuse(difference: str) -> None:
+            # The answer may take seconds. By then the route may have another opening, with another type.
             if self.id == opening:
                 hashes = TypeClash.HASHES(there=description.type_hash, here=installed)
                 self._refuse_type(TypeClash.VERSIONS(type=description.type, difference=difference or hashes))
@@ -224,6 +230,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         return False
 
     def _refuse_type(self, reason: str) -> None:
+        # `refuse` ends the opening, and its id with it.
         route_id = self.id
         self.refuse(EventCode.ROUTE_TYPE_DIFFERS, reason)
         self.peer.send(Refuse(route=route_id, code="type_differs", reason=sanitize_text(reason)))
@@ -251,6 +258,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
     def advance(self) -> None:
         """Open the channel once there is a publisher, and look for subscribers."""
         if not self.outputs:
+            # A sender without publishers takes the type of the subscriptions here.
             self._hint = type_hint(self.ends, self.remote_topic)
             return
         if self.life.accepted and self.channel is None:
@@ -268,12 +276,14 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if self.qos is None:
             return
         if any(clashes(self.qos, qos) for qos in requested):
+            # Only then: it searches the graph, and only a clash needs the result.
             self._others = tuple(self.ends.publishers(self.remote_topic))
         if not self._subscribers:
             self._clash = next((clash for qos in requested if (clash := incompatible(self.qos, qos))), "")
 
     def destroy(self) -> None:
         """End it for good, its publisher too."""
+        # First: it disarms, which begins the rest. `rest.close` then lets that go on to its end.
         super().destroy()
         self.outputs.close()
         self.rest.close()
@@ -302,13 +312,16 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         now = sent = self.context.stamps.now()
         gated = arriving is not None or leaving is not None
         checker = self.check.checker
+        # With a bounded number of lengths, a check takes next to no time, and nothing of the budget: one call less.
         check = None if checker is None else self.check.check if checker.loops else checker.check
         count, size, number, published, look = 0, 0, 0, b"", None
+        # An iterator, so that `*messages` below is the rest after a message that has to wait.
         messages = iter(messages)
         for message in messages:
             payload, stamp, flags = message
             if batch is not None:
                 number, payload, flags = unleased(payload, flags)
+            # Before the gates: what waits comes here again, and would take a second token of the rate.
             if flags & ZSTD and not self._unpacker.begin((payload, stamp, flags)):
                 self._unpacker.wait((message, *messages))
                 break
@@ -318,6 +331,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
                 self._refuse(why)
                 continue
             self._received += 1
+            # A peer may name any of 16 sources, also one that got no publisher here.
             if flags >> SOURCE_SHIFT >= len(sinks):
                 self._dropped["unknown source"] += 1
                 continue
@@ -450,6 +464,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         """Take the sender's ledger, which is right for both sides."""
         failed_before = self._failure
         self._report = report
+        # Until the first report of an opening, the verdict is that this side waits for it.
         if not self._is_reported:
             self._is_reported = True
             self._verdict = None

@@ -26,17 +26,22 @@ if TYPE_CHECKING:
 
 PUBLISHER_COST = 1 << 20
 """Bytes that are counted with each publisher, which bounds their number. DDS needs about 170 kB."""
-_MESSAGE_COST = 256  # bytes
+_MESSAGE_COST = 256  # bytes, for what DDS keeps with each message: an estimate
 _ALONE = 16
-"""Messages of a growing history for which there is a publisher each, so that each can be dropped alone."""
-_MATCHED_WITHIN = 0.5  # s
-_LOOKS_AGAIN_AFTER = 0.02  # s
+"""Messages of a growing history for which there is a publisher each, so that each can be dropped alone: as many as the
+sender probes each message for (`history_depth`)."""
+_MATCHED_WITHIN = 0.5
+"""s that subscriptions have to discover a new publisher. They get its earlier messages late, after messages of
+other publishers, or never if they want no history."""
+_LOOKS_AGAIN_AFTER = 0.02  # s until DDS is asked again who has discovered what: a round figure
 _AT_ONCE, _GOES_ON_AFTER = 100, 0.005
 """Messages that waited are published so many at once, and the next ones after so many s: 20,000 a second, which an
 rclpy subscriber can take. All at once they overran the depth of one that keeps 500."""
 _MANY = 5000
 """Messages that may wait; what is more than these goes at once, so that they come to an end at any rate."""
-_ACKNOWLEDGED_WITHIN = 0.5  # s
+_ACKNOWLEDGED_WITHIN = 0.5
+"""s that a message has to arrive, until that of another publisher may follow: no longer, as a stopped subscriber never
+acknowledges one. From 2 kHz on, messages wait for so long once (bench/README)."""
 _ASKED = 4
 """Publishers asked for their subscribers: the oldest, which have been discovered by all."""
 _GONE_AFTER = 10.0
@@ -57,7 +62,6 @@ class _OutputHistory:
     """A publisher here, and what it keeps.
 
     Attributes:
-        depth: messages that it keeps.
         kept: number of each message that it keeps, and size of its memory, oldest first.
     """
 
@@ -82,7 +86,6 @@ class _History:
         outputs: the publishers here that have its messages.
         waiting: messages that wait for the newest output to be discovered.
         last: the output that published last, or None.
-        last_at: s, when it did.
     """
 
     seen_at: float
@@ -108,7 +111,6 @@ class LatchedTopic:
 
         Args:
             advertise: makes a publisher with a depth; may raise RosError.
-            budget: budget of the publishers' link.
             depth: initial depth of a history, until its own has been found.
             failed: called when a message that had waited, or a publisher, fails later.
 
@@ -125,7 +127,7 @@ class LatchedTopic:
         self._present: Mapping[bytes, int] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._first_depth = depth
-        self._spare: _OutputHistory | None = None
+        self._spare: _OutputHistory | None = None  # which `_output` looks for
         self._spare = self._output(depth)
 
     @property
@@ -188,8 +190,6 @@ class LatchedTopic:
         """Publish a message, now or as soon as its publisher is discovered by those who have discovered the others.
 
         Args:
-            header: publisher, number and depth of the message.
-            content: content of the message.
             still_wanted: asked right before it is published if it had to wait, or None if it is wanted in any case.
 
         Returns:
@@ -201,12 +201,15 @@ class LatchedTopic:
         """
         now = self._loop.time()
         history = self._histories.setdefault(header.publisher, _History(now))
+        # It was sent again, or a newer one has overtaken it, as datagrams may: late joiners get the newest last.
         if header.number and header.number <= history.newest:
             return False
         history.seen_at = now
         number = header.number or history.newest + 1
+        # A depth that the sender has found since also holds for messages that it sent before.
         depth = min(header.depth, self._present.get(header.publisher, 0) or LATCHED_DEPTH)
         output = self._output_for(history, number, depth)
+        # The message that gives way leaves its memory, so that a full publisher costs no more than before.
         evicted = output.kept[0][1] if output.full else 0
         memory = max(len(content) + _MESSAGE_COST, evicted)  # DDS uses it again, and never makes it smaller
         if not self._budget.take(memory - evicted):
@@ -240,6 +243,7 @@ class LatchedTopic:
         if not needed or count >= depth:
             made = self._output(depth)
         else:
+            # At first each message gets a publisher; later each one doubles the history, so that a long one needs few.
             made = self._output(max(depth - count, count if count >= _ALONE else 1))
         outputs.append(made)
         return made

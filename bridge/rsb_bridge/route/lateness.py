@@ -17,8 +17,9 @@ from rsb_bridge.model.verdict import Cause, Verdict
 if TYPE_CHECKING:
     from rsb_bridge.model.capacity import Fullness
 
+# The numbers without a source are round figures: nothing was measured.
 _TICKS = 2
-"""Ticks that have to agree before a topic becomes late, or is no longer late."""
+"""Ticks that have to agree before a topic becomes late, or is no longer late: one bad second is no fault."""
 _CLEARLY = 2.0
 """Times the bound: beyond that, one tick is enough, unless a clock that was set may explain it."""
 _OVER = 0.8
@@ -27,18 +28,19 @@ _REMEMBERED, _REMEMBERED_GAPS, _LONGEST_REMEMBERED = 5.0, 2.0, 60.0
 """s without a message after which the last delay is outdated, or times the last gap between messages if that is longer,
 and s at the most: a topic with a message every 10 s must not be fine in between."""
 _SAME = 0.15
-"""Share by which a delay has to change before the shown figure does."""
+"""Share by which a delay has to change before the shown figure does, or the screens would change each second."""
 REPORTED_LATELY = 2.5
-"""s for which a delay that the receiver has reported counts."""
+"""s for which a delay that the receiver has reported counts: one of its reports may be late or lost."""
 _LONGEST_DELAY = 3600.0
-"""s; a longer delay counts as a mistake."""
+"""s; a longer delay counts as a mistake, as in `telemetry.meters`."""
 _JITTERS = 2.0
-"""Times the jitter by which a message may take longer without a cause."""
+"""Times the jitter by which a message may take longer without a cause: with less, an uneven path would seem full."""
 _LONGEST_UNDER_WAY = 60.0
 """s; a message that takes longer counts as lost."""
 _REPORTED_EVERY = 1.0
-"""s between the receiver's reports."""
+"""s between the receiver's reports (`link.route_reports`)."""
 _MOST_MARKS = 600
+"""Marks of ten minutes without a report. The age is that of the oldest mark."""
 _USUAL = 0.1
 """Weight of a new delay in the usual one."""
 _USUAL_AFTER = 5
@@ -52,11 +54,9 @@ class Late(NamedTuple):
     """A delay that is too long.
 
     Attributes:
-        seconds: s that messages take.
         usual: s that they usually take, or None if that is unknown.
         where: `WAY` or `QUEUE`, or empty if that is unknown.
         full: the rates of a full link, or None if the link is not full.
-        since: s, when the lateness began.
         was_full: whether the link was full since then, so that what waited still arrives.
         undecided: whether it is not known yet if the link is full.
     """
@@ -206,11 +206,8 @@ class SendersDelay:
         self.longer = max(0.0, seconds - self._shortest - _JITTERS * max(0.0, jitter))
 
     def with_report(self, report_delay: float) -> float:
-        """Return the estimated s that a message and its report take together.
-
-        Args:
-            report_delay: s that a report takes.
-        """
+        """Return the estimated s that a message and its report take together."""
+        # A message takes at least as long as a ping, even before the first report.
         return min(max(0.0, self.reported or 0.0, report_delay) + report_delay, _LONGEST_UNDER_WAY)
 
     def unreported(self, sent: int, accounted: int, now: float) -> float:
@@ -241,11 +238,7 @@ class SendersDelay:
 
 
 def delay_of_sender(unreported: float, report_delay: float) -> float:
-    """Return the least s that messages take, from the age of the oldest unreported one.
-
-    Args:
-        report_delay: s that a report takes to come back.
-    """
+    """Return the least s that messages take, from the age of the oldest unreported one."""
     return max(0.0, unreported - _REPORTED_EVERY - report_delay)
 
 

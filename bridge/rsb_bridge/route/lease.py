@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 LASTS = 1.0
 """Seconds that a message of an armed route may be old at most when it is published."""
 BEAT = 0.25
-"""Seconds from one number to the next."""
+"""Seconds from one number to the next (PROTOCOL.md, 7.2): of four in `LASTS`, one may be lost."""
 GIVEN_UP_AFTER = 3.0
 """Seconds without an answer after which everything is disarmed; nothing passes after the first of them.
 
@@ -55,7 +55,6 @@ class LeaseHalf:
 
     Args:
         steady: s on a clock that nobody sets, and that goes on while the machine sleeps.
-        turns: turns of the ROS thread.
         ended: called once when it is over, after the last message has passed.
 
     Attributes:
@@ -105,6 +104,7 @@ class LeaseHalf:
 
     def beat(self) -> tuple[int, int]:
         """Return the next number of this side, and the newest of the other one. To be called every `BEAT` s."""
+        # First, because this number would hide a standstill before it.
         self._look()
         now = self._steady()
         self._beaten = now
@@ -118,6 +118,7 @@ class LeaseHalf:
 
     def hear(self, number: int, echo: int) -> None:
         """Take a number of the other side, and the number of this side that it has heard."""
+        # First, because numbers that waited through a standstill would revive the lease.
         self._look()
         if 0 < echo <= self._newest_before:
             return  # it is of the lease before this one: datagrams may come late
@@ -183,6 +184,7 @@ class LeaseHalf:
         if not self._on or self.over is not None:
             return
         now = self._steady()
+        # This side comes first: while it stands still, it hears nothing of the other one either.
         if now - self._beaten > LASTS:
             self.over = Standstill.LOOP
         elif now - self._turns.at > LASTS:
@@ -198,8 +200,6 @@ class Marker:
     """Marks what one endpoint takes from ROS. It is made right before the endpoint, and belongs to the taking thread.
 
     Args:
-        lease: lease of the link.
-        turns: turns of the thread.
         batch: most messages taken at once; after that many there may be more, which the next turn takes.
     """
 
@@ -215,7 +215,7 @@ class Marker:
         """Return messages with the number of the lease that bounds their age."""
         turn, before = self._turns.count, self._turn
         if self._is_empty or turn > before + 1:  # a turn in between has found the queue empty
-            self._since = max(self._made, self._turns.since)
+            self._since = max(self._made, self._turns.since)  # nothing is older than its endpoint
         self._turn, self._is_empty = turn, len(taken) < self._batch
         number = self._lease.newest_before(self._since)
         return [each._replace(lease=number) for each in taken]

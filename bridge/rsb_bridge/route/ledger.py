@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 _OVERDUE_AFTER = 2.0
+"""s after which an unreported message counts as lost, if its channel may lose any. Reports come each second, so that a
+loss shows after 3 s."""
 _FOUND_WITHIN = 3.0
 """s within which publishers find a new subscription; who has sent nothing by then sends nothing now."""
 _MOST_CAUSES = 31
@@ -200,7 +202,9 @@ class RouteLedger:
 
     def closed(self) -> None:
         """End the opening."""
+        # An opening without messages does not close the account of the one before, whose counts may still come.
         if self._opening.sent:
+            # If an earlier one still waits for its counts, they will not come: a receiver keeps those of one opening.
             self.settle(None, "")
             self._unsettled = self._opening
         self._opening = _Opening()
@@ -221,6 +225,7 @@ class RouteLedger:
         opening = self._opening
         opening.counted = _within(report, opening.sent)
         opening.marks.append((now, opening.sent))
+        # This ends at the mark that was just added, at the latest.
         while now - opening.marks[0][0] >= _OVERDUE_AFTER + delay:
             opening.overdue = opening.marks.popleft()[1]
         return opening.counted.plausible
@@ -259,6 +264,7 @@ class RouteLedger:
             self.drop(opening.lost_as, left)
         else:
             self.unknown += left
+        # The receiver names the causes, and must not make the table grow with each opening.
         self.dropped = _folded(self.dropped)
         return plausible
 
@@ -278,6 +284,7 @@ class RouteLedger:
                     drop(cause, count)
                 if lost := self._lost(opening, opening.counted):
                     drop(_ON_THE_WAY, lost)
+        # The receiver lists these among its drops; here they have parts of their own.
         throttled = self.throttled + dropped.pop(THROTTLED, 0)
         unknown = self.unknown + dropped.pop(UNKNOWN, 0)
         expired = self.expired + dropped.pop(EXPIRED, 0)

@@ -83,9 +83,6 @@ class Lifecycle:
     def take(self, event: RouteEvent, reason: str = "") -> bool:
         """Move to the next phase.
 
-        Args:
-            reason: reason of `RouteEvent.REFUSE`.
-
         Returns:
             Whether the event belongs into this phase; if not, nothing changes. A peer can send its messages in any
             order, so this is no error.
@@ -105,9 +102,12 @@ class Lifecycle:
 
 
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
+"""Seconds between attempts to open a refused route. Round figures: nothing was measured. An operator who has mended the
+cause waits for the next attempt; shorter pauses would cost a link with many refused routes two messages for each."""
 _PROPOSED_WITHIN = 3.0
+"""Seconds in which the other side proposes its routes on a new connection. A round figure: nothing was measured."""
 _REFUSED_WITHIN = 5.0
-"""Seconds after which a retried route is unlikely to be refused again."""
+"""Seconds after which a retried route is unlikely to be refused again. A round figure: nothing was measured."""
 _REOPENS_WITHIN = 10.0
 """Seconds after which a data connection that broke and is not open again is a fault. The kernel gives one up after 6 s,
 and the pauses before the next attempts are 1 and 2 s."""
@@ -130,6 +130,7 @@ class Reopening:
 
     def failed(self, now: float, *, broke: bool) -> None:
         """Plan the next attempt after an opening failed at `now` (s), perhaps because its data connection broke."""
+        # Further attempts that time out do not restart the wait: they belong to the same fault.
         if broke and self._broke_at is None:
             self._broke_at = now
         self.retry_at = now + self._backoff.next()
@@ -163,6 +164,7 @@ class Reopening:
 
 
 _LAST = 2**53
+"""The largest number in a control message (`wire.fields.Count`): an absurd one of the peer's must not end the link."""
 
 
 class Revisions:
@@ -189,8 +191,6 @@ class PauseState:
     counts. So both sides end up with the same change, in any order of arrival.
 
     Attributes:
-        paused: whether the route is paused.
-        revision: revision of the last change.
         who: operator of the last change, in words, or an empty string if unknown.
         changed: called after each change with `paused` as it was before, which may be the same.
     """

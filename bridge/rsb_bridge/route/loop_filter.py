@@ -27,13 +27,15 @@ if TYPE_CHECKING:
     from rsb_bridge.route.peer import Peer
 
 EXPLAINED_WITHIN = 3.0
-"""Seconds in which a bridge has to announce a publisher's hops; then the publisher counts as an ordinary node's."""
+"""Seconds in which a bridge has to announce a publisher's hops; then the publisher counts as an ordinary node's. A
+round figure: nothing was measured. With less, messages could go round while DDS is slow. With more, messages
+from a node without a name would wait longer."""
 HELD = -1
 """No number yet: keep the message until there is one."""
 LEFT_OUT = -2
 """No number ever: the message must not be carried."""
-_GONE_REMEMBERED = 256
-_MOST_HELD = 10_000  # messages
+_GONE_REMEMBERED = 256  # publishers: a round figure
+_MOST_HELD = 10_000  # messages: 3 s at 3 kHz
 _MOST_HELD_BYTES = 32 << 20  # as many as wait to be sent: an image that comes first is not lost
 _MOST_NAMED = 5  # nodes in one sentence
 
@@ -96,6 +98,7 @@ class SourceTable:
         numbers: dict[bytes, int] = {}
         first_seen: dict[bytes, float] = {}
         echoes, too_far, unexplained = [], [], []
+        # The nearest first: if the numbers run out, the farthest publishers are left out.
         for each in sorted(publications, key=_nearest_first):
             via = each.via
             if via is None:
@@ -120,6 +123,7 @@ class SourceTable:
             numbers[each.gid] = number
             if each.live:
                 live.add(number)
+            # The peer has answered, and has no publisher for it.
             if self._accepted <= number < self._described and not self._answers_due:
                 too_far.append(each)
         self._one_place = hop in there
@@ -213,9 +217,6 @@ class LoopFilter:
         """Begin with an empty table.
 
         Args:
-            context: shared context of the engine.
-            ends: where the publishers are.
-            peer: receiver of the messages.
             due: called when the wait for a publisher's hops is over: `look` decides about it then.
         """
         self.table = SourceTable()
@@ -237,6 +238,7 @@ class LoopFilter:
             for each in endpoints
         ]
         known = {each.gid for each in endpoints}
+        # A message may come before the graph shows its publisher. A publisher without an id will never be shown.
         publications += [Publication(gid, "", None if gid else ()) for gid in {held.gid for held in self._held} - known]
         self.table.update(
             publications,
@@ -276,6 +278,7 @@ class LoopFilter:
         """Return the held messages that may be sent now; to be called after each change of the table."""
         if not self._held:
             return []
+        # `admit` holds messages of unknown sources again, so they are taken out first.
         held = tuple(self._held)
         self.forget()
         return self.admit(held)[0]

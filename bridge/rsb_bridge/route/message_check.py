@@ -28,7 +28,8 @@ EXPANSION_AT_ONCE = 4 * MESSAGE_LIMIT
 EXPANSION_A_SECOND = 256 << 20
 """Bytes that a link's compressed messages may have more here than on the wire: 64 MiB of zeros come as 2 kB."""
 EXPANSION_A_TURN = 8 << 20
-"""Bytes of that at each turn of the I/O loop, or one message: between two turns everyone else is served."""
+"""Bytes of that at each turn of the I/O loop, or one message: between two turns everyone else is served. They take 4
+ms."""
 EXPANDED_ASIDE = 1 << 20
 """Bytes; longer messages are unpacked on another thread. 63 MiB take 30 ms, in which no link would be served."""
 BACKLOG_LIMIT = 2 * MESSAGE_LIMIT
@@ -37,7 +38,8 @@ CHECKED_AT_ONCE = 2 * STEPS
 CHECKED_A_SECOND = 2 * STEPS
 """Lengths in sequences that are read of one link's messages: a tenth to a fifth of the time of the I/O loop."""
 _LOOKS_AGAIN_AFTER = 10.0
-"""s until the nodes of a topic are asked again for the description of its type."""
+"""s until the nodes of a topic are asked again for the description of its type. A round figure: with a
+tenth of it, nodes that describe nothing would be asked each second."""
 _EXPLAINED = 4
 """A malformed message costs about as much as so many others, as it is read again for the field that shows it."""
 _REMEDY = "send less, or set check_messages: false"
@@ -70,6 +72,7 @@ class _Expansion:
                 self.result = zstandard.ZstdDecompressor().decompress(self.payload)
             except zstandard.ZstdError as error:
                 self.result = error
+            # Without a result, the route would wait for ever.
             except MemoryError:
                 self.result = zstandard.ZstdError("not enough memory to unpack it")
 
@@ -78,9 +81,6 @@ class ExpansionBudget:
     """Limits on the growth of one link's compressed messages when unpacked here, at once and over time.
 
     Long messages are unpacked on another thread, one at a time.
-
-    Attributes:
-        over_time: budget of bytes over time.
     """
 
     def __init__(self, now: float) -> None:
@@ -107,6 +107,7 @@ class ExpansionBudget:
 
     def begin(self, size: int, loop: asyncio.AbstractEventLoop) -> bool:
         """Whether a message that grows by `size` bytes may be unpacked at this turn of the loop; if so, it counts."""
+        # The first message of a turn may exceed the turn's limit, or it would never be unpacked.
         if self._this_turn and self._this_turn + size > EXPANSION_A_TURN:
             return False
         if not self._this_turn and size > 0:
@@ -120,6 +121,7 @@ class ExpansionBudget:
 
     def _next_turn(self) -> None:
         self._this_turn = 0
+        # The number is fixed before, because work that cannot go on yet joins the end again.
         for _ in range(len(self._waiting)):
             if self._this_turn >= EXPANSION_A_TURN:
                 break
@@ -140,8 +142,6 @@ class Unpacker:
     """Unpacks the compressed messages of one route; later ones wait behind one that is not unpacked yet.
 
     Args:
-        budget: budget of its link.
-        context: has the clock and the I/O loop.
         deliver: gets the messages that waited, once the first of them can be unpacked.
         reopen: called if more messages wait than a peer that heeds its window sends.
 
@@ -224,6 +224,7 @@ class Unpacker:
             ExpandsTooMuchError: it is too much by now.
         """
         expansion, self._expansion = self._expansion, None
+        # Its budget was taken when it began.
         if expansion is not None and expansion.payload == payload and expansion.result is not None:
             if isinstance(expansion.result, zstandard.ZstdError):
                 raise expansion.result
@@ -235,6 +236,7 @@ class Unpacker:
 
 def _growth(payload: bytes) -> int:
     size = zstandard.frame_content_size(payload)
+    # A frame without a size (-1) could grow without limit.
     if not 0 <= size <= MESSAGE_LIMIT:
         raise zstandard.ZstdError(f"a compressed message claims {size:,} bytes")
     return size - len(payload)
@@ -247,10 +249,6 @@ def malformed_text(type_name: str, peer: str, error: MalformedError) -> str:
 
 class MessageCheck:
     """The check of one topic's messages, or of one service's requests or responses.
-
-    Args:
-        context: has the session, and the checkers.
-        budget: budget of the link for lengths to read.
 
     Attributes:
         checker: checker of the type, or None if messages are not checked.
@@ -329,6 +327,7 @@ class MessageCheck:
             steps = checker.check(payload)
         except MalformedError as error:
             now = self._context.now()
+            # No more than is left, or `take` would take nothing.
             self._budget.take(min(_EXPLAINED * error.steps, self._budget.left(now)), now)
             raise
         except TooComplexError as error:

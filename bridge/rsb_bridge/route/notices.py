@@ -22,14 +22,14 @@ _AGAIN_AND_AGAIN = 2
 which messages have arrived does not count: its link may be full, or the network was down."""
 _TIMED_OUT = os.strerror(errno.ETIMEDOUT)
 _IDLE_FOR = 5.0
-"""s that a channel must be open and owe nothing before the losses of earlier ones are no fault any more."""
+"""s that a channel must be open and owe nothing before the losses of earlier ones are no fault any more. A round
+figure: nothing was measured."""
 
 
 class Notices:
     """Reports the errors and warnings of one route.
 
     Args:
-        log: adds an event about the route.
         wall: gives the time in s since the epoch.
 
     Attributes:
@@ -79,6 +79,7 @@ class Notices:
         if reason and not self.loop:
             self.error(EventCode.ROUTE_LOOP, reason)
         elif self.loop and not reason:
+            # A loop that comes again is reported again.
             self._reported = ""
             self._log(Level.INFO, EventCode.ROUTE_LOOP_GONE, "messages would no longer loop")
         self.loop = reason

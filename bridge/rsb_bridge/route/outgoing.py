@@ -57,7 +57,6 @@ class Flow(NamedTuple):
     Attributes:
         flowing: whether messages could cross now.
         last: time (s) of the last message, or when messages could first cross.
-        rate: Hz.
         given_rate: Hz that an operator expects, or 0 for none.
         usual_rate: Hz, learned, or None if unknown.
         limit: Hz that may cross, or 0 for any.
@@ -126,11 +125,7 @@ class Health:
 
 
 class OutgoingRoute(TopicRoute[SendingChannel]):
-    """Takes a topic's messages here and sends them to the peer.
-
-    Attributes:
-        delays: how long messages take.
-    """
+    """Takes a topic's messages here and sends them to the peer."""
 
     peer_report = ReceivedReport
     outgoing: ClassVar[bool] = True
@@ -162,6 +157,8 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def peer_ready(self, ready: Ready) -> None:
         """Subscribe: the peer has publishers. Its counts of the previous opening settle the ledger."""
+        # Asked before the event, because the peer answers each description, and only its first answer has this side
+        # subscribe.
         again = self.life.ready
         if not self.life.take(RouteEvent.READY):
             return
@@ -198,6 +195,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self.endpoints = self._loop_filter.look(self.topic, self.remote_topic)
         self._resolver.look(self.endpoints)
         if self._described is not None and self._described.sources != self._loop_filter.table.sources:
+            # A further source needs no new subscription: only its own messages wait for the peer's answer.
             self._describe(msgspec.structs.replace(self._described, sources=self._loop_filter.table.sources))
         if self._described is not None and self._loop_filter.outdated(self.qos):
             self.request_reopen(EventCode.ROUTE_SOURCES_CHANGED, "its messages come through other bridges than before")
@@ -306,6 +304,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     def close(self, reason: str) -> None:
         """End the opening. Waiting messages are lost; messages in flight are settled with the next opening."""
+        # Asked before the subscription ends. What must be armed should not cross meanwhile, and so is not missed.
         if self.endpoints and self._subscription.receives and not self.arming.required:
             self._ledger.missed.lost(self.context.now())
         self._end_subscription()
@@ -334,6 +333,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def tick(self) -> None:
         now = self.context.now()
         latched = self.is_latched  # may be silent for any time, unless an operator expects a rate
+        # Before `super().tick`, whose verdict needs it.
         self._health.tick(
             Flow(
                 self.flowing and self._subscription.receives,
@@ -500,6 +500,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
 
     @property
     def breaking(self) -> str:
+        # A full link crowds a topic out until its connection breaks; the text would blame firewalls.
         return "" if self.peer.fullness.out is not None or self.peer.fullness.undecided else self.losses.repeated
 
     def facts(self) -> Facts:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.peer import Peer
 
+# Round figures, which bound what looking costs a bridge: nothing was measured.
 LOOKERS = 32
 """Most viewers at a time."""
 EVERY = 0.5
@@ -53,6 +54,7 @@ class PeekSlot:
         self.wanted = False
         self.free_at = now + EVERY
         for future in waiting:
+            # A viewer that gave up has cancelled it.
             if not future.done():
                 future.set_result(message)
 
@@ -135,6 +137,7 @@ class Peeking:
         first: asyncio.Future[PeekedMessage] = context.loop.create_future()
 
         def take(batch: Sequence[RawMessage]) -> None:
+            # The last message of each publisher comes, in any order.
             newest = max(batch, key=lambda message: message.stamp)
             context.call(lambda: show(newest))
 
@@ -169,7 +172,6 @@ def peeked(
     """Copy the beginning of a message for a viewer.
 
     Args:
-        route: route of the message.
         time_ns: arrival on this side, ns since the epoch.
         is_kept: whether it was kept for late joiners.
         latency: seconds that it took over the link, or None.

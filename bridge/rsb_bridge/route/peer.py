@@ -25,16 +25,22 @@ if TYPE_CHECKING:
 TYPES_PER_LINK = 256
 """Each takes about 8 kB while an endpoint has it; a robot with all of ROS's common packages has some 200."""
 KEPT_LIMIT = 1 << 30
-"""Bytes of messages that all publishers of a link keep together."""
+"""Bytes of messages that all publishers of a link keep together. A round figure: it is enough for 1,000 publishers of
+latched topics (`latched.PUBLISHER_COST`), and a peer can make this side use so much memory."""
 UNACKNOWLEDGED_LIMIT = 512 << 20
-"""Bytes of messages that all publishers of a link hold together for subscribers that are slow."""
+"""Bytes of messages that all publishers of a link hold together for subscribers that are slow. If one takes nothing,
+its topic gets half of that at most: the process had 384 MB then (bench/README, *volatile*)."""
 _FURTHER_PUBLISHERS = 256
+"""Only loops of bridges need more than one for a topic. Each costs every node of the domain a discovery."""
 
 
 CALLS_UNDER_WAY = 4096
 BYTES_UNDER_WAY = 256 << 20
+"""Calls of one link that wait for their answers, and their bytes. Round figures: 1,000 calls at once were measured
+(bench/README), and a tenth of this would refuse most of them."""
 CALLS_A_SECOND = 5000.0
-"""As many may come at once after a quiet second."""
+"""As many may come at once after a quiet second. A bridge carries fewer: 3,855 a second (bench/README), with 1,000 at
+once."""
 PEERS_SHARE = 1.25
 """The providing side allows that much more, as calls end a little later there, and clocks differ."""
 _LINGERS = 22.0
@@ -165,23 +171,13 @@ class TypeUse:
     """The type of one topic's endpoints."""
 
     def __init__(self, ros: RosInterface, budget: TypeBudget) -> None:
-        """Begin without a type.
-
-        Args:
-            ros: source of the installed types.
-            budget: budget of the topic's link.
-        """
+        """Begin without a type."""
         self._ros = ros
         self._budget = budget
         self._key: tuple[str, str] | None = None
 
     def begin(self, type_name: str, type_hash: str, *, is_service: bool = False) -> None:
         """Count a type before its endpoints are created.
-
-        Args:
-            type_name: name of the type.
-            type_hash: hash of the type's version.
-            is_service: whether it is the type of a service.
 
         Raises:
             RosError: the link's topics have too many types.
@@ -221,6 +217,7 @@ class CallBudget:
         """Let a call of `size` bytes begin at `now` (s), or return the reason to refuse it."""
         if not self._rate.take(1.0, now):
             return Refused.TOO_FAST
+        # Inline instead of `Budget.take`, because each call passes here on both sides.
         if self._calls.held >= self._calls.limit:
             return Refused.CALLS_UNDER_WAY
         lingering = self._lingers(now) if self._lingering else 0
@@ -240,6 +237,7 @@ class CallBudget:
 
     def linger(self, size: int, now: float) -> None:
         """Count `size` bytes of an ended call that DDS holds from `now` (s) on for a server that may have stopped."""
+        # Together, so that at 5,000 calls a second this holds some 20 entries and not 100,000.
         if self._lingering and now - self._lingering[-1][0] < _TOGETHER:
             began, before = self._lingering.pop()
             self._lingering.append((began, before + size))

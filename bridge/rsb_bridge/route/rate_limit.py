@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 _AT_ONCE = 1.0
 """s of the rate that may come at once, after a link has stalled."""
-_FEWEST_AT_ONCE = 2.0
+_FEWEST_AT_ONCE = 2.0  # a bucket that holds less than one message never gives any
 _TOPICS = 2 * ROUTES_PER_LINK
 """That have lately had messages, of routes that are there or were."""
 _CLOCKS_DIFFER = 1.01
-"""The sender keeps to the rate by its own clock."""
+"""The sender keeps to the rate by its own clock, which may be faster: none of its messages is left out for that."""
 
 
 class AllowedRates:
@@ -47,6 +47,7 @@ class AllowedRates:
 
     def _sweep(self, now: float) -> None:
         """Forget the topics that have been quiet for so long that their buckets are full again."""
+        # A peer may name new topics at any rate, and a sweep asks all of them.
         if now < self._swept_at + 1.0:
             return
         self._swept_at = now
@@ -120,6 +121,7 @@ class RateLimit:
         """Take the rate that the other side allows."""
         self._there = rate
         self._changed()
+        # Kept over openings, so that the same limit is logged once.
         if rate != self._there_before:
             self._there_before = rate
             self._log(Level.INFO, EventCode.ROUTE_AMENDED, f"the other side allows {_figure(rate)}")

@@ -147,6 +147,7 @@ def resolve(
         why = f"{name} is not installed here, and nobody publishes it yet"
         raise UnresolvedError(why, cause=Cause.TYPE_UNKNOWN)
     warning = left_out(publishers, wanted, name)
+    # Only publishers of the type that is sent: a node with another type must not change the QoS.
     if warning:
         publisher_qos = match_publishers([each.qos for each in publishers if each.type_name == name])
     qos = proposal.qos

@@ -79,6 +79,7 @@ class RestMessage:
         self._context = context
         self._fields: Fields | None = None
         self._body_at = _BODY
+        # The zero of a type that does not drive is a message of defaults.
         if on_end != ZERO or spec.type_name not in DRIVING_TYPES:
             self._read_fields()
         self._failed = failed
@@ -122,6 +123,7 @@ class RestMessage:
 
         A hand may drive here while nodes of the other side, with a QoS of theirs, come and go.
         """
+        # A rest is made from the last message, so that must have the same type.
         if before.spec.type_name != self.spec.type_name:
             return
         self._last, self.velocity = before._last, before.velocity
@@ -134,6 +136,7 @@ class RestMessage:
         if self.spec.type_name not in DRIVING_TYPES:
             return
         self._holds_until = self._context.now() + HOLDS + _LATE
+        # One timer that looks again when it ends, instead of a new one for each velocity.
         if self._timer is None:
             self._timer = self._context.loop.call_at(self._holds_until, self._end_hold)
 
@@ -159,6 +162,7 @@ class RestMessage:
 
     def begin(self) -> None:
         """Publish it at once and then for some time, if the last message was another one, and this route's."""
+        # Once for each motion: a lapse and the disarm after it both come here.
         last, self._last = self._last, None
         if last is None or self._context.moved_by.get(self.spec.topic) is not self:
             return
@@ -182,6 +186,7 @@ class RestMessage:
     async def _go_on(self, rest: bytes) -> None:
         for _ in range(TIMES - 1):
             await asyncio.sleep(EVERY)
+            # Meanwhile somebody else may drive, and must not be stopped.
             if self._context.moved_by.get(self.spec.topic) is not self or not self._publish(rest):
                 return
 
@@ -223,6 +228,7 @@ class RestMessage:
 
     def _ended(self, task: asyncio.Task[None]) -> None:
         self._context.rests.discard(task)
+        # A message may have ended this rest, and a later one may have begun.
         if self._under_way is task:
             self._under_way = None
         if not self._is_wanted and self._under_way is None:
@@ -240,10 +246,7 @@ class RestAfterArming:
 
     Args:
         link: the route's, by name.
-        arming: the route's.
         on_end_of: gives ``none``, ``zero`` or a message for a type.
-        failed: is called with the reason if the rest cannot be published.
-        overdue: is called when a velocity has held for too long.
 
     Attributes:
         message: the rest, or None if none follows.
@@ -282,6 +285,7 @@ class RestAfterArming:
             rest = RestMessage(self._context, self._link, spec, on_end, self._failed, self._overdue)
         except (RosError, FieldError) as error:
             raise RosError(f"on_end: {error}; correct it in {self._who_says(on_end)}") from None
+        # Before `close`, which forgets the motion.
         if before is not None:
             rest.replaces(before)
         self.close()

@@ -67,8 +67,6 @@ class Route:
     Attributes:
         key: its name in commands.
         spec: the topic's entry, as the client sees it.
-        purpose: what it carries.
-        ends: where it has its endpoints.
         topic: its name on the sending side; for calls, here and below, the callers' side.
         remote_topic: its name on the receiving side.
         local_topic: its name on this side.
@@ -81,17 +79,11 @@ class Route:
         replaces: the last opening, on the present connection, of the route in whose place an edit has put it, or 0.
         instance: id of the peer's process in its present or last opening.
         life: phase of the agreement between the two sides.
-        reopening: the attempts to open it again.
         pausing: whether an operator of either side has paused it.
-        arming: armed state, if arming is required.
         settling: whether the other side may still publish messages from before it was disarmed.
-        age: limits on the age of its messages or requests.
         closed_ids: ids of its last openings on the present connection, the oldest first.
         endpoints: others' publishers of the topic on the sending side, their subscriptions on the receiving side; of
             calls, the clients and the servers.
-        losses: losses of its channels.
-        judged: combined verdict of both sides.
-        limit: limit of its rate.
         rank: rank of its priority; calls rank above topics.
         idle: whether it needs no tick now, as nothing has happened: then it is neither reported nor shown anew.
         peer_report: type of the reports that the other side's half sends.
@@ -239,11 +231,13 @@ class Route:
         self.limit.opened()
         self._verdict = None
         self.life.take(RouteEvent.OPEN)
+        # The other side's verdict belongs to the opening before.
         self.judged.take(None, self.context.now())
         self._may_flow()
 
     def close(self, reason: str) -> None:
         """End the present opening; state that outlives openings stays."""
+        # First, while the opening has its id: the other side's `Settled` names it.
         if self.arming.held:
             self.disarm(Disarmed.REOPENED if self.peer.linked else Disarmed.LINK_LOST)
         if self.channel is not None:
@@ -269,6 +263,7 @@ class Route:
         """Refuse the route; this side tries again later if it proposed it."""
         self.notices.error(code, reason)
         self._end(reason)
+        # A Close is no refusal: the route opens again, which usually solves the problem.
         self.reopening.refused = "" if code == EventCode.ROUTE_CLOSED else reason
 
     def _end(self, reason: str) -> None:
@@ -283,6 +278,7 @@ class Route:
     def channel_lost(self, reason: str) -> None:
         """Open the route again after its channel broke. It is an error only if the link survives."""
         if self.id:
+            # Asked first: a closed opening owes nothing.
             text, connection, owing = f"{DATA_CONNECTION}{reason}", self.peer.connections, self.owing
             # A side that disarms closes the channel; the closed channel may be noticed before the message about it.
             ends_with_arming = self.arming.required and not timed_out(reason)
@@ -336,6 +332,7 @@ class Route:
         arming, lease = self.arming, self.arming.lease
         if arming.armed and self.outgoing and lease is not None:
             self.settling.begin(self.id, lease.left)
+        # `LinkArming` records an operator's disarm. Other causes are logged once nothing is published any more.
         if why is not Disarmed.OPERATOR:
             text = f"disarmed: {reason or DISARM_TEXT[why]} ({arming.by} armed it)"
             self.settling.then(lambda: self.log(Level.WARNING, EventCode.ROUTE_DISARMED, text, cause=why))
@@ -436,6 +433,7 @@ class Route:
         """Return the part of this half's knowledge that does not depend on what the route carries."""
         now = self.context.now()
         arming = self.arming
+        # This side has stopped sending, but the tick that tells the other side comes later.
         expires = arming.armed and arming.overdue(now) is not None and not arming.stands(now)
         return self.setup()._replace(
             refusal=self.reopening.shown_refusal(self.life, now - self.opened_at if self.id else 0.0),
@@ -457,6 +455,7 @@ class Route:
 
     def verdict(self) -> Verdict:
         """Return this side's verdict, made at the last tick or at a later change by an operator or the peer."""
+        # A deadman that runs out between two ticks must not be shown as armed.
         if self._verdict is None or self.arming.overdue(self.context.now()):
             self._verdict = self._lossy_path.steady(self._judge(), self.peer.path.fault, self.context.now())
         return self._verdict

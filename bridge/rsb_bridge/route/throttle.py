@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.route.history_depth import Sample
 
-_MOST_PUBLISHERS = 4096
+_MOST_PUBLISHERS = 4096  # of a latched topic, as in one control message (`wire.fields`)
 
 
 class Throttle:
@@ -46,6 +46,7 @@ class Throttle:
         if -2 * interval <= late < 0:
             return False
         if len(self._due) >= _MOST_PUBLISHERS:
+            # Any node can make publishers: one message too many of each is better than a table without a limit.
             self._due.clear()
         # Due times keep their own beat, so that a 50 Hz topic throttled to 20 Hz gives 20, not 16.7.
         self._due[publisher] = (due if 0 <= late < interval else stamp) + interval
@@ -72,7 +73,6 @@ class LatestLater:
         """Begin.
 
         Args:
-            send: gets the messages that pass later.
             paused: whether no message may pass now; `resume` then sends the messages that are due.
         """
         self._loop = loop
@@ -93,6 +93,7 @@ class LatestLater:
         for sample in samples:
             publisher, stamp = sample.header.publisher, sample.message.stamp
             passes = sample.replayed or self._throttle.passes(stamp, publisher)
+            # Even if the new one passes: otherwise the older one would follow it, and late joiners would get that.
             if publisher in self._waiting:
                 left_out += self._forget(publisher)
             if passes:
@@ -127,5 +128,6 @@ class LatestLater:
         if self._paused():
             return
         due, sample = self._waiting.pop(publisher)
+        # This one passes anyway; the call sets when the next one is due.
         self._throttle.passes(due, publisher)
         self._send([sample])

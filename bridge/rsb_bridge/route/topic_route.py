@@ -53,11 +53,12 @@ _EXPLAINS = frozenset(
 )
 """Causes of silence. Others are silence itself, in other words, or go with messages."""
 _LATENCY_TICKS = 10
-"""Seconds of messages that the shown latency is of."""
+"""Seconds of messages that the shown latency is of. At low rates, so many samples as at high ones would be minutes
+old."""
 MEASURED_FOR = 6.0
 """s of lateness or loss after which a full link has been noticed."""
 _DRAINS_FOR = 60.0
-"""s for which messages may be late or lost because their link was full."""
+"""s for which messages may be late or lost because their link was full. A round figure: nothing was measured."""
 _CALM = frozenset({State.OK, State.WAITING, State.UNHEARD, State.PAUSED})
 """States that last until something happens, or until silence has lasted too long."""
 _UNUSUAL = frozenset({Cause.LATE, *LOSS_CAUSES, *EXPIRES})
@@ -65,9 +66,6 @@ _UNUSUAL = frozenset({Cause.LATE, *LOSS_CAUSES, *EXPIRES})
 
 class SilenceWatch:
     """Warns of a route's silence after the time that its topic's entry or the session says.
-
-    Args:
-        log: adds an event about the route.
 
     Attributes:
         own: the topic's entry says after how long it is stale.
@@ -94,7 +92,6 @@ class SilenceWatch:
         """Warn if nothing has come for too long although messages are due. Called once a second.
 
         Args:
-            due: whether messages are due.
             cause: of the route's state. A cause that explains the silence is logged already, and not repeated.
         """
         if due and (number := self._watch.check(now)) and cause not in _EXPLAINS:
@@ -106,6 +103,7 @@ class SilenceWatch:
 
     def seen(self, now: float) -> None:
         """Note a message that came at `now` (s)."""
+        # Nearly always, so that each message saves a call.
         if not self._watch.warned:
             self._watch.quiet_since = now
             return
@@ -134,11 +132,8 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     Attributes:
         qos: of the bridge's endpoints on both sides, or None if unknown.
-        latency: of its messages, one way.
-        silence: warns of a silent topic.
         peek_slot: takes the next message for operators who look at the topic.
         lateness: watches for messages that take too long.
-        traffic: what its sending half wants to send.
     """
 
     channel: ChannelT | None
@@ -267,7 +262,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         return (
             self.id, self._verdict, self.judged.peer, self.meter.count, self._came_here, self.endpoints, self.channel,
             self.limit.rate, self.link_full, self.notices.last_error,
-            not self.transport.reliable and self.trouble(),
+            not self.transport.reliable and self.trouble(),  # a stream would ask the kernel
         )  # fmt: skip
 
     def _changes_at(self, shown: Verdict, now: float) -> float:
@@ -283,6 +278,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         self.age.tick(self._came_here, self.context.now())
         if self.link_full is not None:
             self._full_at = self.context.now()
+        # The verdict needs the ticks above; the lines below need the verdict.
         super().tick()
         self.limit.set_profile_rate(self._profile_rate())
         if not self.flowing:
@@ -290,6 +286,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         shown = self.judged.shown(self.verdict()).verdict
         now = self.context.now()
         self.silence.tick(now, due=shown.state in (State.STALE, State.STOPPED), cause=shown.cause)
+        # Last, so that the signs contain all that the tick has changed.
         self._idling.ticked(self._signs(), now, self._changes_at(shown, now))
 
     def _profile_rate(self) -> float:
@@ -300,6 +297,7 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     def count(self, messages: int, size: int, now: float) -> None:
         """Count messages that pass at `now` (s), of `size` bytes together."""
+        # Seldom true, so that nearly every message saves a call.
         if self.notices.last_error:
             self.notices.flowing()
         self.meter.add(messages, size, now)

@@ -51,12 +51,8 @@ class TopicSubscription:
     what their publishers keep for late joiners, and none that the peer has.
 
     Args:
-        context: shared by all parts of the engine.
-        ends: where the topic is subscribed to.
         path: gets the messages; after `close` it drops messages that are still in the ROS queue.
-        types: limits the link's types.
         meter: of the topic's messages so far.
-        log: adds an event about the subscription.
         found: called after the histories know more depths.
         marks: gives the lease that messages are marked with, or None if they are not marked.
 
@@ -106,6 +102,7 @@ class TopicSubscription:
             known: for each publisher of a latched topic, the number of the newest message that the peer has.
         """
         self.spec, self._automatic, self._expected_rate = spec, automatic, expected_rate
+        # A new one: what is still queued for the former one is of an earlier opening, and so are the losses until now.
         self._receiver = _Receiver(self._path.offer)
         self._lost_seen = self.lost
         if spec.qos.latched:
@@ -171,6 +168,7 @@ class TopicSubscription:
             return
         self._lost_seen = self.lost
         before, depth = self._depth, self._qos().depth
+        # Only then: a new subscription of a volatile topic misses what is published until DDS has matched it.
         if depth >= 2 * before:
             text = f"DDS lost messages: the subscription gets a depth of {depth:,} instead of {before:,}"
             self._log(Level.INFO, EventCode.ROUTE_DEEPENED, text)

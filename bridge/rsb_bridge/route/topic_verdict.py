@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.watches import Loss
 
 LATELY = 10
+"""s for which `lost_in_dds` counts: as long as other losses (`telemetry.watches`)."""
 USE_TCP = "use protocol: tcp"
 """The remedy for messages that are lost on the way."""
 STOPPED_PUBLISHING = ("has stopped publishing, or died", "have stopped publishing, or died")
@@ -80,7 +81,6 @@ class TopicProgress(NamedTuple):
         unresolved: on the sending side, the cause why type or QoS is unknown, or None.
         why_unresolved: the same in words, or the other side's reason.
         clash: on the receiving side, the reason why a subscription does not match `qos`, or empty.
-        subscribed: whether the sending side subscribes.
         subscribe_failed: the reason why its subscription failed, or empty.
         sent: messages of this opening.
         received: messages of this opening.
@@ -120,7 +120,6 @@ class Facts(NamedTuple):
 
     Attributes:
         status: the part that does not depend on what the route carries.
-        progress: how far messages get.
         left_out: the publishers with another type, which are not bridged, or empty.
         stale_since: s, of the last message if silence counts and has lasted `stale_after`, or None.
         stopped_since: s, of the last message if its publishers have stopped, or None.
@@ -132,7 +131,6 @@ class Facts(NamedTuple):
         loss: between the two sides, or None if it is negligible.
         datagrams: about how many a message takes, or 0 if its transport has none.
         armed: whether it has to be armed: then TCP would lose more of it, since it holds up what has to be young.
-        late: the lateness of its messages, or None if they are on time.
         expired: the messages that were dropped lately because they were too old, or None if they are few.
         full: the rates of the link if it is full, or None.
         loss_unexplained: whether it is not known yet if `loss` is due to a full link.
@@ -265,6 +263,7 @@ def types_and_nodes(endpoints: Iterable[Endpoint]) -> str:
 
 
 def _stale(facts: Facts) -> Verdict | None:
+    # STOPPED says the same, and the expected rate.
     if (since := facts.stale_since) is None or _stopped(facts) is not None:
         return None
     text = f"nothing for {LASTING}"
@@ -278,6 +277,7 @@ def _why_silent(facts: Facts) -> tuple[Cause, str]:
     """Explain the silence. DDS lists a publisher for up to 40 s after its death, so it may not run any more."""
     ever = facts.status.came or facts.status.came_before
     if facts.progress.endpoints:
+        # A publisher that has just come has had no time for its first message.
         stopped = [each for each in facts.progress.endpoints if each.gid not in facts.new] if ever else []
         who, silent = (stopped, STOPPED_PUBLISHING) if stopped else (facts.progress.endpoints, PUBLISHED_NOTHING)
         return Cause.PUBLISHER_SILENT, _plural(who, *silent)
@@ -347,6 +347,7 @@ def _publishers_qos(facts: Facts) -> Verdict | None:
         f"{_plural(others, 'offers', 'offer')} {', '.join(offer)}, but this topic asks for {', '.join(asked)}: "
         f"{whose} messages are not received; set qos: auto for this topic"
     )
+    # If some publishers are heard, the topic is not down.
     all_of_them = len(others) == len(ours)
     return Verdict(State.DOWN if all_of_them else State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
 
@@ -420,6 +421,7 @@ def _lossy(facts: Facts) -> Verdict | None:
         why = f"the link is full ({facts.full.share}): set max_rate, compression: zstd or priority"
     elif facts.loss_of_full_link and cause is Cause.LOSSY:
         why = "the link was full"
+    # The figures still contain the losses before the recovery.
     if loss.recovering:
         if facts.shown_cause not in LOSS_CAUSES:
             return None  # a fault that nobody was shown needs no end
@@ -485,6 +487,7 @@ def _plural(endpoints: Collection[Endpoint], one: str, several: str, what: str =
     return f"{named(nodes)}{count} {one if len(nodes) == 1 else several}"
 
 
+# The order counts: of equally bad verdicts, `worst` takes the first.
 _RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
     _subscription,
     _publishers_qos,

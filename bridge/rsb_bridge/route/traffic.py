@@ -9,7 +9,8 @@ from rsb_bridge.telemetry.meters import Smoothed
 PER_MESSAGE = 60
 """Bytes on the wire in addition to a message's content: header, seal, and a part of the packets' headers."""
 _FADES = 0.8
-"""The part of the messages so far that still counts a second later, for the size of the average one."""
+"""The part of the messages so far that still counts a second later, for the size of the average one: it is of about
+five seconds. Nothing was measured."""
 
 
 class Traffic(NamedTuple):
@@ -46,6 +47,7 @@ class TrafficMeter:
 
     def look(self, now: float) -> Traffic:
         """Return the traffic since the last call. Called once a second."""
+        # Most of hundreds of topics are idle, and each is asked once a second.
         if not self.offered and self._wanted.idle(now):
             return _IDLE
         if self._messages:
