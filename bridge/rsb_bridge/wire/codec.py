@@ -135,5 +135,6 @@ def decode_welcome(data: bytes) -> Welcome:
 def _decode(decoder: msgspec.msgpack.Decoder[_T], data: bytes) -> _T:
     try:
         return decoder.decode(data)
+    # The last two are no errors of msgspec's: a peer causes them by text that is not UTF-8, and by maps in maps.
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise invalid(error) from None

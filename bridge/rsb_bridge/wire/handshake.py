@@ -167,6 +167,7 @@ def _hkdf(chaining_key: bytes, material: bytes) -> tuple[bytes, bytes, bytes]:
 
 
 _MOST = 512
+"""A round figure: an older message is answered again, but a replay cannot confirm."""
 _EPHEMERAL_LENGTH = 32
 """Random bytes at a first message's beginning: the sender's ephemeral key (X25519)."""
 

@@ -107,7 +107,6 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
         remote_topic: its name on the receiving side.
         from_client: whether the client sends; else the server does.
         type: ``pkg/msg/Name``, or empty for the type in either side's graph.
-        transport: the name of its transport.
         port: the port of its own socket, or 0 for the shared one.
         qos: the QoS, or None for the publishers' offer.
         compression: the sender's, for each message.
@@ -189,11 +188,7 @@ class Accept(ControlMessageBase, frozen=True):
 
 
 class Refuse(ControlMessageBase, frozen=True):
-    """The refusal of a `Propose`, or of an accepted route that turns out to be impossible.
-
-    Attributes:
-        reason: why, for an operator.
-    """
+    """The refusal of a `Propose`, or of an accepted route that turns out to be impossible."""
 
     route: RouteId
     code: RefuseCode

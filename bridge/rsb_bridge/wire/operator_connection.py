@@ -179,6 +179,7 @@ class OperatorEngine(AcceptingStream, _Records):
         if kind is not PreambleKind.OPERATOR:
             raise ProtocolError(Broken.UNEXPECTED_FROM_OPERATOR(kind=kind.name))
         offer = parse_operator(frame)
+        # Before the operator's name, so that it is asked about only where this engine is meant.
         if offer.engine != self._engine:
             raise Refusal(RefusalCode.UNKNOWN_NAME, RefusalText.ANOTHER_ENGINE(name=offer.engine))
         self.name = offer.operator
@@ -188,6 +189,7 @@ class OperatorEngine(AcceptingStream, _Records):
         host = self._read_first(handshake, offer.message)
         if len(host) > HOST_BYTES:
             raise ProtocolError(Broken.HOST_NAME_TOO_LONG())
+        # After it has opened, or strangers could push all of the operator's messages out of the memory.
         self._check_new(replays, offer.message)
         answer = handshake.write(self._at.encode())
         admitted = Admitted(offer.operator, sanitize_text(host.decode(errors="replace")), key)

@@ -29,6 +29,7 @@ PROBE_ROUTE = 0
 """The route of the probes of a UDP path, which nobody proposes."""
 
 _REKEY_SEQUENCE = 2**64 - 1
+"""Noise's nonce for REKEY (4.2), which no content has."""
 _DIRECTIONS: dict[Role, int] = {"client": 0, "server": 1}
 
 
@@ -278,7 +279,7 @@ class DatagramOpener:
         # Not shifted by more than the window: that would make an integer as long as the leap.
         self._seen = ((self._seen << ahead) & self._mask) | 1 if ahead < self._window else 1
         if epoch != self._epoch:
-            self._epochs.forget_before(epoch - 1)
+            self._epochs.forget_before(epoch - 1)  # datagrams of the last epoch may still come
             self._epoch, self._current = epoch, cipher
         self.newest = sequence
         return content
@@ -314,7 +315,7 @@ class SessionKeys:
 
     def closed(self, route: int) -> None:
         """Forget the keys of a route that nobody has taken."""
-        for role in _DIRECTIONS:
+        for role in _DIRECTIONS:  # a topic sends one way, so that nobody takes the other way's key
             self._data.pop((route, role), None)
 
     def route_sealer(self, route: int, sending_role: Role) -> Sealer:
@@ -395,6 +396,7 @@ class SampleTags:
 
     def proves(self, kind: int, number: int, payload: Buffer, tag: bytes) -> bool:
         """Whether the peer sent the sample."""
+        # Without a tag, a sample proves nothing: strangers' samples cost no cipher.
         expected = self._receiving.encrypt(_NONCE.pack(kind, number), b"", payload) if tag else b"-"
         return hmac.compare_digest(expected, tag)
 
