@@ -30,8 +30,10 @@ CONNECT_TIMEOUT = 12.0
 _TRANSIENT = (errno.ECONNREFUSED, errno.ECONNRESET, errno.EBUSY)
 _RETRY_FOR = 1.0
 _RETRY_EVERY = 0.1
+"""s; round figures."""
 _BACKLOG = 8
 _BUFFER = 4096
+"""Bytes that wait in the kernel each way: 80 ms of 50 kB/s. More would wait before a joystick's next message."""
 
 
 class RfcommProblem(Wording):

@@ -68,7 +68,7 @@ _STRANGERS_AT_A_TIME = 16
 _STRANGERS_WAIT = 256
 """Samples of strangers who have no answer yet that wait for the loop: more would be answered too late anyway."""
 _CONFIRMED = 5.0
-"""Seconds within which Zenoh has reported all present tokens to a new subscription."""
+"""Seconds within which Zenoh has reported all present tokens to a new subscription: a round figure."""
 _SETTLED = 0.1
 """Seconds within which Zenoh reports a lost router after it has reported the endpoints behind it as gone."""
 _ADDRESS = re.compile("[0-9a-f]{16}")
@@ -259,6 +259,7 @@ class ZenohEndpoint:
         payload, attachment = sample.payload, sample.attachment
         length = len(payload)
         *_, sender, stream = str(sample.key_expr).rsplit("/", 2)
+        # Anybody may send datagrams. They are copied only if the sender has a stream that is proven.
         if stream == _DATAGRAM:
             if sender in self._peers and length <= DATAGRAM:
                 content = payload.to_bytes()
@@ -331,6 +332,7 @@ class ZenohEndpoint:
 
     def _turn(self) -> None:
         self._woken = False
+        # One that fails holds up no other's.
         try:
             for _ in range(min(len(self._arrivals), _AT_A_TIME)):
                 self._arrivals.popleft()()
@@ -376,7 +378,7 @@ class ZenohEndpoint:
                 self._forget_oldest()
             self.seen[seen.address] = seen
         else:
-            if known != seen:
+            if known != seen:  # a token with another endpoint's address goes
                 return
             del self.seen[seen.address]
             # Where the router is lost, Zenoh says this first, of everybody.

@@ -83,7 +83,6 @@ class Links:
     """This process's endpoint for links, one for all of them: of the server, or of the client.
 
     Args:
-        network: which it is in.
         name: of the session, for others to see.
     """
 
@@ -185,7 +184,7 @@ class Zenoh(ZenohTraits, StreamTransport):
         try:
             endpoint = await self._links.endpoint(SERVER, (CLIENT, SERVER))
         except OSError as error:
-            self._links.close()
+            self._links.close()  # the next attempt has another address, and asks again for the members
             raise ListenError(str(error)) from None
         fleet, others = self._links.network.settings.fleet, _servers(endpoint)
         if others:
