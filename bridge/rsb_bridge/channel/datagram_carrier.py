@@ -96,6 +96,7 @@ class Pacer:
         """Time (s) until it is worth asking for room again, where no receipt comes before."""
         if self._tokens >= 1 and self.window:
             return self.patience
+        # Half of a burst is worth waking up for.
         return min(_BURST_LASTS, max(_PAUSE, (self._burst / 2 - self._tokens) / self.path.pace))
 
     def sent(self, size: int, sequence: int, now: float) -> None:
@@ -126,6 +127,7 @@ class Pacer:
             self._arrived = max(self._arrived, reached + int(part * (after - reached)))
             if newest > begin:  # else it is a late receipt of datagrams that are written off
                 sent_at = at if sent_at is None else sent_at
+        # A peer may claim that more have arrived than were sent.
         datagrams, arrived = newest - self._newest, min(max(0, opened - self._opened), newest - self._newest)
         self._newest, self._opened = newest, max(opened, self._opened)
         if sent_at is None:
@@ -250,7 +252,7 @@ class DatagramCarrier:
         """Send datagrams, so many times each, of `size` bytes in all."""
         if self._began is None:
             self._began = self._now
-        self._scheduler.count(self, size)  # before the pacer counts them: it asks whether anything was in transit
+        self._scheduler.count(self, size)  # before the pacer: the scheduler asks whether anything was in transit
         self._datagrams += len(datagrams)
         self._pacer.sent(size, self._datagrams - 1, self._now)
         self._channel.send(datagrams if times == 1 else [*datagrams] * times)

@@ -149,13 +149,13 @@ class DatagramSender(_DatagramChannel, SendingEnd):
 
     def _send(self, batch: Sequence[Message], size: int) -> int:
         datagrams = self._codec.write_many(batch, self.carrier.datagram_size(), asks=self.via.asks(size))
-        # A Zenoh network loses samples where it is congested, which more of them make worse.
+        # A Zenoh network, whose sockets have no port, loses samples where it is congested, which more make worse.
         is_command = len(datagrams) == 1 and batch[0][2] & LEASED and self.carrier.socket.port
         if not is_command:
             return self._pass(datagrams)
         passed = self._pass(datagrams, TIMES)
         self._command, self._repeats, self._repeat_at = datagrams, _REPEATS, self._loop.time() + _REPEATED_AFTER
-        if self._repeating is None:
+        if self._repeating is None:  # else the timer that runs finds the new time: none is set for each command
             self._repeating = self._loop.call_at(self._repeat_at, self._repeat)
         return passed
 

@@ -83,7 +83,7 @@ class PathRate:
         self._round_trips.append((now, round_trip))
         while self._round_trips[0][0] < now - _SHORTEST_COUNTS:
             self._round_trips.popleft()
-        if self._began is None:
+        if self._began is None:  # these datagrams were sent before the span begins
             self._begin(sent_at, now)
             return False
         if limited and self._gain == _GROWING and round_trip < _QUEUE + 2 * self._round_trips[0][1]:
@@ -131,7 +131,7 @@ class PathRate:
         if self._gain != _GROWING:
             # As long as probing finds more, it goes on.
             self._span = 0 if self._span == 0 and greatest > before else (self._span + 1) % _SPANS
-        elif limited:
+        elif limited:  # the routes wanted more: else a rate that does not grow shows no full path
             overflows = self._passed >= _ENOUGH and self._opened < _OVERFLOWS * self._passed
             grows = greatest > _GROWS * before
             self._full = _FULL_AFTER if overflows else 0 if grows else self._full + 1

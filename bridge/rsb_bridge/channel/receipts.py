@@ -52,6 +52,7 @@ class ReceiptBook:
 
     def report(self) -> None:
         """Send a receipt for all streams on which bytes came since their last one."""
+        # A count that still waits for its message is replaced: the newer one covers it.
         self._received.update((stream, each.next_receipt()) for stream, each in self._counters.items() if each.has_news)
         self._soon()
 
@@ -77,6 +78,7 @@ class ReceiptBook:
 
     def _soon(self) -> None:
         if self._timer is None:
+            # The first one goes at once: what it waits would count as the path's round trip.
             wait = self._sent_at + _APART - self.now()
             if wait <= 0:
                 self._flush()

@@ -345,7 +345,7 @@ class ClientUdpChannel(UdpChannel):
 
     def _silence(self) -> str:
         assert self._peer is not None
-        if not self.socket.port:
+        if not self.socket.port:  # a Zenoh network has none
             return Silence.NOTHING_OVER_ZENOH()
         return Silence.NO_ANSWER(port=self._peer[1], host=self._peer[0])
 

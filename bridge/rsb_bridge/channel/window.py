@@ -257,7 +257,7 @@ class ReceiptCounter:
 
     def set_interval(self, every: int) -> None:
         """Send a receipt after every `every` bytes from now on."""
-        self._every = max(1, every)
+        self._every = max(1, every)  # a peer may ask for 0
         self.due = self._sent + self._every
 
     def next_receipt(self) -> int:

@@ -333,7 +333,7 @@ class Stream(asyncio.Protocol):
         _free(self._transport)
         self._transport = None
         self._when_gone()
-        # Nothing comes after this event, and nothing leads back to the link, which Python could only free late.
+        # Nothing comes after this event, and nothing leads back to the link, which would be freed late.
         handler, self.handler = self.handler, StreamHandler()
         handler.closed(self._reason or (os_error_message(error) if error else "closed"))
 

@@ -49,7 +49,7 @@ async def look_up(host: str, port: int, within: float) -> Found:
     Raises:
         OSError: the name is not known, or no name server answers.
     """
-    # An address needs no thread, which each of a link's streams would cost.
+    # An address needs no thread: each stream of a link would start one.
     with contextlib.suppress(socket.gaierror):
         return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST)
     try:

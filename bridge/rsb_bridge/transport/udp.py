@@ -129,6 +129,7 @@ class UdpSocket:
 
     def close(self) -> None:
         """Close it; what waits is lost."""
+        # Before the socket: its number may be another one's as soon as it is closed.
         self._loop.remove_reader(self._sock)
         self._loop.remove_writer(self._sock)
         self._backlog.clear()

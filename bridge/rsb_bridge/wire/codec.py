@@ -82,6 +82,7 @@ _NOT_PRINTABLE = f"matching regex {PRINTABLE!r}"
 
 _encoder = msgspec.msgpack.Encoder()
 _control: msgspec.msgpack.Decoder[ControlMessage] = msgspec.msgpack.Decoder(ControlMessage)
+# Without `Report` and `TopicList`, whose tags the two forms in parts have: msgspec takes no tag twice.
 _parts: msgspec.msgpack.Decoder[ControlMessage | ReportParts | TopicListParts] = msgspec.msgpack.Decoder(
     Union[*(each for each in get_args(ControlMessage) if each not in (Report, TopicList)), ReportParts, TopicListParts]
 )

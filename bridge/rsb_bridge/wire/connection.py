@@ -163,7 +163,7 @@ class ClientConnection(_Control, ConnectingStream):
         keys = self._handshake.split()
         self._proven, self._at = self._key is not None, welcome.at
         self._start_sealing(self._suite, keys)
-        self._confirm()  # also where it is refused: the server tells its operator only about clients with the key
+        self._confirm()  # also where it is refused: only then does the server know that it has the key
         if welcome.taken:
             raise Refusal(RefusalCode.NAME_TAKEN, welcome.taken)
         if welcome.shut_down:

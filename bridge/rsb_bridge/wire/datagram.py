@@ -22,7 +22,7 @@ Origin = TypeVar("Origin")
 
 MAGIC = 0xB5
 FRAGMENTS_LIMIT = 65535
-
+"""The header has 16 bits for them."""
 
 _HEADER = struct.Struct(">BBHHI8sQIQ")
 _HEADER_SIZE = _HEADER.size

@@ -136,7 +136,7 @@ class Admitted:
 
     operator: str = ""
     host: str = ""
-    key: bytes = field(default=b"", repr=False)
+    key: bytes = field(default=b"", repr=False)  # not in a log
 
 
 @dataclass(frozen=True, slots=True)

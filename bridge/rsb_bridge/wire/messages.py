@@ -524,7 +524,6 @@ class BenchAsk(ControlMessageBase, frozen=True):
         route: id of the route that measures.
         reset: whether to count arrivals from 0 again.
         size: bytes of each message to be sent by the other side.
-        rate: Hz of these messages.
         count: their number; may be 0.
     """
 
@@ -546,7 +545,6 @@ class BenchAnswer(ControlMessageBase, frozen=True):
         received: messages since the last reset.
         p50: s on the two wall clocks, a percentile of these messages' latencies.
         cpu: s of processor time that the process has used.
-        memory: bytes that it has.
         sent_bytes: handed to the sockets of its links.
         received_bytes: read from the sockets of its links.
         max_rate: Hz that the asker may cause, or 0 for no limit.

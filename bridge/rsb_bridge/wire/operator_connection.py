@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 SUITE = CipherSuite.CHACHAPOLY
 RECORD_CONTENT = 16 << 10
-"""Bytes of a record's content at most."""
+"""Bytes of a record's content at most. A round figure: nothing was measured."""
 _RECORD_HEADER = b""
 RECORD_LIMIT = RECORD_CONTENT + SUITE.tag_length
 HOST_BYTES = 64
@@ -39,7 +39,6 @@ class OperatorPreamble(NamedTuple):
 
     Attributes:
         version: of the control protocol that the console speaks.
-        operator: who wants to attach.
         engine: the engine that is meant.
         fingerprint: of the operator's key, as the console says: 8 bytes.
         header: the frame up to the handshake message: the handshake's prologue.

@@ -148,7 +148,6 @@ class ControlPreamble(NamedTuple):
     """A client's request for a control connection.
 
     Attributes:
-        suite: the offered cipher suite.
         fingerprint: of its key, unproven: 8 bytes, or zeros for no key.
         header: the frame up to the handshake message: the handshake's prologue.
         message: the first handshake message.

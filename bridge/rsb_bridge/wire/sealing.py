@@ -73,7 +73,7 @@ class _Checksum:
     """Takes the AEAD's place on a link without encryption: CRC-32 detects damage, but no attack."""
 
     def encrypt(self, nonce: bytes, data: Buffer, associated_data: Buffer) -> bytes:
-        return b"".join((data, self._tag(nonce, data, associated_data)))
+        return b"".join((data, self._tag(nonce, data, associated_data)))  # `+` takes no views
 
     def decrypt(self, nonce: bytes, data: Buffer, associated_data: Buffer) -> bytes:
         content, tag = data[:-4], data[-4:]
@@ -187,6 +187,7 @@ class Sealer(_StreamState):
 
     def seal_into(self, content: Buffer, associated: Buffer, sealed: memoryview) -> None:
         """Seal as `seal`, into memory of exactly the sealed content's length."""
+        # Written out, as in the opener: a function for the common part would run for each message.
         sequence = self.sequence
         self.sequence = sequence + 1
         if sequence >> EPOCH_BITS != self._epoch:

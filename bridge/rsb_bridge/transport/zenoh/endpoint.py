@@ -59,6 +59,7 @@ DATAGRAM = 60_000
 
 _DATAGRAM = "drop"
 _LABEL_LENGTH = 300
+"""Characters that are kept of a label, which anybody writes."""
 _OVERHEAD = 500
 """Bytes that a sample takes while it waits, beyond its payload."""
 _AT_A_TIME = 256
@@ -184,6 +185,7 @@ class ZenohEndpoint:
             # On the thread that receives: Zenoh's own queue between that one and another has no limit.
             session.declare_subscriber(f"{root}/at/{self.address}/*/*", self._directly(self._sample, indirect=False)),
             *(live.declare_subscriber(key, self._announcement, history=True) for key in watched),
+            # Last: peers that see it may call at once.
             live.declare_token(f"{root}/here/{self._service}/{self.address}/{quote(self._label, safe='') or '-'}"),
         ]
 
@@ -331,7 +333,7 @@ class ZenohEndpoint:
     # --- on the loop
 
     def _turn(self) -> None:
-        self._woken = False
+        self._woken = False  # first: what is queued from here on wakes the loop again
         # One that fails holds up no other's.
         try:
             for _ in range(min(len(self._arrivals), _AT_A_TIME)):

@@ -238,7 +238,7 @@ class ZenohSocket:
 
     congested = False
     port = 0
-    receive_buffer = RECEIVE_BUFFER
+    receive_buffer = RECEIVE_BUFFER  # no kernel's, so that it is never too small
 
     def __init__(self, endpoint: ZenohEndpoint, peer: str, on_close: Callable[[], None]) -> None:
         self.when_writable: set[Callable[[], None]] = set()
@@ -296,7 +296,7 @@ class ZenohDrop(ZenohDropTraits, DatagramTransport):
         connected = ZenohSocket(endpoint, server, lambda: _deaf(endpoint, take))
 
         def take(sender: str, payload: bytes) -> None:
-            if sender == server:
+            if sender == server:  # others may send to this endpoint, too
                 received(connected, [(payload, peer)])
 
         endpoint.on_datagram = take
