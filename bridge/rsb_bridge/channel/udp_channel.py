@@ -407,6 +407,7 @@ class ServerUdpChannel(UdpChannel):
         """Send one datagram where one came from: it is no longer than that one."""
         datagrams = self._probe.write(probe, self.socket.datagram_size(address))
         self.sent_bytes += sum(map(len, datagrams))
+        # Not by `send`, which knows only the address that has answered.
         self.socket.send(datagrams, self.socket.path(self._source, address))
 
     def _silence(self) -> str:

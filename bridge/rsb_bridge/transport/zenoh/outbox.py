@@ -100,7 +100,7 @@ class SampleOutbox:
             lane.close()
 
     def _lane(self, rank: int) -> _Lane:
-        return self._lanes[min(rank, _RANKS - 1)]
+        return self._lanes[min(rank, _RANKS - 1)]  # of an inbound stream, the peer has chosen it
 
     def _sender(self, priority: Any) -> Callable[[_Sample], None]:
         def send(sample: _Sample) -> None:
