@@ -64,7 +64,6 @@ class DataKeys:
     Attributes:
         keys: of the present connection.
         budget: what the link's incomplete messages may hold together.
-        scratch: what large messages are sealed in.
         meter_of: gives the meter of a route by its id, or None for a route that has none.
     """
 

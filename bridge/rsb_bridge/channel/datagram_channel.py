@@ -28,12 +28,16 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.sealing import Buffer
 
 _RATE_OVER, _RATE_LASTS = 1.0, 2.5
-"""s between the receipts from which the rate of arrival is computed, and s for which it counts."""
+"""s between the receipts from which the rate of arrival is computed, and s for which it counts: a receiver sends one a
+second, of which one may get lost."""
 _MOST_RECEIPTS = 64
+"""Receipts that are kept; where they come more often, the newest replaces the one before."""
 _REPEATS, _REPEATED_AFTER = 5, 0.1
-"""How often the last command is sent again, and s from one to the next: no further one makes up for a lost stop."""
+"""How often the last command is sent again, and s from one to the next: no further one makes up for a lost stop. On a
+link that loses 30 %, its first two copies get lost once in 11 times, and all seven once in 4,500."""
 _EXPIRE, _NEWEST_EXPIRES = 1.0, 5.0
-"""s without a fragment of it, after which an incomplete message is given up: the newest one's may wait for turns."""
+"""s without a fragment of it, after which an incomplete message is given up: the newest one's may wait for turns. Both
+are of the protocol (PROTOCOL.md, 2)."""
 
 
 class _DatagramChannel:
@@ -119,6 +123,7 @@ class DatagramSender(_DatagramChannel, SendingEnd):
             return self._go_on(self._cut, limit)
         batch: list[Message] = []
         size = 0
+        # A message that fits into one datagram is not cut, however little room is left.
         most = max(limit, self._codec.room(self.carrier.datagram_size()))
         while self._messages and size < limit:
             length = len(self._messages[0][0])
@@ -137,20 +142,20 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         """Send the next pieces of a message."""
         begin, count = self._at, len(cut.pieces)
         length = len(cut.pieces[begin])
-        end = min(begin + max(1, limit // length), count)
+        end = min(begin + max(1, limit // length), count)  # at least one, or its turns would come without end
         datagrams = self._codec.write_pieces(cut, begin, end, asks=self.via.asks((end - begin) * length))
         self._cut, self._at = (cut, end) if end < count else (None, 0)
         return self._pass(datagrams)
 
     def _send(self, batch: Sequence[Message], size: int) -> int:
         datagrams = self._codec.write_many(batch, self.carrier.datagram_size(), asks=self.via.asks(size))
-        # A Zenoh network loses samples where it is congested, which more of them make worse.
+        # A Zenoh network, whose sockets have no port, loses samples where it is congested, which more make worse.
         is_command = len(datagrams) == 1 and batch[0][2] & LEASED and self.carrier.socket.port
         if not is_command:
             return self._pass(datagrams)
         passed = self._pass(datagrams, TIMES)
         self._command, self._repeats, self._repeat_at = datagrams, _REPEATS, self._loop.time() + _REPEATED_AFTER
-        if self._repeating is None:
+        if self._repeating is None:  # else the timer that runs finds the new time: none is set for each command
             self._repeating = self._loop.call_at(self._repeat_at, self._repeat)
         return passed
 
@@ -177,11 +182,12 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         if self._repeating is not None:
             self._repeating.cancel()
         self.leave()
-        self.written_off()
+        self.written_off()  # no receipt tells of a route that is closed: its bytes would stay in transit
         super().close(reason)
 
     def receipt(self, arrived: Arrived, buffer: int) -> None:
         """See `DatagramSource.receipt`."""
+        # A peer may claim more than was sent.
         newest = min(arrived.newest, self._codec.sequence - 1)
         opened = min(arrived.opened, newest + 1)
         before, opened_before = self._receipted
@@ -192,6 +198,7 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         self._receipted = newest, opened
         self._receipted_at = self._loop.time()
         self._note_arrivals(opened, self._receipted_at)
+        # After a write-off, more are counted than a late receipt tells of.
         self._count(max(newest + 1, self._counted), newest + 1 - opened)
         if buffer < RECEIVE_BUFFER and self._codec.largest > buffer // WINDOW:
             self.carrier.shortages[False] = BufferShortage(False, buffer, self._codec.largest)

@@ -11,23 +11,31 @@ from __future__ import annotations
 from collections import deque
 
 _FIRST_PACE = 128e6
-"""Bytes/s before anything has arrived; the link's window grows from little meanwhile."""
+"""Bytes/s before anything has arrived, about 1 Gbit/s; the link's window grows from little meanwhile."""
 LEAST_ON_PATH = 32 * 1024
-"""Bytes that may be on any path: a slow one is left to the link's window, and a receipt for less costs too much."""
+"""Bytes that may be on any path: a slow one is left to the link's window, and a receipt for less costs too much.
+A round figure: nothing was measured."""
 _GROWING, _PROBING, _DRAINING = 2.9, 1.25, 0.75
-"""Paces in ratio to the path's rate: until it grows no more; in the first of `_SPANS` spans; and in the second."""
+"""Paces in ratio to the path's rate: until it grows no more; in the first of `_SPANS` spans; and in the second. They
+are BBR's (2 / ln 2, 5/4, 3/4). On the simulated radio of 20 Mbit/s in tests/channel/test_pacing.py, probing at 1.05
+finds 64 % of the rate, and 1.25 all. Without draining, its queue holds 0.03 to 0.06 s at the median instead of 0.02."""
 _SPANS, _GROWS, _FULL_AFTER, _OVERFLOWS = 8, 1.25, 3, 0.8
-"""It grows no more after so many spans in which it has grown by less, or once less than this part arrives."""
+"""It grows no more after so many spans in which it has grown by less, or once less than this part arrives. All but the
+last are BBR's. Without the last, a simulated switch of 40 MB/s lost 41 % in the second quarter of a second instead of
+12 %; from 0.5 to 0.95 it made no difference."""
 _SPAN, _ROUND_TRIPS = 0.005, 2.0
-"""A span takes so many s and round trips, at least: radios deliver in lumps."""
+"""A span takes so many s and round trips, at least: radios deliver in lumps. On the simulated radio, 0.5 to 50 ms and 1
+or 2 round trips make no difference; with 4, its queue of 0.16 s was nearly full in one of two runs."""
 _REMEMBERED, _REMEMBERED_SPANS = 1.0, 10
-"""The greatest rate counts for so many s and spans, at least."""
+"""The greatest rate counts for so many s and spans, at least. Ten are BBR's; 0.1 to 10 s, and 3 to 30 spans, make no
+difference on the simulated radio."""
 _QUEUE = 0.05
-"""The path may hold what crosses in so many s and in two of its shortest round trips, since those of a radio vary."""
+"""The path may hold what crosses in so many s and in two of its shortest round trips, since a radio's vary. At p99 the
+simulated radio's queue of 0.16 s then holds 0.07 s, and with 0.2 it is full."""
 _SHORTEST_COUNTS = 10.0
-"""s for which the shortest round trip counts: a path may change to a longer one."""
+"""s for which the shortest round trip counts, as in BBR: a path may change to a longer one."""
 _ENOUGH = 20
-"""Datagrams of a span that tell how many get lost by chance."""
+"""Datagrams of a span that tell how many get lost by chance: of fewer, a single one is more than 5 %."""
 
 
 class PathRate:
@@ -75,7 +83,7 @@ class PathRate:
         self._round_trips.append((now, round_trip))
         while self._round_trips[0][0] < now - _SHORTEST_COUNTS:
             self._round_trips.popleft()
-        if self._began is None:
+        if self._began is None:  # these datagrams were sent before the span begins
             self._begin(sent_at, now)
             return False
         if limited and self._gain == _GROWING and round_trip < _QUEUE + 2 * self._round_trips[0][1]:
@@ -85,6 +93,7 @@ class PathRate:
         self._passed += datagrams
         self._opened += opened
         lasted = now - self._began
+        # Not by the present round trip alone: in a full queue it is long, and the pace would shrink late.
         if lasted < max(_SPAN, _ROUND_TRIPS * min(round_trip, self._round_trips[0][1] + _QUEUE)):
             return False
         # What a radio holds back, and then delivers at once, did not cross faster than it was sent.
@@ -122,7 +131,7 @@ class PathRate:
         if self._gain != _GROWING:
             # As long as probing finds more, it goes on.
             self._span = 0 if self._span == 0 and greatest > before else (self._span + 1) % _SPANS
-        elif limited:
+        elif limited:  # the routes wanted more: else a rate that does not grow shows no full path
             overflows = self._passed >= _ENOUGH and self._opened < _OVERFLOWS * self._passed
             grows = greatest > _GROWS * before
             self._full = _FULL_AFTER if overflows else 0 if grows else self._full + 1

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.window import ReceiptCounter
 
 _APART = 0.005
-"""s between two messages with receipts."""
+"""s between two messages with receipts: at most 200 a second, however many streams have news. A round figure, far below
+the ages that the window tells apart (0.1 s and more)."""
 
 
 class ReceiptBook:
@@ -23,8 +24,6 @@ class ReceiptBook:
     stream with few bytes would keep them unacknowledged for a second.
 
     Args:
-        loop: tells the time and sets the timer.
-        send: sends a control message.
         way_back: gives the s that a message of the peer takes to get here.
         ping: gives the s of the connection's shortest ping, or 0 if it is unknown.
     """
@@ -53,6 +52,7 @@ class ReceiptBook:
 
     def report(self) -> None:
         """Send a receipt for all streams on which bytes came since their last one."""
+        # A count that still waits for its message is replaced: the newer one covers it.
         self._received.update((stream, each.next_receipt()) for stream, each in self._counters.items() if each.has_news)
         self._soon()
 
@@ -78,6 +78,7 @@ class ReceiptBook:
 
     def _soon(self) -> None:
         if self._timer is None:
+            # The first one goes at once: what it waits would count as the path's round trip.
             wait = self._sent_at + _APART - self.now()
             if wait <= 0:
                 self._flush()

@@ -20,14 +20,10 @@ class SendingEnd:
     """The part that does not depend on what carries the messages.
 
     Args:
-        scheduler: of the link.
-        route: whose messages they are.
         via: what carries them first.
 
     Attributes:
         start: virtual time at which its next turn begins.
-        queued: whether it waits for a turn.
-        via: the stream or socket that it sends on.
     """
 
     via: Carrier
@@ -51,6 +47,7 @@ class SendingEnd:
     @property
     def congested(self) -> bool:
         """See `rsb_bridge.channel.channel.SendingChannel`, and so for the other members of that protocol."""
+        # In its turn a route gives one batch: the rest stays in its queue, where newer messages replace it.
         if self._in_turn:
             return bool(self._messages)
         return self.queued or bool(self._messages) or not self._scheduler.is_free(self.via)

@@ -136,9 +136,6 @@ class UdpChannel:
         over: whether it is closed or its last route has left: the next route needs another UDP channel.
         trouble: the reason why no datagrams arrive, for an operator, or an empty string.
         received_at: time (s) of the last authentic datagram, or of the channel's start.
-        received_bytes: so far.
-        sent_bytes: so far.
-        on_close: called when it is over.
         on_asked: called when the peer has asked for a receipt.
         on_urgent: called with an urgent control message as it was encoded.
         shortages: shortages of receive buffers; the key is whether this side lacks the memory.
@@ -228,7 +225,7 @@ class UdpChannel:
         if self._peer is None:
             return
         news = [each for receiver in self._receivers.values() if (each := receiver.news()) is not None]
-        for first in range(0, len(news), MOST_ARRIVED):
+        for first in range(0, len(news), MOST_ARRIVED):  # in one piece each: a lost fragment would lose all
             receipt = Receipt(self.receive_buffer, tuple(news[first : first + MOST_ARRIVED]))
             self.send(self._probe.write(receipt, self.datagram_size()))
 
@@ -348,7 +345,7 @@ class ClientUdpChannel(UdpChannel):
 
     def _silence(self) -> str:
         assert self._peer is not None
-        if not self.socket.port:
+        if not self.socket.port:  # a Zenoh network has none
             return Silence.NOTHING_OVER_ZENOH()
         return Silence.NO_ANSWER(port=self._peer[1], host=self._peer[0])
 
@@ -386,10 +383,10 @@ class ServerUdpChannel(UdpChannel):
             challenge = self._challenges.get(address)
             if challenge is None or challenge.opaque != probe.opaque:
                 return False
-            self._challenges.clear()
+            self._challenges.clear()  # a later pong from an address that the client has left must not lead back to it
             self._peer, self._path = address, self.socket.path(self._source, address)
             return True
-        if address == self._peer:
+        if address == self._peer:  # it has answered a challenge already
             self._answer(address, Probe(pong=True, opaque=probe.opaque))
             return True
         self._answer(address, Probe(pong=False, opaque=self._challenge(address)))
@@ -401,7 +398,7 @@ class ServerUdpChannel(UdpChannel):
         challenge = self._challenges.get(address)
         if challenge is None or now - challenge.since > _CHALLENGED_FOR:
             self._challenges.pop(address, None)
-            if len(self._challenges) >= _MOST_CHALLENGED:
+            if len(self._challenges) >= _MOST_CHALLENGED:  # a captured probe can come from any number of addresses
                 del self._challenges[next(iter(self._challenges))]
             challenge = self._challenges[address] = _Challenge(int.from_bytes(os.urandom(8)), now)
         return challenge.opaque
@@ -410,6 +407,7 @@ class ServerUdpChannel(UdpChannel):
         """Send one datagram where one came from: it is no longer than that one."""
         datagrams = self._probe.write(probe, self.socket.datagram_size(address))
         self.sent_bytes += sum(map(len, datagrams))
+        # Not by `send`, which knows only the address that has answered.
         self.socket.send(datagrams, self.socket.path(self._source, address))
 
     def _silence(self) -> str:

@@ -19,31 +19,47 @@ from collections import deque
 from rsb_bridge.model.transports import QUEUES_LITTLE, Ages
 
 FIRST = 4 * 1024
-"""Bytes in transit at the beginning, plus one turn: 0.8 s of 5 kB/s."""
+"""Bytes in transit at the beginning, plus one turn: 0.8 s of 5 kB/s, as `Ages.late`. On the simulated tunnel of
+5 kB/s in tests/channel/test_window.py, the oldest of the first messages were 1.1 to 1.4 s old, with 8 KiB 1.7 to 2.0 s,
+and with 16 KiB 2.9 to 3.5 s."""
 LEAST = 2 * 1024
-"""Bytes of the smallest window."""
+"""Bytes of the smallest window: four receipts of `FIRST_RECEIPT`. Once that tunnel is full, messages are 0.5 to 0.7 s
+old at most; 1 KiB changes nothing, and with 4 KiB they are 0.8 to 2.0 s old."""
 _PARTS = 4
-"""The sender asks for a receipt after each such part of the window."""
+"""The sender asks for a receipt after each such part of the window. A round figure: 1 to 8 parts carried 91 to 100 % on
+the simulated paths, in no order. In the tunnel, 4 cost 5 receipts a second, and 8 cost 10."""
 FIRST_RECEIPT = 512
 """Bytes after which a receiver sends a receipt by itself: few, to measure the round trip before a queue builds up."""
 
 _FARTHEST, _FARTHEST_PINGED = 2.0, 4.0
-"""Longest round trips (s) of a path without a queue: by itself, and if pings took as long; more counts as waiting."""
+"""Longest round trips (s) of a path without a queue: by itself, and if pings took as long; more counts as waiting. Both
+are round figures: a simulated path of 2 s carries a topic without pings, and one of 3 s only with them."""
 _FIRST_LASTS = 0.8
-"""s that the first bytes may take; on a path whose pings take longer, more bytes take no longer than these."""
+"""s that the first bytes may take: `FIRST` at 5 kB/s. On a path whose pings take longer, more bytes take no longer than
+these."""
 _LONGEST_BACK = 5.0
-"""s; a peer that claims more gains nothing by it."""
+"""s; a peer that claims more gains nothing by it. A round figure."""
 _NOT_SHORTER = 0.75
-"""If data that is sent after the window has shrunk still takes this share of the time, something else is in the way."""
+"""If data that is sent after the window has shrunk still takes this share of the time, something else is in the way: in
+the link's own queue, half of the window takes half of the time. From 0.5 to 1, the simulated paths show no difference.
+With 0.3, messages in the tunnel are 1.5 s old instead of 0.6; with 2, a path that takes 1 s longer carries 8 % of a
+topic."""
 _LONGEST_OTHER = 1.2
-"""s on the path that are accepted as somebody else's: more may be queues of this link's other topics."""
+"""s on the path that are accepted as somebody else's: more may be queues of this link's other topics. After a simulated
+path has become 1 s longer each way, 93 % of a topic of 25 kB/s cross with 0.6, 8 % with 0, and all with this."""
 _SILENT = 2.0
-"""s without a receipt after which the path has stalled: a receiver acknowledges the last bytes within a second."""
+"""s without a receipt after which the path has stalled: a receiver acknowledges the last bytes within a second. A topic
+of 1 MB/s on a simulated path of 10 MB/s that stalls for 4 s has 2 MB in transit then, and 4 MB without this."""
 _MEASURED_OVER = 1.0
+"""s over which the rate counts: a receiver sends a receipt at least once in it. A round figure: from 0.25 to 4 s, the
+simulated paths show no difference."""
 _STOPPED = 1.5
 """s without a receipt."""
 _MARKS_PER_WINDOW, _MARK_EVERY = 64, 0.02
+"""A mark after each such part of the window, or after so many s: ages are exact to the smaller of the two. Round
+figures: 4 to 1,024 marks, and 2 to 200 ms, make no difference on the simulated paths."""
 _MOST_MARKS, _MOST_RECEIPTS = 1024, 64
+"""Entries that are kept: a peer that acknowledges nothing, or each byte, takes no more memory."""
 
 
 class Window:
@@ -81,7 +97,6 @@ class Window:
         Args:
             sent: bytes that it already carried.
             ping: s of the shortest ping of the connection, or 0 if it is unknown.
-            ages: that are allowed.
         """
         self._ages = ages
         self.slow = False
@@ -105,6 +120,7 @@ class Window:
         """Record that data is written at `now` (s), after `before` bytes."""
         marks = self._marks
         if not marks:
+            # After a pause the rate begins again: the time in which nothing was sent is not the path's.
             if not self._receipts or now - self._receipts[-1][1] > 2 * _MEASURED_OVER:
                 self._receipts.clear()
                 self._receipts.append((self._acknowledged, now))  # the rate counts from here
@@ -119,12 +135,13 @@ class Window:
 
         Args:
             count: bytes of the channel that the peer claims to have received.
-            sent: bytes sent so far.
         """
         acknowledged = min(self._origin + count, sent)
         gained = acknowledged - self._acknowledged
         if gained <= 0:
             return
+        # A small topic that never fills half of the window says nothing about what the path carries. If the window
+        # grew all the same, all would pass when the path becomes slow, until receipts are late.
         limited = 2 * (sent - self._acknowledged) >= self.size
         marks = self._marks
         written_at = None
@@ -134,6 +151,7 @@ class Window:
             took = max(0.0, now - written_at - self._credit)
             self._shortest = min(self._shortest, took)
             self._accept_delay(took, acknowledged)
+            # The rest of a write keeps its age, or a message of 100 kB would never seem late.
             if acknowledged < sent and (not marks or marks[0][0] > acknowledged):
                 marks.appendleft((acknowledged, written_at))
         self._acknowledged = acknowledged
@@ -144,6 +162,7 @@ class Window:
             if self._before_shrinking is None:
                 self._before_shrinking = sent, self._age(now) - self._credit
             crosses = self._ages.aim + min(self._ping, self._shortest + self._credit)
+            # After a stall the rate is nearly 0. So half of what is in transit stays, as TCP halves its window.
             self.size = max(LEAST, int(rate * crosses), min(self.size, (sent - acknowledged) // 2))
         elif waits < self._ages.fresh:
             self.slow = self.slow and limited
@@ -214,6 +233,7 @@ class Window:
         rate = 0.0
         if receipts:
             first, at = receipts[0]
+            # The first receipts may come in the moment in which the first bytes were written.
             rate = (acknowledged - first) / max(now - at, 0.05)
         receipts.append((acknowledged, now))
         return rate
@@ -237,7 +257,7 @@ class ReceiptCounter:
 
     def set_interval(self, every: int) -> None:
         """Send a receipt after every `every` bytes from now on."""
-        self._every = max(1, every)
+        self._every = max(1, every)  # a peer may ask for 0
         self.due = self._sent + self._every
 
     def next_receipt(self) -> int:

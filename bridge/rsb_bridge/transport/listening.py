@@ -48,12 +48,14 @@ async def bind(host: str, port: int, kind: socket.SocketKind) -> list[socket.soc
     sockets: list[socket.socket] = []
     try:
         found = await asyncio.get_running_loop().getaddrinfo(host, port, type=kind, flags=socket.AI_PASSIVE)
-        for family, type_, proto, _, address in dict.fromkeys(found):
+        for family, type_, proto, _, address in dict.fromkeys(found):  # one listed twice could not be bound again
             sock = socket.socket(family, type_, proto)
             sockets.append(sock)
             sock.setblocking(False)
+            # Connections that have just ended would keep the port. With UDP it would let two processes have one port.
             if kind is socket.SOCK_STREAM:
                 sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            # Else it takes the port of IPv4, too, which has a socket of its own.
             if family == socket.AF_INET6:
                 sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
             sock.bind(address)
@@ -84,7 +86,6 @@ class StreamListener:
         Args:
             sockets: bound; they are closed with this.
             backlog: connections that the kernel may hold until they are accepted.
-            make_stream: called for each connection.
             shortage: called with a message each time that nothing can be accepted for now.
         """
         self._loop = asyncio.get_running_loop()
@@ -117,7 +118,7 @@ class StreamListener:
                 return  # else nothing waits, or the connection has ended already
             accepted.setblocking(False)
             task = self._loop.create_task(self._serve(accepted, address))
-            self._accepting.add(task)
+            self._accepting.add(task)  # a loop holds its tasks only weakly
             task.add_done_callback(self._accepting.discard)
 
     def _rest(self, sock: socket.socket, error: OSError) -> None:

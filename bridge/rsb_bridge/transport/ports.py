@@ -50,12 +50,13 @@ class Ports:
             ListenError: it can't be bound, or all are closed meanwhile.
         """
         key, closed = (name, number), self._closed
+        # Two topics that name one port would bind it twice.
         async with self._opening:
             port = self._ports.get(key)
             if port is None:
                 transport = self._transports[name]
                 port = _Port(await transport.listen(transport.host(self._session), number, self._acceptor))
-                if closed != self._closed:
+                if closed != self._closed:  # a server that has stopped meanwhile would leave the port bound
                     port.listener.close()
                     raise ListenError(PortProblem.CLOSED_AGAIN(kind=transport.port_kind, number=number))
                 self._ports[key] = port
@@ -64,6 +65,7 @@ class Ports:
 
     def _release(self, key: tuple[str, int], port: _Port) -> None:
         port.users -= 1
+        # After `close`, a new one may have the same number.
         if not port.users and self._ports.get(key) is port:
             del self._ports[key]
             port.listener.close()

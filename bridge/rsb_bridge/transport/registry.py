@@ -25,7 +25,6 @@ class Transports:
     """Transports by name.
 
     Attributes:
-        network: their Zenoh network, or None.
         strangers: the budget of all peers that have not proven yet that they have a key.
 
     A test makes one of its own, for example ``Transports(SimulatedTcp(network), SimulatedUdp(network))``, and passes it

@@ -30,8 +30,11 @@ CONNECT_TIMEOUT = 12.0
 _TRANSIENT = (errno.ECONNREFUSED, errno.ECONNRESET, errno.EBUSY)
 _RETRY_FOR = 1.0
 _RETRY_EVERY = 0.1
+"""s; round figures."""
 _BACKLOG = 8
+"""Connections that the kernel holds until they are accepted; a robot's adapter has one on a channel."""
 _BUFFER = 4096
+"""Bytes that wait in the kernel each way: 80 ms of 50 kB/s. More would wait before a joystick's next message."""
 
 
 class RfcommProblem(Wording):
@@ -53,6 +56,7 @@ class RfcommStream(Stream):
 
     batch_bytes = 2048
     high_water = 2048
+    """Both are 40 ms of 50 kB/s."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         sock: socket.socket = transport.get_extra_info("socket")
@@ -90,6 +94,7 @@ class Rfcomm(RfcommTraits, StreamTransport):
         """Accept connections on one adapter's channel, or with `hci.ANY_ADAPTER` on all adapters'."""
         try:
             own = {adapter.address for adapter in hci.adapters()}
+            # The kernel would bind an address that no adapter has, and no client would ever find it.
             if host.upper() not in own | {hci.ANY_ADAPTER}:
                 problem = RfcommProblem.ANOTHER_ADAPTER if own else RfcommProblem.NO_ADAPTER
                 raise ListenError(problem(host=host, adapters=", ".join(sorted(own))))

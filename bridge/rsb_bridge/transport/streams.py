@@ -22,13 +22,15 @@ Address: TypeAlias = tuple[Any, ...]
 CLOSED_BY_PEER = "closed by the other side"
 """The reason where a stream ended in order, which also happens when the other process is killed."""
 BATCH_BYTES = 256 * 1024
-"""As much as is worth one call, where the link is not slow."""
+"""As much as is worth one call, where the link is not slow. A round figure: nothing was measured."""
 
 _STRANGER_READS = 4096
 """Bytes that are read at a time from a stranger, so that few of them wait here during a handshake."""
 _READS = 256 * 1024
-"""Bytes that are read at a time from a peer that has proven its key."""
+"""Bytes that are read at a time from a peer that has proven its key: as much as asyncio does. Smaller reads gained
+nothing (bench/README.md, *Where the time goes*)."""
 _LINGER = 2.0
+"""s, of the protocol (PROTOCOL.md, 1)."""
 _TCP_INFO = struct.Struct("=2xB 97x I 16x Q 28x I 40x Q Q I")
 """The kernel's tcp_info (linux/tcp.h), in part: `tcpi_retransmits`, `tcpi_total_retrans`,
 `tcpi_bytes_acked`, `tcpi_data_segs_out`, `tcpi_bytes_sent`, `tcpi_bytes_retrans` and `tcpi_dsack_dups`. Linux has the
@@ -132,10 +134,8 @@ class Stream(asyncio.Protocol):
     Attributes:
         batch_bytes: bytes to write in one call.
         high_water: bytes that may wait for the kernel before the stream counts as congested.
-        handler: receives the stream's events.
         congested: whether more than `high_water` bytes wait for the kernel, so that writers should pause.
         received_at: time (s, on the loop's clock) of the last bytes, or of the connection.
-        received_bytes: so far.
         sent_bytes: so far, including those that still wait.
         address: of the other end.
         own_address: host or adapter of this end, or empty if unknown.
@@ -143,6 +143,7 @@ class Stream(asyncio.Protocol):
 
     batch_bytes: ClassVar[int] = BATCH_BYTES
     high_water: ClassVar[int] = 0
+    """Not a byte waits here by choice: in the routes' queues, newer messages replace older ones."""
 
     def __init__(self, handler: StreamHandler) -> None:
         self.handler = handler
@@ -174,10 +175,12 @@ class Stream(asyncio.Protocol):
         """Send what waits, then close; a peer that takes nothing is not waited for longer than 2 s."""
         if self._transport is None or self._closing:
             return
+        # While reading is paused, the peer's end would not show. Not later: a stream that closes is not resumed.
         self.resume_reading()
         self._closing = True
         self._reason = self._reason or reason
-        # Not the transport's own abort: on one that has ended, it would end it a second time.
+        # A peer that takes nothing would hold the descriptor. Not the transport's own abort: on one that has ended, it
+        # would end it a second time.
         self._lingering = asyncio.get_running_loop().call_later(_LINGER, self.abort, reason)
         self._end()
 
@@ -232,7 +235,7 @@ class Stream(asyncio.Protocol):
 
     def give_up_after(self, seconds: float) -> None:
         """Have the kernel give it up once nothing is acknowledged for so long; only TCP does. May be called again."""
-        if seconds == self._given_up_after or self._transport is None:
+        if seconds == self._given_up_after or self._transport is None:  # it is called each second
             return
         self._given_up_after = seconds
         sock = self._transport.get_extra_info("socket")
@@ -330,6 +333,7 @@ class Stream(asyncio.Protocol):
         _free(self._transport)
         self._transport = None
         self._when_gone()
+        # Nothing comes after this event, and nothing leads back to the link, which would be freed late.
         handler, self.handler = self.handler, StreamHandler()
         handler.closed(self._reason or (os_error_message(error) if error else "closed"))
 
@@ -360,6 +364,7 @@ def os_error_message(error: BaseException) -> str:
     """Return the kernel's message for an OS error, without its number, and with a remedy where there is one."""
     if isinstance(error, TimeoutError) and not error.args:
         return StreamProblem.TIMED_OUT()
+    # The number of a `gaierror` is the resolver's.
     if isinstance(error, OSError) and error.errno and not isinstance(error, socket.gaierror):
         message = os.strerror(error.errno)  # asyncio puts its own text into strerror
         if error.errno == errno.ECONNREFUSED:

@@ -49,6 +49,7 @@ async def look_up(host: str, port: int, within: float) -> Found:
     Raises:
         OSError: the name is not known, or no name server answers.
     """
+    # An address needs no thread: each stream of a link would start one.
     with contextlib.suppress(socket.gaierror):
         return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST)
     try:
@@ -58,18 +59,21 @@ async def look_up(host: str, port: int, within: float) -> Found:
 
 
 CONNECT_TIMEOUT = 3.0
-"""s"""
+"""s; a round figure."""
 _NEXT_ADDRESS_AFTER = 0.25
 """s, the Connection Attempt Delay that RFC 8305 recommends."""
 _BACKLOG = 1024
 """Connections that the kernel holds until they are accepted; a client whose connection finds no room waits 1 s."""
 _NOT_SENT_LOW_WATER = 32 * 1024
+"""Bytes that the kernel keeps unsent: 13 ms of 20 Mbit/s. A round figure: more would wait where no newer message can
+replace it, and with less the connection may run dry between two turns of the loop."""
 _MOST_DISCARDED = 4 << 20
-"""Bytes that a peer may go on to send to a closed connection."""
+"""Bytes that a peer may go on to send to a closed connection, of the protocol (PROTOCOL.md, 1)."""
 _TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
 _IDLE, _KEEPALIVE_EVERY = 20, 5
 """s; the stingiest NATs forget an idle connection within a minute."""
 _GIVEN_UP_AFTER_MS = 6_000
+"""A second more than the time after which the link itself is given up (`link.keepalive.DEAD_AFTER`)."""
 _TCP_CONGESTION = getattr(socket, "TCP_CONGESTION", 13)
 BBR = "bbr"
 """The congestion control that does not take a radio's lost packets for a full link (bench/README.md, *Thin links*)."""
@@ -98,6 +102,7 @@ class TcpStream(Stream):
 
     def _end(self) -> None:
         self._ending.add(self)
+        # While bytes wait, asyncio would end the direction later, and an error of that would be an internal one.
         if not self.congested:
             self._end_sending()
 
@@ -148,6 +153,7 @@ class Tcp(TcpTraits, StreamTransport):
                 sock = await start_connection(found, happy_eyeballs_delay=_NEXT_ADDRESS_AFTER)
         except OSError as error:
             raise _most_telling(error) from None
+        # A cancellation in between would leave a socket behind.
         with contextlib.ExitStack() as unless_connected:
             unless_connected.callback(sock.close)
             loop = asyncio.get_running_loop()

@@ -31,7 +31,6 @@ async def in_thread(name: str, work: Callable[[], T], within: float) -> T:
 
     Args:
         work: the call; it continues after a timeout.
-        within: s to wait for it.
 
     Raises:
         TimeoutError: the call takes longer.
@@ -41,7 +40,7 @@ async def in_thread(name: str, work: Callable[[], T], within: float) -> T:
     done: asyncio.Future[T] = loop.create_future()
 
     def settle(result: T | None, error: Exception | None) -> None:
-        if done.done():
+        if done.done():  # given up meanwhile
             return
         if error is not None:
             done.set_exception(error)

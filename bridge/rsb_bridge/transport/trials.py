@@ -23,6 +23,7 @@ _WAVE = 0.1
 _OTHERS = 0.3
 """s that others have once one has proven the key, so that a second one shows."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 2.0, 60.0
+"""s until an address that has failed is tried again, at first and at most: round figures."""
 _FEW = 8
 """Addresses that are always tried, however often they have failed."""
 
@@ -49,7 +50,6 @@ class Trials(Generic[T]):
     """Searches among announced addresses; remembers what did not prove the key, for as long as it is announced.
 
     Args:
-        now: the time, in s.
         patience: s that the last addresses of a search have: a handshake over a slow network.
     """
 
@@ -86,6 +86,7 @@ class Trials(Generic[T]):
             for task, address in running.items():
                 if task.cancel():
                     self._fail(address)
+            # One may have succeeded before it was cancelled, and holds a connection.
             for left in await asyncio.gather(*running, return_exceptions=True):
                 if not isinstance(left, BaseException):
                     discard(left)
@@ -128,6 +129,7 @@ class Trials(Generic[T]):
 
     def _fail(self, address: str) -> None:
         count = self._failed.get(address, (0, 0.0))[0] + 1
+        # A float cannot hold 2.0 ** 1024, and an address may fail for days.
         pause = min(_FIRST_PAUSE * 2.0 ** min(count - 1, 10), _LONGEST_PAUSE)
         self._failed[address] = count, self._now() + pause
         self._proven.discard(address)

@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.streams import Address
 
 _DATAGRAMS_PER_WAKE, _BYTES_PER_WAKE = 64, 1024 * 1024
-"""What is read before the I/O loop turns to other work."""
+"""What is read before the I/O loop turns to other work: round figures."""
 _DENSE = 0.0001
-"""s between two wake-ups below which one reads until nothing is left. Otherwise it reads once: what came together is
-mostly one train (UDP_GRO), a further read that finds nothing costs as much as half a message, and the loop calls again
-if something is left."""
+"""s. Wake-ups that are closer than this read until nothing is left. Others read once: one read mostly returns all that
+came together (UDP_GRO), a further one that finds nothing costs 1.3 µs, a quarter of a message's way through the kernel
+(bench/README.md, *UDP*), and the loop calls again if something is left."""
 _LARGEST = 65_535
 """Bytes of a datagram with its headers."""
 _RECEIVE_BUFFER = 33, socket.SO_RCVBUF
@@ -46,7 +46,8 @@ _SIZE_HOLDS = 1.0
 _SIZES_KEPT = 256
 """Addresses whose path's MTU is kept; a peer that roams has a new one each time."""
 _BACKLOG_LIMIT = 16 * 1024 * 1024
-"""Bytes that wait for the kernel."""
+"""Bytes that wait for the kernel. A round figure: senders of messages stop while the socket is congested, so that only
+probes, receipts and urgent messages come on top."""
 
 
 Received: TypeAlias = Callable[[DatagramSocket, Datagrams], None]
@@ -58,7 +59,6 @@ class UdpSocket:
     Attributes:
         when_writable: called when the socket was congested and takes more again.
         congested: whether datagrams wait for the kernel.
-        waiting_bytes: what waits for the kernel.
     """
 
     def __init__(self, sock: socket.socket, received: Received) -> None:
@@ -121,7 +121,7 @@ class UdpSocket:
         now = self._loop.time()
         size, until = self._sizes.get(address, (0, 0.0))
         if now >= until:
-            if len(self._sizes) >= _SIZES_KEPT:
+            if len(self._sizes) >= _SIZES_KEPT:  # no order to keep: each size is asked for again within a second
                 self._sizes.clear()
             size = min(_path_mtu(self._sock.family, address), _LARGEST) - _HEADERS[self._sock.family]
             self._sizes[address] = (size, now + _SIZE_HOLDS)
@@ -129,6 +129,7 @@ class UdpSocket:
 
     def close(self) -> None:
         """Close it; what waits is lost."""
+        # Before the socket: its number may be another one's as soon as it is closed.
         self._loop.remove_reader(self._sock)
         self._loop.remove_writer(self._sock)
         self._backlog.clear()
@@ -194,7 +195,7 @@ class UdpSocket:
             self._backlog.popleft()
         self.congested = False
         self._loop.remove_writer(self._sock)
-        for writable in tuple(self.when_writable):
+        for writable in tuple(self.when_writable):  # a channel that closes in its turn leaves
             writable()
 
 

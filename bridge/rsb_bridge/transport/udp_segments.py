@@ -18,6 +18,7 @@ CONTROL_SPACE = socket.CMSG_SPACE(4)
 _UDP_SEGMENT, _UDP_GRO = 103, 104
 _MOST_SEGMENTS = 64
 _MOST_BYTES = 65_507
+"""Linux's limits of one call: UDP_MAX_SEGMENTS, and an IP packet without the headers."""
 _SEGMENT_SIZE = struct.Struct("=H")
 _RECEIVED_SIZE = struct.Struct("=i")
 
@@ -43,14 +44,14 @@ def coalesce(sock: socket.socket) -> bool:
 def end_of_run(datagrams: Sequence[bytes], begin: int) -> int:
     """Return the index behind the last datagram that one call may send from `begin` on: one size, the last shorter."""
     size = len(datagrams[begin])
-    if not size:
+    if not size:  # the kernel cuts nothing into pieces of 0 bytes
         return begin + 1
     most = min(begin + min(_MOST_SEGMENTS, _MOST_BYTES // size), len(datagrams))
     end = begin + 1
     while end < most:
         length = len(datagrams[end])
         if length != size:
-            return end + 1 if 0 < length < size else end
+            return end + 1 if 0 < length < size else end  # an empty one would vanish in the buffer
         end += 1
     return max(end, begin + 1)
 

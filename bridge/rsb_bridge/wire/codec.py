@@ -82,6 +82,7 @@ _NOT_PRINTABLE = f"matching regex {PRINTABLE!r}"
 
 _encoder = msgspec.msgpack.Encoder()
 _control: msgspec.msgpack.Decoder[ControlMessage] = msgspec.msgpack.Decoder(ControlMessage)
+# Without `Report` and `TopicList`, whose tags the two forms in parts have: msgspec takes no tag twice.
 _parts: msgspec.msgpack.Decoder[ControlMessage | ReportParts | TopicListParts] = msgspec.msgpack.Decoder(
     Union[*(each for each in get_args(ControlMessage) if each not in (Report, TopicList)), ReportParts, TopicListParts]
 )
@@ -135,5 +136,6 @@ def decode_welcome(data: bytes) -> Welcome:
 def _decode(decoder: msgspec.msgpack.Decoder[_T], data: bytes) -> _T:
     try:
         return decoder.decode(data)
+    # The last two are no errors of msgspec's: a peer causes them by text that is not UTF-8, and by maps in maps.
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise invalid(error) from None

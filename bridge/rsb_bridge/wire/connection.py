@@ -75,6 +75,7 @@ class _Control(SealedStream):
             RuntimeError: the connection was never `Established`.
         """
         content = encode(message)
+        # With the longer tag, so that a message that one link takes is not too long for another one.
         if HEADER.size + len(content) + CipherSuite.AESGCM.tag_length > CONTROL_LIMIT:
             raise ValueError(
                 Misuse.CONTROL_MESSAGE_TOO_LONG(
@@ -90,7 +91,7 @@ class _Control(SealedStream):
     def _on_other_frame(self, frame: memoryview) -> None:
         header = frame[: HEADER.size]
         if not self._multiplexed or len(header) < HEADER.size or header[0] != DATA:
-            super()._on_other_frame(frame)
+            super()._on_other_frame(frame)  # raises
         self._events.append(DataFrame(HEADER.unpack(header)[2], frame))
 
 
@@ -128,6 +129,7 @@ class ClientConnection(_Control, ConnectingStream):
         return self._first_message(self._suite, self._key, header, encode(self._hello))
 
     def _on_preamble(self, kind: PreambleKind, body: bytes, frame: bytes) -> None:
+        # Only from AES-GCM, and only to ChaCha20: a forged one can neither loop nor take the encryption away.
         if (
             kind is PreambleKind.RETRY
             and self._suite is CipherSuite.AESGCM
@@ -161,7 +163,7 @@ class ClientConnection(_Control, ConnectingStream):
         keys = self._handshake.split()
         self._proven, self._at = self._key is not None, welcome.at
         self._start_sealing(self._suite, keys)
-        self._confirm()
+        self._confirm()  # also where it is refused: only then does the server know that it has the key
         if welcome.taken:
             raise Refusal(RefusalCode.NAME_TAKEN, welcome.taken)
         if welcome.shut_down:
@@ -245,8 +247,11 @@ class ServerConnection(AcceptingStream, _Control):
     def _welcome(self, offer: ControlPreamble, key: bytes | None, replays: ReplayCache) -> None:
         handshake = handshake_of(offer.suite, key, offer.header)
         hello = decode_hello(self._read_first(handshake, offer.message))
+        # After it has opened, or strangers could push all of the client's messages out of the memory. Without a key it
+        # has no random part, and a client's second attempt would count as a replay.
         if key is not None:
             self._check_new(replays, offer.message)
+        # The name in the preamble has chosen the key: else a client could be linked under another one's name.
         if hello.name != offer.name:
             raise ProtocolError(Broken.NAMES_DIFFER(preamble=offer.name, hello=hello.name))
         welcome = self._make_welcome(hello)

@@ -22,7 +22,7 @@ Origin = TypeVar("Origin")
 
 MAGIC = 0xB5
 FRAGMENTS_LIMIT = 65535
-
+"""The header has 16 bits for them."""
 
 _HEADER = struct.Struct(">BBHHI8sQIQ")
 _HEADER_SIZE = _HEADER.size
@@ -35,14 +35,12 @@ MOST_ARRIVED = 50
 _ASKS = 2
 """A datagram's flag: its sender wants a receipt now."""
 _FRAGMENT_COST = 400
-"""Bytes of memory that a fragment takes beyond its content: many tiny ones must not take more than is counted."""
+"""Bytes of memory that a fragment takes beyond its content: many tiny ones must not take more than is counted. The only
+fragment of a message takes the most, some 390 in CPython 3.11 (`sys.getsizeof` of its record, dict and bytes)."""
 
 
 def by_addressee(datagrams: Iterable[tuple[Buffer, Origin]]) -> dict[tuple[int, bytes, Origin], list[Buffer]]:
     """Sort datagrams by their addressee, to find its reader; foreign datagrams are left out. Nothing is authenticated.
-
-    Args:
-        datagrams: each with its origin.
 
     Returns:
         For each route id (`PROBE_ROUTE` for probes), link id (8 bytes) and origin the datagrams, in their order.
@@ -149,7 +147,6 @@ class Cut(NamedTuple):
     """A message in pieces, each for a datagram.
 
     Attributes:
-        number: of the message.
         pieces: all but the last of one size.
         stamp: ns since the epoch.
         flags: as of `rsb_bridge.wire.framing.Message`.
@@ -184,7 +181,7 @@ class DatagramWriter:
 
     def datagrams(self, size: int, max_datagram: int) -> int:
         """Return how many datagrams of at most `max_datagram` bytes a message of `size` bytes takes."""
-        return max(-(-size // (max_datagram - self._overhead)), 1)
+        return max(-(-size // (max_datagram - self._overhead)), 1)  # an empty message takes one, too
 
     def room(self, max_datagram: int) -> int:
         """Return the bytes of a message that one datagram of at most `max_datagram` bytes carries."""
@@ -202,7 +199,6 @@ class DatagramWriter:
         Args:
             messages: each the serialized message, its stamp (ns since the epoch), and its flags
                 (`rsb_bridge.wire.framing.ZSTD`, `rsb_bridge.wire.framing.HISTORY`).
-            max_datagram: bytes that a datagram may have.
             asks: whether the first datagram asks for a receipt.
 
         Raises:
@@ -293,7 +289,6 @@ class DatagramReader:
 
         Args:
             opener: of the peer's direction.
-            max_message: bytes of the longest message.
             budget: for incomplete messages; when it is spent, the route's oldest is given up. None: one of its own.
         """
         self.expired = 0
@@ -340,7 +335,7 @@ class DatagramReader:
         self.opened += 1
         if flags & _ASKS:
             self.asked = True
-            flags ^= _ASKS
+            flags ^= _ASKS  # on streams, that bit means `framing.MORE`
         # The full message number is the one nearest to the newest (RFC 1982).
         ahead = (number - self.newest) & 0xFFFFFFFF
         if ahead < 2**31:
@@ -384,6 +379,7 @@ class DatagramReader:
         message.fragments[index] = content
         message.size += len(content)
         message.last_seen = now
+        # The order of the last fragments, in which messages are given up. Mostly it is the last one already.
         if next(reversed(self._incomplete)) != number:
             self._incomplete[number] = self._incomplete.pop(number)
         if len(message.fragments) == count:

@@ -32,7 +32,6 @@ class Established:
 
     Attributes:
         peer: its `Welcome` on the client, its `Hello` on the server.
-        keys: for the link's data.
     """
 
     peer: Hello | Welcome
@@ -72,7 +71,6 @@ class StreamName(NamedTuple):
     Attributes:
         number: counts the data streams of the link's life, from 1; a later stream of one place replaces an earlier one.
         port: that its routes name, or 0 for the link's own.
-        large: whether it carries large messages.
     """
 
     number: int
@@ -86,7 +84,6 @@ class Attach:
 
     Attributes:
         link_id: 8 bytes.
-        name: the stream's place in the link.
         proof: for `rsb_bridge.wire.sealing.SessionKeys.check_attach_proof`.
         header: what the proof authenticates.
     """
@@ -139,7 +136,7 @@ class Admitted:
 
     operator: str = ""
     host: str = ""
-    key: bytes = field(default=b"", repr=False)
+    key: bytes = field(default=b"", repr=False)  # not in a log
 
 
 @dataclass(frozen=True, slots=True)

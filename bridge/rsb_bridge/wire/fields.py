@@ -27,7 +27,7 @@ from rsb_bridge.model.text import UNPRINTABLE
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.wording import Wording
 
-PRINTABLE = rf"\A[^{UNPRINTABLE}]*\Z"
+PRINTABLE = rf"\A[^{UNPRINTABLE}]*\Z"  # not `$`, which also matches before an end of line
 
 Name: TypeAlias = Annotated[str, Meta(max_length=TEXT_LENGTH, pattern=PRINTABLE)]
 Reason: TypeAlias = Annotated[str, Meta(max_length=REASON_LENGTH, pattern=PRINTABLE)]

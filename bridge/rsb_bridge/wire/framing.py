@@ -48,11 +48,13 @@ class Assembly:
             SealError: the seal is invalid.
         """
         at = self._size
+        # What is shorter than a tag does not open. A negative length would count from the buffer's end.
         end = at + max(0, len(sealed) - self._tag)
         if end > self._limit:
             raise ProtocolError(Broken.TOO_LONG_IN_CHUNKS(limit=self._limit))
         if end > self.held:
             self._grow(end)
+        # Both views end here: a `BytesIO` that has one cannot grow.
         with self._content.getbuffer() as whole, whole[at:end] as place:
             self._open_into(sealed, header, place)
         self.begun = True
@@ -82,7 +84,7 @@ class Assembly:
             hold(self._budget, needed - self.held)
             self.held = needed
         self._content.seek(self.held - 1)
-        self._content.write(b"\0")
+        self._content.write(b"\0")  # `truncate` does not lengthen it
 
 
 def hold(budget: Budget, size: int) -> None:
@@ -96,12 +98,7 @@ def hold(budget: Budget, size: int) -> None:
 
 
 class Budget:
-    """Bytes that several holders share. Each gives back what it took.
-
-    Attributes:
-        limit: bytes.
-        held: bytes, now.
-    """
+    """Bytes that several holders share. Each gives back what it took."""
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
@@ -121,6 +118,7 @@ class Budget:
 
 PREAMBLE_LIMIT = 4096
 CONTROL_LIMIT = 1 << 20
+"""Both of the protocol: bytes of the longest frame of somebody who has proven no key, and of any other."""
 MESSAGE_LIMIT = 64 << 20
 """Bytes of the longest message, as sent (compressed, if it is)."""
 UNFINISHED_LIMIT = 4 * MESSAGE_LIMIT
@@ -170,7 +168,6 @@ class FrameReader:
         """Begin.
 
         Args:
-            limit: bytes of the longest frame.
             budget: for the incomplete frame, or None for a budget of its own.
         """
         self.limit = limit
@@ -196,7 +193,7 @@ class FrameReader:
             if not self._is_complete():
                 return frames
             frames.append(memoryview(self._tail)[_LENGTH_SIZE:])
-            self.close()
+            self.close()  # with a new tail: the frame is a view of the old one
         unpack, limit = LENGTH.unpack_from, self.limit
         start, end = 0, len(view)
         while end - start >= _LENGTH_SIZE:
@@ -219,6 +216,7 @@ class FrameReader:
 
     def _complete(self, view: memoryview) -> memoryview:
         """Copy the missing bytes into the incomplete frame; return the rest of the view."""
+        # First the length alone, so that nothing is kept of a frame that is too long.
         if len(self._tail) < _LENGTH_SIZE:
             missing = _LENGTH_SIZE - len(self._tail)
             self._keep(view[:missing])
@@ -305,7 +303,7 @@ class DataWriter:
 
     def piece_size(self, size: int, chunk_size: int) -> int:
         """Return the bytes that `size` bytes of a message take as chunks."""
-        frames = max(1, -(-size // chunk_size))
+        frames = max(1, -(-size // chunk_size))  # an empty message has a frame, too
         return size + frames * (_LENGTH_SIZE + _HEADER_SIZE + self._sealer.suite.tag_length)
 
     def write_moved(self) -> bytes:
@@ -350,6 +348,7 @@ class DataReader:
             if kind != DATA or route != stream or flags & _UNKNOWN_FLAGS:
                 raise ProtocolError(Broken.FRAME_OF_ANOTHER_STREAM(kind=kind, flags=flags, route=route, stream=stream))
             sealed = frame[_HEADER_SIZE:]
+            # Most messages are whole, and need no assembly and no budget.
             if not (flags & MORE or chunks.begun):
                 messages.append((open_(sealed, header), stamp, flags))
                 continue

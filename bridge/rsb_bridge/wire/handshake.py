@@ -95,6 +95,7 @@ class NoiseHandshake:
         self._written = False
         self._remote: bytes | None = None
         name = _NAMES[suite]
+        # Noise, 5.2. The one suite's name is exactly as long as a hash, and the other's is longer.
         self._h = name.ljust(_HASH_LENGTH, b"\0") if len(name) <= _HASH_LENGTH else hashlib.sha256(name).digest()
         self._ck = self._h
         self._k = b""
@@ -167,6 +168,7 @@ def _hkdf(chaining_key: bytes, material: bytes) -> tuple[bytes, bytes, bytes]:
 
 
 _MOST = 512
+"""A round figure: an older message is answered again, but a replay cannot confirm."""
 _EPHEMERAL_LENGTH = 32
 """Random bytes at a first message's beginning: the sender's ephemeral key (X25519)."""
 

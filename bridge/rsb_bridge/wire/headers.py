@@ -96,7 +96,7 @@ class What(IntEnum):
     """A request that an earlier opening of the route left unanswered, of an action, whose goals have ids."""
 
 
-_CALL_KINDS = {int(each): each for each in What}
+_CALL_KINDS = {int(each): each for each in What}  # `What(kind)` would be two more functions for each frame
 
 
 def frame_size(content: bytes) -> int:

@@ -107,7 +107,6 @@ class Propose(ControlMessageBase, frozen=True, kw_only=True):
         remote_topic: its name on the receiving side.
         from_client: whether the client sends; else the server does.
         type: ``pkg/msg/Name``, or empty for the type in either side's graph.
-        transport: the name of its transport.
         port: the port of its own socket, or 0 for the shared one.
         qos: the QoS, or None for the publishers' offer.
         compression: the sender's, for each message.
@@ -189,11 +188,7 @@ class Accept(ControlMessageBase, frozen=True):
 
 
 class Refuse(ControlMessageBase, frozen=True):
-    """The refusal of a `Propose`, or of an accepted route that turns out to be impossible.
-
-    Attributes:
-        reason: why, for an operator.
-    """
+    """The refusal of a `Propose`, or of an accepted route that turns out to be impossible."""
 
     route: RouteId
     code: RefuseCode
@@ -529,7 +524,6 @@ class BenchAsk(ControlMessageBase, frozen=True):
         route: id of the route that measures.
         reset: whether to count arrivals from 0 again.
         size: bytes of each message to be sent by the other side.
-        rate: Hz of these messages.
         count: their number; may be 0.
     """
 
@@ -551,7 +545,6 @@ class BenchAnswer(ControlMessageBase, frozen=True):
         received: messages since the last reset.
         p50: s on the two wall clocks, a percentile of these messages' latencies.
         cpu: s of processor time that the process has used.
-        memory: bytes that it has.
         sent_bytes: handed to the sockets of its links.
         received_bytes: read from the sockets of its links.
         max_rate: Hz that the asker may cause, or 0 for no limit.

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 SUITE = CipherSuite.CHACHAPOLY
 RECORD_CONTENT = 16 << 10
-"""Bytes of a record's content at most."""
+"""Bytes of a record's content at most. A round figure: nothing was measured."""
 _RECORD_HEADER = b""
 RECORD_LIMIT = RECORD_CONTENT + SUITE.tag_length
 HOST_BYTES = 64
@@ -39,7 +39,6 @@ class OperatorPreamble(NamedTuple):
 
     Attributes:
         version: of the control protocol that the console speaks.
-        operator: who wants to attach.
         engine: the engine that is meant.
         fingerprint: of the operator's key, as the console says: 8 bytes.
         header: the frame up to the handshake message: the handshake's prologue.
@@ -179,6 +178,7 @@ class OperatorEngine(AcceptingStream, _Records):
         if kind is not PreambleKind.OPERATOR:
             raise ProtocolError(Broken.UNEXPECTED_FROM_OPERATOR(kind=kind.name))
         offer = parse_operator(frame)
+        # Before the operator's name, so that it is asked about only where this engine is meant.
         if offer.engine != self._engine:
             raise Refusal(RefusalCode.UNKNOWN_NAME, RefusalText.ANOTHER_ENGINE(name=offer.engine))
         self.name = offer.operator
@@ -188,6 +188,7 @@ class OperatorEngine(AcceptingStream, _Records):
         host = self._read_first(handshake, offer.message)
         if len(host) > HOST_BYTES:
             raise ProtocolError(Broken.HOST_NAME_TOO_LONG())
+        # After it has opened, or strangers could push all of the operator's messages out of the memory.
         self._check_new(replays, offer.message)
         answer = handshake.write(self._at.encode())
         admitted = Admitted(offer.operator, sanitize_text(host.decode(errors="replace")), key)

@@ -48,6 +48,7 @@ def recognise(data: Buffer) -> str:
     """
     start = bytes(data[:16])
     for name, beginnings in _BEGINNINGS:
+        # A stream may have brought less than a beginning is long.
         if any(start.startswith(each) or each.startswith(start) for each in beginnings):
             return name
     # A Zenoh client begins with two bytes of length, INIT and the version.
@@ -147,7 +148,6 @@ class ControlPreamble(NamedTuple):
     """A client's request for a control connection.
 
     Attributes:
-        suite: the offered cipher suite.
         fingerprint: of its key, unproven: 8 bytes, or zeros for no key.
         header: the frame up to the handshake message: the handshake's prologue.
         message: the first handshake message.
@@ -237,6 +237,7 @@ def parse_preamble(frame: bytes) -> tuple[PreambleKind, bytes]:
     if len(frame) < PREFIX_LENGTH or not frame.startswith(MAGIC):
         raise ForeignProtocolError
     version, kind = frame[3], frame[4]
+    # Before the kind, which another version may have alone: its peer has to hear which side to update.
     if version != VERSION:
         text = RefusalText.THIS_SIDE_OLDER if version > VERSION else RefusalText.PEER_OLDER
         raise Refusal(RefusalCode.WRONG_VERSION, text(ours=VERSION, theirs=version))
@@ -335,7 +336,7 @@ class PreambleStream(ABC):
             self._refuse(refusal.code, refusal.message)
             self._end(StreamRefused(refusal.code, refusal.message))
         except (ProtocolError, SealError) as error:
-            if self._is(PreamblePhase.PREAMBLE):
+            if self._is(PreamblePhase.PREAMBLE):  # later, the peer expects sealed frames only
                 self._refuse(RefusalCode.BAD_FORMAT, str(error))
             foreign = error.protocol if isinstance(error, ForeignProtocolError) else None
             self._end(Failed(str(error), foreign))

@@ -56,7 +56,6 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         missed_while_down: published while the route was down, estimated; not part of `offered`.
         publisher_qos: their combined offer, or None without publishers.
         subscribed: whether the sender takes messages from ROS.
-        verdict: of the sending side, or None.
         nodes: some of the nodes that publish the topic.
     """
 
@@ -66,7 +65,7 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     throttled: int = 0
     expired: int = 0
     in_flight: int = 0
-    dropped: Causes = {}
+    dropped: Causes = {}  # msgspec makes a new one for each message
     lost_in_dds: int = 0
     missed_while_down: int = 0
     publishers: int = 0
@@ -88,14 +87,12 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         expired: datagram messages given up incomplete.
         incomplete: datagram messages that wait for fragments.
         newest: the highest message number seen on datagrams.
-        subscribers: number on its topic.
         subscriber_qos: their combined request, or None without subscribers.
         type: the topic's type in the receiver's graph, while the sender has described none.
         latency: s, one way, of the last second's messages, corrected by the clock offset, or None without a figure.
         latency_p50: s, one way, of the last messages, or None without a figure.
         latency_p99: s, one way, of the last messages, or None without a figure.
         jitter: s (RFC 3550, 6.4.1), or None without a figure.
-        verdict: of the receiving side, or None.
         nodes: some of the nodes that subscribe to the topic.
         came_before: whether messages came in an earlier incarnation, and none in this one.
         velocity: that this side has published last on an armed topic: forward in m/s, and turn in rad/s; None if it is
@@ -184,7 +181,6 @@ class CallsReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
         in_flight: calls that wait for their answers.
         given: of the providing side, the number of the newest call of this opening that it gave to DDS, or 0 for none.
         offered: whether the callers' side offers it.
-        verdict: this side's, or None.
         nodes: some of the calling or providing nodes.
     """
 

@@ -92,7 +92,7 @@ class SealedStream(PreambleStream):
                 self._on_content(self._open(frame))
             else:
                 self._on_other_frame(frame)
-                if not self._is(PreamblePhase.SEALED):
+                if not self._is(PreamblePhase.SEALED):  # it was a REFUSE, which ends the stream
                     return
 
     @abstractmethod
@@ -221,11 +221,11 @@ class AcceptingStream(SealedStream):
         """Take the first sealed frame. Until then the peer may be anybody: it gets the room of a preamble frame."""
         try:
             frame = take_frame(self._inbox)
-        except ForeignProtocolError:
+        except ForeignProtocolError:  # a long frame, and not of another program: this peer knows the preamble
             raise ProtocolError(Broken.NOT_CONFIRMED(peer=self._peer)) from None
         if frame is None:
             return False
-        if not frame.startswith(self._header) or self._open(frame):
+        if not frame.startswith(self._header) or self._open(frame):  # or it has content
             raise ProtocolError(Broken.NOT_CONFIRMED(peer=self._peer))
         self._unconfirmed = None
         if isinstance(outcome, StreamRefused):

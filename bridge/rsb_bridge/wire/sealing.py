@@ -29,6 +29,7 @@ PROBE_ROUTE = 0
 """The route of the probes of a UDP path, which nobody proposes."""
 
 _REKEY_SEQUENCE = 2**64 - 1
+"""Noise's nonce for REKEY (4.2), which no content has."""
 _DIRECTIONS: dict[Role, int] = {"client": 0, "server": 1}
 
 
@@ -72,7 +73,7 @@ class _Checksum:
     """Takes the AEAD's place on a link without encryption: CRC-32 detects damage, but no attack."""
 
     def encrypt(self, nonce: bytes, data: Buffer, associated_data: Buffer) -> bytes:
-        return b"".join((data, self._tag(nonce, data, associated_data)))
+        return b"".join((data, self._tag(nonce, data, associated_data)))  # `+` takes no views
 
     def decrypt(self, nonce: bytes, data: Buffer, associated_data: Buffer) -> bytes:
         content, tag = data[:-4], data[-4:]
@@ -186,6 +187,7 @@ class Sealer(_StreamState):
 
     def seal_into(self, content: Buffer, associated: Buffer, sealed: memoryview) -> None:
         """Seal as `seal`, into memory of exactly the sealed content's length."""
+        # Written out, as in the opener: a function for the common part would run for each message.
         sequence = self.sequence
         self.sequence = sequence + 1
         if sequence >> EPOCH_BITS != self._epoch:
@@ -278,7 +280,7 @@ class DatagramOpener:
         # Not shifted by more than the window: that would make an integer as long as the leap.
         self._seen = ((self._seen << ahead) & self._mask) | 1 if ahead < self._window else 1
         if epoch != self._epoch:
-            self._epochs.forget_before(epoch - 1)
+            self._epochs.forget_before(epoch - 1)  # datagrams of the last epoch may still come
             self._epoch, self._current = epoch, cipher
         self.newest = sequence
         return content
@@ -314,7 +316,7 @@ class SessionKeys:
 
     def closed(self, route: int) -> None:
         """Forget the keys of a route that nobody has taken."""
-        for role in _DIRECTIONS:
+        for role in _DIRECTIONS:  # a topic sends one way, so that nobody takes the other way's key
             self._data.pop((route, role), None)
 
     def route_sealer(self, route: int, sending_role: Role) -> Sealer:
@@ -395,6 +397,7 @@ class SampleTags:
 
     def proves(self, kind: int, number: int, payload: Buffer, tag: bytes) -> bool:
         """Whether the peer sent the sample."""
+        # Without a tag, a sample proves nothing: strangers' samples cost no cipher.
         expected = self._receiving.encrypt(_NONCE.pack(kind, number), b"", payload) if tag else b"-"
         return hmac.compare_digest(expected, tag)
 

@@ -59,6 +59,7 @@ DATAGRAM = 60_000
 
 _DATAGRAM = "drop"
 _LABEL_LENGTH = 300
+"""Characters that are kept of a label, which anybody writes."""
 _OVERHEAD = 500
 """Bytes that a sample takes while it waits, beyond its payload."""
 _AT_A_TIME = 256
@@ -68,7 +69,7 @@ _STRANGERS_AT_A_TIME = 16
 _STRANGERS_WAIT = 256
 """Samples of strangers who have no answer yet that wait for the loop: more would be answered too late anyway."""
 _CONFIRMED = 5.0
-"""Seconds within which Zenoh has reported all present tokens to a new subscription."""
+"""Seconds within which Zenoh has reported all present tokens to a new subscription: a round figure."""
 _SETTLED = 0.1
 """Seconds within which Zenoh reports a lost router after it has reported the endpoints behind it as gone."""
 _ADDRESS = re.compile("[0-9a-f]{16}")
@@ -184,6 +185,7 @@ class ZenohEndpoint:
             # On the thread that receives: Zenoh's own queue between that one and another has no limit.
             session.declare_subscriber(f"{root}/at/{self.address}/*/*", self._directly(self._sample, indirect=False)),
             *(live.declare_subscriber(key, self._announcement, history=True) for key in watched),
+            # Last: peers that see it may call at once.
             live.declare_token(f"{root}/here/{self._service}/{self.address}/{quote(self._label, safe='') or '-'}"),
         ]
 
@@ -259,6 +261,7 @@ class ZenohEndpoint:
         payload, attachment = sample.payload, sample.attachment
         length = len(payload)
         *_, sender, stream = str(sample.key_expr).rsplit("/", 2)
+        # Anybody may send datagrams. They are copied only if the sender has a stream that is proven.
         if stream == _DATAGRAM:
             if sender in self._peers and length <= DATAGRAM:
                 content = payload.to_bytes()
@@ -330,7 +333,8 @@ class ZenohEndpoint:
     # --- on the loop
 
     def _turn(self) -> None:
-        self._woken = False
+        self._woken = False  # first: what is queued from here on wakes the loop again
+        # One that fails holds up no other's.
         try:
             for _ in range(min(len(self._arrivals), _AT_A_TIME)):
                 self._arrivals.popleft()()
@@ -376,7 +380,7 @@ class ZenohEndpoint:
                 self._forget_oldest()
             self.seen[seen.address] = seen
         else:
-            if known != seen:
+            if known != seen:  # a token with another endpoint's address goes
                 return
             del self.seen[seen.address]
             # Where the router is lost, Zenoh says this first, of everybody.

@@ -35,6 +35,7 @@ UNABLE = "Unable to connect"
 """What Zenoh says where it reaches nobody."""
 
 _WITHIN = 2.0
+"""s for each step of a look at an endpoint, which an operator waits for: a round figure."""
 _MOST = 4
 """Endpoints that are looked at, one after another."""
 _EXPIRED, _NOT_YET_VALID, _WRONG_NAMES = 10, 9, (62, 64)
@@ -201,13 +202,13 @@ LARGEST_SAMPLE = 2 * 1024 * 1024
 
 _OPEN_WITHIN = 20.0
 _HANDSHAKE = 3000
-"""ms that one endpoint has for Zenoh's own handshake."""
+"""ms that one endpoint has for Zenoh's own handshake. A round figure, as the two around it."""
 _CLOSE_WITHIN = 1.0
 _QUEUES = ("control", "real_time", "interactive_high", "interactive_low", "data_high", "data", "data_low", "background")
 _BATCHES = 16
 """Of 64 kB, in each priority's queue; the most that Zenoh allows. `endpoint` relies on it."""
 _LEASE = 5000
-"""ms without a byte after which a router counts as lost."""
+"""ms without a byte after which a router counts as lost: as a link is given up, and `outbox` relies on it."""
 _UNLESS_SAID = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/autoconnect": {"router": [], "peer": [], "client": []},
@@ -221,6 +222,7 @@ _FILES = (
     "connect_certificate",
 )
 _RETRY = {"period_init_ms": 500, "period_max_ms": 4000, "period_increase_factor": 2}
+"""Round figures: a router that is back is found within 4 s."""
 
 
 class Network:
@@ -229,7 +231,6 @@ class Network:
     It reconnects by itself after a router was lost. Its endpoints may be on several event loops.
 
     Args:
-        settings: where the network is.
         base: the folder that `ZenohSettings.config` is relative to.
         jitter: a number from 0 to 1, different in each process, that delays its retries.
 
@@ -323,7 +324,7 @@ class Network:
             if not self._closed or self._endpoints:
                 return
             session, self._session = self._session, None
-        if session is not None:
+        if session is not None:  # without the lock, which the loops take: closing may take a second
             _close(session)
 
     # --- in a thread
@@ -399,6 +400,7 @@ class Network:
         _set(config, "transport/shared_memory/enabled", value=False)  # a killed process would leave segments behind
         _set(config, "transport/link/rx/max_message_size", 2 * LARGEST_SAMPLE)
         _set(config, "transport/link/tx/queue/size", dict.fromkeys(_QUEUES, _BATCHES))
+        # Datagrams are put on the loop's thread, where Zenoh would wait for room before it drops one.
         _set(config, "transport/link/tx/queue/congestion_control/drop/wait_before_drop", 0)
         return config
 

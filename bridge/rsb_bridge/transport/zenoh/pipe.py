@@ -37,6 +37,7 @@ SAMPLE = 1024 * 1024
 
 _LONGEST = 2 * SAMPLE
 _SAID_EVERY = IN_FLIGHT // 4
+"""Bytes between two windows: a part of `IN_FLIGHT`, so that what has arrived does not count as in flight for long."""
 _ASKED_AFTER = 2.0
 """Seconds after which a sender asks for a missing window, and after which an idle sender reports that it has sent all:
 else the loss of the last sample would show only with the next one, perhaps hours later."""
@@ -46,7 +47,8 @@ _SENT_WITHIN = 5.0
 """s for which a router may take nothing before it counts as lost."""
 _REASON = 200
 _DOUBT = 3.0
-"""s without a sample after which a stream ends whose end is not proven: a link's own stream has one a second."""
+"""s without a sample after which a stream ends whose end is not proven: a link's own stream has one a second. Of the
+protocol, as are the next two (PROTOCOL.md, 12)."""
 _UNDER_WAY = 0.5
 """s after such an end in which samples may come that the peer sent before."""
 _ANSWERS = 64
@@ -66,11 +68,9 @@ class Pipe(asyncio.Transport):
     """One end of a stream.
 
     Args:
-        peer: the other side's address.
         stream: 16 hexadecimal digits.
         rank: of its priority (`rsb_bridge.transport.zenoh.outbox`).
         protocol: receives the events. Its `connection_made` is called at once.
-        when_over: called once the stream is over.
         stranger: whether the other end has yet to prove that it has the key; `trust` ends that.
 
     Attributes:
@@ -241,6 +241,7 @@ class Pipe(asyncio.Transport):
             self._data(header.number, payload)
         elif header.kind == SampleKind.WINDOW:
             self._heard = True
+            # No more than Zenoh has been given: a false window could make the queue before it grow.
             there = min(header.number, self._sent - self._endpoint.outbox.waiting(self._key, self._rank))
             if there > self._taken_there:
                 self._arrived_there(there)
@@ -267,7 +268,7 @@ class Pipe(asyncio.Transport):
             return
         self._answers += 1
         self._protocol.data_received(payload)
-        if not self._trial:
+        if not self._trial:  # it is adopted, and so it was the first sample
             self._received_samples = 1
             self._received = self._taken = len(payload)
 
@@ -304,7 +305,7 @@ class Pipe(asyncio.Transport):
             return
         self._received_samples += 1
         self._received += len(payload)
-        if self._received > STRANGER_LIMIT == self.longest:
+        if self._received > STRANGER_LIMIT == self.longest:  # of a stranger that has no answer yet
             error = PipeProblem.TOO_MUCH_BEFORE_HANDSHAKE(limit=STRANGER_LIMIT)
             self._end(error, OSError(error))
         elif not payload:
@@ -312,7 +313,7 @@ class Pipe(asyncio.Transport):
         elif self._received - self._taken > WINDOW + SAMPLE:
             error = PipeProblem.WINDOW_IGNORED(limit=WINDOW)
             self._end(error, OSError(error))
-        elif self._closing:
+        elif self._closing:  # discarded: else the peer would seem to ignore the window, though it cannot know yet
             self._taken += len(payload)
         elif self._reading and not self._held:
             self._deliver(payload)

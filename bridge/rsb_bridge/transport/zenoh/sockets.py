@@ -41,6 +41,7 @@ def prepare(link: zenoh.Link) -> bool:
 
 
 def _prepared(descriptor: int, ends: tuple[object, object]) -> bool:
+    # A copy: to close it leaves Zenoh's own open.
     with socket.socket(fileno=os.dup(descriptor)) as found:
         if found.family not in _IP or found.type != socket.SOCK_STREAM:
             return False

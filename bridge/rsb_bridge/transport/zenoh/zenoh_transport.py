@@ -83,7 +83,6 @@ class Links:
     """This process's endpoint for links, one for all of them: of the server, or of the client.
 
     Args:
-        network: which it is in.
         name: of the session, for others to see.
     """
 
@@ -185,7 +184,7 @@ class Zenoh(ZenohTraits, StreamTransport):
         try:
             endpoint = await self._links.endpoint(SERVER, (CLIENT, SERVER))
         except OSError as error:
-            self._links.close()
+            self._links.close()  # the next attempt has another address, and asks again for the members
             raise ListenError(str(error)) from None
         fleet, others = self._links.network.settings.fleet, _servers(endpoint)
         if others:
@@ -239,7 +238,7 @@ class ZenohSocket:
 
     congested = False
     port = 0
-    receive_buffer = RECEIVE_BUFFER
+    receive_buffer = RECEIVE_BUFFER  # no kernel's, so that it is never too small
 
     def __init__(self, endpoint: ZenohEndpoint, peer: str, on_close: Callable[[], None]) -> None:
         self.when_writable: set[Callable[[], None]] = set()
@@ -297,7 +296,7 @@ class ZenohDrop(ZenohDropTraits, DatagramTransport):
         connected = ZenohSocket(endpoint, server, lambda: _deaf(endpoint, take))
 
         def take(sender: str, payload: bytes) -> None:
-            if sender == server:
+            if sender == server:  # others may send to this endpoint, too
                 received(connected, [(payload, peer)])
 
         endpoint.on_datagram = take
