@@ -99,7 +99,7 @@ async def test_a_question_closes_itself_alone(app: ConsoleApp, pilot: Pilot[None
     below: Screen[None] = Screen()
     answers: list[bool | None] = []
     await app.push_screen(below)
-    held = route("/cmd_vel", arming=ArmingSnapshot(by="anna"))
+    held = route("/cmd_vel", arming=ArmingSnapshot(armed=True, by="anna"))
     await app.push_screen(AskHolderScreen(held, may_take=True), answers.append)
     app.screen.query_one(f"#{button}", Button).focus()
     await pilot.press("enter")
