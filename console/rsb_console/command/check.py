@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Client, Session, Topic
 
 _NAMED = 6
+"""Names in a line; the others are counted. A round figure."""
 
 
 class SessionCheckText(Wording):
@@ -283,6 +284,7 @@ def check_session(arguments: Namespace) -> int:
         print_line(line)
     for line in chain(rights(session), hints(session)):
         print_line(line)
+    # Read once, so that lines and exit code agree even if a file changes meanwhile.
     keys = dict(session_keys(session, path.parent))
     for line in _key_lines(session, keys):
         print_line(line)

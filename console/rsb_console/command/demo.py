@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from rsb_console.session.demo_session import Demo
 
 GROUPS = ("hall", "yard")
+# Seconds, for a busy machine. On a quiet one, the topics of ten robots flow after 3.6 s (bench/README.md, A fleet).
 _OPEN_WITHIN, _SEEN_WITHIN, _WELL_WITHIN = 60.0, 10.0, 60.0
 _AFTER = 5.0
 """Seconds until the first trouble."""
@@ -103,6 +104,7 @@ def _print_counts(demo: Demo) -> int:
     failed = []
     for sender, receiver in ((demo.robot, demo.desk), (demo.desk, demo.robot)):
         for topic, published in sender.published.items():
+            # /battery_state, which is left for the operator to add.
             if all(topic != bridged.topic for bridged in demo.session.topics):
                 continue
             received = receiver.received.get(topic, 0)
@@ -119,7 +121,6 @@ def run_fleet_demo(robots: int, *, ui: bool, seconds: float | None) -> int:
     """Run a fleet on its screen until the operator quits; or headless, and sum it up at the end.
 
     Args:
-        robots: number of robots.
         ui: run on the fleet's screen instead of headless.
         seconds: s to run headless once all robots are linked, or None to run until a signal.
 
@@ -189,6 +190,7 @@ def _on_screen(running: Simulated, signals: Signals) -> int:
         try:
             code = run_fleet(shown, readonly=False, ascii_only=False, theme=None, mouse=True, after_quit=_AFTER_QUIT)
         finally:
+            # In any case, or the executor's end would wait for `trouble` for ever.
             over.set()
         troubling.result()
     return code
@@ -231,6 +233,7 @@ def trouble(running: Simulated, over: Callable[[], bool]) -> bool:
     due = [(began + _AFTER, faulty, ("mute", _FAULTY)), (began + _THERE, restless, ("stop",))]
     while not over():
         now = time.monotonic()
+        # A copy, since the loop changes `due`.
         for at, name, words in [each for each in due if each[0] <= now]:
             due.remove((at, name, words))
             running.tell(name, *words)
@@ -251,7 +254,6 @@ def heard(shown: RobotFleet, engines: int, as_they_are: Callable[[], bool]) -> l
     wrong, wait until nothing is.
 
     Args:
-        engines: number of engines.
         as_they_are: whether something is meant to be wrong, or nobody waits for it to become well.
     """
     asked = time.time()

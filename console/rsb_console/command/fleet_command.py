@@ -89,6 +89,7 @@ def sources_of(arguments: Namespace) -> list[FleetSource]:
     for server in servers:
         names[server.name] = names.get(server.name, 0) + 1
     return [
+        # Two servers of one name are told apart by their sockets, as in `status`.
         ServerFleet(server.name if names[server.name] == 1 else str(server.path), server.path) for server in servers
     ]
 
@@ -98,7 +99,6 @@ def _fleet(arguments: Namespace, *, wait: bool = True) -> Iterator[RobotFleet]:
     """Open the fleet that the arguments name, for the duration of a block.
 
     Args:
-        arguments: arguments of the command.
         wait: until the robots have said how they are.
     """
     fleet = RobotFleet(sources_of(arguments), Memory(memory_path()), Clock())
@@ -125,6 +125,7 @@ def _show(arguments: Namespace) -> int:
         return USAGE
     from rsb_console.command.console_command import run_fleet  # noqa: PLC0415 (needs Textual)
 
+    # The screen opens at once, and its rows fill in: over Zenoh, the wait may take 5 s.
     with _fleet(arguments, wait=False) as fleet:
         return run_fleet(
             fleet,
@@ -139,6 +140,7 @@ def _print(arguments: Namespace) -> int:
     with _fleet(arguments) as fleet:
         deadline = time.monotonic() + arguments.seconds
         robots = fleet.robots()
+        # Not one sleep: an attached engine renews its snapshot only while somebody keeps asking for it.
         while time.monotonic() < deadline:
             time.sleep(min(_LOOK_EVERY, arguments.seconds))
             robots = fleet.robots()
@@ -238,6 +240,7 @@ def _run_on(robot: Robot, command: Namespace, *, as_json: bool) -> tuple[int, li
     """Run a command on a robot; return its exit code and its printed lines."""
     command.attach = partial(robot.source.open, robot.summary.name)
     command.json = command.json or as_json
+    # No StringIO: `shell.encoded` needs the encoding of the stream.
     printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", newline="\n")
     with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
         code: int = command.command(command)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Event, LinkSnapshot, PatternSnapshot, RefusedClient, RouteSnapshot, Snapshot
 
 _SHOWN_IN_STATUS = 8
+"""Causes or names in a status line; the others are counted. A round figure."""
 _REPEATED_AFTER = 60.0
 """s after which a status line repeats an unchanged cause."""
 _Subject: TypeAlias = tuple[str, ...]
@@ -104,6 +105,8 @@ class StatusLines:
             texts = []
             for number, (key, how, text, brief) in enumerate(group):
                 before, at = printed.get(key, ("", 0.0))
+                # Below 0, the clock was set back: then the cause is repeated rather than left out until the clock
+                # catches up.
                 is_known = before == how and 0 <= now - at < _REPEATED_AFTER
                 if number < _SHOWN_IN_STATUS or is_known:  # otherwise the line had no room for it
                     self._printed[key] = (how, at if is_known else now)

@@ -40,6 +40,7 @@ _WAIT = 0.1
 """Seconds after which a signal is noticed, at the latest: until then, a robot that is driven goes on."""
 _LOOK_EVERY = 1.0
 """Seconds between checks of an idle engine: no more often than it renews its snapshot."""
+# With the next one and a look at the signals, these are less than the 5 s that docs/headless.md promises.
 _STOPS_WITHIN = 4.0
 _WRITTEN_WITHIN = 0.5  # s, of the 5 s in which the program must end even if its peer or its reader hangs
 WAITING_LIMIT = 1 << 20
@@ -66,12 +67,12 @@ def run_headless(
         path: the session's file; key files are relative to its folder.
         log_format: ``text`` or ``json`` (one object a line).
         on_hangup: ``continue`` goes on when the terminal goes away; ``stop`` ends cleanly.
-        status_every: s between status lines.
         control: path of the control socket, or None for one in the user's folder.
 
     Returns:
         The exit code.
     """
+    # Fast DDS prints to standard output, where programs read a log of JSON.
     keep_output_clean()
     engine = Engine(session, base=path.parent, state=state_folder(os.environ))
     engine.use_file(path)
@@ -127,7 +128,7 @@ def bridge_until_told(
     Args:
         signals: entered already, so that no signal is missed.
         log_format: as for `run_headless`.
-        status_every: as for `run_headless`.
+        status_every: s between status lines.
         seconds: s after which it stops by itself, or None to run on.
         supervisor: gets reports of the engine's state, or None.
     """
@@ -164,8 +165,10 @@ def bridge_until_told(
     writer.write(format_event(Event(0, time.time(), Level.INFO, EventCode.ENGINE_STOPPING, f"stopping: {reason}")))
     if supervisor is not None:
         supervisor.stopping()
+    # Before the stop, after which no engine runs.
     failed = not engine.snapshot().running
     engine.stop(_STOPS_WITHIN)
+    # The events of the stop itself.
     log(engine.events(seen))
     writer.close(_WRITTEN_WITHIN)
     return FAILURE if failed else HUNG_UP if signals.hung_up else OK
@@ -200,11 +203,7 @@ class Reloading:
         self._done: Future[Reloaded] | None = None
 
     def go_on(self, *, wanted: bool) -> None:
-        """Begin a reload, or note that one has ended.
-
-        Args:
-            wanted: one more is wanted.
-        """
+        """Begin a reload, or note that one has ended."""
         self._wanted = self._wanted or wanted
         if self._done is not None and self._done.done():
             self._done = None
@@ -306,6 +305,7 @@ class LogWriter:
         with self._changed:
             self._waiting.append(line)
             self._waiting_bytes += len(line)
+            # The newest line stays even if it alone is beyond the limit: it tells the present state.
             while self._waiting_bytes > WAITING_LIMIT and len(self._waiting) > 1:
                 self._waiting_bytes -= len(self._waiting.popleft())
                 self._lost += 1
@@ -332,6 +332,7 @@ class LogWriter:
                 if lost:
                     self._write(encoded(f"{one_line(self._lost_line(lost, reason))}\n"))
                     with self._changed:
+                        # Not 0: more may be lost while this line is written.
                         self._lost -= lost
                 self._write(line)
             except OSError as error:
@@ -347,6 +348,7 @@ class LogWriter:
             while written < len(line):
                 written += os.write(self._fd, line[written:])
         finally:
+            # If nothing was written, the end of the output is as it was.
             self._torn = written < len(line) if written else self._torn
 
 
@@ -377,6 +379,7 @@ class Supervisor:
 
     def show(self, now: Snapshot) -> None:
         """Report the bridge's state. It works as long as its I/O thread renews its snapshots."""
+        # An engine that hangs renews no snapshot; without WATCHDOG, systemd restarts it.
         if now.time == self._alive_at:
             return
         self._alive_at = now.time
@@ -391,5 +394,6 @@ class Supervisor:
     def _tell(self, state: str) -> None:
         if self._address:
             with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notify:
+                # A systemd that does not read must not hold up the loop, which also sees the signals.
                 notify.setblocking(False)
                 notify.sendto(state.encode(), self._address)

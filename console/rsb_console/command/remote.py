@@ -75,6 +75,7 @@ _SHOWN_WITHIN = 1.0
 """s from the end of an arming until the bridge's state, which comes four times a second, surely shows it."""
 _ALIVE_EVERY = 1.0
 _EVENTS_WITHIN = 10.0
+"""s for the events that a bridge remembers; with --follow, only how long one wait for more lasts. A round figure."""
 _DIRECTIONS = ("transmit", "receive")
 """As the client sees it."""
 
@@ -211,6 +212,7 @@ def _remove(arguments: Namespace) -> int:
 
 
 def _pause(arguments: Namespace, *, paused: bool = True) -> int:
+    # Only resuming can move something: a pause is right however late it comes.
     with attached(arguments, expires=not paused) as engine:
         found = all_chosen(engine, arguments)
         carried_out([engine.pause(each.key, paused) for each in found])
@@ -224,6 +226,7 @@ def _resume(arguments: Namespace) -> int:
 def _ack(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         what = "not acknowledged any more" if arguments.undo else "acknowledged"
+        # Links first: no topic is meant, since its name would begin with a slash.
         if arguments.topic in {link.name for link in engine.snapshot().links}:
             result(engine.acknowledge("", not arguments.undo, link=arguments.topic))
             return done(arguments, f"{what}: link {arguments.topic}")
@@ -266,6 +269,7 @@ def _reload(arguments: Namespace) -> int:
 def _stop(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         result(engine.stop_bridge())
+        # The answer comes before the process has ended; a script may start the session again right after.
         deadline = time.monotonic() + ANSWERED_WITHIN
         while not engine.unreachable:
             if time.monotonic() > deadline:
@@ -400,6 +404,7 @@ def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: st
         raise UsageError(RemoteProblem.DRY_RUN_OF_CALLS(topic=topic.topic))
     now = engine.snapshot()
     sends_here = (topic.direction == "transmit") == (now.role == "client")
+    # The sending side may know it by any of these.
     names = {topic.topic, topic.remote_topic, f"/{link}{topic.topic}"}
     found = result(engine.topics(None if sends_here else link))
     type_name = next((info.type_name for info in found if info.topic in names), "")
@@ -613,6 +618,7 @@ def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
     named = arguments.control is not None or arguments.fleet is not None
     if named or any(name in (None, bridge.name) for bridge in running_bridges()):
         return ask_history(arguments, seconds)
+    # A path to its files; one without a folder is told from a name by its ending only.
     if name is not None and (os.sep in name or name.endswith(EVENTS)):
         path = Path(name)
         kept = [Files(path.parent, path.name.partition(".")[0])]
