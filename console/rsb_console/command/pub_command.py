@@ -156,6 +156,7 @@ def publish(
         published = result(message)
         if published.is_done:
             return published
+        # Else a process that stood still would get a new ticket for an old command, and a ticket would prove nothing.
         if Clock.steady() - due > OLD_AFTER:
             break
         ticket = published.ticket
