@@ -33,7 +33,7 @@ TRAFFIC = "rsb_bridge.ros.measured_stream"
 ZenohPath: TypeAlias = Literal["", "peer", "router"]
 """How two sides meet over Zenoh: not at all, the client connects to the server, or both to a router."""
 _TYPE = "std_msgs/msg/String"
-_DEPTH = 2000
+_DEPTH = 2000  # messages, as in all figures of bench/README.md
 _HISTORY = 64 << 20
 """Most bytes that a publisher or a subscription keeps."""
 _LEAST_DEPTH = 4
@@ -80,6 +80,7 @@ class Bed:
         before = [process.cpu() for process in self.between]
         count = max(1, int(rate * seconds))
         reached = self.talker.ask(f"send {rate} {count} {size} {self.topics.get(size, 0)}")["rate"]
+        # At low rates, 0.7 s of quiet may be between two messages.
         self._settle(count, max(_QUIET, 2 / rate))
         used = [process.cpu() - then for process, then in zip(self.between, before, strict=True)]
         report = self.listener.ask("report")
@@ -277,6 +278,7 @@ def ready(bed: Bed) -> Bed:
             time.sleep(_LOOK_EVERY)
         if bed.first is None and bed.between:
             bed.first = time.monotonic() - bed.started
+    # The first messages meet empty caches, and are no measure of the others (bench/README.md, Method).
     bed.send(1000, 0.3, 1000)
     return bed
 

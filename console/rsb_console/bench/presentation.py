@@ -25,7 +25,8 @@ _LIMITS = {
 }
 _NONE = "-"
 BARELY = 0.8
-"""The share of the highest lossless rate from which on a topic has too little to spare."""
+"""The share of the highest lossless rate from which on a topic has too little to spare. A round figure: two runs on
+one machine differ (bench/README.md, Method)."""
 USUAL = (
     Load("an IMU", 320, 200),
     Load("a laser scan", 9_000, 40),
@@ -177,7 +178,6 @@ def capacity(points: Iterable[Point], size: float) -> float:
 
     Args:
         points: points of one transport and direction.
-        size: bytes.
     """
     near = _nearest(points, size)
     if not near:
@@ -223,6 +223,7 @@ def _judge(load: Load, points: Sequence[Point]) -> Judged | None:
     by_way = {way: [each for each in points if (each.transport, each.direction) == way] for way in own}
     most = {way: capacity(its, load.size) for way, its in by_way.items()}
     way = max(own, key=lambda each: most[each])
+    # Not infinite, which JSON does not have.
     share = min(load.rate / most[way], 1e9) if most[way] else 1e9
     at_most = _open_ended(by_way[way], load.size)
     return Judged(load, way[0], share, _verdict(share, at_most=at_most), at_most)
@@ -294,6 +295,7 @@ class _Axis:
 
     def __init__(self, values: Sequence[float]) -> None:
         self.low = math.floor(math.log10(min(values)))
+        # One power of ten at least: a single value would leave an axis without a length to divide by.
         self.high = max(math.ceil(math.log10(max(values))), self.low + 1)
 
     def at(self, value: float) -> float:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 HISTORY = 12
 """Message rates that are kept of each robot, one every `_SAMPLED_EVERY` s: of a minute."""
-_SAVED_EVERY = 60.0
+_SAVED_EVERY = 60.0  # s; a console that is killed forgets so much of when each robot was there. A round figure
 _SAMPLED_EVERY = 5.0
 
 
@@ -136,6 +136,7 @@ class RobotFleet:
             for source in self.sources:
                 source.start()
                 started.callback(source.stop)
+            # Only now: while one does not start, those before it are stopped again.
             started.pop_all()
 
     def wait(self) -> None:
@@ -181,6 +182,7 @@ class RobotFleet:
 
     def _remember(self, robots: Sequence[Robot]) -> None:
         now = self._clock.time_ns() / 1e9
+        # The wall clock may be set back, here and below.
         if sampled := now - self._sampled_at >= _SAMPLED_EVERY or now < self._sampled_at:
             self._sampled_at = now
             self._rates = {robot.key: self._rates.get(robot.key, deque(maxlen=HISTORY)) for robot in robots}

@@ -31,8 +31,9 @@ MOST = 2000
 """Engines that are watched, and rows; anybody in the network may announce any number of engines."""
 _LEFT = "it has left the Zenoh network"
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 30.0
+"""s between attempts to watch an engine. Round figures: one that refuses for a while is asked again so late at most."""
 _AT_ONCE = 64
-"""Connections that begin at a time: 200 handshakes would take a core for a moment."""
+"""Connections that begin at a time: 200 handshakes would take a core for a moment. A round figure."""
 
 
 class ZenohFleet:
@@ -55,6 +56,7 @@ class ZenohFleet:
         self._silent: set[str] = set()  # addresses of engines whose state has not come yet
         self._may_connect = asyncio.Semaphore(_AT_ONCE)
         self._random = random.Random()  # noqa: S311 -- jitter
+        # Made here and not by the runner, since other threads call into it from the start on.
         self._loop = asyncio.new_event_loop()
         self._started: Future[None] = Future()
         self._ends = asyncio.Event()
@@ -76,6 +78,7 @@ class ZenohFleet:
         heard = asyncio.run_coroutine_threadsafe(self._all_heard(), self._loop)
         with contextlib.suppress(TimeoutError):
             heard.result(_FIRST_HEARD_WITHIN)
+        # Else it would wait on for an engine that may never speak.
         heard.cancel()
 
     def stop(self) -> None:
@@ -127,7 +130,7 @@ class ZenohFleet:
     def _changed(self, member: Member, comes: bool) -> None:
         if not comes:
             name = self._names.pop(member.address, None)
-            self._has_spoken(member)
+            self._has_spoken(member)  # or `wait` would wait for one that has gone
             if watch := self._watches.pop(member.address, None):
                 watch.cancel()
             if name is not None:
