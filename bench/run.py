@@ -32,7 +32,7 @@ DEFAULT_BEDS = ("drained", "relay", "bare-tcp", "tcp", "udp", "zenoh", "thesis")
 PARTS = ("small", "large", "rates", "calls")
 RATE_SIZES = (2_500, 10_000)
 DOMAINS = range(66, 92, 2)
-"""The first domain of each bed's pair. They are below 102, above which ports are the kernel's, and not the tests'."""
+"""The first domain of each bed's pair: below 102, where the kernel's ports begin. Tests have those up to 80, too."""
 THESIS_SIZE = 10_000
 """Bytes up to which the thesis's pipeline is measured: it searches all that it has for each KiB, minutes for 6 MB."""
 WARM_SECONDS, IDLE_SECONDS, RATE_SECONDS = 0.2, 5.0, 0.5

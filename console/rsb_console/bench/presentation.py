@@ -37,7 +37,7 @@ USUAL = (
     Load("a raw camera image of 1920 × 1080", 6_220_800, 30),
 )
 """Usual topics of robots, for a benchmark without a session."""
-_NAMED = 8
+_NAMED = 8  # topics in a sentence; the others are counted. A round figure
 _MARKS = "*o+x#@"
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours of Okabe and Ito, which colour-blind people can tell apart."""

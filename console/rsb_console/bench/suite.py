@@ -283,7 +283,7 @@ def _next(good: float, bad: float) -> float:
     return good * 2 if good else max(_LOWEST, bad / 2)
 
 
-_ANSWERED_WITHIN = 60.0
+_ANSWERED_WITHIN = 60.0  # s; a run takes 30 s at most (`MOST_SECONDS`)
 _ENDED_WITHIN = 5.0
 _ALONE = 0.01
 """Share of the benchmark's bytes up to which other topics' bytes are ignored."""

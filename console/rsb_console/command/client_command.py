@@ -180,6 +180,7 @@ def _begin_rotation(arguments: Namespace, path: Path) -> int:
 def _finish_rotation(arguments: Namespace, path: Path) -> int:
     name = arguments.name
     link = _links(path, arguments.control).get(name)
+    # Not even with --yes: the robot that is linked now would be shut out.
     if link is not None and link.state is State.OK and link.fingerprint != link.next_fingerprint:
         raise EngineError(ClientCommandProblem.OLD_KEY_IN_USE(name=name, fingerprint=link.fingerprint))
     linked = link is not None and link.state is State.OK

@@ -39,7 +39,7 @@ GROUPS = ("hall", "yard")
 # Seconds, for a busy machine. On a quiet one, the topics of ten robots flow after 3.6 s (bench/README.md, A fleet).
 _OPEN_WITHIN, _SEEN_WITHIN, _WELL_WITHIN = 60.0, 10.0, 60.0
 _AFTER = 5.0
-"""Seconds until the first trouble."""
+"""Seconds until the first trouble, as docs/one-machine.md says."""
 _AWAY, _THERE = 10.0, 20.0
 """Seconds for which the robot that comes and goes is away, and then present."""
 _LOOK_EVERY = 0.2

@@ -204,6 +204,7 @@ def _exec(arguments: Namespace) -> int:
             else:
                 for line in lines or ["done" if code == OK else f"not done (exit code {code})"]:
                     print_line(f"{robot.summary.name}: {line}")
+                # The next robot may take a while to answer.
                 sys.stdout.flush()
     failed = [code for code in codes if code != OK]
     if arguments.json:

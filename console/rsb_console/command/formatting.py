@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _SHOWN_IN_STATUS = 8
 """Causes or names in a status line; the others are counted. A round figure."""
 _REPEATED_AFTER = 60.0
-"""s after which a status line repeats an unchanged cause."""
+"""s after which a status line repeats an unchanged cause. A round figure."""
 _Subject: TypeAlias = tuple[str, ...]
 _Item: TypeAlias = tuple[_Subject, str, str, str]
 """Subject, state and cause, text, and text without the cause (left out if empty)."""
@@ -99,6 +99,7 @@ class StatusLines:
 
     def _new_texts(self, now: float, *groups: list[_Item]) -> list[str]:
         """Return the texts to print: with the cause where it is new or was printed a minute ago, else without."""
+        # A cause that is gone is forgotten: when it comes back, it is new.
         printed, self._printed = self._printed, {}
         parts: list[str] = []
         for group in groups:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import Reloaded, Snapshot
 
-STATUS_EVERY = 5.0
+STATUS_EVERY = 5.0  # s, as the help of --status-every says. A round figure
 _WAIT = 0.1
 """Seconds after which a signal is noticed, at the latest: until then, a robot that is driven goes on."""
 _LOOK_EVERY = 1.0
@@ -77,6 +77,7 @@ def run_headless(
     engine = Engine(session, base=path.parent, state=state_folder(os.environ))
     engine.use_file(path)
     ignore_hangup = on_hangup == "continue"
+    # Around the start, too: a signal meanwhile ends the bridge in order.
     with (
         Signals(ignore_hangup=ignore_hangup, has_terminal=_has_terminal()) as signals,
         contextlib.ExitStack() as resources,

@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 
 _FAILURE = 1
 _ANSWERED_WITHIN = 60.0  # s, as the help of --timeout says
-_TRIED_AGAIN_AFTER = 1.0
-_REDRAWN_AFTER = 1.0
+_TRIED_AGAIN_AFTER = 1.0  # s. A round figure
+_REDRAWN_AFTER = 1.0  # s; the age in sight is wrong by so much at most
 _ENDED_WITHIN = 5.0  # s; a view ends 5 s after its console was killed (docs/look.md): a longer wait would gain nothing
 _SETTLE_SECONDS = 2.0
 """s after the first picture of several topics. A round figure: what comes later, like a rare transform, is missing."""

@@ -73,7 +73,7 @@ if TYPE_CHECKING:
 _LOOK_EVERY = 0.1
 _SHOWN_WITHIN = 1.0
 """s from the end of an arming until the bridge's state, which comes four times a second, surely shows it."""
-_ALIVE_EVERY = 1.0
+_ALIVE_EVERY = 1.0  # s; a console counts as gone after 5 s without a sign of life (docs/operators.md)
 _EVENTS_WITHIN = 10.0
 """s for the events that a bridge remembers; with --follow, only how long one wait for more lasts. A round figure."""
 _DIRECTIONS = ("transmit", "receive")
@@ -616,6 +616,7 @@ def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
 
     name = arguments.bridge
     named = arguments.control is not None or arguments.fleet is not None
+    # A bridge that runs is asked: its files may be two minutes old (docs/history.md).
     if named or any(name in (None, bridge.name) for bridge in running_bridges()):
         return ask_history(arguments, seconds)
     # A path to its files; one without a folder is told from a name by its ending only.
@@ -637,7 +638,7 @@ def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
         raise NoBridgeError(str(error)) from None
 
 
-_REPORT_WIDTH = 100
+_REPORT_WIDTH = 100  # columns: a round figure
 COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "status": print_status,
     "topics": _topics,

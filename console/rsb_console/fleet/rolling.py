@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ANSWERED_WITHIN = 60.0  # s, as commands for one bridge: `command.target`
 PATIENCE = 30.0
-"""Seconds beyond the time to settle in which a robot has to become as well as before."""
+"""Seconds beyond the time to settle in which a robot has to become as well as before. A round figure."""
 _LOOK_EVERY = 0.5
 
 
@@ -241,6 +241,7 @@ class Rollout:
             self._sleep(min(_LOOK_EVERY, self._settle))
             now, summary = self._now(), self._summary(step.robot)
             worse = summary.state.rank < before.state.rank
+            # Nothing flows for a moment while a topic is opened again: only a worse state that lasts stops the rollout.
             if worse or summary.flowing < flowing:
                 well_since = None
                 bad_since = (now if bad_since is None else bad_since) if worse else None

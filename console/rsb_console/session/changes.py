@@ -163,6 +163,7 @@ class Edited(Change):
 
     def undo(self, now: Snapshot, events: Sequence[Event]) -> Undo:
         self._unchanged(self.key, self.new, now, events)
+        # An edit takes a new name as this side's, and one that stays as the client's.
         old = named_here(self.old, now, self.link) if self.old.topic != self.new.topic else self.old
 
         async def act(engine: EngineApi) -> None:

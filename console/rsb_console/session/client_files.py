@@ -189,6 +189,7 @@ def rekey_client(path: Path, name: str) -> ChangedFile:
     key_at = key_path_of(file, client)
     if key_at is not None and key_at not in others:
         if client.next_key_file is not None:
+            # Before the key: a next key that stayed in the file would go on to count beside the new one.
             client = msgspec.structs.replace(client, next_key_file=None)
             file = save(with_changed_client(file.session, client), path, file)
         return ChangedFile(file, client, key_at, write_key(key_at, force=True))

@@ -25,7 +25,7 @@ _NO_LATENCY = 60.0
 """s beyond which a stamp's age is no latency: it is an old message, or the clocks differ. A round figure."""
 _GUESSED_WITHIN = 86_400.0
 """s from now within which eight bytes of an unknown type are taken for a stamp."""
-_LONGEST_FRAME_ID = 256
+_LONGEST_FRAME_ID = 256  # bytes. A round figure: the longer it may be, the sooner noise looks like a stamp
 _ASK_AGAIN_AFTER = 10.0  # s. A round figure: a type that becomes known meanwhile shows so much later
 Line: TypeAlias = tuple[tuple[str, str], ...]
 """As in `rsb_console.widgets.lines`: pieces of text, each with the name of its look."""
