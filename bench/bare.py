@@ -69,7 +69,7 @@ def send_all(domain: int, topic: str, send: Callable[[bytes], object]) -> None:
 
 def _connect(port: int) -> socket.socket:
     connection = socket.create_connection(("127.0.0.1", port))
-    # Without it, a small message would wait for the acknowledgement of the one before (Nagle).
+    # Without NODELAY, a small message waits for the acknowledgement of the one before (Nagle).
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return connection
 

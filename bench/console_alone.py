@@ -69,5 +69,5 @@ def _row(index: int) -> RouteSnapshot:
     return call_route("action", name, type_name="nav2_msgs/action/NavigateToPose", goals=GOALS)
 
 
-# No configuration: the user's own settings would count.
+# Without a configuration, the user's own settings do not count.
 ConsoleApp(SESSION, None, theme="dark", config=Path("/nonexistent"), make_engine=MovingEngine).run()

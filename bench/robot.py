@@ -268,7 +268,7 @@ class Run:
         delays = sorted(
             (heard - made) / 1e6
             for made, heard in self.heard.get(topic, ())
-            # What was under way when a gap began belongs to it, too.
+            # A message that was under way when a gap began belongs to the gap.
             if not any(begins - 0.5 < made / 1e9 < ends + _AFTER_GAP for begins, ends in self.gaps)
         ) or [float("nan")]
         part = len({made for made, _ in self.heard.get(topic, ())}) / max(1, len(self.made.get(topic, ())))
@@ -417,7 +417,7 @@ def _measured(
     sides: Sequence[_Child],
     seconds: float,
 ) -> Run:
-    # It prints the bytes so far, and counts the gaps from now on.
+    # On this signal, `wifi` prints the bytes so far, and counts the gaps from now on.
     wire.send_signal(signal.SIGUSR1)
     cpu = sum(side.cpu() for side in sides)
     for mouth in mouths:

@@ -83,7 +83,7 @@ int main(int count, char **words) {
   int gap = 0;
   printf("up\n"), fflush(stdout);
   while (!stopped) {
-    double time = now(), wake = time + 0.05; /* gaps begin and end without a packet, and so late at the most */
+    double time = now(), wake = time + 0.05; /* a gap begins or ends without a packet, so late at most */
     for (int i = 0; i < 2; i++)
       if (ways[i].head && ways[i].head->due < wake) wake = ways[i].head->due;
     struct pollfd polls[2] = {{ends[0], POLLIN}, {ends[1], POLLIN}};

@@ -21,13 +21,13 @@ def main() -> None:
     tally: Tally = Counter()
     threading.Thread(target=_attack, args=(name, target, tally), daemon=True).start()
     deadline = time.monotonic() + 10
-    # Ready only once it has done something: the measured time is all attack.
+    # The attack has begun when this process says so: no measured second is without it.
     while not tally and time.monotonic() < deadline:
         time.sleep(0.01)
     print("begun", flush=True)
     for _ in sys.stdin:
         print(json.dumps(dict(tally)), flush=True)
-    # At once: attacks never return, and their connections are not to be closed in order.
+    # Attacks never return, and a usual exit would close their connections in order.
     os._exit(0)
 
 

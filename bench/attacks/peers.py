@@ -214,7 +214,7 @@ def volatile(target: Target, tally: Tally) -> None:
             stream.sendall(b"".join(writer.write(content, 0) for _ in range(16)))
             tally["MB"] += 1
             time.sleep(0.004)
-        # The link has to stay up: what it has filled goes with it.
+        # The link has to stay up, since the server drops all that it keeps for a link that ends.
         time.sleep(3600)
 
 

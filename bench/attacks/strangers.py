@@ -105,7 +105,7 @@ def replay(target: Target, tally: Tally) -> None:
             sock.sendall(recorded)
             tally["first messages"] += 1
             answer = sock.recv(4096)
-            # The kind of a preamble frame: 3 is ACCEPT.
+            # This byte is the kind of a preamble frame; 3 is ACCEPT.
             tally["accepted" if answer[8:9] == b"\x03" else "refused"] += 1
             sock.setblocking(False)
             tally["bytes behind"] += sock.send(struct.pack(">I", 1 << 20) + bytes((1 << 20) - 1))
@@ -133,7 +133,7 @@ def slow(target: Target, tally: Tally) -> None:
                 sock.send(said[at : at + 1])
                 talking[sock] = at + 1
                 tally["bytes"] += 1
-                # It says nothing but a refusal, or that it has closed the connection.
+                # All that the server may say before a proof is a refusal.
                 if select.select([sock], [], [], 0)[0]:
                     raise ConnectionError
             except OSError:

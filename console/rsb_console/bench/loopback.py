@@ -43,7 +43,7 @@ _LOOK_EVERY = 0.05
 _READY_WITHIN = 20.0  # s for a start and for DDS to find its nodes. A round figure
 _ANSWERS_WITHIN = 5.0
 _OPENED_WITHIN = 60.0  # s; 500 topics take 0.6 to 1.2 s on a quiet machine (bench/README.md, Opening 500 topics)
-_WATCHED_FOR = 3.0  # s: three messages of each topic
+_WATCHED_FOR = 3.0  # s, for three messages of each topic
 _STATE_EVERY = 0.1
 
 
@@ -80,7 +80,7 @@ class Bed:
         before = [process.cpu() for process in self.between]
         count = max(1, int(rate * seconds))
         reached = self.talker.ask(f"send {rate} {count} {size} {self.topics.get(size, 0)}")["rate"]
-        # At low rates, 0.7 s of quiet may be between two messages.
+        # At a low rate, two messages may be further apart than `_QUIET`.
         self._settle(count, max(_QUIET, 2 / rate))
         used = [process.cpu() - then for process, then in zip(self.between, before, strict=True)]
         report = self.listener.ask("report")

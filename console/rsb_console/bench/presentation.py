@@ -223,7 +223,7 @@ def _judge(load: Load, points: Sequence[Point]) -> Judged | None:
     by_way = {way: [each for each in points if (each.transport, each.direction) == way] for way in own}
     most = {way: capacity(its, load.size) for way, its in by_way.items()}
     way = max(own, key=lambda each: most[each])
-    # Not infinite, which JSON does not have.
+    # JSON has no infinity.
     share = min(load.rate / most[way], 1e9) if most[way] else 1e9
     at_most = _open_ended(by_way[way], load.size)
     return Judged(load, way[0], share, _verdict(share, at_most=at_most), at_most)
@@ -295,7 +295,7 @@ class _Axis:
 
     def __init__(self, values: Sequence[float]) -> None:
         self.low = math.floor(math.log10(min(values)))
-        # One power of ten at least: a single value would leave an axis without a length to divide by.
+        # An axis has one power of ten at least: with a single value, its length would be 0, and `at` divides by it.
         self.high = max(math.ceil(math.log10(max(values))), self.low + 1)
 
     def at(self, value: float) -> float:

@@ -164,7 +164,7 @@ class SimulatedFleet:
 
     def look(self) -> dict[str, RobotRecord]:
         """Return the record of each robot."""
-        # All are asked before the first answer, so that they answer at the same time.
+        # All are asked before the first one has answered, so that they work at the same time.
         for process in self.processes:
             process.tell("look")
         found: dict[str, RobotRecord] = {}
@@ -195,7 +195,7 @@ class SimulatedFleet:
 
     def stop(self) -> None:
         processes = [*self.processes, *filter(None, [self.control])]
-        # All at once: each may take seconds to end.
+        # All get the signal first, since each may take seconds to end.
         for process in processes:
             process.signal(signal.SIGTERM)
         for process in processes:

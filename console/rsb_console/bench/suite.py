@@ -174,7 +174,7 @@ class Suite:
             goes_on=lambda: self._clock() < min(self._share_ends, self._ends_at),
         )
         best, full = found.best, None
-        # The run for the latency shows at least that its own rate is carried.
+        # The latency run shows at least that its own rate is carried.
         if best is None and found.limit == "time" and gentle.lossless:
             best = gentle
         if best is not None and best.wire is None:
@@ -262,7 +262,7 @@ def highest_lossless(
                 break
         if passed is None:
             bad = rate
-            # Else a link that carries nothing would be halved for ever.
+            # A link that carries nothing would have its rate halved for ever.
             if rate <= _LOWEST:
                 return Found(good, "loss")
         else:

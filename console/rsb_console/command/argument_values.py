@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 _REMEMBERED = 120  # seconds that the engine keeps counts of: `telemetry.meters.HISTORY`
 TRANSPORTS = get_args(Protocol)
 _UNITS = {"": 1, "b": 1, "k": 1_000, "kb": 1_000, "m": 1_000_000, "mb": 1_000_000}
-_LEAST, _MOST = 64, 16_000_000  # bytes; a stamp needs 20 (`ros.known_messages`), a bridge takes 16 MiB (`model.benchmark`)
+_LEAST, _MOST = 64, 16_000_000  # bytes; a stamp needs 20 (`known_messages`), a bridge takes 16 MiB (`model.benchmark`)
 _MOST_DOMAIN = 101  # from 102 on, Linux gives a domain's ports to other programs
 _MOST_TOPICS = 500  # as many as were ever measured: bench/README.md, Opening 500 topics
 
@@ -97,7 +97,7 @@ def window_seconds(text: str) -> int:
     Raises:
         argparse.ArgumentTypeError: it is not a whole number from 1 to 120.
     """
-    # `isdigit` takes ², too, and `int` takes no more than 4,300 digits.
+    # `isdigit` takes ², too, which `int` refuses, as it refuses more than 4,300 digits.
     if not (text.isascii() and text.isdigit()) or not 1 <= int(text[:4]) <= _REMEMBERED:
         raise argparse.ArgumentTypeError(ValueProblem.NOT_A_WINDOW(text=text, limit=_REMEMBERED))
     return int(text)
@@ -124,7 +124,7 @@ def sizes(text: str) -> tuple[int, ...]:
     Raises:
         argparse.ArgumentTypeError: one is none.
     """
-    # 256,256b is one size: a second one would cost its share of the time and say the same.
+    # `256,256b` is one size, which would be measured twice.
     return tuple(dict.fromkeys(_size(part) for part in text.split(",")))
 
 

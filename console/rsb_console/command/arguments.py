@@ -119,7 +119,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     summary = "print the completion script for a shell"
     script = command("completion", lazily("script", "completion"), summary, _COMPLETION)
     script.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "fish"), help="bash, zsh or fish")
-    # A session file may stand in a command's place: `rsb-console SESSION` runs it.
+    # A session file may take a command's place: `rsb-console SESSION` runs it.
     _complete(subparsers, "yaml_files")
     for added in subparsers.choices.values():
         _add_debug(added)
@@ -228,7 +228,7 @@ class _CommandParser(argparse.ArgumentParser):
             found, unknown = parse(args, namespace)
         finally:
             self._intermixes = False
-        # Here rather than in the main parser, so that the usage is this command's.
+        # The main parser would also refuse them, but with its own usage instead of this command's.
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return found, []

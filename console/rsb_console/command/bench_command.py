@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
 _ERASE = "\r\x1b[K"
 _BOTH = ("transmit", "receive")
-_DOMAINS = 92, 93  # seldom used, though a demo may have them (82 to 101): then --domains gives others
-_LINKED_WITHIN = 3.0  # s. A round figure: where a link takes longer to come up, the command has to be given again
+_DOMAINS = 92, 93  # a demo may take them (82 to 101): --domains gives others
+_LINKED_WITHIN = 3.0  # s. A round figure: with a link that takes longer, the command has to be given again
 _LOOK_EVERY = 0.1
 
 

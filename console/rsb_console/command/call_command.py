@@ -70,7 +70,7 @@ def run(name: str, arguments: Namespace) -> int:
 
 
 def _call(arguments: Namespace) -> int:
-    # Before attaching: the command's time counts from the end of standard input.
+    # The fields are read first, since the command's time counts from the end of standard input.
     request = fields_from(arguments, arguments.request)
     with attached(arguments, expires=True) as engine:
         route = chosen_route(engine, arguments)
@@ -121,7 +121,7 @@ def response(engine: RemoteEngine, route: RouteSnapshot, request: str, lane: str
     # The bridge ends the call itself after `call_timeout`; the rest is for its own answer.
     if timeout is None and not patient:
         return future.result(route.spec.call_timeout + ANSWERED_WITHIN)
-    # An identifier may be written as a UUID, with dashes.
+    # A goal's identifier may have the dashes of a UUID.
     goal = _GOAL.search(request.replace("-", "")) if patient else None
     return _awaited(engine, route, future, timeout, goal.group().lower() if goal else "")
 

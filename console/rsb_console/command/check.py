@@ -284,7 +284,7 @@ def check_session(arguments: Namespace) -> int:
         print_line(line)
     for line in chain(rights(session), hints(session)):
         print_line(line)
-    # Read once, so that lines and exit code agree even if a file changes meanwhile.
+    # Each key is read once, so that lines and exit code agree even if a file changes meanwhile.
     keys = dict(session_keys(session, path.parent))
     for line in _key_lines(session, keys):
         print_line(line)

@@ -116,7 +116,7 @@ def _add(arguments: Namespace) -> int:
     path = _session_path(arguments)
     client_files.check_address(arguments.name, arguments.address)
     output: Path | None = arguments.output
-    # Before the client is added: an error behind that would leave a server changed without a file for its robot.
+    # This is checked first: an error after the change would leave a client whose robot has no file.
     if output is not None and is_there(output):
         raise ClientError(ClientCommandProblem.OUTPUT_EXISTS(path=output))
     client = Client(
@@ -180,7 +180,7 @@ def _begin_rotation(arguments: Namespace, path: Path) -> int:
 def _finish_rotation(arguments: Namespace, path: Path) -> int:
     name = arguments.name
     link = _links(path, arguments.control).get(name)
-    # Not even with --yes: the robot that is linked now would be shut out.
+    # --yes does not help here: the robot that is linked now would be shut out.
     if link is not None and link.state is State.OK and link.fingerprint != link.next_fingerprint:
         raise EngineError(ClientCommandProblem.OLD_KEY_IN_USE(name=name, fingerprint=link.fingerprint))
     linked = link is not None and link.state is State.OK

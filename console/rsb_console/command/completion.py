@@ -58,7 +58,7 @@ def complete(parser: ArgumentParser, commands: Collection[str]) -> None:
     """
     line = os.environ.get("COMP_LINE", "")
     words = line.split()
-    # Only once the second word is finished: an unfinished one may still become a command.
+    # An unfinished second word may still become a command.
     if len(words) + line.endswith(" ") > 2 and words[1] not in (*commands, "--debug"):
         os.environ["COMP_LINE"] = line.replace(words[0], f"{words[0]} run", 1)
         os.environ["COMP_POINT"] = str(int(os.environ["COMP_POINT"]) + len(" run"))
@@ -227,7 +227,7 @@ def _choices(annotation: Any) -> list[str]:
 
 
 _VALUES = {field.name: _choices(field.type) for field in fields(Topic)}
-# The key `provider` stands for the field `direction`; of topics, the direction is no key.
+# These are the values of the key `provider`, whose field is the direction; a topic's direction is no key.
 _VALUES |= {"qos": [AUTO, *PROFILES], "direction": ["client", "server"], "type": [AUTO]}
 
 
@@ -248,7 +248,7 @@ def _asked(arguments: Namespace, ask: Callable[[RemoteEngine], list[str]]) -> li
 
     # A traceback would be written into the line that the operator types.
     threading.excepthook = lambda _: None
-    # A daemon, as a bridge that hangs would also hold up the shell at the end of this process.
+    # A daemon does not keep the process, and the shell, waiting for a bridge that hangs.
     asking = threading.Thread(target=work, daemon=True)
     asking.start()
     asking.join(_WAITS)

@@ -104,7 +104,7 @@ def _print_counts(demo: Demo) -> int:
     failed = []
     for sender, receiver in ((demo.robot, demo.desk), (demo.desk, demo.robot)):
         for topic, published in sender.published.items():
-            # /battery_state, which is left for the operator to add.
+            # Nobody bridges /battery_state until the operator adds it.
             if all(topic != bridged.topic for bridged in demo.session.topics):
                 continue
             received = receiver.received.get(topic, 0)
@@ -190,7 +190,7 @@ def _on_screen(running: Simulated, signals: Signals) -> int:
         try:
             code = run_fleet(shown, readonly=False, ascii_only=False, theme=None, mouse=True, after_quit=_AFTER_QUIT)
         finally:
-            # In any case, or the executor's end would wait for `trouble` for ever.
+            # Without this, the executor's end would wait for `trouble` for ever.
             over.set()
         troubling.result()
     return code
@@ -233,7 +233,7 @@ def trouble(running: Simulated, over: Callable[[], bool]) -> bool:
     due = [(began + _AFTER, faulty, ("mute", _FAULTY)), (began + _THERE, restless, ("stop",))]
     while not over():
         now = time.monotonic()
-        # A copy, since the loop changes `due`.
+        # The loop changes `due`, and goes over a copy.
         for at, name, words in [each for each in due if each[0] <= now]:
             due.remove((at, name, words))
             running.tell(name, *words)

@@ -42,14 +42,14 @@ def echo(engine: EngineApi, route: RouteSnapshot, arguments: Namespace) -> bool:
     types = KnownTypes(time.monotonic)
     printed = 0
     while count is None or printed < count:
-        # Only the first may be a kept message: the same one would be printed again and again.
+        # With `kept`, each question would bring the same latched message again.
         pending = engine.peek(route.key, kept=printed == 0)
         try:
             peeked = pending.result(None if deadline == _NEVER else max(0.0, deadline - time.monotonic()))
         except LateError:
             pending.cancel()
             return False
-        if peeked is None:  # none came for a while: the bridge gives up then, this command does not
+        if peeked is None:  # the bridge gives up after a while, this command does not
             continue
         description, why = types.get(peeked.type_hash) or types.put(peeked.type_hash, *_described(engine, route))
         whole = arguments.full_length or (arguments.json and arguments.arrays)
@@ -59,7 +59,7 @@ def echo(engine: EngineApi, route: RouteSnapshot, arguments: Namespace) -> bool:
             print_line(json.dumps(as_json(route, read)))  # in ASCII: a terminal may obey some other characters
         else:
             print_lines(as_text(read, arrays=arguments.arrays))
-        # A reader behind a pipe gets each message when it comes, not after 8 kB.
+        # A reader behind a pipe gets each message when it comes, and not after 8 kB.
         sys.stdout.flush()
         printed += 1
     return True

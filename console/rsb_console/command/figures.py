@@ -96,7 +96,7 @@ class SnapshotWindow:
             The figures since the oldest snapshot of the window, or None if that is too new.
         """
         looks = self._looks
-        # The wall clock may be set back: no rate across that.
+        # The wall clock may be set back, across which there is no rate.
         if looks and (moment <= looks[-1][0] or _began_again(looks[-1][1], route)):
             looks.clear()
         looks.append((moment, route))
@@ -114,7 +114,7 @@ class SnapshotWindow:
             size=route.bytes_total - first.bytes_total,
             offered=route.ledger.offered - first.ledger.offered,
             delivered=route.ledger.delivered - first.ledger.delivered,
-            # It may fall: what counts as lost on the way may still be reported as delivered.
+            # This count may fall: a message that counts as lost on the way may still be reported as delivered.
             dropped=max(0, route.ledger.dropped_total - first.ledger.dropped_total),
             each_second=route.history[-self._seconds :],
         )
@@ -163,7 +163,7 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
             now = _newer(engine, moment, due)
             moment, route = now.time, _find(engine, now, route)
             figures = window.add(moment, route)
-            # What a stall has missed is not made up for.
+            # Lines that a stall has delayed are not made up for.
             due = max(due + _EVERY, time.monotonic())
             if figures is None:
                 continue
@@ -178,7 +178,7 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
 
 def measured(engine: RemoteEngine, route: RouteSnapshot, seconds: float) -> Figures | None:
     """Take figures of a topic over some seconds, or None if its bridge has no newer snapshots of it."""
-    # Longer than the span: the first snapshot stays in it.
+    # The window is longer than the span, so that the first snapshot stays in it.
     window, ends = SnapshotWindow(round(seconds) + 1), time.monotonic() + seconds + 1
     first = engine.snapshot()
     if (route_first := _same_route(first, route)) is None:

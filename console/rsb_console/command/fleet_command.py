@@ -88,8 +88,8 @@ def sources_of(arguments: Namespace) -> list[FleetSource]:
     names: dict[str, int] = {}
     for server in servers:
         names[server.name] = names.get(server.name, 0) + 1
+    # Two servers of one name differ by their sockets only.
     return [
-        # Two servers of one name are told apart by their sockets, as in `status`.
         ServerFleet(server.name if names[server.name] == 1 else str(server.path), server.path) for server in servers
     ]
 
@@ -140,7 +140,7 @@ def _print(arguments: Namespace) -> int:
     with _fleet(arguments) as fleet:
         deadline = time.monotonic() + arguments.seconds
         robots = fleet.robots()
-        # Not one sleep: an attached engine renews its snapshot only while somebody keeps asking for it.
+        # One long sleep would not do: an attached engine renews its snapshot only while somebody asks for it.
         while time.monotonic() < deadline:
             time.sleep(min(_LOOK_EVERY, arguments.seconds))
             robots = fleet.robots()
@@ -241,7 +241,7 @@ def _run_on(robot: Robot, command: Namespace, *, as_json: bool) -> tuple[int, li
     """Run a command on a robot; return its exit code and its printed lines."""
     command.attach = partial(robot.source.open, robot.summary.name)
     command.json = command.json or as_json
-    # No StringIO: `shell.encoded` needs the encoding of the stream.
+    # `shell.encoded` needs the stream's encoding, which a StringIO does not have.
     printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", newline="\n")
     with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
         code: int = command.command(command)

@@ -106,8 +106,7 @@ class StatusLines:
             texts = []
             for number, (key, how, text, brief) in enumerate(group):
                 before, at = printed.get(key, ("", 0.0))
-                # Below 0, the clock was set back: then the cause is repeated rather than left out until the clock
-                # catches up.
+                # Below 0, the clock was set back: the cause is repeated, and not left out until the clock catches up.
                 is_known = before == how and 0 <= now - at < _REPEATED_AFTER
                 if number < _SHOWN_IN_STATUS or is_known:  # otherwise the line had no room for it
                     self._printed[key] = (how, at if is_known else now)

@@ -76,14 +76,14 @@ def asked(read_from: int, write_to: int) -> bytes:
     before = termios.tcgetattr(read_from)
     answer, deadline = b"", time.monotonic() + _ANSWERS_WITHIN
     try:
-        # This drops the keys typed before: they would be taken for the answer.
+        # This drops the keys typed before, which would be taken for the answer.
         tty.setcbreak(read_from)
         os.write(write_to, _QUESTION)
         while _DEVICE.search(answer) is None and (left := deadline - time.monotonic()) > 0:
             if select.select([read_from], [], [], left)[0]:
                 answer += os.read(read_from, 1024)
     finally:
-        # FLUSH drops what is still unread of a late answer: the shell would take it for keys.
+        # FLUSH drops the unread rest of an answer, which the shell would take for keys.
         termios.tcsetattr(read_from, termios.TCSAFLUSH, before)
     return answer
 
@@ -127,7 +127,7 @@ def _kitty(image: bytes, columns: int, rows: int) -> str:
     """Return the sequence that transmits a PNG file and displays it; one of the same id replaces the one before."""
     encoded = base64.b64encode(image).decode()
     chunks = [encoded[at : at + _CHUNK] for at in range(0, len(encoded), _CHUNK)]
-    # C=1 leaves the cursor where it is; q=2 keeps the terminal from answering, which would be read as keys.
+    # C=1 leaves the cursor where it is. q=2 keeps the terminal from answers, which would be read as keys.
     keys = f"a=T,f=100,i={_IMAGE},p=1,c={columns},r={rows},C=1,q=2,"
     parts = []
     for number, chunk in enumerate(chunks, 1):

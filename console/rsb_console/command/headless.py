@@ -40,7 +40,7 @@ _WAIT = 0.1
 """Seconds after which a signal is noticed, at the latest: until then, a robot that is driven goes on."""
 _LOOK_EVERY = 1.0
 """Seconds between checks of an idle engine: no more often than it renews its snapshot."""
-# With the next one and a look at the signals, these are less than the 5 s that docs/headless.md promises.
+# These two and `_WAIT` are less than the 5 s that docs/headless.md promises.
 _STOPS_WITHIN = 4.0
 _WRITTEN_WITHIN = 0.5  # s, of the 5 s in which the program must end even if its peer or its reader hangs
 WAITING_LIMIT = 1 << 20
@@ -77,7 +77,7 @@ def run_headless(
     engine = Engine(session, base=path.parent, state=state_folder(os.environ))
     engine.use_file(path)
     ignore_hangup = on_hangup == "continue"
-    # Around the start, too: a signal meanwhile ends the bridge in order.
+    # The signals are caught before the start, so that a signal meanwhile ends the bridge in order.
     with (
         Signals(ignore_hangup=ignore_hangup, has_terminal=_has_terminal()) as signals,
         contextlib.ExitStack() as resources,
@@ -166,10 +166,10 @@ def bridge_until_told(
     writer.write(format_event(Event(0, time.time(), Level.INFO, EventCode.ENGINE_STOPPING, f"stopping: {reason}")))
     if supervisor is not None:
         supervisor.stopping()
-    # Before the stop, after which no engine runs.
+    # After the stop, no engine runs.
     failed = not engine.snapshot().running
     engine.stop(_STOPS_WITHIN)
-    # The events of the stop itself.
+    # The stop itself has events, too.
     log(engine.events(seen))
     writer.close(_WRITTEN_WITHIN)
     return FAILURE if failed else HUNG_UP if signals.hung_up else OK
@@ -306,7 +306,7 @@ class LogWriter:
         with self._changed:
             self._waiting.append(line)
             self._waiting_bytes += len(line)
-            # The newest line stays even if it alone is beyond the limit: it tells the present state.
+            # The newest line stays even if it alone is beyond the limit, since it has the present state.
             while self._waiting_bytes > WAITING_LIMIT and len(self._waiting) > 1:
                 self._waiting_bytes -= len(self._waiting.popleft())
                 self._lost += 1
@@ -333,7 +333,7 @@ class LogWriter:
                 if lost:
                     self._write(encoded(f"{one_line(self._lost_line(lost, reason))}\n"))
                     with self._changed:
-                        # Not 0: more may be lost while this line is written.
+                        # It does not become 0 if more lines are lost while this one is written.
                         self._lost -= lost
                 self._write(line)
             except OSError as error:
@@ -349,7 +349,7 @@ class LogWriter:
             while written < len(line):
                 written += os.write(self._fd, line[written:])
         finally:
-            # If nothing was written, the end of the output is as it was.
+            # If nothing was written, the output still ends as before.
             self._torn = written < len(line) if written else self._torn
 
 

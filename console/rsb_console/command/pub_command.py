@@ -93,7 +93,7 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
         count, ticket = count + 1, last.ticket
         if count == 1 and limit != 1 and not arguments.json:
             _print(engine, arguments, last, count)
-        # What a stall has missed is not made up for: a robot would get old commands at once.
+        # Messages that a stall has delayed are not made up for: a robot would get many at once.
         due = max(due + pause, Clock.steady())
         if count != limit:
             time.sleep(max(0.0, due - Clock.steady()))
@@ -156,7 +156,7 @@ def publish(
         published = result(message)
         if published.is_done:
             return published
-        # Else a process that stood still would get a new ticket for an old command, and a ticket would prove nothing.
+        # A process that stood still would get a new ticket for an old command, and a ticket would prove nothing.
         if Clock.steady() - due > OLD_AFTER:
             break
         ticket = published.ticket

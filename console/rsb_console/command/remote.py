@@ -226,7 +226,7 @@ def _resume(arguments: Namespace) -> int:
 def _ack(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         what = "not acknowledged any more" if arguments.undo else "acknowledged"
-        # Links first: no topic is meant, since its name would begin with a slash.
+        # A link's name is no topic's, which begins with a slash.
         if arguments.topic in {link.name for link in engine.snapshot().links}:
             result(engine.acknowledge("", not arguments.undo, link=arguments.topic))
             return done(arguments, f"{what}: link {arguments.topic}")
@@ -269,7 +269,7 @@ def _reload(arguments: Namespace) -> int:
 def _stop(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         result(engine.stop_bridge())
-        # The answer comes before the process has ended; a script may start the session again right after.
+        # The answer comes before the process has ended, and a script may start the session again right after this.
         deadline = time.monotonic() + ANSWERED_WITHIN
         while not engine.unreachable:
             if time.monotonic() > deadline:
@@ -404,7 +404,7 @@ def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: st
         raise UsageError(RemoteProblem.DRY_RUN_OF_CALLS(topic=topic.topic))
     now = engine.snapshot()
     sends_here = (topic.direction == "transmit") == (now.role == "client")
-    # The sending side may know it by any of these.
+    # The sending side may know the topic by any of these names.
     names = {topic.topic, topic.remote_topic, f"/{link}{topic.topic}"}
     found = result(engine.topics(None if sends_here else link))
     type_name = next((info.type_name for info in found if info.topic in names), "")
@@ -619,7 +619,7 @@ def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
     # A bridge that runs is asked: its files may be two minutes old (docs/history.md).
     if named or any(name in (None, bridge.name) for bridge in running_bridges()):
         return ask_history(arguments, seconds)
-    # A path to its files; one without a folder is told from a name by its ending only.
+    # This is a path to the bridge's files. One without a folder differs from a name by its ending only.
     if name is not None and (os.sep in name or name.endswith(EVENTS)):
         path = Path(name)
         kept = [Files(path.parent, path.name.partition(".")[0])]

@@ -664,7 +664,7 @@ class _FleetParser(argparse.ArgumentParser):
         if "--" in own:
             at = own.index("--")
             own, words = own[:at], own[at + 1 :]
-        # Plain, where `_CommandParser` parses plainly, and when argparse calls this for the options, then for the rest.
+        # As in `_CommandParser`: argparse intermixes no subcommands, and calls this for the options, then for the rest.
         if self._subparsers is not None or not {"-h", "--help"}.isdisjoint(own) or self._mixes:
             return super().parse_known_args(own, namespace)
         self._mixes = True

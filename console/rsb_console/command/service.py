@@ -58,7 +58,7 @@ CONFINED = (
     "SystemCallErrorNumber=EPERM",
 )
 """What a service of the system may do, and no more. configs/rsb-console@.service has the same, and says why."""
-# exec: so the bridge is the service's main process, whose reports (Type=notify) and reloads ($MAINPID) count.
+# After `exec`, the bridge is the main process, whose reports (Type=notify) and reloads ($MAINPID) count.
 _SOURCING = 'source "$0" && exec "$@"'
 _HOMES = ("/home/", "/root/", "/run/user/")
 _SYSTEM_UNITS = Path("/etc/systemd/system")
@@ -257,7 +257,7 @@ def _program() -> tuple[str, ...]:
     found = shutil.which(sys.argv[0])
     if found is not None and Path(found).name == "rsb-console":
         return (os.path.abspath(found),)  # noqa: PTH100
-    # -P: a module of the same name in the working folder must not run.
+    # With -P, a module of the same name in the working folder does not run.
     return sys.executable, "-P", "-m", "rsb_console"
 
 

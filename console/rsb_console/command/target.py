@@ -108,7 +108,7 @@ def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
     """Do something; report an error, and return its exit code."""
     try:
         return work(arguments)
-    # Most of these are EngineErrors: those with an exit code of their own come first.
+    # Most of these are EngineErrors, so that errors with an exit code of their own come first.
     except (UsageError, UnclearError) as error:
         return failed(arguments, str(error), USAGE)
     except (NoBridgeError, ControlError) as error:
@@ -237,7 +237,7 @@ def fields_from(arguments: Namespace, text: str) -> str:
     """Return fields in YAML that an argument gives, or standard input, whose end is then the time of the command."""
     if text != "-":
         return text
-    # One character too many, so that the bridge refuses a text that is too long; a cut one could be valid.
+    # This reads one character too many: the bridge refuses a text that is too long, but a cut one could be valid.
     fields = sys.stdin.read(FIELDS_LENGTH + 1)
     arguments.given_at = Clock.steady()
     return fields
@@ -360,7 +360,7 @@ def carried_out(commands: Iterable[Future[None]]) -> None:
             result(command)
         except (EngineError, TimeoutError) as error:
             failures.append(error)
-    # Only now: to raise earlier would detach from the bridge while the others are under way.
+    # An error raised earlier would detach from the bridge before the other commands are answered.
     for failure in failures:
         raise failure
 

@@ -136,7 +136,7 @@ class RobotFleet:
             for source in self.sources:
                 source.start()
                 started.callback(source.stop)
-            # Only now: while one does not start, those before it are stopped again.
+            # Until here, an error stops the sources that have started.
             started.pop_all()
 
     def wait(self) -> None:

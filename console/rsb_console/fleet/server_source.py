@@ -117,7 +117,7 @@ class RobotEngine(RemoteEngine):
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
         if what := _CONCERNS_ALL.get(type(command)):
             return self._concerns_all(what)
-        # Without a link, Retry would mean all robots, and AddTopic leave open which one.
+        # Without a link, Retry would mean all robots, and AddTopic would not say which one.
         if isinstance(command, AddTopic | Retry) and not command.link:
             command = cast("Command[R]", msgspec.structs.replace(command, link=self._robot))
         future = super().do(command, step)
@@ -128,7 +128,7 @@ class RobotEngine(RemoteEngine):
         own: Future[HistoryReport] = Future()
 
         def take(asked: Future[HistoryReport]) -> None:
-            # Who asked may have cancelled: to set a result then raises an error.
+            # The caller may have cancelled it, and then a result raises an error.
             if own.set_running_or_notify_cancel():
                 try:
                     own.set_result(self._own_history(asked.result()))

@@ -57,7 +57,7 @@ class ZenohFleet:
         self._silent: set[str] = set()  # addresses of engines whose state has not come yet
         self._may_connect = asyncio.Semaphore(_AT_ONCE)
         self._random = random.Random()  # noqa: S311 -- jitter
-        # Made here and not by the runner, since other threads call into it from the start on.
+        # Other threads call into the loop, so that it exists before the runner.
         self._loop = asyncio.new_event_loop()
         self._started: Future[None] = Future()
         self._ends = asyncio.Event()
@@ -79,7 +79,7 @@ class ZenohFleet:
         heard = asyncio.run_coroutine_threadsafe(self._all_heard(), self._loop)
         with contextlib.suppress(TimeoutError):
             heard.result(_FIRST_HEARD_WITHIN)
-        # Else it would wait on for an engine that may never speak.
+        # Without this, it would wait on for an engine that may never speak.
         heard.cancel()
 
     def stop(self) -> None:

@@ -164,7 +164,7 @@ class BridgeOperations:
             if (each.topic, each.spec.kind) == (route.topic, route.spec.kind) and each.key != route.key
             if each.arming is not None and each.arming.armed
         ]
-        # All are sent before the first answer: one that is slow must not keep the others armed.
+        # All commands are sent before the first answer: a slow one must not keep the others armed.
         for future in [engine.disarm(key) for key in (route.key, *armed)]:
             await self._console.command(future)
         if armed:

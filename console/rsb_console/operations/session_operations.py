@@ -221,8 +221,7 @@ class SessionOperations:
             return True
         session = engine.session
         if opened is not None and opened.is_at(path) and is_changed(opened):
-            # No question if nothing of somebody else's is lost: the file says what runs, or still what it said when it
-            # was opened.
+            # Nothing of somebody else's is lost if the file says what runs, or still what it said when it was opened.
             if file_of(path, session) is None and file_of(path, opened.session) is None:
                 match await self._console.ask(ChangedScreen(path)):
                     case "reload":
@@ -235,7 +234,7 @@ class SessionOperations:
                         pass
                     case _:
                         return False
-            # So that the comments that it has now survive.
+            # This keeps the comments that the file has now.
             opened = reopened(path)
         if await save_elsewhere(self._console, session, path, opened):
             self._console.saved_to(session, path)

@@ -132,7 +132,7 @@ class Added(Change):
 
         async def act(engine: EngineApi) -> None:
             await _command(engine.remove_topic, self.key)
-            # The removal makes an exception in each pattern that matches: this takes it back.
+            # The removal makes an exception in each pattern that matches, which this takes back.
             for key, pattern in claiming:
                 await _command(engine.edit_topic, key, pattern)
 
@@ -345,7 +345,7 @@ def _warnings(new: Topic, old: Topic) -> Iterator[str]:
     """Warn of messages that are held back now and would cross after the undo."""
     if new.arm and not old.arm:
         yield "This drops arm: true: it crosses without being armed."
-    # 0 means that no key is needed: as long as it takes.
+    # 0 means that no key is needed, however long it takes.
     elif new.arm and (old.deadman_seconds or float("inf")) > (new.deadman_seconds or float("inf")):
         yield "It stays armed longer while no key is pressed (deadman)."
     if new.paused and not old.paused:

@@ -136,7 +136,7 @@ def add_client(path: Path, client: Client) -> ChangedFile:
         _check_key_of_its_own(file, session, client, key)
         return ChangedFile(save(session, path, file), client, key_at, key)
     except BaseException:
-        # After a Ctrl-C, too: a second attempt would refuse the key file of the first one.
+        # This holds after a Ctrl-C, too: a second attempt would refuse the key file of the first one.
         if is_new and key_at is not None:
             key_at.unlink()
         raise
@@ -150,7 +150,7 @@ def _check_key_of_its_own(file: SessionFile, session: Session, client: Client, k
     others = {client.name: [key]}
     for name, files in key_files_by_client(file.session).items():
         for each in files:
-            # What is wrong with another client's key, the server says when it starts.
+            # The server reports another client's bad key when it starts.
             with suppress(KeyFileError):
                 if read_key(key_path(file.path.parent, each)) == key:
                     others[name] = [key]
@@ -189,7 +189,7 @@ def rekey_client(path: Path, name: str) -> ChangedFile:
     key_at = key_path_of(file, client)
     if key_at is not None and key_at not in others:
         if client.next_key_file is not None:
-            # Before the key: a next key that stayed in the file would go on to count beside the new one.
+            # The session is saved before the key: a next key that is still in the file would count with the new one.
             client = msgspec.structs.replace(client, next_key_file=None)
             file = save(with_changed_client(file.session, client), path, file)
         return ChangedFile(file, client, key_at, write_key(key_at, force=True))
@@ -261,7 +261,7 @@ def check_address(name: str, address: str) -> None:
     if not address:
         return
     host, port = split_address(address)
-    # Only the address is judged: without a port, any valid one will do.
+    # Without a port, any valid one will do, since only the address is judged.
     trial = Session(name=name, role="client", server_ip=host, server_port=1024 if port is None else port)
     for problem in validate(trial):
         if problem.location in ("server_ip", "server_port"):

@@ -176,7 +176,7 @@ def own_domain(before: int = 0) -> int:
     Args:
         before: number of demos that this process has started before.
     """
-    # By the process, so that two demos on a machine seldom have the same.
+    # Domains follow the process, so that two demos on a machine seldom have the same.
     return _FIRST_DOMAIN + 2 * ((os.getpid() + before) % _DOMAIN_PAIRS)
 
 

@@ -174,7 +174,7 @@ def typed_topic(values: Mapping[str, str], keys: Sequence[str], session: Session
     Raises:
         TypedError: the topic is invalid.
     """
-    # Looked up among the kinds, since mypy takes no plain text for a `Kind`.
+    # mypy takes no plain text for a `Kind`, but a key of `KEYS`.
     kind = replaced.kind if replaced is not None else next(kind for kind in KEYS if kind == values["kind"])
     known, changed = list(KEYS[kind]), dict(values)
     for text in keys:

@@ -44,7 +44,7 @@ async def publish(engine: EngineApi | None, topic: str, fields: str, type_name: 
         published = await asyncio.wrap_future(engine.publish(topic, fields, type_name, ticket=ticket))
         if published.is_done:
             return published
-        # Else a console that stood still would get a new ticket for an old command, and a ticket would prove nothing.
+        # A console that stood still would get a new ticket for an old command, and a ticket would prove nothing.
         if Clock.steady() - began > OLD_AFTER:
             break
         ticket = published.ticket

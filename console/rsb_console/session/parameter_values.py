@@ -127,7 +127,7 @@ def _meant(node: yaml.Node, kind: str) -> tuple[ParameterKind, Any]:
 
 
 def _fits(elements: list[Any], kind: ParameterKind) -> bool:
-    # By `type`, since for `isinstance` a bool is an int.
+    # For `isinstance`, a bool is an int.
     if kind.name == "byte_array":
         return all(type(each) is int and 0 <= each <= 255 for each in elements)
     return all(_ELEMENTS.get(type(each)) == kind.name.removesuffix("_array") for each in elements)

@@ -153,7 +153,7 @@ def _stamp(message: Message) -> int | None:
 
 def _guessed_stamp(peeked: PeekedMessage) -> int | None:
     """Guess the stamp of a message of an unknown type, if it begins with a time of today and a frame."""
-    # The headers of plain CDR: other encodings may have the fields elsewhere.
+    # These are the headers of plain CDR; other encodings may have the fields elsewhere.
     order = {b"\x00\x00": ">", b"\x00\x01": "<"}.get(peeked.payload[:2])
     if order is None or len(peeked.payload) < HEADER_LENGTH + 12:
         return None
