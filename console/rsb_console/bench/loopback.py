@@ -260,6 +260,7 @@ def listening(server: Process, port: int) -> float:
     while (now := time.monotonic()) < deadline and server.running:
         rows = [row.split() for row in Path("/proc/net/tcp").read_text().splitlines()[1:]]
         if any(row[1].endswith(wanted) and row[3] == "0A" for row in rows):  # TCP_LISTEN
+            # A later time could be after the first connection, which would seem to take less than nothing.
             return before
         before = now
         time.sleep(0.01)

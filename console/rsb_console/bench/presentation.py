@@ -230,6 +230,7 @@ def _judge(load: Load, points: Sequence[Point]) -> Judged | None:
 
 
 def _verdict(share: float, *, at_most: bool) -> Literal["carried", "barely", "not", "unknown"]:
+    # Where the search was cut short, the link may carry more than was tried.
     if share <= (1.0 if at_most else BARELY):
         return "carried"
     if at_most:
@@ -262,6 +263,7 @@ def in_words(judged: Sequence[Judged], over: str, *, together: bool) -> list[str
     if by["unknown"]:
         lines.append(JudgingText.UNKNOWN(over=over, topics=join_first(by["unknown"], _NAMED)))
     total = sum(each.share for each in judged)
+    # Shares that are upper bounds only do not add up to a verdict.
     if together and len(judged) > 1 and not by["not"] and total > BARELY and not any(each.at_most for each in judged):
         text = JudgingText.TOGETHER_TOO_MUCH if total > 1 else JudgingText.TOGETHER_MOST
         lines.append(text(percent=100 * total))

@@ -103,6 +103,7 @@ class Process:
 
     def cpu(self) -> float:
         """Processor time so far, s, all threads."""
+        # This clock counts ns, /proc/PID/stat only ticks of 10 ms, which is much of a short run.
         return time.clock_gettime((~self.pid << 3) | _CPUCLOCK_SCHED)
 
     def memory(self) -> float:

@@ -128,6 +128,7 @@ def _demands_on(
     if demand.limits is not None:
         lines = ", ".join(describe(source, places) for source in demand.limited_by)
         limit += SessionCheckText.LIMITED(limits=demand.limits, lines=lines)
+    # A demand may be about age or limits only.
     if not demand.arm:
         return limit
     keys = f"within {demand.deadman:g} s" if demand.deadman else "never"

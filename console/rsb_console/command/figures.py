@@ -180,6 +180,7 @@ def measured(engine: RemoteEngine, route: RouteSnapshot, seconds: float) -> Figu
     """Take figures of a topic over some seconds, or None if its bridge has no newer snapshots of it."""
     # The window is longer than the span, so that the first snapshot stays in it.
     window, ends = SnapshotWindow(round(seconds) + 1), time.monotonic() + seconds + 1
+    # The route that the command has chosen may be older: its counts would make rates up to twice as high.
     first = engine.snapshot()
     if (route_first := _same_route(first, route)) is None:
         return None

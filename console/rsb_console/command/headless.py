@@ -154,6 +154,7 @@ def bridge_until_told(
         reloading.go_on(wanted=signals.takes_reload())
         now = time.monotonic()
         reason = signals.caught or ("time is up" if ends and now >= ends else "")
+        # A monitor may want a status line more often than an idle engine is looked at.
         if events or now >= min(next_look, next_status):
             next_look = now + _LOOK_EVERY
             snapshot = engine.snapshot()

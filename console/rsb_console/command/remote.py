@@ -559,6 +559,7 @@ def _why_disarmed(engine: RemoteEngine, route: RouteSnapshot | None) -> tuple[st
         return "it is not bridged any more", "removed"
     if route.arming is None:
         return "arming is not required any more", ""
+    # The route's reason advises to arm it again, although a colleague may just have disarmed it.
     return route.arming.reason or route.reason, route.arming.why
 
 
@@ -588,6 +589,7 @@ def _report(arguments: Namespace) -> int:
         raise UsageError(f"--last {error}") from None
     report = _report_of(arguments, seconds)
     if arguments.json:
+        # `platform.node` has the same name, but is one more module to load.
         print_line(
             json_report(report, operator_machine={"host": os.uname().nodename, **doctor.report(doctor.this_machine())})
         )

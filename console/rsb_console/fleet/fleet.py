@@ -284,6 +284,7 @@ class Remembered(msgspec.Struct, frozen=True):
 
     source: str
     name: str
+    # An infinite time would be written as null, and the file could not be read again.
     seen: Annotated[float, msgspec.Meta(ge=TIME.low, le=TIME.high)]
     group: str = ""
     host: str = ""
