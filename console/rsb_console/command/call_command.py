@@ -93,6 +93,7 @@ def _lane(route: RouteSnapshot, lane: str) -> str:
     Raises:
         UsageError: it has none of that name.
     """
+    # A plain service has one lane, without a name.
     if lane in (route.lanes or ("",)):
         return lane
     lanes = [each for each in route.lanes if each]

@@ -161,6 +161,7 @@ def simulated(robots: int) -> Iterator[Simulated]:
         stack.callback(SimulatedPart.start("listener", domain, Path(folder), *topics).stop)
         control = running.start_control()
         running.start_robots(running.names)
+        # Robots that start earlier would fail to link at first, and try again after their pause.
         listening(control, running.session)
         running.look()  # all processes answer
         yield running

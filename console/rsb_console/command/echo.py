@@ -45,6 +45,7 @@ def echo(engine: EngineApi, route: RouteSnapshot, arguments: Namespace) -> bool:
         # With `kept`, each question would bring the same latched message again.
         pending = engine.peek(route.key, kept=printed == 0)
         try:
+            # `Future.result` raises an OverflowError for infinity.
             peeked = pending.result(None if deadline == _NEVER else max(0.0, deadline - time.monotonic()))
         except LateError:
             pending.cancel()

@@ -316,6 +316,7 @@ def csv_report(report: HistoryReport) -> str:
     made = io.StringIO()
     table = csv.writer(made)
     table.writerow(CSV_COLUMNS)
+    # Rows are sorted by time alone, since cells of two kinds of rows do not compare.
     for _, row in sorted(rows, key=lambda each: each[0]):
         stamps = ["" if moment is None else _iso(moment) for moment in (row[1], row[2])]  # type: ignore[arg-type]
         seconds = "" if row[3] is None else f"{row[3]:.1f}"
