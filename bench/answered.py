@@ -119,6 +119,7 @@ def _node(domain_id: int, name: str) -> Iterator[tuple[Any, Any]]:
 
     def spin(done: Any) -> None:
         while not done():
+            # The wait is short, since a caller also has to see when its next call is due.
             executor.spin_once(timeout_sec=0.002)
 
     try:

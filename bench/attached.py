@@ -42,6 +42,7 @@ def main() -> None:
 def _costs(rounds: int) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        # Here, the user's own bridges are not seen: with one named `bench`, the client would not be `bench-2`.
         os.environ["XDG_RUNTIME_DIR"] = os.environ["XDG_STATE_HOME"] = name
         with (
             bed.Process("-m", "rsb_bridge.ros.measured_stream", "many", str(bed.NEAR), "/bench/topic_", str(TOPICS)),
@@ -98,8 +99,10 @@ def _session(folder: Path, role: str, domain: int, port: int) -> Path:
 
 
 def _flowing() -> None:
+    # Both sides have the name `bench`, and the client is the second one.
     waits = ["wait", "--for", "flowing", f"/bench/topic_{TOPICS - 1:03d}", "--timeout", "60", "--bridge", "bench-2"]
     deadline = time.monotonic() + 120
+    # `wait` fails at once while the bridge does not run yet.
     while subprocess.run([sys.executable, "-m", "rsb_console", *waits], capture_output=True, check=False).returncode:
         if time.monotonic() > deadline:
             raise SystemExit("nothing flows")

@@ -15,6 +15,7 @@ def main() -> None:
     config = zenoh.Config()
     config.insert_json5("mode", '"peer"')
     config.insert_json5("scouting/multicast/enabled", "false")
+    # By default, a peer listens at a port of its own, too.
     config.insert_json5("listen/endpoints", "[]")
     config.insert_json5(f"{'connect' if part == 'send' else 'listen'}/endpoints", f'["tcp/127.0.0.1:{port}"]')
     with zenoh.open(config) as session:

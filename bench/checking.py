@@ -38,17 +38,11 @@ _ROUNDS = 21
 _ROUND = 0.02
 """s of messages in a round, about."""
 _MATCHED_WITHIN = 10.0
-_SEQUENCE_OF_NESTED = 145
+_SEQUENCE_OF_NESTED = 145  # type_description_interfaces/msg/FieldType: an unbounded sequence of messages
 
 
 class Case(NamedTuple):
-    """Messages of one type.
-
-    Attributes:
-        name: name of the row.
-        payload: one message.
-        checker: checker of the type.
-    """
+    """Messages of one type."""
 
     name: str
     payload: bytes

@@ -59,6 +59,7 @@ def _run(protocol: str, loss: int, seconds: float) -> str:
         cable = Cable(robot, pc)
         cable.address((f"{_ROBOT}/24", f"{_PC}/24"))
         cable.single()
+        # `deadman` is 0, since nobody presses keys.
         entry = {"topic": _TOPIC, "protocol": protocol, "direction": "receive", "arm": True, "deadman": 0}
         bridge = network.bridge(robot, pc, _PC, entry)
         bridge.pc.talk(_TOPIC, rate=_RATE, size=100)

@@ -69,4 +69,5 @@ def _row(index: int) -> RouteSnapshot:
     return call_route("action", name, type_name="nav2_msgs/action/NavigateToPose", goals=GOALS)
 
 
+# Without a configuration, the user's own settings do not count.
 ConsoleApp(SESSION, None, theme="dark", config=Path("/nonexistent"), make_engine=MovingEngine).run()

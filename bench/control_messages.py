@@ -65,6 +65,7 @@ class _Longest:
         run = asyncio.Handle._run
 
         def measured(handle: asyncio.Handle) -> None:
+            # The engine's loop runs on a thread of its own; the main thread is this program's.
             if threading.current_thread() is threading.main_thread():
                 run(handle)
                 return
@@ -128,6 +129,7 @@ def main() -> None:
         try:
             print("| message | bytes | longest turn, ms | in all, ms | ratio |\n|---|---|---|---|---|")
             base = 0.0
+            # A message is chosen by its number, since it names a route, and each link has another one.
             for number in range(len(list(messages(1)))):
                 most, in_all, size, text = 0.0, 0.0, 0, ""
                 for _ in range(repeats):

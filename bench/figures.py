@@ -73,7 +73,6 @@ def print_table(
     """Print medians with the lowest and the highest for the rows that have a figure, and a dash for a missing one.
 
     Args:
-        title: what the table shows.
         rows: loads or quantities.
         columns: beds.
         cell: returns the figure of a bed and a quantity.

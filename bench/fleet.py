@@ -94,7 +94,6 @@ class Figures:
     """The figures of one fleet.
 
     Attributes:
-        count: number of robots.
         routes: number of all routes.
         linked, flowing: s since the robots' processes were started.
         steady: figures with the usual load.
@@ -179,6 +178,7 @@ def measure(
         time.sleep(plan.down)
         control = running.start_control()
         returned = listening(control, running.session)
+        # Each route was open once before the control side was killed, and a third time comes after the router.
         robots = running.wait(lambda robot: len(robot.open) >= 2 * load.routes, _WITHIN)
         again = Delays.of((robot.up[-1] for robot in robots.values()), returned)
         again_flowing = Delays.of((max(robot.open) for robot in robots.values()), returned)

@@ -20,7 +20,7 @@ from rsb_bridge.model.snapshot import Event, Ledger, Level, LinkSnapshot, RouteS
 
 TOPICS = int(sys.argv[1]) if len(sys.argv) > 1 else 500
 STEP = 5.0
-HOURS = 25
+HOURS = 25  # more than are kept, so that the oldest are forgotten, too
 _LOOKS = 200
 _MB = 1e6
 

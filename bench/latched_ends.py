@@ -91,6 +91,7 @@ class _Heard:
         while True:
             while (taken := handle.take_message(self._kind, True)) is not None:
                 raw.append((taken[0], time.monotonic_ns()))
+            # Messages are read once nothing is left to take, since reading takes longer than taking.
             for payload, at in raw:
                 message = deserialize_message(payload, self._kind)
                 if match := _TEXT.search(message.msg if self._kind is Log else message.data):
@@ -114,6 +115,7 @@ def listen(topic: str, depth: int) -> None:
             _say(matched=heard.subscription.handle.get_publisher_count())
             continue
         messages = list(heard.messages)
+        # No run has so many messages (5 kHz for 3 s), so that the late joiner's own depth hides none.
         late = [_Heard(node, topic, _latched(30000)) for node in late_nodes]
         heard_late = -1
         while (now_late := sum(len(side.messages) for side in late)) != heard_late:

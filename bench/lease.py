@@ -24,7 +24,7 @@ RATE = 20.0
 LINKS = ((0.05, 0.0), (0.1, 0.02), (0.3, 0.0), (0.3, 0.01), (0.3, 0.05), (0.5, 0.01))
 """Round trips (s), and the part of packets that is lost."""
 LIMITS = (1.0, 2.0, 3.0)
-_SHORTEST_RETRANSMISSION = 0.2
+_SHORTEST_RETRANSMISSION = 0.2  # s, as Linux waits at least (TCP_RTO_MIN)
 
 
 class Result(NamedTuple):
@@ -45,7 +45,6 @@ class Hour:
     """An hour of a link.
 
     Args:
-        round_trip: s.
         loss: part of the packets.
         datagrams: whether messages go as datagrams.
     """
@@ -71,6 +70,7 @@ class Hour:
             self._now, _, work = heapq.heappop(self._events)
             work()
         arrived = max(1, self._old + self._young)
+        # Both sides end the same lease.
         return Result(self._ended / 2, self._old / arrived, 1 - self._sent / (RATE * (SECONDS - 1)))
 
     def _at(self, delay: float, work: Callable[[], None]) -> None:

@@ -52,6 +52,7 @@ def _print(console: Watched, name: str, keys: str, *asked: tuple[str, bytes]) ->
     try:
         cpu, written, began = console.cpu(), console.written, time.monotonic()
         took: list[float] = []
+        # The number of keys is even, so that the picture goes on again at the end.
         while time.monotonic() - began < SECONDS or len(took) % len(asked):
             key, word = asked[len(took) % len(asked)]
             time.sleep(0.5)

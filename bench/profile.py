@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
 _SECONDS = 6.0
-_SAMPLES_A_SECOND = 999
+_SAMPLES_A_SECOND = 999  # not 1,000, which would be in step with timers
 _PARTS = (
     ("kernel", "the kernel"),
     ("vmlinux", "the kernel"),

@@ -268,6 +268,7 @@ class Run:
         delays = sorted(
             (heard - made) / 1e6
             for made, heard in self.heard.get(topic, ())
+            # A message that was under way when a gap began belongs to the gap.
             if not any(begins - 0.5 < made / 1e9 < ends + _AFTER_GAP for begins, ends in self.gaps)
         ) or [float("nan")]
         part = len({made for made, _ in self.heard.get(topic, ())}) / max(1, len(self.made.get(topic, ())))
@@ -416,6 +417,7 @@ def _measured(
     sides: Sequence[_Child],
     seconds: float,
 ) -> Run:
+    # On this signal, `wifi` prints the bytes so far, and counts the gaps from now on.
     wire.send_signal(signal.SIGUSR1)
     cpu = sum(side.cpu() for side in sides)
     for mouth in mouths:
@@ -433,6 +435,7 @@ def _measured(
     said = [line.split() for line in wire.stdout.read().splitlines()]
     crossed = [int(words[1]) for words in said if words[0] == "bytes"]
     turns = [float(words[2]) for words in said if words[0] == "gap"]
+    # The last gap may not have ended.
     gaps = list(zip(turns[::2], [*turns[1::2], float("inf")], strict=False))
     return Run(made, heard, gaps, crossed[1] - crossed[0], cpu, descriptors)
 

@@ -32,11 +32,11 @@ DEFAULT_BEDS = ("drained", "relay", "bare-tcp", "tcp", "udp", "zenoh", "thesis")
 PARTS = ("small", "large", "rates", "calls")
 RATE_SIZES = (2_500, 10_000)
 DOMAINS = range(66, 92, 2)
-"""The first domain of each bed's pair. They are below 102, above which ports are the kernel's, and not the tests'."""
+"""The first domain of each bed's pair: below 102, where the kernel's ports begin. Tests have those up to 80, too."""
 THESIS_SIZE = 10_000
 """Bytes up to which the thesis's pipeline is measured: it searches all that it has for each KiB, minutes for 6 MB."""
 WARM_SECONDS, IDLE_SECONDS, RATE_SECONDS = 0.2, 5.0, 0.5
-FIRST_RATE, CLOSE = 10_000.0, 1.25
+FIRST_RATE, CLOSE = 10_000.0, 1.25  # highest rates are searched to a quarter (bench/README.md, Method)
 FEW, KEPT_UP = 0.99, 0.9
 """Shares of the messages that have to arrive, and of the rate that the talker has to reach, for a burst to count."""
 
@@ -72,6 +72,7 @@ def main() -> None:
     if parts != ("calls",):
         _run_topics(figures, kinds, parts, options.rounds)
     if "calls" in parts:
+        # No bed has the last pair, since there are fewer beds than pairs.
         calls.run(figures, options.rounds, DOMAINS[-1])
     print(f"\nload {os.getloadavg()[0]:.1f}, {(time.monotonic() - began) / 60:.1f} min")
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from rsb_console.bench.processes import Process
 
 FLAT = 10.0
-"""MB by which the memory may grow."""
+"""MB by which the memory may grow. At most 6 were measured (bench/README.md, Attacks)."""
 HZ, SIZE = 50, 1000
 """The robot's topic during a flood."""
 _KEPT = 400
@@ -56,7 +56,6 @@ class Flood(NamedTuple):
         rate: connections, datagrams or first samples a second.
         size: bytes of each.
         many: whether they come from many addresses.
-        seconds: duration.
     """
 
     transport: str

@@ -113,6 +113,7 @@ async def _send(port: int, rate: int, size: int) -> tuple[float, int]:
         await asyncio.sleep(0.0005)
     while route.queue or sender.congested:  # noqa: ASYNC110 - plain state
         await asyncio.sleep(0.01)
+    # The last messages have to arrive before the channel closes.
     await asyncio.sleep(0.5)
     channel.close()
     return _cpu() - before, due

@@ -83,7 +83,7 @@ int main(int count, char **words) {
   int gap = 0;
   printf("up\n"), fflush(stdout);
   while (!stopped) {
-    double time = now(), wake = time + 0.05;
+    double time = now(), wake = time + 0.05; /* a gap begins or ends without a packet, so late at most */
     for (int i = 0; i < 2; i++)
       if (ways[i].head && ways[i].head->due < wake) wake = ways[i].head->due;
     struct pollfd polls[2] = {{ends[0], POLLIN}, {ends[1], POLLIN}};
@@ -98,7 +98,7 @@ int main(int count, char **words) {
     }
     for (int i = 0; i < 2; i++) {
       struct direction *way = &ways[i];
-      for (int k = 0; k < AT_ONCE; k++) {
+      for (int k = 0; k < AT_ONCE; k++) { /* a flood from one end must not keep the other from its turn */
         struct packet *packet = malloc(sizeof *packet);
         packet->next = NULL;
         packet->size = read(ends[i], packet->data, LONGEST);
@@ -113,7 +113,7 @@ int main(int count, char **words) {
           continue;
         }
         if (way->free_at < time) way->free_at = time;
-        way->free_at += packet->size / rate;
+        way->free_at += packet->size / rate; /* a lost packet has taken its time on the air, too */
         if (drand48() < loss) {
           way->lost++;
           free(packet);

@@ -87,6 +87,7 @@ def _in_own_network() -> int:
     except NoHostError as error:
         print(f"| {_OWN_NETWORK} | left out: {error} |")
         return 0
+    # The attacker binds addresses of the network that this machine does not have.
     host.run("sh", "-c", "echo 1 > /proc/sys/net/ipv6/ip_nonlocal_bind")
     host.run("ip", "-6", "route", "add", "local", "fd00:1::/64", "dev", "lo")
     return host.start(sys.executable, "-m", "bench.attacks", _INSIDE).wait()

@@ -21,11 +21,13 @@ def main() -> None:
     tally: Tally = Counter()
     threading.Thread(target=_attack, args=(name, target, tally), daemon=True).start()
     deadline = time.monotonic() + 10
+    # The attack has begun when this process says so: no measured second is without it.
     while not tally and time.monotonic() < deadline:
         time.sleep(0.01)
     print("begun", flush=True)
     for _ in sys.stdin:
         print(json.dumps(dict(tally)), flush=True)
+    # Attacks never return, and a usual exit would close their connections in order.
     os._exit(0)
 
 

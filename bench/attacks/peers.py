@@ -125,6 +125,7 @@ def questions(target: Target, tally: Tally) -> None:
 
 def oversize(target: Target, tally: Tally) -> None:
     entry = TopicEntry("/t", "a/msg/B", "", Qos(depth=1), 1, 1)
+    # Just below 1 MiB, the limit of a control message.
     large = TopicList(1, (entry,) * (950_000 // len(msgspec.msgpack.encode(entry))))
 
     def say(rogue: Rogue) -> Iterable[ControlMessage]:
@@ -145,6 +146,7 @@ def reconnects(target: Target, tally: Tally) -> None:
 
 def bombs(target: Target, tally: Tally) -> None:
     """Messages of 60 MB that are some kB on the wire."""
+    # Just below 64 MiB, the limit of a message.
     bomb = zstandard.ZstdCompressor(1).compress(bytes(60_000_000))
     with _rogue(target) as rogue:
         stream, writer = rogue.stream(rogue.route("/bomb", "tcp", Qos()))
@@ -207,10 +209,12 @@ def volatile(target: Target, tally: Tally) -> None:
         _drained(rogue)
         threading.Thread(target=_keep_alive, args=(rogue,), daemon=True).start()
         content = b"\x00\x01\x00\x00" + (1 << 16).to_bytes(4, "little") + b"x" * ((1 << 16) - 1) + b"\0"
+        # Nearly thrice the 512 MiB that a server keeps for slow subscribers of a link (docs/budgets.md).
         while tally["MB"] < 1500:
             stream.sendall(b"".join(writer.write(content, 0) for _ in range(16)))
             tally["MB"] += 1
             time.sleep(0.004)
+        # The link has to stay up, since the server drops all that it keeps for a link that ends.
         time.sleep(3600)
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 PINGING = 4
 """Links that ping; a server answers each four times a second."""
-_PING_EVERY = 0.26
+_PING_EVERY = 0.26  # s; a server answers four pings a second (docs/budgets.md)
 _LINK_EVERY = 0.75
 _GIVEN_UP_AFTER = 3.0
 """s, as a client gives an attempt to connect up."""
@@ -85,6 +85,7 @@ class Clients:
         pings: list[float] = []
         for each in self._pings:
             ended, pending = each.since(moment)
+            # A ping that still waits counts once it is late, or a server that stands still would have no slow pings.
             pings += [*ended, *([pending] if pending > 100 or not ended else [])]
         pings.sort()
         lost = sum(1 for at in self._lost if at >= moment)

@@ -42,6 +42,7 @@ def _connections(
     family = socket.AF_INET6 if ":" in target.host else socket.AF_INET
     for number in paced(hz):
         sock = socket.socket(family)
+        # A full backlog must not stop the attack.
         sock.settimeout(1.0)
         try:
             sock.bind((source(), 0))
@@ -104,6 +105,7 @@ def replay(target: Target, tally: Tally) -> None:
             sock.sendall(recorded)
             tally["first messages"] += 1
             answer = sock.recv(4096)
+            # This byte is the kind of a preamble frame; 3 is ACCEPT.
             tally["accepted" if answer[8:9] == b"\x03" else "refused"] += 1
             sock.setblocking(False)
             tally["bytes behind"] += sock.send(struct.pack(">I", 1 << 20) + bytes((1 << 20) - 1))
@@ -112,7 +114,7 @@ def replay(target: Target, tally: Tally) -> None:
 
 
 def slow(target: Target, tally: Tally) -> None:
-    """Hold as many connections as the server keeps, from eight hosts, each with a byte of a preamble just in time."""
+    """Hold twice as many connections as the server keeps, from eight hosts, with a byte of a preamble just in time."""
     said = struct.pack(">I", 4000) + b"rsb\x02\x01\x01\x06robot1" + bytes(3000)
     talking: dict[socket.socket, int] = {}
     hosts = [f"127.0.2.{number}" for number in range(1, 8)] + ["127.0.0.1"]
@@ -131,6 +133,7 @@ def slow(target: Target, tally: Tally) -> None:
                 sock.send(said[at : at + 1])
                 talking[sock] = at + 1
                 tally["bytes"] += 1
+                # All that the server may say before a proof is a refusal.
                 if select.select([sock], [], [], 0)[0]:
                     raise ConnectionError
             except OSError:

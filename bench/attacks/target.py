@@ -18,8 +18,6 @@ class Target(NamedTuple):
     """A server, and the attacker's own key for it.
 
     Attributes:
-        host: host of the server.
-        port: port of the server.
         domain: the server's ROS domain.
         secret: the key of the client ``rogue``, in hexadecimal digits; strangers have it too, but use it only to act as
             somebody who recorded that client.

@@ -33,17 +33,17 @@ TRAFFIC = "rsb_bridge.ros.measured_stream"
 ZenohPath: TypeAlias = Literal["", "peer", "router"]
 """How two sides meet over Zenoh: not at all, the client connects to the server, or both to a router."""
 _TYPE = "std_msgs/msg/String"
-_DEPTH = 2000
+_DEPTH = 2000  # messages, as in all figures of bench/README.md
 _HISTORY = 64 << 20
 """Most bytes that a publisher or a subscription keeps."""
 _LEAST_DEPTH = 4
 _QUIET = 0.7
 """Seconds without a message after which the wait ends."""
 _LOOK_EVERY = 0.05
-_READY_WITHIN = 20.0
+_READY_WITHIN = 20.0  # s for a start and for DDS to find its nodes. A round figure
 _ANSWERS_WITHIN = 5.0
-_OPENED_WITHIN = 60.0
-_WATCHED_FOR = 3.0
+_OPENED_WITHIN = 60.0  # s; 500 topics take 0.6 to 1.2 s on a quiet machine (bench/README.md, Opening 500 topics)
+_WATCHED_FOR = 3.0  # s, for three messages of each topic
 _STATE_EVERY = 0.1
 
 
@@ -80,6 +80,7 @@ class Bed:
         before = [process.cpu() for process in self.between]
         count = max(1, int(rate * seconds))
         reached = self.talker.ask(f"send {rate} {count} {size} {self.topics.get(size, 0)}")["rate"]
+        # At a low rate, two messages may be further apart than `_QUIET`.
         self._settle(count, max(_QUIET, 2 / rate))
         used = [process.cpu() - then for process, then in zip(self.between, before, strict=True)]
         report = self.listener.ask("report")
@@ -259,6 +260,7 @@ def listening(server: Process, port: int) -> float:
     while (now := time.monotonic()) < deadline and server.running:
         rows = [row.split() for row in Path("/proc/net/tcp").read_text().splitlines()[1:]]
         if any(row[1].endswith(wanted) and row[3] == "0A" for row in rows):  # TCP_LISTEN
+            # A later time could be after the first connection, which would seem to take less than nothing.
             return before
         before = now
         time.sleep(0.01)
@@ -277,6 +279,7 @@ def ready(bed: Bed) -> Bed:
             time.sleep(_LOOK_EVERY)
         if bed.first is None and bed.between:
             bed.first = time.monotonic() - bed.started
+    # The first messages meet empty caches, and are no measure of the others (bench/README.md, Method).
     bed.send(1000, 0.3, 1000)
     return bed
 

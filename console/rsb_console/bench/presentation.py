@@ -25,7 +25,8 @@ _LIMITS = {
 }
 _NONE = "-"
 BARELY = 0.8
-"""The share of the highest lossless rate from which on a topic has too little to spare."""
+"""The share of the highest lossless rate from which on a topic has too little to spare. A round figure: two runs on
+one machine differ (bench/README.md, Method)."""
 USUAL = (
     Load("an IMU", 320, 200),
     Load("a laser scan", 9_000, 40),
@@ -36,7 +37,7 @@ USUAL = (
     Load("a raw camera image of 1920 × 1080", 6_220_800, 30),
 )
 """Usual topics of robots, for a benchmark without a session."""
-_NAMED = 8
+_NAMED = 8  # topics in a sentence; the others are counted. A round figure
 _MARKS = "*o+x#@"
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours of Okabe and Ito, which colour-blind people can tell apart."""
@@ -177,7 +178,6 @@ def capacity(points: Iterable[Point], size: float) -> float:
 
     Args:
         points: points of one transport and direction.
-        size: bytes.
     """
     near = _nearest(points, size)
     if not near:
@@ -223,12 +223,14 @@ def _judge(load: Load, points: Sequence[Point]) -> Judged | None:
     by_way = {way: [each for each in points if (each.transport, each.direction) == way] for way in own}
     most = {way: capacity(its, load.size) for way, its in by_way.items()}
     way = max(own, key=lambda each: most[each])
+    # JSON has no infinity.
     share = min(load.rate / most[way], 1e9) if most[way] else 1e9
     at_most = _open_ended(by_way[way], load.size)
     return Judged(load, way[0], share, _verdict(share, at_most=at_most), at_most)
 
 
 def _verdict(share: float, *, at_most: bool) -> Literal["carried", "barely", "not", "unknown"]:
+    # Where the search was cut short, the link may carry more than was tried.
     if share <= (1.0 if at_most else BARELY):
         return "carried"
     if at_most:
@@ -261,6 +263,7 @@ def in_words(judged: Sequence[Judged], over: str, *, together: bool) -> list[str
     if by["unknown"]:
         lines.append(JudgingText.UNKNOWN(over=over, topics=join_first(by["unknown"], _NAMED)))
     total = sum(each.share for each in judged)
+    # Shares that are upper bounds only do not add up to a verdict.
     if together and len(judged) > 1 and not by["not"] and total > BARELY and not any(each.at_most for each in judged):
         text = JudgingText.TOGETHER_TOO_MUCH if total > 1 else JudgingText.TOGETHER_MOST
         lines.append(text(percent=100 * total))
@@ -294,6 +297,7 @@ class _Axis:
 
     def __init__(self, values: Sequence[float]) -> None:
         self.low = math.floor(math.log10(min(values)))
+        # An axis has one power of ten at least: with a single value, its length would be 0, and `at` divides by it.
         self.high = max(math.ceil(math.log10(max(values))), self.low + 1)
 
     def at(self, value: float) -> float:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _CPUCLOCK_SCHED = 2  # clock_getcpuclockid(3), as Linux makes the id of a process's clock
-_STOPS_WITHIN = 6.0
+_STOPS_WITHIN = 6.0  # s; a bridge ends within 5 s (docs/headless.md)
 
 
 class ChildError(BenchError):
@@ -103,6 +103,7 @@ class Process:
 
     def cpu(self) -> float:
         """Processor time so far, s, all threads."""
+        # This clock counts ns, /proc/PID/stat only ticks of 10 ms, which is much of a short run.
         return time.clock_gettime((~self.pid << 3) | _CPUCLOCK_SCHED)
 
     def memory(self) -> float:

@@ -122,6 +122,7 @@ class _Bridged:
 
     def _stop_soon(self) -> None:
         """End the process of a robot that has its own."""
+        # This runs on the server's thread, whose end `stop` waits for.
         threading.Thread(target=self.stop, daemon=True).start()
 
     def look(self) -> RobotRecord:

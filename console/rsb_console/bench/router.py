@@ -16,6 +16,7 @@ def main() -> None:
     config = zenoh.Config()
     config.insert_json5("mode", '"router"')
     config.insert_json5("listen/endpoints", json.dumps(sys.argv[1:]))
+    # With multicast, other Zenoh programs of the network would find the router.
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("transport/shared_memory/enabled", "false")  # a killed process would leave segments behind
     with zenoh.open(config):

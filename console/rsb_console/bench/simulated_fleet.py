@@ -33,7 +33,7 @@ ROBOTS = "rsb_console.bench.robots"
 USUAL = RobotTraffic((Talk("/pose", 10.0, 200), Talk("/status", 1.0, 200), Talk("/scan", 5.0, 2500)), ("/goal",))
 WITH_BATTERY = RobotTraffic((*USUAL.talks, Talk("/battery_state", 1.0, 0, BATTERY_STATE)), USUAL.hears)
 MOST_IN_ONE = 50
-"""Most robots in one process."""
+"""Most robots in one process, whose threads share an interpreter. A round figure."""
 _OPERATOR, _OPERATOR_KEY = "operator", "operator.key"
 _HOST = "127.0.0.1"
 _PORTS = range(20_000, 32_000)
@@ -164,6 +164,7 @@ class SimulatedFleet:
 
     def look(self) -> dict[str, RobotRecord]:
         """Return the record of each robot."""
+        # All are asked before the first one has answered, so that they work at the same time.
         for process in self.processes:
             process.tell("look")
         found: dict[str, RobotRecord] = {}
@@ -194,6 +195,7 @@ class SimulatedFleet:
 
     def stop(self) -> None:
         processes = [*self.processes, *filter(None, [self.control])]
+        # All get the signal first, since each may take seconds to end.
         for process in processes:
             process.signal(signal.SIGTERM)
         for process in processes:
@@ -215,11 +217,8 @@ def fleet(
     """Write the sessions and keys of a fleet; on exit, end all processes that were started.
 
     Args:
-        folder: folder for all files.
-        names: names of the robots.
         domain: the control side's domain.
         over: network of the links, one of `WAYS`.
-        load: traffic of each robot.
         control: the Python command that runs the control side's `rsb-console`.
         groups: groups to assign to the robots in turn, or empty.
         operated: whether each engine accepts an operator over Zenoh.

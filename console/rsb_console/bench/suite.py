@@ -25,12 +25,13 @@ if TYPE_CHECKING:
     from rsb_console.bench.results import BenchEnds, BenchPlace, BenchReport, Limit
 
 _FIRST_BYTES = 50e6
-"""First rate of a search, in bytes a second."""
+"""First rate of a search, in bytes a second. The figures here are round: a search that begins elsewhere takes a run
+more for each doubling or halving."""
 _FIRST_RATE = 5000.0
 _GENTLE_BYTES = 20e6
-_LEAST_MESSAGES = 5
+_LEAST_MESSAGES = 5  # large messages at a low rate would not come once in a run
 _TOO_FAST = 1.5
-_SLOWER_BY = 0.5
+_SLOWER_BY = 0.5  # far from a loss, which would count too few bytes
 TRIES = 2
 """Trials at each rate, as another program may cause one loss."""
 CLOSE = 1.1
@@ -74,8 +75,6 @@ class Suite:
     """The measurements in one place.
 
     Args:
-        place: place of the benchmark.
-        plan: extent of the benchmark.
         say: told what is being done.
     """
 
@@ -144,6 +143,7 @@ class Suite:
                     point = self._point(ends, way, size, base.get(size), first)
                     self._report.points.append(point)
                     if point.best is not None and at + 1 < sizes:
+                        # Larger messages carry more bytes a second: for the next size, twice as many are tried first.
                         first = max(1.0, point.best.rate * min(1.0, 2 * size / self._plan.sizes[at + 1]))
                 self._say(f"{way.transport} {way.direction}, idle")
                 self._report.sides[way.transport] = ends.sides(
@@ -174,6 +174,7 @@ class Suite:
             goes_on=lambda: self._clock() < min(self._share_ends, self._ends_at),
         )
         best, full = found.best, None
+        # The latency run shows at least that its own rate is carried.
         if best is None and found.limit == "time" and gentle.lossless:
             best = gentle
         if best is not None and best.wire is None:
@@ -191,6 +192,7 @@ class Suite:
         """Send at the plan's rates as far as they are carried, and as time remains."""
         runs = []
         for rate in self._plan.paced:
+            # A rate that loses messages has no percentiles: they would be of those that came.
             if rate > min(highest, _FIRST_BYTES / size) or self._clock() >= min(self._share_ends, self._ends_at):
                 break
             self._say(f"{what}, latency at {rate:,} msg/s")
@@ -261,11 +263,13 @@ def highest_lossless(
                 break
         if passed is None:
             bad = rate
+            # A link that carries nothing would have its rate halved for ever.
             if rate <= _LOWEST:
                 return Found(good, "loss")
         else:
             if good is None or passed.rate > good.rate:
                 good = passed
+            # A sender that falls behind cannot make a higher rate: what the link carries is not known.
             if passed.rate < _KEEPS_UP * rate:
                 return Found(good, "sender")
             if rate >= most:
@@ -280,7 +284,7 @@ def _next(good: float, bad: float) -> float:
     return good * 2 if good else max(_LOWEST, bad / 2)
 
 
-_ANSWERED_WITHIN = 60.0
+_ANSWERED_WITHIN = 60.0  # s; a run takes 30 s at most (`MOST_SECONDS`)
 _ENDED_WITHIN = 5.0
 _ALONE = 0.01
 """Share of the benchmark's bytes up to which other topics' bytes are ignored."""

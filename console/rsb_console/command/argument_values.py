@@ -11,12 +11,12 @@ from rsb_bridge.model.wording import Wording
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_REMEMBERED = 120  # seconds
+_REMEMBERED = 120  # seconds that the engine keeps counts of: `telemetry.meters.HISTORY`
 TRANSPORTS = get_args(Protocol)
 _UNITS = {"": 1, "b": 1, "k": 1_000, "kb": 1_000, "m": 1_000_000, "mb": 1_000_000}
-_LEAST, _MOST = 64, 16_000_000
-_MOST_DOMAIN = 101
-_MOST_TOPICS = 500
+_LEAST, _MOST = 64, 16_000_000  # bytes; a stamp needs 20 (`known_messages`), a bridge takes 16 MiB (`model.benchmark`)
+_MOST_DOMAIN = 101  # from 102 on, Linux gives a domain's ports to other programs
+_MOST_TOPICS = 500  # as many as were ever measured: bench/README.md, Opening 500 topics
 
 
 class ValueProblem(Wording):
@@ -70,6 +70,7 @@ def timeout(text: str) -> float:
         argparse.ArgumentTypeError: it is not a number from 0 on.
     """
     parsed = _number(text)
+    # `Future.result` raises an OverflowError for infinity.
     if not 0 <= parsed < float("inf"):
         raise argparse.ArgumentTypeError(ValueProblem.NOT_A_TIMEOUT(text=text))
     return parsed
@@ -96,6 +97,7 @@ def window_seconds(text: str) -> int:
     Raises:
         argparse.ArgumentTypeError: it is not a whole number from 1 to 120.
     """
+    # `isdigit` takes ², too, which `int` refuses, as it refuses more than 4,300 digits.
     if not (text.isascii() and text.isdigit()) or not 1 <= int(text[:4]) <= _REMEMBERED:
         raise argparse.ArgumentTypeError(ValueProblem.NOT_A_WINDOW(text=text, limit=_REMEMBERED))
     return int(text)
@@ -122,6 +124,7 @@ def sizes(text: str) -> tuple[int, ...]:
     Raises:
         argparse.ArgumentTypeError: one is none.
     """
+    # `256,256b` is one size, which would be measured twice.
     return tuple(dict.fromkeys(_size(part) for part in text.split(",")))
 
 
@@ -130,7 +133,7 @@ def _size(part: str) -> int:
     unit = part.strip()[len(digits) :].lower()
     try:
         size = round(float(digits) * _UNITS[unit])
-    except (ValueError, KeyError, OverflowError):
+    except (ValueError, KeyError, OverflowError):  # 1e999 is infinite, which `round` does not take
         size = 0
     if not _LEAST <= size <= _MOST:
         raise argparse.ArgumentTypeError(ValueProblem.NOT_A_SIZE(text=part, least=_LEAST))

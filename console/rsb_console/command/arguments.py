@@ -54,6 +54,7 @@ _DEBUG = "show a failure's traceback"
 def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     """Return the parser and the names of the commands; parsed arguments have the function to run as `command`."""
     debug = _CommandParser(add_help=False)
+    # Without SUPPRESS, the default of a command's parser would overwrite the --debug that stands before the command.
     debug.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=_DEBUG)
     parser = argparse.ArgumentParser(
         prog="rsb-console",
@@ -118,6 +119,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     summary = "print the completion script for a shell"
     script = command("completion", lazily("script", "completion"), summary, _COMPLETION)
     script.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "fish"), help="bash, zsh or fish")
+    # A session file may take a command's place: `rsb-console SESSION` runs it.
     _complete(subparsers, "yaml_files")
     for added in subparsers.choices.values():
         _add_debug(added)
@@ -216,6 +218,7 @@ class _CommandParser(argparse.ArgumentParser):
         args = self._bridge_first(args)
         if self._intermixes:  # argparse calls this for the options, then for the rest
             return super().parse_known_args(args, namespace)
+        # argparse refuses to intermix options with the words of subcommands.
         plain = self._subparsers or not {"-h", "--help"}.isdisjoint(
             args or ()
         )  # mixed, the help would leave things out
@@ -225,6 +228,7 @@ class _CommandParser(argparse.ArgumentParser):
             found, unknown = parse(args, namespace)
         finally:
             self._intermixes = False
+        # The main parser would also refuse them, but with its own usage instead of this command's.
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return found, []
@@ -244,6 +248,7 @@ class _CommandParser(argparse.ArgumentParser):
             return words[0] not in known and known.issuperset(words[1:2])
         if {action.dest for action in own}.isdisjoint(("topic", "topics")):
             return False
+        # `ack NAME LINK` has no slash that gives the topic away: the number of words decides.
         one_too_many = all(action.nargs is None for action in own) and len(words) == len(own) + 1
         return one_too_many or any(word.startswith(("/", "*")) for word in words[1:])
 
@@ -256,7 +261,7 @@ class _Version(argparse.Action):
     """Looks the version up only when asked: the package metadata takes a while to find."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from importlib.metadata import version  # noqa: PLC0415 (only while a shell completes)
+        from importlib.metadata import version  # noqa: PLC0415 (see above)
 
         print_line(f"rsb-console {version('rsb-console')}")
         parser.exit()
@@ -284,6 +289,7 @@ def add_bench_command(command: AddCommand, complete: Complete) -> None:
     """Add `bench`; for the arguments see `rsb_console.command.remote_arguments.add_remote_commands`."""
     parser = command("bench", lazily("bench", "bench_command"), "measure what this machine, or a link, carries", _BENCH)
     which = "a running bridge, or its session file"
+    # Without SUPPRESS, the default of the missing word would overwrite --bridge.
     name = parser.add_argument("bridge", metavar="NAME", nargs="?", default=argparse.SUPPRESS, help=which)
     complete(name, "bridges_and_files")
     complete(parser.add_argument("--bridge", metavar="NAME", help="the same"), "bridges_and_files")

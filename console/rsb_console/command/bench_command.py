@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
 _ERASE = "\r\x1b[K"
 _BOTH = ("transmit", "receive")
-_DOMAINS = 92, 93
-_LINKED_WITHIN = 3.0
+_DOMAINS = 92, 93  # a demo may take them (82 to 101): --domains gives others
+_LINKED_WITHIN = 3.0  # s. A round figure: with a link that takes longer, the command has to be given again
 _LOOK_EVERY = 0.1
 
 
@@ -62,6 +62,7 @@ class Progress:
     def show(self, text: str) -> None:
         """Show a line in the place of the one before."""
         if self._shows:
+            # One cell stays free: some terminals wrap a full line, of which `_ERASE` erases the second half only.
             self._write(f"{_ERASE}{one_line(text)[: shutil.get_terminal_size().columns - 1]}")
 
     def _write(self, text: str) -> None:
@@ -128,6 +129,7 @@ def _over_link(arguments: Namespace) -> int:
             f"The link of {engine.bridge.name} with {link.peer or link.name}", f"{machine()} on this side"
         )
         try:
+            # Over a link, no topics are opened: left in the plan, they would make the report say that the time was up.
             code = _measure(place, report, replace(_plan(arguments), many=()))
         finally:
             place.close()
@@ -158,6 +160,7 @@ def _linked(engine: RemoteEngine, name: str) -> LinkSnapshot:
     deadline = time.monotonic() + _LINKED_WITHIN
     while True:
         links = engine.snapshot().links
+        # A server that has just started has no link yet: until then the name may be right.
         if links:
             check_link(engine, name)
             link = _chosen_link(links, name)
@@ -200,6 +203,7 @@ def _loads_of_running_bridges() -> list[Load]:
 
 def _measure(place: BenchPlace, report: BenchReport, plan: Plan) -> int:
     """Fill the report and return the exit code; after an interrupt, keep the results so far."""
+    # `CleanErrors` would escape the codes of `_ERASE`; `show` cleans its text itself.
     with Progress(getattr(sys.stderr, "raw", sys.stderr)) as progress:
         try:
             Suite(place, plan, report, time.monotonic, progress.show).run()
@@ -213,6 +217,7 @@ def _measure(place: BenchPlace, report: BenchReport, plan: Plan) -> int:
 
 
 def _plan(arguments: Namespace) -> Plan:
+    # A short --seconds shortens each run, too, or the first one (3 s) would outlast it. A 20th is a round figure.
     plan = QUICK if arguments.quick else FULL
     wanted = {
         "sizes": tuple(sorted(arguments.sizes)) if arguments.sizes else None,
@@ -229,6 +234,7 @@ def _finish(
     report: BenchReport, loads: Sequence[Load], over: str, arguments: Namespace, code: int, *, together: bool
 ) -> int:
     """Judge, print and draw. Return the exit code."""
+    # JSON has the notes among its fields, and an interrupt has its own ending below.
     if not (report.points or arguments.json or report.ended == "interrupted"):
         return failed(arguments, "; ".join(report.notes) or "nothing could be measured", code)
     report.judged = judge(loads, report.points)

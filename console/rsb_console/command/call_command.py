@@ -38,11 +38,12 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot
 
 _CHECKED_EVERY, _REPORTED_EVERY = 0.5, 30.0
-"""Seconds between checks of a goal's state, and between reports of an unchanged state."""
+"""Seconds between checks of a goal's state, and between reports of an unchanged state. Round figures."""
 _GOAL = re.compile(r"[0-9a-fA-F]{32}")
 _NEW_GOAL = "# goal_id: "
 _AT_ONCE = 50
-"""Most parameters to request in one call."""
+"""Most parameters to request in one call: a bridge cuts a long response
+(`config.fields_text.STEPS`), and then the dump fails. A round figure."""
 
 
 class CallProblem(Wording):
@@ -69,6 +70,7 @@ def run(name: str, arguments: Namespace) -> int:
 
 
 def _call(arguments: Namespace) -> int:
+    # The fields are read first, since the command's time counts from the end of standard input.
     request = fields_from(arguments, arguments.request)
     with attached(arguments, expires=True) as engine:
         route = chosen_route(engine, arguments)
@@ -91,6 +93,7 @@ def _lane(route: RouteSnapshot, lane: str) -> str:
     Raises:
         UsageError: it has none of that name.
     """
+    # A plain service has one lane, without a name.
     if lane in (route.lanes or ("",)):
         return lane
     lanes = [each for each in route.lanes if each]
@@ -106,7 +109,6 @@ def response(engine: RemoteEngine, route: RouteSnapshot, request: str, lane: str
     """Call a service and return its response as YAML.
 
     Args:
-        engine: engine of the bridge.
         request: fields of the request, as YAML.
         lane: name of the service, if the route has several.
         timeout: s, or None for the route's own timeout, which does not limit a goal's result.
@@ -117,8 +119,10 @@ def response(engine: RemoteEngine, route: RouteSnapshot, request: str, lane: str
     """
     future = engine.call(route.key, request, lane)
     patient = any(each.patient for each in LANES[route.spec.kind] if each.name == lane)
+    # The bridge ends the call itself after `call_timeout`; the rest is for its own answer.
     if timeout is None and not patient:
         return future.result(route.spec.call_timeout + ANSWERED_WITHIN)
+    # A goal's identifier may have the dashes of a UUID.
     goal = _GOAL.search(request.replace("-", "")) if patient else None
     return _awaited(engine, route, future, timeout, goal.group().lower() if goal else "")
 
@@ -185,6 +189,7 @@ def _set(arguments: Namespace) -> int:
     if arguments.type not in ("", *KIND_NAMES):
         raise UsageError(CallProblem.PARAMETER_TYPE_UNKNOWN(type=arguments.type, known=", ".join(KIND_NAMES)))
     try:
+        # An empty word means an empty text; as YAML it would be no value.
         request = set_request(arguments.parameter, arguments.value or "''", arguments.type)
     except FieldError as error:
         raise UsageError(CallProblem.PARAMETER_VALUE_INVALID(value=arguments.value, problem=error)) from None
@@ -219,6 +224,7 @@ def _describe(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         route = chosen_route(engine, arguments)
         answer = _ask(engine, route, "describe_parameters", {"names": [arguments.parameter]})
+    # For an unknown name, a node in C++ answers with no descriptor, one in Python with an empty one.
     found = answer.get("descriptors") or [{"type": 0}]
     number = found[0]["type"]
     if not 1 <= number <= len(KINDS):
@@ -247,6 +253,7 @@ def _values(engine: RemoteEngine, route: RouteSnapshot, names: list[str], *, who
             raise EngineError(CallProblem.TOO_MUCH_TO_DUMP(node=route.topic, note=note))
         print_error(note)
     values = _fields(route, text).get("values") or []
+    # If one name is unknown, a node in C++ answers with no values at all.
     return [value_of(each) for each in values] + [None] * (len(names) - len(values))
 
 

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Client, Session, Topic
 
 _NAMED = 6
+"""Names in a line; the others are counted. A round figure."""
 
 
 class SessionCheckText(Wording):
@@ -127,6 +128,7 @@ def _demands_on(
     if demand.limits is not None:
         lines = ", ".join(describe(source, places) for source in demand.limited_by)
         limit += SessionCheckText.LIMITED(limits=demand.limits, lines=lines)
+    # A demand may be about age or limits only.
     if not demand.arm:
         return limit
     keys = f"within {demand.deadman:g} s" if demand.deadman else "never"
@@ -283,6 +285,7 @@ def check_session(arguments: Namespace) -> int:
         print_line(line)
     for line in chain(rights(session), hints(session)):
         print_line(line)
+    # Each key is read once, so that lines and exit code agree even if a file changes meanwhile.
     keys = dict(session_keys(session, path.parent))
     for line in _key_lines(session, keys):
         print_line(line)

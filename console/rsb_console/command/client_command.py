@@ -105,6 +105,7 @@ def run(name: str, arguments: Namespace) -> int:
             print_line(json_line({"ok": False, "error": str(error)}))
         else:
             print_error(str(error))
+        # A disk or a key that refuses is no wrong usage: the same words may work later.
         return FAILURE if isinstance(error, UnwritableError | KeyFileError) else USAGE
 
 
@@ -115,6 +116,7 @@ def _add(arguments: Namespace) -> int:
     path = _session_path(arguments)
     client_files.check_address(arguments.name, arguments.address)
     output: Path | None = arguments.output
+    # This is checked first: an error after the change would leave a client whose robot has no file.
     if output is not None and is_there(output):
         raise ClientError(ClientCommandProblem.OUTPUT_EXISTS(path=output))
     client = Client(
@@ -139,6 +141,7 @@ def _grants(entries: list[str]) -> tuple[str | Grant, ...]:
 
 def _rekey(arguments: Namespace) -> int:
     path = _session_path(arguments)
+    # Only the key changes: what the robot's session file says stays true.
     if (arguments.keep_old or arguments.finish) and (arguments.output or arguments.address):
         raise ClientError(ClientCommandProblem.OUTPUT_OF_ROTATION())
     if arguments.keep_old:
@@ -177,6 +180,7 @@ def _begin_rotation(arguments: Namespace, path: Path) -> int:
 def _finish_rotation(arguments: Namespace, path: Path) -> int:
     name = arguments.name
     link = _links(path, arguments.control).get(name)
+    # --yes does not help here: the robot that is linked now would be shut out.
     if link is not None and link.state is State.OK and link.fingerprint != link.next_fingerprint:
         raise EngineError(ClientCommandProblem.OLD_KEY_IN_USE(name=name, fingerprint=link.fingerprint))
     linked = link is not None and link.state is State.OK
@@ -329,6 +333,7 @@ def _session_path(arguments: Namespace) -> Path:
     """
     if arguments.session is not None:
         path: Path = arguments.session
+        # A missing file is returned, too: opening it gives the reason.
         return path if is_there(path) else _file_of(str(path)) or path
     try:
         bridge = _only_server(arguments) or chosen_bridge(arguments)
@@ -376,8 +381,6 @@ def _tell(
 
     Args:
         arguments: command line with the client's name and perhaps the control socket.
-        path: path of the session file.
-        command: command to give to the bridge.
         done: describes the effect, given whether the client was linked.
 
     Returns:
@@ -411,7 +414,7 @@ def _links(path: Path, control: Path | None) -> dict[str, LinkSnapshot]:
     try:
         engine.start()
         return {link.name: link for link in engine.snapshot().links}
-    except EngineError:
+    except EngineError:  # the file alone answers, without states
         return {}
     finally:
         engine.stop()

@@ -58,9 +58,11 @@ def complete(parser: ArgumentParser, commands: Collection[str]) -> None:
     """
     line = os.environ.get("COMP_LINE", "")
     words = line.split()
+    # An unfinished second word may still become a command.
     if len(words) + line.endswith(" ") > 2 and words[1] not in (*commands, "--debug"):
         os.environ["COMP_LINE"] = line.replace(words[0], f"{words[0]} run", 1)
         os.environ["COMP_POINT"] = str(int(os.environ["COMP_POINT"]) + len(" run"))
+    # Without its own default, argcomplete offers files for every word.
     argcomplete.autocomplete(parser, default_completer=_files_where_a_path_is_due)
     sys.exit()
 
@@ -225,6 +227,7 @@ def _choices(annotation: Any) -> list[str]:
 
 
 _VALUES = {field.name: _choices(field.type) for field in fields(Topic)}
+# These are the values of the key `provider`, whose field is the direction; a topic's direction is no key.
 _VALUES |= {"qos": [AUTO, *PROFILES], "direction": ["client", "server"], "type": [AUTO]}
 
 
@@ -243,7 +246,9 @@ def _asked(arguments: Namespace, ask: Callable[[RemoteEngine], list[str]]) -> li
         with attached(arguments, read_only=True) as engine:
             found.extend(dict.fromkeys(ask(engine)))
 
+    # A traceback would be written into the line that the operator types.
     threading.excepthook = lambda _: None
+    # A daemon does not keep the process, and the shell, waiting for a bridge that hangs.
     asking = threading.Thread(target=work, daemon=True)
     asking.start()
     asking.join(_WAITS)

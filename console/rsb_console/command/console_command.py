@@ -81,6 +81,7 @@ def run_console(
 
 def run_app(app: TerminalApp[T], *, mouse: bool) -> T | None:
     """Run an app in the terminal and return its result. `TerminalApp.shutdown_reason` has the reason for its end."""
+    # The handlers come before the terminal is prepared: a SIGTERM meanwhile has to leave it as it was, too.
     shut_down_on_signals(app.shut_down_soon)
     returned = None
     try:
@@ -112,10 +113,12 @@ def _finish(app: ConsoleApp, on_hangup: str) -> int:
     """Stop the engine, or bridge on without the app. Return the exit code."""
     crashed = app.shutdown_reason is ShutdownReason.CRASH
     hung_up = app.shutdown_reason is ShutdownReason.HANGUP
+    # This reports the crash, before `bridge_on` prints hours of log.
     code = _exit_code(app)
     if app.engine is not None and not app.attached_to and (crashed or (hung_up and on_hangup == "continue")):
         from rsb_console.command.headless import bridge_on  # noqa: PLC0415 -- seldom needed
 
+        # Nobody presses keys any more, so that nothing may stay armed for this console.
         app.engine.do(ReleaseArmed())
         code = bridge_on(app.engine, crashed=crashed)
     app.stop()
@@ -152,6 +155,7 @@ def run_fleet(
         robot = run_app(app, mouse=mouse)
         if robot is None or app.shutdown_reason is not ShutdownReason.QUIT:
             return _exit_code(app)
+        # Each app is a new one, and the operator's choice of a theme would be lost with each robot that is opened.
         theme = app.theme
         console = RobotApp(
             None,

@@ -36,9 +36,10 @@ if TYPE_CHECKING:
     from rsb_console.session.demo_session import Demo
 
 GROUPS = ("hall", "yard")
+# Seconds, for a busy machine. On a quiet one, the topics of ten robots flow after 3.6 s (bench/README.md, A fleet).
 _OPEN_WITHIN, _SEEN_WITHIN, _WELL_WITHIN = 60.0, 10.0, 60.0
 _AFTER = 5.0
-"""Seconds until the first trouble."""
+"""Seconds until the first trouble, as docs/one-machine.md says."""
 _AWAY, _THERE = 10.0, 20.0
 """Seconds for which the robot that comes and goes is away, and then present."""
 _LOOK_EVERY = 0.2
@@ -103,6 +104,7 @@ def _print_counts(demo: Demo) -> int:
     failed = []
     for sender, receiver in ((demo.robot, demo.desk), (demo.desk, demo.robot)):
         for topic, published in sender.published.items():
+            # Nobody bridges /battery_state until the operator adds it.
             if all(topic != bridged.topic for bridged in demo.session.topics):
                 continue
             received = receiver.received.get(topic, 0)
@@ -119,7 +121,6 @@ def run_fleet_demo(robots: int, *, ui: bool, seconds: float | None) -> int:
     """Run a fleet on its screen until the operator quits; or headless, and sum it up at the end.
 
     Args:
-        robots: number of robots.
         ui: run on the fleet's screen instead of headless.
         seconds: s to run headless once all robots are linked, or None to run until a signal.
 
@@ -160,6 +161,7 @@ def simulated(robots: int) -> Iterator[Simulated]:
         stack.callback(SimulatedPart.start("listener", domain, Path(folder), *topics).stop)
         control = running.start_control()
         running.start_robots(running.names)
+        # Robots that start earlier would fail to link at first, and try again after their pause.
         listening(control, running.session)
         running.look()  # all processes answer
         yield running
@@ -189,6 +191,7 @@ def _on_screen(running: Simulated, signals: Signals) -> int:
         try:
             code = run_fleet(shown, readonly=False, ascii_only=False, theme=None, mouse=True, after_quit=_AFTER_QUIT)
         finally:
+            # Without this, the executor's end would wait for `trouble` for ever.
             over.set()
         troubling.result()
     return code
@@ -231,6 +234,7 @@ def trouble(running: Simulated, over: Callable[[], bool]) -> bool:
     due = [(began + _AFTER, faulty, ("mute", _FAULTY)), (began + _THERE, restless, ("stop",))]
     while not over():
         now = time.monotonic()
+        # The loop changes `due`, and goes over a copy.
         for at, name, words in [each for each in due if each[0] <= now]:
             due.remove((at, name, words))
             running.tell(name, *words)
@@ -251,7 +255,6 @@ def heard(shown: RobotFleet, engines: int, as_they_are: Callable[[], bool]) -> l
     wrong, wait until nothing is.
 
     Args:
-        engines: number of engines.
         as_they_are: whether something is meant to be wrong, or nobody waits for it to become well.
     """
     asked = time.time()

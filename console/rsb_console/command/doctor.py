@@ -26,7 +26,7 @@ _WORDS = {Grade.WARNING: "WARNING", Grade.ERROR: "ERROR"}
 _NOUNS = {Grade.ERROR: "error", Grade.WARNING: "warning"}
 _INDENT = 25
 _REMEDY = " " * 9 + "> "
-_NARROW, _WIDE = 60, 120
+_NARROW, _WIDE = 60, 120  # columns between which the lines follow the terminal: round figures
 
 
 class DoctorText(Wording):
@@ -36,12 +36,7 @@ class DoctorText(Wording):
 
 
 def run_doctor(path: Path | None, more: Iterable[Check], *, as_json: bool) -> int:
-    """Examine this machine, and what a session needs of it.
-
-    Args:
-        path: of the session file, or None.
-        as_json: whether to print JSON.
-    """
+    """Examine this machine, and what a session needs of it."""
     try:
         session = None if path is None else load(path)
     except SessionError as error:
@@ -89,6 +84,7 @@ def lines(findings: Iterable[Finding], columns: int) -> Iterator[str]:
 
 def _wrapped(head: str, text: str, width: int) -> list[str]:
     indent = " " * len(head)
+    # Commands and paths in a text stay whole, so that they can be copied.
     return textwrap.wrap(
         text, width, initial_indent=head, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )

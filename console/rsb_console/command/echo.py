@@ -27,7 +27,7 @@ _WIDTH = 1 << 20
 """Width in cells, large enough that lines are never wrapped, for `grep` and similar tools."""
 _ITEMS = 128  # as `ros2 topic echo`
 _ALL = 1 << 20  # elements, and values: a message comes with as many bytes at most
-_HEX = 512  # bytes
+_HEX = 512  # bytes, in 32 lines: a round figure
 _NEVER = float("inf")
 
 
@@ -42,13 +42,15 @@ def echo(engine: EngineApi, route: RouteSnapshot, arguments: Namespace) -> bool:
     types = KnownTypes(time.monotonic)
     printed = 0
     while count is None or printed < count:
+        # With `kept`, each question would bring the same latched message again.
         pending = engine.peek(route.key, kept=printed == 0)
         try:
+            # `Future.result` raises an OverflowError for infinity.
             peeked = pending.result(None if deadline == _NEVER else max(0.0, deadline - time.monotonic()))
         except LateError:
             pending.cancel()
             return False
-        if peeked is None:
+        if peeked is None:  # the bridge gives up after a while, this command does not
             continue
         description, why = types.get(peeked.type_hash) or types.put(peeked.type_hash, *_described(engine, route))
         whole = arguments.full_length or (arguments.json and arguments.arrays)
@@ -58,6 +60,7 @@ def echo(engine: EngineApi, route: RouteSnapshot, arguments: Namespace) -> bool:
             print_line(json.dumps(as_json(route, read)))  # in ASCII: a terminal may obey some other characters
         else:
             print_lines(as_text(read, arrays=arguments.arrays))
+        # A reader behind a pipe gets each message when it comes, and not after 8 kB.
         sys.stdout.flush()
         printed += 1
     return True

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
 
-_EVERY = 1.0
-_LOOK_EVERY = 0.05
+_EVERY = 1.0  # as `ros2 topic hz`
+_LOOK_EVERY = 0.05  # a bridge renews its snapshot each 0.25 s while somebody looks (`telemetry.snapshot_publisher`)
 _SHORTEST = 0.9
 """Least time in seconds for figures; a snapshot may be a little early."""
 _LEDGER_FROM = 1.9
@@ -96,9 +96,11 @@ class SnapshotWindow:
             The figures since the oldest snapshot of the window, or None if that is too new.
         """
         looks = self._looks
+        # The wall clock may be set back, across which there is no rate.
         if looks and (moment <= looks[-1][0] or _began_again(looks[-1][1], route)):
             looks.clear()
         looks.append((moment, route))
+        # The newest one that is as old as the window stays, so that the figures are of the whole window.
         while len(looks) > 2 and looks[1][0] <= moment - self._seconds:
             looks.popleft()
         began, first = looks[0]
@@ -112,6 +114,7 @@ class SnapshotWindow:
             size=route.bytes_total - first.bytes_total,
             offered=route.ledger.offered - first.ledger.offered,
             delivered=route.ledger.delivered - first.ledger.delivered,
+            # This count may fall: a message that counts as lost on the way may still be reported as delivered.
             dropped=max(0, route.ledger.dropped_total - first.ledger.dropped_total),
             each_second=route.history[-self._seconds :],
         )
@@ -160,6 +163,7 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
             now = _newer(engine, moment, due)
             moment, route = now.time, _find(engine, now, route)
             figures = window.add(moment, route)
+            # Lines that a stall has delayed are not made up for.
             due = max(due + _EVERY, time.monotonic())
             if figures is None:
                 continue
@@ -174,7 +178,9 @@ def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
 
 def measured(engine: RemoteEngine, route: RouteSnapshot, seconds: float) -> Figures | None:
     """Take figures of a topic over some seconds, or None if its bridge has no newer snapshots of it."""
+    # The window is longer than the span, so that the first snapshot stays in it.
     window, ends = SnapshotWindow(round(seconds) + 1), time.monotonic() + seconds + 1
+    # The route that the command has chosen may be older: its counts would make rates up to twice as high.
     first = engine.snapshot()
     if (route_first := _same_route(first, route)) is None:
         return None

@@ -88,6 +88,7 @@ def sources_of(arguments: Namespace) -> list[FleetSource]:
     names: dict[str, int] = {}
     for server in servers:
         names[server.name] = names.get(server.name, 0) + 1
+    # Two servers of one name differ by their sockets only.
     return [
         ServerFleet(server.name if names[server.name] == 1 else str(server.path), server.path) for server in servers
     ]
@@ -98,7 +99,6 @@ def _fleet(arguments: Namespace, *, wait: bool = True) -> Iterator[RobotFleet]:
     """Open the fleet that the arguments name, for the duration of a block.
 
     Args:
-        arguments: arguments of the command.
         wait: until the robots have said how they are.
     """
     fleet = RobotFleet(sources_of(arguments), Memory(memory_path()), Clock())
@@ -125,6 +125,7 @@ def _show(arguments: Namespace) -> int:
         return USAGE
     from rsb_console.command.console_command import run_fleet  # noqa: PLC0415 (needs Textual)
 
+    # The screen opens at once, and its rows fill in: over Zenoh, the wait may take 5 s.
     with _fleet(arguments, wait=False) as fleet:
         return run_fleet(
             fleet,
@@ -139,6 +140,7 @@ def _print(arguments: Namespace) -> int:
     with _fleet(arguments) as fleet:
         deadline = time.monotonic() + arguments.seconds
         robots = fleet.robots()
+        # One long sleep would not do: an attached engine renews its snapshot only while somebody asks for it.
         while time.monotonic() < deadline:
             time.sleep(min(_LOOK_EVERY, arguments.seconds))
             robots = fleet.robots()
@@ -202,6 +204,7 @@ def _exec(arguments: Namespace) -> int:
             else:
                 for line in lines or ["done" if code == OK else f"not done (exit code {code})"]:
                     print_line(f"{robot.summary.name}: {line}")
+                # The next robot may take a while to answer.
                 sys.stdout.flush()
     failed = [code for code in codes if code != OK]
     if arguments.json:
@@ -238,6 +241,7 @@ def _run_on(robot: Robot, command: Namespace, *, as_json: bool) -> tuple[int, li
     """Run a command on a robot; return its exit code and its printed lines."""
     command.attach = partial(robot.source.open, robot.summary.name)
     command.json = command.json or as_json
+    # `shell.encoded` needs the stream's encoding, which a StringIO does not have.
     printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", newline="\n")
     with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
         code: int = command.command(command)

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Event, LinkSnapshot, PatternSnapshot, RefusedClient, RouteSnapshot, Snapshot
 
 _SHOWN_IN_STATUS = 8
+"""Causes or names in a status line; the others are counted. A round figure."""
 _REPEATED_AFTER = 60.0
-"""s after which a status line repeats an unchanged cause."""
+"""s after which a status line repeats an unchanged cause. A round figure."""
 _Subject: TypeAlias = tuple[str, ...]
 _Item: TypeAlias = tuple[_Subject, str, str, str]
 """Subject, state and cause, text, and text without the cause (left out if empty)."""
@@ -98,12 +99,14 @@ class StatusLines:
 
     def _new_texts(self, now: float, *groups: list[_Item]) -> list[str]:
         """Return the texts to print: with the cause where it is new or was printed a minute ago, else without."""
+        # A cause that is gone is forgotten: when it comes back, it is new.
         printed, self._printed = self._printed, {}
         parts: list[str] = []
         for group in groups:
             texts = []
             for number, (key, how, text, brief) in enumerate(group):
                 before, at = printed.get(key, ("", 0.0))
+                # Below 0, the clock was set back: the cause is repeated, and not left out until the clock catches up.
                 is_known = before == how and 0 <= now - at < _REPEATED_AFTER
                 if number < _SHOWN_IN_STATUS or is_known:  # otherwise the line had no room for it
                     self._printed[key] = (how, at if is_known else now)

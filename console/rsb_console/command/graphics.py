@@ -38,8 +38,11 @@ _SIXEL_ATTRIBUTE = b"4"
 _DEFINED = re.compile(r"#([0-9]+);2;[0-9]+;[0-9]+;[0-9]+")
 """The definition of a colour, which in xterm does not select it, too. textual-image 0.13 and newer does select it."""
 _IMAGE = 1
+"""The number of the image, always the same, so that a terminal keeps one image and not all of them."""
 _CHUNK = 4096
+"""Bytes that the protocol allows in one sequence."""
 _USUAL_CELL = 10.0, 20.0
+"""Pixels of a cell, for terminals that do not tell theirs: most fonts are twice as high as wide."""
 _FINEST = 1200
 """Pixels in each direction of an image in sixels, which are large and slow to draw."""
 
@@ -73,12 +76,14 @@ def asked(read_from: int, write_to: int) -> bytes:
     before = termios.tcgetattr(read_from)
     answer, deadline = b"", time.monotonic() + _ANSWERS_WITHIN
     try:
+        # This drops the keys typed before, which would be taken for the answer.
         tty.setcbreak(read_from)
         os.write(write_to, _QUESTION)
         while _DEVICE.search(answer) is None and (left := deadline - time.monotonic()) > 0:
             if select.select([read_from], [], [], left)[0]:
                 answer += os.read(read_from, 1024)
     finally:
+        # FLUSH drops the unread rest of an answer, which the shell would take for keys.
         termios.tcsetattr(read_from, termios.TCSAFLUSH, before)
     return answer
 
@@ -122,11 +127,12 @@ def _kitty(image: bytes, columns: int, rows: int) -> str:
     """Return the sequence that transmits a PNG file and displays it; one of the same id replaces the one before."""
     encoded = base64.b64encode(image).decode()
     chunks = [encoded[at : at + _CHUNK] for at in range(0, len(encoded), _CHUNK)]
+    # C=1 leaves the cursor where it is. q=2 keeps the terminal from answers, which would be read as keys.
     keys = f"a=T,f=100,i={_IMAGE},p=1,c={columns},r={rows},C=1,q=2,"
     parts = []
     for number, chunk in enumerate(chunks, 1):
         parts.append(f"\x1b_G{keys}m={int(number < len(chunks))};{chunk}\x1b\\")
-        keys = ""
+        keys = ""  # only the first chunk may have them
     return "".join(parts)
 
 

@@ -35,11 +35,12 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import Reloaded, Snapshot
 
-STATUS_EVERY = 5.0
+STATUS_EVERY = 5.0  # s, as the help of --status-every says. A round figure
 _WAIT = 0.1
 """Seconds after which a signal is noticed, at the latest: until then, a robot that is driven goes on."""
 _LOOK_EVERY = 1.0
 """Seconds between checks of an idle engine: no more often than it renews its snapshot."""
+# These two and `_WAIT` are less than the 5 s that docs/headless.md promises.
 _STOPS_WITHIN = 4.0
 _WRITTEN_WITHIN = 0.5  # s, of the 5 s in which the program must end even if its peer or its reader hangs
 WAITING_LIMIT = 1 << 20
@@ -66,16 +67,17 @@ def run_headless(
         path: the session's file; key files are relative to its folder.
         log_format: ``text`` or ``json`` (one object a line).
         on_hangup: ``continue`` goes on when the terminal goes away; ``stop`` ends cleanly.
-        status_every: s between status lines.
         control: path of the control socket, or None for one in the user's folder.
 
     Returns:
         The exit code.
     """
+    # Fast DDS prints to standard output, where programs read a log of JSON.
     keep_output_clean()
     engine = Engine(session, base=path.parent, state=state_folder(os.environ))
     engine.use_file(path)
     ignore_hangup = on_hangup == "continue"
+    # The signals are caught before the start, so that a signal meanwhile ends the bridge in order.
     with (
         Signals(ignore_hangup=ignore_hangup, has_terminal=_has_terminal()) as signals,
         contextlib.ExitStack() as resources,
@@ -127,7 +129,7 @@ def bridge_until_told(
     Args:
         signals: entered already, so that no signal is missed.
         log_format: as for `run_headless`.
-        status_every: as for `run_headless`.
+        status_every: s between status lines.
         seconds: s after which it stops by itself, or None to run on.
         supervisor: gets reports of the engine's state, or None.
     """
@@ -152,6 +154,7 @@ def bridge_until_told(
         reloading.go_on(wanted=signals.takes_reload())
         now = time.monotonic()
         reason = signals.caught or ("time is up" if ends and now >= ends else "")
+        # A monitor may want a status line more often than an idle engine is looked at.
         if events or now >= min(next_look, next_status):
             next_look = now + _LOOK_EVERY
             snapshot = engine.snapshot()
@@ -164,8 +167,10 @@ def bridge_until_told(
     writer.write(format_event(Event(0, time.time(), Level.INFO, EventCode.ENGINE_STOPPING, f"stopping: {reason}")))
     if supervisor is not None:
         supervisor.stopping()
+    # After the stop, no engine runs.
     failed = not engine.snapshot().running
     engine.stop(_STOPS_WITHIN)
+    # The stop itself has events, too.
     log(engine.events(seen))
     writer.close(_WRITTEN_WITHIN)
     return FAILURE if failed else HUNG_UP if signals.hung_up else OK
@@ -200,11 +205,7 @@ class Reloading:
         self._done: Future[Reloaded] | None = None
 
     def go_on(self, *, wanted: bool) -> None:
-        """Begin a reload, or note that one has ended.
-
-        Args:
-            wanted: one more is wanted.
-        """
+        """Begin a reload, or note that one has ended."""
         self._wanted = self._wanted or wanted
         if self._done is not None and self._done.done():
             self._done = None
@@ -306,6 +307,7 @@ class LogWriter:
         with self._changed:
             self._waiting.append(line)
             self._waiting_bytes += len(line)
+            # The newest line stays even if it alone is beyond the limit, since it has the present state.
             while self._waiting_bytes > WAITING_LIMIT and len(self._waiting) > 1:
                 self._waiting_bytes -= len(self._waiting.popleft())
                 self._lost += 1
@@ -332,6 +334,7 @@ class LogWriter:
                 if lost:
                     self._write(encoded(f"{one_line(self._lost_line(lost, reason))}\n"))
                     with self._changed:
+                        # It does not become 0 if more lines are lost while this one is written.
                         self._lost -= lost
                 self._write(line)
             except OSError as error:
@@ -347,6 +350,7 @@ class LogWriter:
             while written < len(line):
                 written += os.write(self._fd, line[written:])
         finally:
+            # If nothing was written, the output still ends as before.
             self._torn = written < len(line) if written else self._torn
 
 
@@ -377,6 +381,7 @@ class Supervisor:
 
     def show(self, now: Snapshot) -> None:
         """Report the bridge's state. It works as long as its I/O thread renews its snapshots."""
+        # An engine that hangs renews no snapshot; without WATCHDOG, systemd restarts it.
         if now.time == self._alive_at:
             return
         self._alive_at = now.time
@@ -391,5 +396,6 @@ class Supervisor:
     def _tell(self, state: str) -> None:
         if self._address:
             with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notify:
+                # A systemd that does not read must not hold up the loop, which also sees the signals.
                 notify.setblocking(False)
                 notify.sendto(state.encode(), self._address)

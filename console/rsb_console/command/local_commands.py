@@ -203,6 +203,7 @@ def _has_hung_up(stream: TextIO | None) -> bool:
     try:
         termios.tcgetattr(stream)  # type: ignore[arg-type]
     except termios.error as error:
+        # A terminal that has gone answers with EIO, a file or a pipe with ENOTTY.
         return bool(error.args[0] == errno.EIO)
     except (OSError, TypeError):  # it has no descriptor, or is closed, as for some services
         pass

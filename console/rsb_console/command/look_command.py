@@ -39,11 +39,12 @@ if TYPE_CHECKING:
     from rsb_console.look.picture_rows import Row
 
 _FAILURE = 1
-_ANSWERED_WITHIN = 60.0
-_TRIED_AGAIN_AFTER = 1.0
-_REDRAWN_AFTER = 1.0
-_ENDED_WITHIN = 5.0
+_ANSWERED_WITHIN = 60.0  # s, as the help of --timeout says
+_TRIED_AGAIN_AFTER = 1.0  # s. A round figure
+_REDRAWN_AFTER = 1.0  # s; the age in sight is wrong by so much at most
+_ENDED_WITHIN = 5.0  # s; a view ends 5 s after its console was killed (docs/look.md): a longer wait would gain nothing
 _SETTLE_SECONDS = 2.0
+"""s after the first picture of several topics. A round figure: a rare transform may still be missing then."""
 _STYLES = {
     "dim": "bright_black", "strong": "bold", "axis": "bright_black", "ok": "green", "warning": "yellow",
     "error": "bold red", "robot": "bold bright_cyan", "path": "cyan", "scan": "magenta", "occupied": "",
@@ -199,6 +200,7 @@ def many(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
             try:
                 content = None if viewed is None else viewed.picture.content
                 image = content if printer is not None and isinstance(content, Pixels) else None
+                # Each image is sent once, since it is large, and stays on the screen.
                 if printer is not None and image is not None and image is not drawn:
                     drawn, painted = image, printer.printed(image, wish.width, wish.height)
                 elif viewed is not None and image is None:
@@ -214,6 +216,7 @@ def many(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
                 rows = "".join(f"{line}{_CLEAR_LINE}\r\n" for line in lines[: wish.height])
                 sys.stdout.write(f"{_HOME}{rows}{last}{_CLEAR_REST}")
             sys.stdout.flush()
+            # A refusal comes at once: without a pause, this loop would take a whole core.
             if problem:
                 time.sleep(_TRIED_AGAIN_AFTER)
     finally:
@@ -244,6 +247,7 @@ def _wish(arguments: Namespace) -> Wish:
 
 def _detail(arguments: Namespace) -> int:
     if arguments.graphics == "blocks" and (arguments.output is None or arguments.output.suffix != ".png"):
+        # Characters show one pixel across a cell; more would cross the link for nothing.
         return 1
     return arguments.detail or (1 if arguments.graphics == "blocks" else DETAIL)
 

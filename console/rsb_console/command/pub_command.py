@@ -87,11 +87,13 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
     landing = Landing(arguments.topic, engine.snapshot())
     while limit is None or count < limit:
         end = _end(engine.snapshot(), arguments.topic, pause) if arguments.rate else _NO_END
+        # A message is as old as its turn, however long ago the command began.
         engine.given_at = due
         last = publish(engine, arguments.topic, fields, arguments.type, ticket, due, end)
         count, ticket = count + 1, last.ticket
         if count == 1 and limit != 1 and not arguments.json:
             _print(engine, arguments, last, count)
+        # Messages that a stall has delayed are not made up for: a robot would get many at once.
         due = max(due + pause, Clock.steady())
         if count != limit:
             time.sleep(max(0.0, due - Clock.steady()))
@@ -144,7 +146,6 @@ def publish(
         type_name: its type, or an empty string if the topic has one.
         ticket: from the answer before, or 0.
         due: time (s) of `Clock.steady` when the operator wanted it published.
-        end: what ends the motion.
 
     Raises:
         EngineError: the bridge refuses it, or it is too old.
@@ -155,6 +156,7 @@ def publish(
         published = result(message)
         if published.is_done:
             return published
+        # A process that stood still would get a new ticket for an old command, and a ticket would prove nothing.
         if Clock.steady() - due > OLD_AFTER:
             break
         ticket = published.ticket

@@ -73,8 +73,9 @@ if TYPE_CHECKING:
 _LOOK_EVERY = 0.1
 _SHOWN_WITHIN = 1.0
 """s from the end of an arming until the bridge's state, which comes four times a second, surely shows it."""
-_ALIVE_EVERY = 1.0
+_ALIVE_EVERY = 1.0  # s; a console counts as gone after 5 s without a sign of life (docs/operators.md)
 _EVENTS_WITHIN = 10.0
+"""s for the events that a bridge remembers; with --follow, only how long one wait for more lasts. A round figure."""
 _DIRECTIONS = ("transmit", "receive")
 """As the client sees it."""
 
@@ -211,6 +212,7 @@ def _remove(arguments: Namespace) -> int:
 
 
 def _pause(arguments: Namespace, *, paused: bool = True) -> int:
+    # Only resuming can move something: a pause is right however late it comes.
     with attached(arguments, expires=not paused) as engine:
         found = all_chosen(engine, arguments)
         carried_out([engine.pause(each.key, paused) for each in found])
@@ -224,6 +226,7 @@ def _resume(arguments: Namespace) -> int:
 def _ack(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         what = "not acknowledged any more" if arguments.undo else "acknowledged"
+        # A link's name is no topic's, which begins with a slash.
         if arguments.topic in {link.name for link in engine.snapshot().links}:
             result(engine.acknowledge("", not arguments.undo, link=arguments.topic))
             return done(arguments, f"{what}: link {arguments.topic}")
@@ -266,6 +269,7 @@ def _reload(arguments: Namespace) -> int:
 def _stop(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         result(engine.stop_bridge())
+        # The answer comes before the process has ended, and a script may start the session again right after this.
         deadline = time.monotonic() + ANSWERED_WITHIN
         while not engine.unreachable:
             if time.monotonic() > deadline:
@@ -400,6 +404,7 @@ def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: st
         raise UsageError(RemoteProblem.DRY_RUN_OF_CALLS(topic=topic.topic))
     now = engine.snapshot()
     sends_here = (topic.direction == "transmit") == (now.role == "client")
+    # The sending side may know the topic by any of these names.
     names = {topic.topic, topic.remote_topic, f"/{link}{topic.topic}"}
     found = result(engine.topics(None if sends_here else link))
     type_name = next((info.type_name for info in found if info.topic in names), "")
@@ -554,6 +559,7 @@ def _why_disarmed(engine: RemoteEngine, route: RouteSnapshot | None) -> tuple[st
         return "it is not bridged any more", "removed"
     if route.arming is None:
         return "arming is not required any more", ""
+    # The route's reason advises to arm it again, although a colleague may just have disarmed it.
     return route.arming.reason or route.reason, route.arming.why
 
 
@@ -583,6 +589,7 @@ def _report(arguments: Namespace) -> int:
         raise UsageError(f"--last {error}") from None
     report = _report_of(arguments, seconds)
     if arguments.json:
+        # `platform.node` has the same name, but is one more module to load.
         print_line(
             json_report(report, operator_machine={"host": os.uname().nodename, **doctor.report(doctor.this_machine())})
         )
@@ -611,8 +618,10 @@ def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
 
     name = arguments.bridge
     named = arguments.control is not None or arguments.fleet is not None
+    # A bridge that runs is asked: its files may be two minutes old (docs/history.md).
     if named or any(name in (None, bridge.name) for bridge in running_bridges()):
         return ask_history(arguments, seconds)
+    # This is a path to the bridge's files. One without a folder differs from a name by its ending only.
     if name is not None and (os.sep in name or name.endswith(EVENTS)):
         path = Path(name)
         kept = [Files(path.parent, path.name.partition(".")[0])]
@@ -631,7 +640,7 @@ def _report_of(arguments: Namespace, seconds: float) -> HistoryReport:
         raise NoBridgeError(str(error)) from None
 
 
-_REPORT_WIDTH = 100
+_REPORT_WIDTH = 100  # columns: a round figure
 COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "status": print_status,
     "topics": _topics,

@@ -161,7 +161,6 @@ def add_remote_commands(
 
     Args:
         complete: completes an argument with a function of `rsb_console.command.completion`.
-        attach: runs `attach`.
         console_options: adds the options of the console to a parser.
     """
 
@@ -665,6 +664,7 @@ class _FleetParser(argparse.ArgumentParser):
         if "--" in own:
             at = own.index("--")
             own, words = own[:at], own[at + 1 :]
+        # As in `_CommandParser`: argparse intermixes no subcommands, and calls this for the options, then for the rest.
         if self._subparsers is not None or not {"-h", "--help"}.isdisjoint(own) or self._mixes:
             return super().parse_known_args(own, namespace)
         self._mixes = True

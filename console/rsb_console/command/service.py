@@ -58,6 +58,7 @@ CONFINED = (
     "SystemCallErrorNumber=EPERM",
 )
 """What a service of the system may do, and no more. configs/rsb-console@.service has the same, and says why."""
+# After `exec`, the bridge is the main process, whose reports (Type=notify) and reloads ($MAINPID) count.
 _SOURCING = 'source "$0" && exec "$@"'
 _HOMES = ("/home/", "/root/", "/run/user/")
 _SYSTEM_UNITS = Path("/etc/systemd/system")
@@ -190,6 +191,7 @@ def _install(arguments: Namespace) -> int:
             return FAILURE
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(path, text.encode())
+        # `replace_file` makes files 0600; systemd warns of a unit that only its owner can read.
         path.chmod(_READABLE)
     except OSError as error:
         hint = ": run it with sudo" if isinstance(error, PermissionError) and arguments.system else ""
@@ -222,6 +224,7 @@ def _uninstall(arguments: Namespace) -> int:
         if not path.exists():
             print_error(ServiceText.NO_UNIT(path=path))
             return FAILURE
+        # Without its unit, the link in *.wants would lead nowhere.
         if enabled:
             print_error(ServiceText.ENABLED(name=name, control=control))
             return FAILURE
@@ -254,6 +257,7 @@ def _program() -> tuple[str, ...]:
     found = shutil.which(sys.argv[0])
     if found is not None and Path(found).name == "rsb-console":
         return (os.path.abspath(found),)  # noqa: PTH100
+    # With -P, a module of the same name in the working folder does not run.
     return sys.executable, "-P", "-m", "rsb_console"
 
 

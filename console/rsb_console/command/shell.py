@@ -69,6 +69,7 @@ def allow_many_descriptors() -> None:
     """Raise the limit on open files as far as this user may: each TCP topic takes one, and 1,024 is a usual limit."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     most = _MOST_DESCRIPTORS if hard == resource.RLIM_INFINITY else min(hard, _MOST_DESCRIPTORS)
+    # RLIM_INFINITY is -1 in Python, which would seem too low.
     if soft != resource.RLIM_INFINITY and soft < most:
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
 

@@ -125,7 +125,7 @@ def _status_of_all(bridges: list[RunningBridge], arguments: Namespace) -> int:
             print_line(line)
     if arguments.json:
         print_line(json_line({"ok": not any(codes), "bridges": figures}))
-    return max(codes)
+    return max(codes)  # worse ones are higher: 0, 1 with a fault, 3 without an answer
 
 
 def _status_of(engine: RemoteEngine) -> tuple[list[str], list[str], dict[str, object]]:

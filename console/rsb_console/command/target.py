@@ -47,6 +47,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import PatternSnapshot
 
 ANSWERED_WITHIN = 60.0
+"""s. A round figure, not measured: with ten times as much, a bridge that hangs would hold up a script for ten
+minutes."""
 Attach: TypeAlias = "Callable[[], RemoteEngine]"
 
 T = TypeVar("T")
@@ -106,6 +108,7 @@ def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
     """Do something; report an error, and return its exit code."""
     try:
         return work(arguments)
+    # Most of these are EngineErrors, so that errors with an exit code of their own come first.
     except (UsageError, UnclearError) as error:
         return failed(arguments, str(error), USAGE)
     except (NoBridgeError, ControlError) as error:
@@ -170,7 +173,6 @@ def attached(arguments: Namespace, *, read_only: bool = False, expires: bool = F
     """Be attached to the bridge that the arguments mean; of a command for a fleet's robot, to what `attach` gives.
 
     Args:
-        read_only: whether to change nothing.
         expires: whether the command must not be carried out late, counted from the start of its process.
     """
     if (attach := getattr(arguments, "attach", None)) is not None:
@@ -235,6 +237,7 @@ def fields_from(arguments: Namespace, text: str) -> str:
     """Return fields in YAML that an argument gives, or standard input, whose end is then the time of the command."""
     if text != "-":
         return text
+    # This reads one character too many: the bridge refuses a text that is too long, but a cut one could be valid.
     fields = sys.stdin.read(FIELDS_LENGTH + 1)
     arguments.given_at = Clock.steady()
     return fields
@@ -357,6 +360,7 @@ def carried_out(commands: Iterable[Future[None]]) -> None:
             result(command)
         except (EngineError, TimeoutError) as error:
             failures.append(error)
+    # An error raised earlier would detach from the bridge before the other commands are answered.
     for failure in failures:
         raise failure
 
@@ -367,7 +371,6 @@ def done_with(
     """Report a command on all routes of a name.
 
     Args:
-        arguments: arguments of the command.
         what: the command's effect, in words.
         results: of the command, for programs.
     """

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 HISTORY = 12
 """Message rates that are kept of each robot, one every `_SAMPLED_EVERY` s: of a minute."""
-_SAVED_EVERY = 60.0
+_SAVED_EVERY = 60.0  # s; a console that is killed forgets so much of when each robot was there. A round figure
 _SAMPLED_EVERY = 5.0
 
 
@@ -136,6 +136,7 @@ class RobotFleet:
             for source in self.sources:
                 source.start()
                 started.callback(source.stop)
+            # Until here, an error stops the sources that have started.
             started.pop_all()
 
     def wait(self) -> None:
@@ -181,6 +182,7 @@ class RobotFleet:
 
     def _remember(self, robots: Sequence[Robot]) -> None:
         now = self._clock.time_ns() / 1e9
+        # The wall clock may be set back, here and below.
         if sampled := now - self._sampled_at >= _SAMPLED_EVERY or now < self._sampled_at:
             self._sampled_at = now
             self._rates = {robot.key: self._rates.get(robot.key, deque(maxlen=HISTORY)) for robot in robots}
@@ -266,7 +268,7 @@ def _unknown(what: str, name: str, known: Sequence[str]) -> str:
 
 LIMIT = 1000
 """Most robots to remember: the latest ones."""
-_FILE_BYTES = 4 << 20
+_FILE_BYTES = 4 << 20  # thrice what 1,000 robots with the longest texts take in ASCII; more is not read into memory
 
 
 class Remembered(msgspec.Struct, frozen=True):
@@ -282,6 +284,7 @@ class Remembered(msgspec.Struct, frozen=True):
 
     source: str
     name: str
+    # An infinite time would be written as null, and the file could not be read again.
     seen: Annotated[float, msgspec.Meta(ge=TIME.low, le=TIME.high)]
     group: str = ""
     host: str = ""

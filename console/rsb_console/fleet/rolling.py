@@ -18,18 +18,14 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.fleet.fleet import Robot, RobotFleet
 
-ANSWERED_WITHIN = 60.0
+ANSWERED_WITHIN = 60.0  # s, as commands for one bridge: `command.target`
 PATIENCE = 30.0
-"""Seconds beyond the time to settle in which a robot has to become as well as before."""
+"""Seconds beyond the time to settle in which a robot has to become as well as before. A round figure."""
 _LOOK_EVERY = 0.5
 
 
 class Bridged(NamedTuple):
-    """A topic of a robot.
-
-    Attributes:
-        session: session of the robot's bridge.
-    """
+    """A topic of a robot."""
 
     robot: str
     route: RouteSnapshot
@@ -116,7 +112,6 @@ class Rollout:
     """A change of one topic of some robots. Every method may wait; none is for an app's thread.
 
     Args:
-        robots: robots of the fleet.
         topic: the topic's name on the robots.
         keys: ``KEY=VALUE`` each.
         settle: s that a robot has to be as well as before.
@@ -217,7 +212,6 @@ class Rollout:
         """Change a robot's route to a topic.
 
         Args:
-            step: step with the robot and the route.
             drop_arm: end the demand for arming, which this change made, unless the topic has it.
 
         Raises:
@@ -247,6 +241,7 @@ class Rollout:
             self._sleep(min(_LOOK_EVERY, self._settle))
             now, summary = self._now(), self._summary(step.robot)
             worse = summary.state.rank < before.state.rank
+            # Nothing flows for a moment while a topic is opened again: only a worse state that lasts stops the rollout.
             if worse or summary.flowing < flowing:
                 well_since = None
                 bad_since = (now if bad_since is None else bad_since) if worse else None

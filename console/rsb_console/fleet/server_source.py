@@ -34,11 +34,7 @@ _CONCERNS_ALL: Final[dict[type, str]] = {
 
 
 class ServerFleet:
-    """Fulfils `rsb_console.fleet.fleet.FleetSource`: one robot for each client of a server.
-
-    Args:
-        name: name of the server.
-    """
+    """Fulfils `rsb_console.fleet.fleet.FleetSource`: one robot for each client of a server."""
 
     kind = "server"
 
@@ -85,7 +81,6 @@ class RobotEngine(RemoteEngine):
     """A server's engine as far as it concerns one of its clients: the others are neither seen nor changed.
 
     Args:
-        path: path of the server's control socket.
         read_only: have the bridge refuse what would change anything.
     """
 
@@ -122,6 +117,7 @@ class RobotEngine(RemoteEngine):
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
         if what := _CONCERNS_ALL.get(type(command)):
             return self._concerns_all(what)
+        # Without a link, Retry would mean all robots, and AddTopic would not say which one.
         if isinstance(command, AddTopic | Retry) and not command.link:
             command = cast("Command[R]", msgspec.structs.replace(command, link=self._robot))
         future = super().do(command, step)
@@ -132,6 +128,7 @@ class RobotEngine(RemoteEngine):
         own: Future[HistoryReport] = Future()
 
         def take(asked: Future[HistoryReport]) -> None:
+            # The caller may have cancelled it, and then a result raises an error.
             if own.set_running_or_notify_cancel():
                 try:
                     own.set_result(self._own_history(asked.result()))

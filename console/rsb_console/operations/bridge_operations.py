@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from rsb_console.screens.topic_form import TopicDraft
 
 _LINES_SHOWN = 12
+"""Lines of a question about a reload; the others are counted. A round figure."""
 
 
 class OperationText(Wording):
@@ -111,6 +112,7 @@ class BridgeOperations:
         if engine is None or route is None:
             return
         paused = route.state is not State.PAUSED
+        # Only resuming can move something: a key that a hung terminal delivers late may pause.
         if not paused and not InputGate.of(self._screen().app).is_young and not await self._still_wants(route):
             return
         mixed = isinstance(route, PatternRow) and any(
@@ -146,6 +148,7 @@ class BridgeOperations:
         if engine is None or route is None or route.arming is None:
             return
         if route.arming.armed:
+            # This key stops a robot: it asks nobody, whoever holds the topic.
             await self._disarm(engine, route)
         elif route.state is State.PAUSED:
             text = f"{route.topic} cannot be armed: it is paused; resume it first"
@@ -162,6 +165,7 @@ class BridgeOperations:
             if (each.topic, each.spec.kind) == (route.topic, route.spec.kind) and each.key != route.key
             if each.arming is not None and each.arming.armed
         ]
+        # All commands are sent before the first answer: a slow one must not keep the others armed.
         for future in [engine.disarm(key) for key in (route.key, *armed)]:
             await self._console.command(future)
         if armed:
@@ -281,6 +285,7 @@ class BridgeOperations:
 
         engine, changes = self._console.engine, self._console.changes
         change = changes.last
+        # A second u while the question stands would ask about the same change again.
         if engine is None or self._undoing:
             return
         if change is None:

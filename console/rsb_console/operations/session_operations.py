@@ -61,6 +61,7 @@ class SessionOperations:
             reasons.append("The bridge stops: nothing can link to it any more.")
         if engine is not None and saved is not None:
             changes = unsaved(saved, engine.session)
+            # Somebody else may have saved the same.
             if changes and (path is None or file_of(path, engine.session) is None):
                 reasons.append(SessionQuestion.NOT_SAVED(changes=changes))
         if not reasons:
@@ -126,6 +127,7 @@ class SessionOperations:
                 return
             if await self._run(chosen.session, chosen.path):
                 return
+            # After a no, the dialog comes back with what was chosen.
             path = str(chosen.path)
 
     async def _open(self, path: Path) -> None:
@@ -168,6 +170,7 @@ class SessionOperations:
         resources = contextlib.ExitStack()
         starting = asyncio.ensure_future(asyncio.to_thread(resources.enter_context, running_demo()))
         try:
+            # The thread cannot be cancelled: what it starts has to be ended once it is there.
             demo = await asyncio.shield(starting)
         except EngineError as error:
             self._console.notify(str(error), title="No demo", severity="error", markup=False, timeout=15)
@@ -219,6 +222,7 @@ class SessionOperations:
             return True
         session = engine.session
         if opened is not None and opened.is_at(path) and is_changed(opened):
+            # Nothing of somebody else's is lost if the file says what runs, or still what it said when it was opened.
             if file_of(path, session) is None and file_of(path, opened.session) is None:
                 match await self._console.ask(ChangedScreen(path)):
                     case "reload":
@@ -231,6 +235,7 @@ class SessionOperations:
                         pass
                     case _:
                         return False
+            # This keeps the comments that the file has now.
             opened = reopened(path)
         if await save_elsewhere(self._console, session, path, opened):
             self._console.saved_to(session, path)

@@ -47,6 +47,7 @@ def attach(where: Path | Connector, *, read_only: bool) -> RemoteEngine:
 def attached(engine: RemoteEngine) -> Attached:
     """Describe an attached engine for the console."""
     bridge = engine.bridge
+    # A path of another machine may name another file here.
     path = Path(bridge.file) if bridge.file is not None and engine.same_machine else None
     file = None
     if path is not None:

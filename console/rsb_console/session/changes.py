@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 STEPS = 20
-"""Most changes to remember; the oldest are forgotten first."""
+"""Most changes to remember; the oldest are forgotten first. A round figure."""
 
 _BY_OPERATORS = frozenset(
     {
@@ -81,7 +81,6 @@ class Change(ABC):
         """Return the undo of the change.
 
         Args:
-            now: the engine's present state.
             events: the engine's, the newest last.
 
         Raises:
@@ -119,7 +118,6 @@ class Added(Change):
     """A topic was added.
 
     Attributes:
-        key: key of its route.
         spec: the topic as the client sees it.
     """
 
@@ -134,6 +132,7 @@ class Added(Change):
 
         async def act(engine: EngineApi) -> None:
             await _command(engine.remove_topic, self.key)
+            # The removal makes an exception in each pattern that matches, which this takes back.
             for key, pattern in claiming:
                 await _command(engine.edit_topic, key, pattern)
 
@@ -164,6 +163,7 @@ class Edited(Change):
 
     def undo(self, now: Snapshot, events: Sequence[Event]) -> Undo:
         self._unchanged(self.key, self.new, now, events)
+        # An edit takes a new name as this side's, and one that stays as the client's.
         old = named_here(self.old, now, self.link) if self.old.topic != self.new.topic else self.old
 
         async def act(engine: EngineApi) -> None:
@@ -183,7 +183,6 @@ class Removed(Change):
     """A topic was removed.
 
     Attributes:
-        key: key of its route.
         spec: the topic as the client sees it.
         pattern: the pattern that had made its route, or empty.
         patterns: the link's patterns before, by their keys: a removal makes an exception in every matching pattern.
@@ -242,8 +241,6 @@ class Paused(Change):
     """A topic was paused or resumed.
 
     Attributes:
-        key: key of its route.
-        paused: whether it was paused.
         mixed: whether a pattern's topics were partly paused before.
     """
 
@@ -296,6 +293,7 @@ class Changes:
 
     def drop(self, change: Change) -> None:
         """Forget a change that is undone or cannot be."""
+        # Another session may have cleared them while the question stood.
         if change in self._changes:
             self._changes.remove(change)
             self.dropped = True
@@ -347,6 +345,7 @@ def _warnings(new: Topic, old: Topic) -> Iterator[str]:
     """Warn of messages that are held back now and would cross after the undo."""
     if new.arm and not old.arm:
         yield "This drops arm: true: it crosses without being armed."
+    # 0 means that no key is needed, however long it takes.
     elif new.arm and (old.deadman_seconds or float("inf")) > (new.deadman_seconds or float("inf")):
         yield "It stays armed longer while no key is pressed (deadman)."
     if new.paused and not old.paused:

@@ -112,7 +112,6 @@ def add_client(path: Path, client: Client) -> ChangedFile:
     """Add a client to a server's session file, and create its key.
 
     Args:
-        path: path of the file.
         client: client to add. An existing key file is used; otherwise a new one is created in the session's folder.
 
     Raises:
@@ -137,6 +136,7 @@ def add_client(path: Path, client: Client) -> ChangedFile:
         _check_key_of_its_own(file, session, client, key)
         return ChangedFile(save(session, path, file), client, key_at, key)
     except BaseException:
+        # This holds after a Ctrl-C, too: a second attempt would refuse the key file of the first one.
         if is_new and key_at is not None:
             key_at.unlink()
         raise
@@ -150,6 +150,7 @@ def _check_key_of_its_own(file: SessionFile, session: Session, client: Client, k
     others = {client.name: [key]}
     for name, files in key_files_by_client(file.session).items():
         for each in files:
+            # The server reports another client's bad key when it starts.
             with suppress(KeyFileError):
                 if read_key(key_path(file.path.parent, each)) == key:
                     others[name] = [key]
@@ -188,6 +189,7 @@ def rekey_client(path: Path, name: str) -> ChangedFile:
     key_at = key_path_of(file, client)
     if key_at is not None and key_at not in others:
         if client.next_key_file is not None:
+            # The session is saved before the key: a next key that is still in the file would count with the new one.
             client = msgspec.structs.replace(client, next_key_file=None)
             file = save(with_changed_client(file.session, client), path, file)
         return ChangedFile(file, client, key_at, write_key(key_at, force=True))
@@ -259,6 +261,7 @@ def check_address(name: str, address: str) -> None:
     if not address:
         return
     host, port = split_address(address)
+    # Without a port, any valid one will do, since only the address is judged.
     trial = Session(name=name, role="client", server_ip=host, server_port=1024 if port is None else port)
     for problem in validate(trial):
         if problem.location in ("server_ip", "server_port"):
@@ -317,7 +320,6 @@ def copy_advice(client: Client, key_at: Path | None, robot_at: Path | None = Non
     """Return the advice for copying the key to the robot.
 
     Args:
-        client: client with the key.
         key_at: its key file, or None without encryption.
         robot_at: the robot's session file if it is written already, or None.
     """

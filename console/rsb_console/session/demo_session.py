@@ -163,6 +163,7 @@ def _bridge_process(path: Path) -> Iterator[None]:
     finally:
         process.terminate()
         try:
+            # A bridge ends within 5 s (docs/headless.md).
             process.wait(6)
         except subprocess.TimeoutExpired:
             process.kill()
@@ -175,6 +176,7 @@ def own_domain(before: int = 0) -> int:
     Args:
         before: number of demos that this process has started before.
     """
+    # Domains follow the process, so that two demos on a machine seldom have the same.
     return _FIRST_DOMAIN + 2 * ((os.getpid() + before) % _DOMAIN_PAIRS)
 
 

@@ -169,12 +169,12 @@ def typed_topic(values: Mapping[str, str], keys: Sequence[str], session: Session
     Args:
         values: texts as from `rsb_console.session.draft.values_of`.
         keys: typed texts, each ``KEY=VALUE``.
-        session: session of the topic.
         replaced: topic of the session that it replaces, or None.
 
     Raises:
         TypedError: the topic is invalid.
     """
+    # mypy takes no plain text for a `Kind`, but a key of `KEYS`.
     kind = replaced.kind if replaced is not None else next(kind for kind in KEYS if kind == values["kind"])
     known, changed = list(KEYS[kind]), dict(values)
     for text in keys:

@@ -31,12 +31,14 @@ CSV_COLUMNS = (
 _UNITS = {"s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _SPAN = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|m|h|d)")
 _WORST_TOPICS = 10
+"""Topics of a kind that are named; the others are counted. A round figure."""
 _KINDS = ("topic", "service", "action", "parameters")
+# The texts of these events have their values, which would be said twice.
 _SAID_IN_WORDS = (EventCode.OPERATOR_PAUSED, EventCode.OPERATOR_RESUMED, EventCode.OPERATOR_CALL_ENDED)
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 """What a cell begins with that a spreadsheet may take for a formula; the last four are the signs in full width."""
 _SHORT_WAIT = 60.0
-"""Seconds of waiting that are too few to mention."""
+"""Seconds of waiting that are too few to mention. A round figure."""
 # The names are as in `status --json`. A topic has the fields of `Ledger`, other kinds of `CallsSnapshot`.
 _ROUTE = (
     "topic", "link", "outgoing", "transport", "port", "type_name", "rate", "expected_rate", "bytes_per_second",
@@ -111,6 +113,7 @@ def followers(report: HistoryReport, outage: Outage) -> str:
     """Count the topics and services that a link's outage took down: ``2 topics, 1 service``; or empty."""
     if outage.topic:
         return ""
+    # The recorder looks once a second, so that a topic may follow its link in the next look only.
     end = outage.start + outage.seconds
     out = {
         each.subject
@@ -275,6 +278,7 @@ def _by_topic(outages: Sequence[Outage]) -> list[tuple[str, list[Outage]]]:
 
 def _from_to(report: HistoryReport) -> str:
     start, end = time.localtime(report.start), time.localtime(report.time)
+    # A report spans 24 h at most, so that the day of the year tells days apart.
     date = "" if start.tm_yday == end.tm_yday else "%a %Y-%m-%d "
     return f"{time.strftime('%a %Y-%m-%d %H:%M:%S', start)} to {time.strftime(f'{date}%H:%M:%S', end)}"
 
@@ -312,6 +316,7 @@ def csv_report(report: HistoryReport) -> str:
     made = io.StringIO()
     table = csv.writer(made)
     table.writerow(CSV_COLUMNS)
+    # Rows are sorted by time alone, since cells of two kinds of rows do not compare.
     for _, row in sorted(rows, key=lambda each: each[0]):
         stamps = ["" if moment is None else _iso(moment) for moment in (row[1], row[2])]  # type: ignore[arg-type]
         seconds = "" if row[3] is None else f"{row[3]:.1f}"

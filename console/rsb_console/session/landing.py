@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 REPORTED_WITHIN = 3.0
 """s in which the other side reports a message, unless the link hangs: it reports once a second."""
-_NAMED = 3
+_NAMED = 3  # nodes in a report; the others are counted. A round figure
 
 
 class LandingText(Wording):

@@ -44,6 +44,7 @@ async def publish(engine: EngineApi | None, topic: str, fields: str, type_name: 
         published = await asyncio.wrap_future(engine.publish(topic, fields, type_name, ticket=ticket))
         if published.is_done:
             return published
+        # A console that stood still would get a new ticket for an old command, and a ticket would prove nothing.
         if Clock.steady() - began > OLD_AFTER:
             break
         ticket = published.ticket
@@ -72,6 +73,7 @@ class Goal(NamedTuple):
     def cell(self, scale: Scale) -> tuple[int, int]:
         """Return the column and the row of its cell on a map, which may lie outside."""
         cells = (self.x - scale.left) / scale.column, (scale.top - self.y) / scale.row
+        # A peer may send a map whose cells have hardly any size, and `floor` refuses infinity.
         column, row = (math.floor(max(-_FAR, min(_FAR, each))) for each in cells)
         return column, row
 

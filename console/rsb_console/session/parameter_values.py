@@ -59,8 +59,8 @@ _BOOL = re.compile(r"true|True|TRUE|false|False|FALSE")
 _INTEGER = re.compile(r"[-+]?[0-9]+")
 _BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
 _DOUBLE = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
-_SHOWN = 60
-_DIGITS = 40
+_SHOWN = 60  # characters of a value in words: a round figure
+_DIGITS = 40  # no integer of 64 bits has more in any notation; beyond 4,300, `int` refuses with an error of its own
 _BITS = 64
 
 
@@ -87,7 +87,6 @@ def set_request(name: str, value: str, kind: str = "") -> ParameterRequest:
     """Return the request that sets one parameter.
 
     Args:
-        name: name of the parameter.
         value: as YAML: ``5`` is an integer, ``5.0`` a double, ``true`` a bool, ``[1, 2]`` an array, otherwise text.
         kind: one of `KIND_NAMES` that the value must have, or empty to take the kind that the value shows.
 
@@ -128,6 +127,7 @@ def _meant(node: yaml.Node, kind: str) -> tuple[ParameterKind, Any]:
 
 
 def _fits(elements: list[Any], kind: ParameterKind) -> bool:
+    # For `isinstance`, a bool is an int.
     if kind.name == "byte_array":
         return all(type(each) is int and 0 <= each <= 255 for each in elements)
     return all(_ELEMENTS.get(type(each)) == kind.name.removesuffix("_array") for each in elements)
@@ -147,6 +147,7 @@ def _plain(node: yaml.Node) -> Any:
         return text.lower() == "true"
     if _INTEGER.fullmatch(text) or _BASED.fullmatch(text):
         return _integer(text)
+    # `float` knows inf and nan without the point only.
     return float(text.replace(".", "", 1) if text[-1] in "fFnN" else text) if _DOUBLE.fullmatch(text) else text
 
 

@@ -16,6 +16,7 @@ from rsb_console.session.history_report import cell
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+# A character of a monospace font of 15 px (below) is about 9 px wide.
 _CELL_WIDTH, _CELL_HEIGHT = 9, 18
 _RGB, _DEPTH = 2, 8
 _COLOURS = {
@@ -44,6 +45,7 @@ def png(pixels: Pixels) -> bytes:
     """Return an image as PNG (ISO/IEC 15948)."""
     line = 3 * pixels.width
     rgb = rgb_of(pixels)
+    # Each line begins with the number of its filter; 0 is none.
     rows = b"".join(b"\0" + rgb[at : at + line] for at in range(0, len(rgb), line))
     head = struct.pack(">IIBBBBB", pixels.width, pixels.height, _DEPTH, _RGB, 0, 0, 0)
     chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))

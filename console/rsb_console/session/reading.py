@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 _SURE = 1e-3
 """s by which a stamp may be ahead of the clock for other reasons than clocks that differ."""
 _NO_LATENCY = 60.0
-"""s beyond which a stamp's age is no latency: it is an old message, or the clocks differ."""
+"""s beyond which a stamp's age is no latency: it is an old message, or the clocks differ. A round figure."""
 _GUESSED_WITHIN = 86_400.0
 """s from now within which eight bytes of an unknown type are taken for a stamp."""
-_LONGEST_FRAME_ID = 256
-_ASK_AGAIN_AFTER = 10.0  # s
+_LONGEST_FRAME_ID = 256  # bytes. A round figure: the longer it may be, the sooner noise looks like a stamp
+_ASK_AGAIN_AFTER = 10.0  # s. A round figure: a type that becomes known meanwhile shows so much later
 Line: TypeAlias = tuple[tuple[str, str], ...]
 """As in `rsb_console.widgets.lines`: pieces of text, each with the name of its look."""
 INDENT = "  "
@@ -92,11 +92,7 @@ class ReadMessage:
 
 
 class KnownTypes:
-    """A cache of type descriptions; a missing one is remembered for some seconds.
-
-    Args:
-        now: a clock, in s.
-    """
+    """A cache of type descriptions; a missing one is remembered for some seconds."""
 
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
@@ -157,6 +153,7 @@ def _stamp(message: Message) -> int | None:
 
 def _guessed_stamp(peeked: PeekedMessage) -> int | None:
     """Guess the stamp of a message of an unknown type, if it begins with a time of today and a frame."""
+    # These are the headers of plain CDR; other encodings may have the fields elsewhere.
     order = {b"\x00\x00": ">", b"\x00\x01": "<"}.get(peeked.payload[:2])
     if order is None or len(peeked.payload) < HEADER_LENGTH + 12:
         return None
@@ -311,6 +308,7 @@ def number_text(value: float) -> str:
         return ".nan"
     if math.isinf(value):
         return ".inf" if value > 0 else "-.inf"
+    # `struct` refuses what 32 bits cannot hold, from 3.4e38 on.
     if abs(value) < 1e38 and _as_32_bits(value) == value:
         for digits in (6, 7, 8):
             text = f"{value:.{digits}g}"

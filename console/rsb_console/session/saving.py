@@ -51,6 +51,7 @@ def _parts(session: Session) -> dict[tuple[str, ...], object]:
     }
     parts |= {(topic.topic, *topic.identity): topic for topic in session.topics}
     for client in session.accepted_clients if session.role == "server" else ():
+        # The client's topics are parts of their own.
         parts[f"client {client.name}",] = msgspec.structs.replace(client, topics=())
         parts |= {(f"{topic.topic} for {client.name}", *topic.identity): topic for topic in client.topics}
     return parts
@@ -137,6 +138,7 @@ def _numbers() -> Iterator[str]:
 def _is_free_for(key: Key, path: Path) -> bool:
     """Whether there is no such file, or it holds this key."""
     try:
+        # A symbolic link that leads nowhere is in the way, too, but does not exist for `exists`.
         return not os.path.lexists(path) or read_key(path) == key
     except KeyFileError:
         return False
