@@ -85,7 +85,7 @@ class Clients:
         pings: list[float] = []
         for each in self._pings:
             ended, pending = each.since(moment)
-            # A ping that still waits counts once it is late, or a server that stands still would have no slow pings.
+            # A ping that still waits counts once it is late, or a server that hangs would have no slow pings.
             pings += [*ended, *([pending] if pending > 100 or not ended else [])]
         pings.sort()
         lost = sum(1 for at in self._lost if at >= moment)

@@ -140,7 +140,7 @@ class Stage:
     def watch(self, seconds: float) -> Row:
         """Measure the service to everybody for some seconds."""
         began, watch = time.monotonic(), Watch(self._server, self.log)
-        # A minute of calls may wait at once, so that a server that stands still does not slow the callers down.
+        # A minute of calls may wait at once, so that a server that hangs does not slow the callers down.
         self._callers.begin(SERVICE, int(CALLS_HZ * seconds), rate=CALLS_HZ, at_once=CALLS_HZ * 60)
         run = self._bed.send(HZ, seconds, SIZE)
         server, service = watch.end(), self._clients.since(began)

@@ -54,7 +54,7 @@ _DEBUG = "show a failure's traceback"
 def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     """Return the parser and the names of the commands; parsed arguments have the function to run as `command`."""
     debug = _CommandParser(add_help=False)
-    # Without SUPPRESS, the default of a command's parser would overwrite the --debug that stands before the command.
+    # Without SUPPRESS, the default of a command's parser would overwrite a --debug before the command.
     debug.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=_DEBUG)
     parser = argparse.ArgumentParser(
         prog="rsb-console",

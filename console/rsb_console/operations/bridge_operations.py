@@ -285,7 +285,7 @@ class BridgeOperations:
 
         engine, changes = self._console.engine, self._console.changes
         change = changes.last
-        # A second u while the question stands would ask about the same change again.
+        # A second u while the question is open would ask about the same change again.
         if engine is None or self._undoing:
             return
         if change is None:

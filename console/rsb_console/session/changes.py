@@ -293,7 +293,7 @@ class Changes:
 
     def drop(self, change: Change) -> None:
         """Forget a change that is undone or cannot be."""
-        # Another session may have cleared them while the question stood.
+        # Another session may have cleared them while the question was open.
         if change in self._changes:
             self._changes.remove(change)
             self.dropped = True

@@ -33,7 +33,7 @@ _SPAN = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|m|h|d)")
 _WORST_TOPICS = 10
 """Topics of a kind that are named; the others are counted. A round figure."""
 _KINDS = ("topic", "service", "action", "parameters")
-# The texts of these events have their values, which would be said twice.
+# The texts of these events have their values, which would appear twice.
 _SAID_IN_WORDS = (EventCode.OPERATOR_PAUSED, EventCode.OPERATOR_RESUMED, EventCode.OPERATOR_CALL_ENDED)
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 """What a cell begins with that a spreadsheet may take for a formula; the last four are the signs in full width."""
