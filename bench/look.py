@@ -172,9 +172,6 @@ def _write_sessions(folder: Path, port: int, relay: int) -> None:
 
 
 def _worker_of(pid: int) -> int | None:
-    for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
-        if _WORKER in Path(f"/proc/{child}/cmdline").read_text():
-            return int(child)
     return next((int(c) for c in _children(pid) if _WORKER in Path(f"/proc/{c}/cmdline").read_text()), None)
 
 

@@ -384,9 +384,10 @@ def test_a_long_value_is_shown_by_its_beginning() -> None:
         ("results:\n- successful: true\n  reason: ''\n", None),
         ("results:\n- successful: false\n  reason: too fast\n", "too fast"),
         ("results:\n- successful: false\n  reason: ''\n", ValueText.NO_REASON()),
-        ("results: []\n", None),
-        ("- 1\n", None),
-        ("[", None),
+        ("results:\n- successful: true\n- 1\n", ValueText.NO_REASON()),
+        ("results: []\n", ValueText.NO_RESULT()),
+        ("- 1\n", ValueText.NO_RESULT()),
+        ("[", ValueText.NO_RESULT()),
     ],
 )
 def test_what_the_node_says_to_a_value(answer: str, why: str | None) -> None:

@@ -136,6 +136,16 @@ def test_whom_a_name_means() -> None:
             fleet.chosen(wanted, group)
 
 
+def test_a_server_is_no_robot() -> None:
+    source = ScriptedSource(robot("control", role="server", group="hall"), robot("robot1", group="hall"))
+    fleet = fleet_of(source)
+    assert [each.key for each in fleet.chosen([], everyone=True)] == ["control/robot1"]
+    assert [each.key for each in fleet.chosen([], "hall")] == ["control/robot1"]
+    assert [each.key for each in fleet.chosen(["control"])] == ["control/control"]
+    source.given = []
+    assert len(fleet.chosen([], everyone=True, gone=True)) == 2, "both are forgotten"
+
+
 def test_one_that_has_gone_is_meant_only_where_it_is_asked_for() -> None:
     source = ScriptedSource(robot("robot1"), robot("robot2"))
     fleet = fleet_of(source)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from rsb_bridge.transport.zenoh.sample import Header, SampleKind
+from rsb_bridge.wire.preamble import PreambleKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -150,7 +151,7 @@ def churn(stranger: Stranger) -> None:
 
 def answers(stranger: Stranger) -> None:
     """Answer each new stream at once, in its server's place: with a refusal, rubbish, a reset and an end."""
-    refusal = b"\0\0\0\x10rsb\x02\x03\x01forged-12"
+    refusal = b"\0\0\0\x10rsb\x02" + bytes([PreambleKind.REFUSE]) + b"\x01forged-12"
 
     def answer(key: str) -> None:
         back = reverse(key)

@@ -266,7 +266,7 @@ def _chosen(fleet: RobotFleet, arguments: Namespace) -> list[Robot]:
         UsageError: the arguments name no robot.
     """
     robots = fleet.chosen(arguments.names, arguments.group, everyone=arguments.everyone)
-    gone = [robot.summary for robot in fleet.robots() if robot.gone]
+    gone = [robot.summary for robot in fleet.robots() if robot.gone and not robot.is_server]
     if left_out := [each.name for each in gone if arguments.everyone or (each.group and each.group == arguments.group)]:
         print_error(f"not there, and left out: {', '.join(left_out)}")
     if not robots:

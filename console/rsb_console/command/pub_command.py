@@ -99,7 +99,7 @@ def _publish(engine: RemoteEngine, arguments: Namespace, fields: str) -> int:
             time.sleep(max(0.0, due - Clock.steady()))
     assert last is not None
     heard = bool(last.nodes or last.links)
-    landed = _landed(engine, landing, last.links) if limit is not None else []
+    landed = _landed(engine, landing, last.links)
     if arguments.json:
         missing = [
             {"link": route.link, "state": route.state, "reason": route.reason}

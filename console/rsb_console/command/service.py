@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Mapping, Sequence
 
-MARK = "# Written by `rsb-console service install`, which overwrites only its own files."
+MARK = "# Written by `rsb-console service install`. `rsb-console service uninstall` removes it."
 KEPT_VARIABLES = (
     "ROS_DOMAIN_ID",
     "RMW_IMPLEMENTATION",

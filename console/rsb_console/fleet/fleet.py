@@ -219,7 +219,8 @@ class RobotFleet:
 
         Args:
             names: an operator's names: ``robot1``, or ``control/robot1`` with the source if several have one.
-            group: name of a group to include, or empty.
+            group: name of a group whose robots to include, or empty.
+            everyone: include all robots. Servers are no robots, and are included by name only.
             gone: choose from the robots that have gone instead of the present ones.
 
         Raises:
@@ -228,7 +229,8 @@ class RobotFleet:
         robots = sorted((robot for robot in self.robots() if robot.gone is gone), key=lambda robot: robot.order)
         found: dict[str, Robot] = {}
         for robot in robots:
-            if everyone or (group and robot.summary.group == group):
+            # A server on Zenoh is listed, but is no robot. One that has gone is to be forgotten with the others.
+            if (gone or not robot.is_server) and (everyone or (group and robot.summary.group == group)):
                 found[robot.key] = robot
         if group and not any(robot.summary.group == group for robot in robots):
             groups = sorted({robot.summary.group for robot in robots} - {""})
@@ -339,8 +341,7 @@ def _read(path: Path | None) -> list[Remembered]:
         return []
     try:
         with path.open("rb") as file:
-            data = file.read(_FILE_BYTES + 1)
-        robots = msgspec.json.decode(data[:_FILE_BYTES], type=list[Remembered])
+            robots = msgspec.json.decode(file.read(_FILE_BYTES), type=list[Remembered])
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return []
     return [_clean(robot) for robot in sorted(robots, key=lambda robot: robot.seen)[-LIMIT:]]

@@ -50,7 +50,6 @@ class RobotChange:
     """The planned change of one robot.
 
     Attributes:
-        key: key of the route, or empty without a route.
         old: the route's present topic, or None without a route.
         new: its topic after the change, or None if nothing changes.
         changes: the fields that differ, in words.
@@ -59,7 +58,6 @@ class RobotChange:
     """
 
     robot: Robot
-    key: str = ""
     old: Topic | None = None
     new: Topic | None = None
     changes: tuple[str, ...] = ()
@@ -165,7 +163,7 @@ class Rollout:
         if new.identity != old.identity:
             return RobotChange(robot, problem="its direction cannot change: remove the topic, and add it again")
         differs = tuple(changes(old, new))
-        return RobotChange(robot, routes[0].key, old, new if differs else None, differs)
+        return RobotChange(robot, old, new if differs else None, differs)
 
     def run(self, steps: Sequence[RobotChange], tell: Callable[[RobotChange, str], None]) -> RolloutOutcome:
         """Change one robot after the other, and stop at the first that gets worse.

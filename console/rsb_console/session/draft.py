@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 _NUMBERS, SWITCHES = keys_of_value("number"), keys_of_value("switch")
 """The keys that are on or off. Every text outside `_OFF` means on."""
 _OFF = ("", "false", "no", "off")
-_DIRECTIONS = {"server": "transmit", "client": "receive"}
-"""Direction of requests, by the side whose node answers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +101,7 @@ def topic_of(values: Mapping[str, str]) -> Topic:
     given = {key: plain(key, text) for key, text in values.items() if text and key not in SWITCHES}
     given |= {key: True for key in SWITCHES if values.get(key, "").lower() not in _OFF}
     if (provider := given.pop("provider", None)) is not None:
-        given["direction"] = _DIRECTIONS.get(provider, provider)
+        given["direction"] = DIRECTIONS.get(provider, provider)
     return Topic(**({"topic": "", "direction": "transmit"} | given))
 
 
@@ -194,9 +192,7 @@ def typed_topic(values: Mapping[str, str], keys: Sequence[str], session: Session
 
 
 def _value(key: str, value: str) -> str:
-    if key == "provider":
-        return DIRECTIONS.get(value, value)
-    return "" if key in SWITCHES and value in ("no", "false") else value
+    return DIRECTIONS.get(value, value) if key == "provider" else value
 
 
 def suggestion(name: str, known: Sequence[str]) -> str:

@@ -69,6 +69,7 @@ class ValueText(Wording):
 
     NO_INTEGER = "{value} is no integer of {bits} bits; a double has a point, a text quotation marks"
     NO_REASON = "it gives no reason"
+    NO_RESULT = "its answer does not say whether the parameter is set"
 
 
 class ParameterRequest(NamedTuple):
@@ -194,9 +195,12 @@ def refusal(answer: str) -> str | None:
     try:
         fields = read_fields(answer)
     except FieldError:
-        return None
+        fields = {}
     results = fields.get("results") if isinstance(fields, dict) else None
-    for each in results if isinstance(results, list) else []:
-        if isinstance(each, dict) and each.get("successful") == "false":
-            return str(each.get("reason") or ValueText.NO_REASON())
+    # An operator must not take for set what the node has not said to be.
+    if not isinstance(results, list) or not results:
+        return ValueText.NO_RESULT()
+    for each in results:
+        if not isinstance(each, dict) or each.get("successful") != "true":
+            return str((each.get("reason") if isinstance(each, dict) else "") or ValueText.NO_REASON())
     return None
