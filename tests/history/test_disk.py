@@ -166,6 +166,26 @@ def test_a_full_disk_is_said_once_and_writing_goes_on_later(tmp_path: Path, no_r
     assert texts.count(told.text) == 1
 
 
+def test_a_time_line_that_was_not_saved_is_tried_again_soon(tmp_path: Path) -> None:
+    world = World("/scan")
+    disk = disk_of(world, tmp_path)
+    disk.turn()
+    path = tmp_path / "robot1.history"
+    path.unlink()
+    path.mkdir()  # events can be written, the time line cannot
+    world.put("/scan", State.DOWN, "no publisher")
+    for _ in range(2):
+        world.go(10)
+        disk.turn()
+    assert codes(world).count(EventCode.LOG_FILE_FAILED) == 1
+    assert EventCode.LOG_FILE_AGAIN not in codes(world)
+    path.rmdir()
+    world.go(10)
+    disk.turn()
+    assert path.is_file()
+    assert codes(world).count(EventCode.LOG_FILE_AGAIN) == 1
+
+
 def test_events_that_were_lost_meanwhile_are_counted(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     world = World("/scan")

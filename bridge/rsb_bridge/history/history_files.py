@@ -386,11 +386,12 @@ class Disk:
 
     def _save(self, now: float) -> None:
         # Before the question: what happens during the save is saved by the next one.
-        self._saved_changes = self._recorder.changes
+        changes = self._recorder.changes
         with contextlib.suppress(TimeoutError):  # as in `_restore`
             saved = self._recorder.ask(self._recorder.save).result(_ANSWERED_WITHIN)
             write_history(self._files.history, saved)
-            self._saved_at = now
+            # Only now: a save that failed stays due, so that the next turn tries it before it says that all is well.
+            self._saved_at, self._saved_changes = now, changes
 
     # --- failures
 
