@@ -245,6 +245,7 @@ def test_what_is_typed_in_one_line() -> None:
         ({"allow": (Grant("/scan", may="publish"),)}, DeniedRemedy.ADD_LOOK),
         ({"allow": (Grant(services="/*"),)}, DeniedRemedy.ADD_LOOK),
         ({"deny": ("/scan", Grant("/*", may="publish"), Grant("*", protocol="udp"))}, None),
+        ({"deny": ("/*/*",)}, None),
         ({"deny": ("/**",)}, DeniedRemedy.NARROW_DENY),
         ({"deny": (Grant("*", may="look"),), "allow": ("/scan",)}, DeniedRemedy.NARROW_DENY),
     ],
