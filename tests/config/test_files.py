@@ -73,6 +73,12 @@ def test_a_file_that_others_could_read_is_the_owners_after_it_is_written(tmp_pat
     assert (path.read_text(), mode(path)) == ("new", 0o600)
 
 
+def test_half_a_new_file_does_not_stay(tmp_path: Path) -> None:
+    with pytest.raises(UnicodeEncodeError), new_file(tmp_path / "a") as file:
+        file.write("x\ud800")
+    assert not (tmp_path / "a").exists()
+
+
 def test_no_symbolic_link_is_followed_to_a_new_file(tmp_path: Path) -> None:
     (tmp_path / "a").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(OSError, match="a"), new_file(tmp_path / "a"):
