@@ -132,7 +132,7 @@ class Side:
     def tick(self) -> None:
         self.scheduler.tick()
         self.book.report()
-        self.pair.tick()
+        self.pair.resume()
 
 
 def routes_of(outgoing: Route) -> Route:

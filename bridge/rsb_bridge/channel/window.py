@@ -53,8 +53,6 @@ of 1 MB/s on a simulated path of 10 MB/s that stalls for 4 s has 2 MB in transit
 _MEASURED_OVER = 1.0
 """s over which the rate counts: a receiver sends a receipt at least once in it. A round figure: from 0.25 to 4 s, the
 simulated paths show no difference."""
-_STOPPED = 1.5
-"""s without a receipt."""
 _MARKS_PER_WINDOW, _MARK_EVERY = 64, 0.02
 """A mark after each such part of the window, or after so many s: ages are exact to the smaller of the two. Round
 figures: 4 to 1,024 marks, and 2 to 200 ms, make no difference on the simulated paths."""
@@ -207,10 +205,6 @@ class Window:
         if self._waits(now) > _SILENT:
             self.slow = True
             self.limit = min(self.limit, max(sent, self._acknowledged + LEAST))
-
-    def moves(self, now: float) -> bool:
-        """Return whether a receipt came recently."""
-        return bool(self._receipts) and now - self._receipts[-1][1] < _STOPPED
 
     @property
     def every(self) -> int:

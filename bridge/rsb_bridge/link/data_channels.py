@@ -283,7 +283,7 @@ class DataChannels:
             if pair.over:
                 del self._pairs[key]
             else:
-                pair.tick()
+                pair.resume()  # a route that frames wait for may be closed
 
     def _report(self) -> None:
         if self._book is not None:
