@@ -79,12 +79,13 @@ def test_each_field_of_an_event_is_kept(tmp_path: Path) -> None:
 
 
 def test_a_peers_text_is_clean_and_bounded(tmp_path: Path) -> None:
-    event = Event(1, 1.0, Level.INFO, "link.lost", "a\nb\x1b[31m\u202ec\u200fd" + "x" * 10_000, link="\x07evil")
-    line = history_files.encode_event(event)
-    assert len(line) < 2500
-    decoded = json.loads(line)
-    assert decoded["text"].startswith("a�b�[31m�c�d")
-    assert decoded["link"] == "�evil"
+    world = World("/scan")
+    say(world, "a\nb\x1b[31m\u202ec\u200fd" + "x" * 10_000, link="\x07evil")
+    disk_of(world, tmp_path).turn()
+    assert (tmp_path / "robot1.jsonl").stat().st_size < 2500
+    (line,) = lines(tmp_path / "robot1.jsonl")
+    assert str(line["text"]).startswith("a�b�[31m�c�d")
+    assert line["link"] == "�evil"
 
 
 def test_a_path_that_is_no_utf_8_ends_nothing(tmp_path: Path) -> None:
