@@ -36,7 +36,6 @@ WRITES_OTHERWISE = {
     "bench/simulated_fleet.py": "likewise",
     "bench/processes.py": "likewise",
     "model/text.py": "standard output itself",
-    "config/keys.py": "with `owner_only`",
     "cli.py": "crash.log, with `owner_only`",
     "terminal/shutdown.py": "crash.txt, with `owner_only`",
     "command/shell.py": "the null device",
