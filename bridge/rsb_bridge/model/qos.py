@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
-from rsb_bridge.model.limits import DEPTH, KEPT_DEPTH, QOS_TIME
+from rsb_bridge.model.limits import DEPTH, QOS_TIME
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -60,8 +60,8 @@ AUTO_SECONDS = 5.0
 """What a reliable volatile topic brings in this time may wait with ``auto``: a link that stalls longer is given up."""
 _DEPTH_AT_FIRST = 500
 """Messages before a rate is measured: as many as a topic of 100 Hz brings in `AUTO_SECONDS`."""
-_LEAST_AUTO = 10
-"""Messages: as many as ROS keeps by default. The most is what the receiving side keeps."""
+_LEAST_AUTO, _MOST_AUTO = 10, 10_000
+"""Messages: as many as ROS keeps by default, and as the receiving side keeps (`limits.KEPT_DEPTH`)."""
 _MOST_AUTO_BYTES = 32 << 20
 """That DDS may hold for a topic of large messages; not measured."""
 
@@ -189,7 +189,7 @@ def auto_depth(rate: float | None, mean_size: float) -> int:
     """
     if rate is None:
         return _DEPTH_AT_FIRST
-    most = min(KEPT_DEPTH, _MOST_AUTO_BYTES / mean_size) if mean_size else KEPT_DEPTH
+    most = min(_MOST_AUTO, _MOST_AUTO_BYTES / mean_size) if mean_size else _MOST_AUTO
     return int(max(_LEAST_AUTO, min(rate * AUTO_SECONDS, most)))
 
 
