@@ -144,7 +144,7 @@ async def _receive(buffer: int) -> None:
 
 
 def _scheduler() -> Scheduler:
-    return Scheduler(ReceiptBook(asyncio.get_running_loop(), lambda _: None), Window(0))
+    return Scheduler(ReceiptBook(asyncio.get_running_loop(), lambda _: None), Window())
 
 
 def _keys(role: Role) -> DataKeys:

@@ -93,7 +93,7 @@ class Side:
         self.routes: dict[int, Route] = {}
         self.keys = DataKeys(session_keys(CipherSuite.AESGCM, _EXPORT), role, Budget(64 << 20))
         self.book = ReceiptBook(asyncio.get_running_loop(), self._send_receipts)
-        self.scheduler = Scheduler(self.book, Window(0))
+        self.scheduler = Scheduler(self.book, Window())
         self.pair = StreamPair(self, self.scheduler, self.book, self.keys.budget, self.keys.scratch)
 
     def awaits_channel(self, route_id: int) -> bool:
@@ -132,7 +132,7 @@ class Side:
     def tick(self) -> None:
         self.scheduler.tick()
         self.book.report()
-        self.pair.tick()
+        self.pair.resume()
 
 
 def routes_of(outgoing: Route) -> Route:

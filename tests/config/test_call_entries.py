@@ -151,6 +151,13 @@ def test_a_mistake_of_a_service_has_its_line_and_key(fields: str, code: Wording,
         ("services", "{service: /_rsb_bridge/published, provider: client}", "service", TopicMistake.OF_THE_BRIDGE, {}),
         ("services", "{topic: /d, provider: client, service: /d}", "topic", ForeignKey.LIST_UNDER, {"list": "topics"}),
         ("actions", "{action: /a, provider: client, type: p/srv/A}", "type", TopicMistake.TYPE_OF_OTHER_KIND, {}),
+        (
+            "actions",
+            f"{{action: /a, provider: client, type: p/action/{'A' * 231}}}",  # of 240: _FeedbackMessage makes it 256
+            "type",
+            TopicMistake.CALLED_TYPE_TOO_LONG,
+            {"length": 240},
+        ),
         ("services", "{service: /d/**x, provider: client}", "service", TopicMistake.NOT_A_PATTERN, {}),
         ("parameters", "{node: n, provider: client}", "node", TopicMistake.NOT_ABSOLUTE, {}),
         ("parameters", "{node: /n, provider: client, type: x}", "type", ForeignKey.TYPE_OF_PARAMETERS, {}),

@@ -36,7 +36,6 @@ WRITES_OTHERWISE = {
     "bench/simulated_fleet.py": "likewise",
     "bench/processes.py": "likewise",
     "model/text.py": "standard output itself",
-    "config/keys.py": "with `owner_only`",
     "cli.py": "crash.log, with `owner_only`",
     "terminal/shutdown.py": "crash.txt, with `owner_only`",
     "command/shell.py": "the null device",
@@ -71,6 +70,12 @@ def test_a_file_that_others_could_read_is_the_owners_after_it_is_written(tmp_pat
     path.chmod(0o666)
     write_whole(path, "new")
     assert (path.read_text(), mode(path)) == ("new", 0o600)
+
+
+def test_half_a_new_file_does_not_stay(tmp_path: Path) -> None:
+    with pytest.raises(UnicodeEncodeError), new_file(tmp_path / "a") as file:
+        file.write("x\ud800")
+    assert not (tmp_path / "a").exists()
 
 
 def test_no_symbolic_link_is_followed_to_a_new_file(tmp_path: Path) -> None:

@@ -245,6 +245,7 @@ def test_what_is_typed_in_one_line() -> None:
         ({"allow": (Grant("/scan", may="publish"),)}, DeniedRemedy.ADD_LOOK),
         ({"allow": (Grant(services="/*"),)}, DeniedRemedy.ADD_LOOK),
         ({"deny": ("/scan", Grant("/*", may="publish"), Grant("*", protocol="udp"))}, None),
+        ({"deny": ("/*/*",)}, None),
         ({"deny": ("/**",)}, DeniedRemedy.NARROW_DENY),
         ({"deny": (Grant("*", may="look"),), "allow": ("/scan",)}, DeniedRemedy.NARROW_DENY),
     ],
@@ -398,11 +399,13 @@ def test_on_a_client_the_table_says_what_its_lists_let_the_server_do() -> None:
     assert set(found.acts) == {"/dock", "/navigate (action)"}
 
 
-def test_what_allow_and_deny_would_refuse_and_crosses_all_the_same_is_warned_of() -> None:
-    session = Session(**CLIENT, topics=(DOCK, MAP, Topic("/a", "transmit")), deny=("/dock",), domain_id=3)
+def test_what_deny_would_refuse_and_crosses_all_the_same_is_warned_of() -> None:
+    """On either side; what `allow` does not name is no contradiction, since own entries need none."""
+    given: dict[str, Any] = {"topics": (DOCK, MAP, Topic("/a", "transmit")), "allow": ("/b",), "deny": ("/dock",)}
+    session = Session(**CLIENT, **given, domain_id=3)
     (problem,) = [each for each in advise(session, None) if says(each.message, Advice.CROSSES_ALTHOUGH_DENIED)]
     assert problem.location == "services[0]"
     assert problem.place == "service /dock"
-    server = Session(**SERVER, clients=(Client("robot1", allow=("/a",), topics=(DOCK,)),), domain_id=3)
+    server = Session(**SERVER, clients=(Client("robot1", **given),), domain_id=3)
     (problem,) = [each for each in advise(server, None) if says(each.message, Advice.CROSSES_ALTHOUGH_DENIED)]
     assert (problem.location, problem.place) == ("clients[0].services[0]", "service /dock")

@@ -22,7 +22,7 @@ from rsb_bridge.link.roles import ServerRole
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.transport import tcp
+from rsb_bridge.transport.host_names import Found, look_up
 from rsb_bridge.wire.messages import Accept, ListTopics, Ping, Pong, Propose, TopicList
 
 if TYPE_CHECKING:
@@ -72,9 +72,8 @@ def test_all_topics_open_on_two_streams(bridge: Bridge) -> None:
 def test_streams_go_where_the_control_connection_went(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     """The server's name is looked up once for a link, not for each stream."""
     asked: list[str] = []
-    look_up = tcp.look_up
 
-    async def counted(host: str, port: int, within: float) -> tcp.Found:
+    async def counted(host: str, port: int, within: float) -> Found:
         asked.append(host)
         return await look_up(host, port, within)
 
@@ -89,7 +88,7 @@ def test_streams_go_where_the_control_connection_went(bridge: Bridge, monkeypatc
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1", "fe80::1%1"])
 def test_what_is_an_address_already_needs_no_thread(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threading, "Thread", None)
-    ((*_, found),) = asyncio.run(tcp.look_up(address, 49152, 1.0))
+    ((*_, found),) = asyncio.run(look_up(address, 49152, 1.0))
     assert found[:2] == (address.partition("%")[0], 49152)
 
 

@@ -79,12 +79,13 @@ def test_each_field_of_an_event_is_kept(tmp_path: Path) -> None:
 
 
 def test_a_peers_text_is_clean_and_bounded(tmp_path: Path) -> None:
-    event = Event(1, 1.0, Level.INFO, "link.lost", "a\nb\x1b[31m\u202ec\u200fd" + "x" * 10_000, link="\x07evil")
-    line = history_files.encode_event(event)
-    assert len(line) < 2500
-    decoded = json.loads(line)
-    assert decoded["text"].startswith("a�b�[31m�c�d")
-    assert decoded["link"] == "�evil"
+    world = World("/scan")
+    say(world, "a\nb\x1b[31m\u202ec\u200fd" + "x" * 10_000, link="\x07evil")
+    disk_of(world, tmp_path).turn()
+    assert (tmp_path / "robot1.jsonl").stat().st_size < 2500
+    (line,) = lines(tmp_path / "robot1.jsonl")
+    assert str(line["text"]).startswith("a�b�[31m�c�d")
+    assert line["link"] == "�evil"
 
 
 def test_a_path_that_is_no_utf_8_ends_nothing(tmp_path: Path) -> None:
@@ -164,6 +165,26 @@ def test_a_full_disk_is_said_once_and_writing_goes_on_later(tmp_path: Path, no_r
     texts = [str(line["text"]) for line in lines(tmp_path / "robot1.jsonl")]
     assert [text.split()[1] for text in texts if text.startswith("event ")] == [str(number) for number in range(100)]
     assert texts.count(told.text) == 1
+
+
+def test_a_time_line_that_was_not_saved_is_tried_again_soon(tmp_path: Path) -> None:
+    world = World("/scan")
+    disk = disk_of(world, tmp_path)
+    disk.turn()
+    path = tmp_path / "robot1.history"
+    path.unlink()
+    path.mkdir()  # events can be written, the time line cannot
+    world.put("/scan", State.DOWN, "no publisher")
+    for _ in range(2):
+        world.go(10)
+        disk.turn()
+    assert codes(world).count(EventCode.LOG_FILE_FAILED) == 1
+    assert EventCode.LOG_FILE_AGAIN not in codes(world)
+    path.rmdir()
+    world.go(10)
+    disk.turn()
+    assert path.is_file()
+    assert codes(world).count(EventCode.LOG_FILE_AGAIN) == 1
 
 
 def test_events_that_were_lost_meanwhile_are_counted(tmp_path: Path) -> None:

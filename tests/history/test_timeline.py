@@ -12,6 +12,7 @@ from tests.history.world import World, brief
 from tests.support import constants
 
 from rsb_bridge.history import timeline, track_record
+from rsb_bridge.history.recorder import Recorder
 from rsb_bridge.history.timeline import Timeline
 from rsb_bridge.history.track_record import MinuteSeries
 from rsb_bridge.model.calls import CallsSnapshot
@@ -19,6 +20,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
 from rsb_bridge.model.snapshot import Event, Level, Snapshot, Stage, State
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.telemetry.event_log import EventLog
 
 HOUR = 3600.0
 
@@ -475,3 +477,25 @@ def test_actions_and_outages_are_clean_text() -> None:
     assert "\x1b" not in outage.cause
     assert "\u202e" not in outage.cause
     assert len(outage.cause) < 600
+
+
+def test_a_question_that_fails_costs_no_other() -> None:
+    recorder = World("/scan").recorder
+    recorder.start()
+    with pytest.raises(ZeroDivisionError):
+        recorder.ask(lambda: 1 / 0).result(10)
+    assert recorder.ask(lambda: "answered").result(10) == "answered"
+    recorder.stop(10)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_thread_that_failed_answers_all_the_same() -> None:
+    clock = HandClock()
+
+    def broken() -> Snapshot:
+        raise ZeroDivisionError
+
+    recorder = Recorder("robot1", "client", EventLog(clock), broken, clock)
+    recorder.start()
+    with pytest.raises(ZeroDivisionError):
+        recorder.history(60.0).result(10)

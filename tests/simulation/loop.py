@@ -47,8 +47,6 @@ class Program(Protocol):
 
     alive: bool
 
-    def getaddrinfo(self, host: str | None, port: int | None, kind: int) -> list[tuple[Any, ...]]: ...
-
     def add_task(self, task: asyncio.Task[Any]) -> None: ...
 
 
@@ -321,18 +319,6 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
         return future
 
     # --- sockets
-
-    async def getaddrinfo(
-        self,
-        host: Any,
-        port: Any,
-        *,
-        family: int = 0,
-        type: int = 0,  # noqa: A002 — asyncio's
-        proto: int = 0,
-        flags: int = 0,
-    ) -> list[Any]:
-        return PROGRAM.get().getaddrinfo(host, port, type)
 
     async def sock_connect(self, sock: Any, address: Any) -> None:
         await sock.connect_stream(address)

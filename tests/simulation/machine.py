@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextvars
 import errno
 import os
-import socket
 from typing import TYPE_CHECKING, Any, Protocol
 
 from tests.simulation.loop import PROGRAM
@@ -130,15 +129,6 @@ class Process:
         del self.tasks[task]
         if not task.cancelled() and task._exception is not None:  # without asking for it, which would make it seen
             self.failed.append((self.loop.time(), task))
-
-    def getaddrinfo(self, host: str | None, port: int | None, kind: int) -> list[tuple[Any, ...]]:
-        """Look a name up, as `socket.getaddrinfo` does.
-
-        Raises:
-            socket.gaierror: the name is not known.
-        """
-        found = self.network.look_up(host or ANY) or ()
-        return [(socket.AF_INET, kind, 0, "", (address, port or 0)) for address in found]
 
     def check_own(self, host: str) -> None:
         """Raise OSError where an address is not this machine's."""

@@ -14,11 +14,9 @@ if TYPE_CHECKING:
 class StreamedReader(DataReader):
     """A reader of data frames behind a reader of frames, with one budget for both."""
 
-    def __init__(
-        self, opener: StreamOpener, route: int, limit: int = MESSAGE_LIMIT, budget: Budget | None = None
-    ) -> None:
+    def __init__(self, opener: StreamOpener, limit: int = MESSAGE_LIMIT, budget: Budget | None = None) -> None:
         self.budget = budget or Budget(UNFINISHED_LIMIT)
-        super().__init__(opener, route, limit, self.budget)
+        super().__init__(opener, limit, self.budget)
         self.frames = FrameReader(HEADER.size + limit + opener.suite.tag_length, self.budget)
 
     def receive_data(self, data: Buffer) -> list[Message]:

@@ -10,4 +10,4 @@ from rsb_bridge.channel.window import Window
 
 
 def lone_scheduler() -> Scheduler:
-    return Scheduler(ReceiptBook(asyncio.get_running_loop(), lambda _: None), Window(0))
+    return Scheduler(ReceiptBook(asyncio.get_running_loop(), lambda _: None), Window())

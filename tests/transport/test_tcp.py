@@ -8,6 +8,7 @@ import errno
 import gc
 import os
 import socket
+import threading
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,8 +19,11 @@ from tests.support.inside import socket_of
 from tests.support.wording import pattern, says
 
 from rsb_bridge.transport import streams
+from rsb_bridge.transport.host_names import LookUpProblem
+from rsb_bridge.transport.listening import bind
 from rsb_bridge.transport.streams import Stream, StreamHandler, StreamProblem, os_error_message
-from rsb_bridge.transport.tcp import LookUpProblem, Tcp, TcpStream, congestion_control, prefer_bbr
+from rsb_bridge.transport.tcp import Tcp, TcpStream, congestion_control, prefer_bbr
+from rsb_bridge.transport.transport import ListenError
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Iterator
@@ -118,6 +122,24 @@ async def test_where_some_cannot_be_reached_a_refusal_is_told(
 async def test_a_name_without_an_address(port: int, resolves: list[str]) -> None:
     with pytest.raises(OSError, match=pattern(LookUpProblem.NO_ADDRESS, host="robot")):
         await Tcp().connect("robot", port, StreamHandler())
+
+
+def test_a_silent_name_server_holds_up_neither_a_server_nor_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The end waits for the threads of the loop's own pool."""
+    answers = threading.Event()
+
+    def silent(host: str, *_: object, flags: int = 0, **__: object) -> None:
+        if not flags & socket.AI_NUMERICHOST:
+            answers.wait(20)
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", silent)
+    constants.LISTEN_LOOKED_UP_WITHIN.set(monkeypatch, 0.1)
+    try:
+        with pytest.raises(ListenError, match=pattern(LookUpProblem.NO_NAME_SERVER)):
+            asyncio.run(bind("pc", 0, socket.SOCK_STREAM))
+    finally:
+        answers.set()
 
 
 @pytest.mark.parametrize("addresses", [[_LIVE], [_LIVE, _ALSO_LIVE], [_SILENT, _LIVE]], ids=["one", "two", "silent"])

@@ -18,7 +18,7 @@ SUITES = pytest.mark.parametrize("suite", list(CipherSuite))
 
 def ends(suite: CipherSuite, limit: int = 1 << 20, budget: Budget | None = None) -> tuple[DataWriter, StreamedReader]:
     key = None if suite is CipherSuite.PLAIN else KEY
-    return DataWriter(Sealer(suite, key), ROUTE), StreamedReader(StreamOpener(suite, key), ROUTE, limit, budget)
+    return DataWriter(Sealer(suite, key), ROUTE), StreamedReader(StreamOpener(suite, key), limit, budget)
 
 
 def written(writer: DataWriter, message: Message, chunk: int, chunks: int) -> list[bytes]:

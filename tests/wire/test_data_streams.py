@@ -41,7 +41,7 @@ def test_a_data_stream_is_attached(suite: CipherSuite) -> None:
     stream = server.accept_attach() + first
     assert data.receive_data(stream[:20]) == [Accepted()]
     assert data.receive_data(stream[20:30]) == []
-    reader = StreamedReader(client_keys.stream_opener(5, "server"), 5)
+    reader = StreamedReader(client_keys.stream_opener(5, "server"))
     assert reader.receive_data(data.leftover()) == []
     assert reader.receive_data(stream[30:]) == [(b"x" * 10_000, 7, 0)]
     assert data.leftover() == b""
@@ -52,7 +52,7 @@ def test_a_route_moves_to_another_stream(suite: CipherSuite) -> None:
     """The frame that says so is sealed in order with the route's messages."""
     _, _, client_keys, server_keys = established(suite)
     writer = DataWriter(client_keys.route_sealer(3, "client"), 3)
-    reader = DataReader(server_keys.stream_opener(3, "client"), 3)
+    reader = DataReader(server_keys.stream_opener(3, "client"))
     first, moved, second = writer.write(b"1", 1), writer.write_moved(), writer.write(b"2", 2)
     read = [memoryview(frame)[LENGTH.size :] for frame in (first, moved, second)]
     assert reader.open_frames(read[:1]) == [(b"1", 1, 0)]
@@ -108,7 +108,7 @@ def test_a_data_stream_is_offered_a_retry() -> None:
 def test_a_multiplexed_stream_carries_control_and_data(suite: CipherSuite) -> None:
     client, server, client_keys, server_keys = established(suite, multiplexed=True)
     writer = DataWriter(client_keys.route_sealer(3, "client"), 3)
-    reader = StreamedReader(server_keys.stream_opener(3, "client"), 3)
+    reader = StreamedReader(server_keys.stream_opener(3, "client"))
     first, second = write_chunks(writer, b"payload", 9, 0, 4)
     events = server.receive_data(first + client.send(Ping(1, 1)) + second)
     assert [type(event) for event in events] == [DataFrame, MessageReceived, DataFrame]

@@ -326,10 +326,11 @@ def test_a_message_is_written_piece_by_piece() -> None:
     assert reader.receive(datagrams[-1], 5.0) == (bytes(95), 7, ZSTD)
 
 
-def test_the_newest_message_may_take_longer_to_become_whole() -> None:
+@pytest.mark.parametrize("order", [1, -1], ids=["in order", "reordered"])
+def test_the_newest_message_may_take_longer_to_become_whole(order: int) -> None:
     writer, reader = ends()
-    for _ in range(2):
-        reader.receive(writer.write(bytes(30), 0, 0, OVERHEAD + 10)[0], 0.0)
+    for datagrams in [writer.write(bytes(30), 0, 0, OVERHEAD + 10) for _ in range(2)][::order]:
+        reader.receive(datagrams[0], 0.0)
     reader.expire(1.1, 1.0, 5.0)
     assert (reader.expired, reader.pending) == (1, 1)
     reader.expire(5.1, 1.0, 5.0)

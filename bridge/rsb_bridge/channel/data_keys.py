@@ -22,8 +22,8 @@ Meter: TypeAlias = "Callable[[int], bool]"
 class MeteredDataReader(DataReader):
     """Opens frames as long as the meter allows, and ignores all further ones; the meter ends the route."""
 
-    def __init__(self, opener: StreamOpener, route: int, meter: Meter, budget: Budget) -> None:
-        super().__init__(opener, route, budget=budget)
+    def __init__(self, opener: StreamOpener, meter: Meter, budget: Budget) -> None:
+        super().__init__(opener, budget=budget)
         self._meter = meter
         self._ended = False
 
@@ -86,8 +86,8 @@ class DataKeys:
         """Opens a route's messages from a stream."""
         opener = self.keys.stream_opener(route_id, self.peer_role)
         if (meter := self.meter_of(route_id)) is not None:
-            return MeteredDataReader(opener, route_id, meter, self.budget)
-        return DataReader(opener, route_id, budget=self.budget)
+            return MeteredDataReader(opener, meter, self.budget)
+        return DataReader(opener, budget=self.budget)
 
     def datagram_writer(self, route_id: int) -> DatagramWriter:
         """Return a sealing writer for datagrams. A route id gets one writer, for either kind, in a link's life."""

@@ -291,11 +291,6 @@ class StreamPair:
         for stream in self.streams():
             stream.resume()
 
-    def tick(self) -> None:
-        """Try held frames again: their route may be closed. Called once a second."""
-        for stream in self.streams():
-            stream.resume()
-
     def lost(self, stream: DataStream, reason: str) -> None:
         """End a stream; its routes open again. Without the stream of small messages, both end."""
         if self.over:

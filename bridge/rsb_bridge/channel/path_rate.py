@@ -144,7 +144,7 @@ class PathRate:
         if not self._rates:
             return
         # What is lost in the best span is lost at any pace, and has crossed the narrowest part of the path, or would.
-        carries = max(rate for _, rate in self._rates) / (max(self._shares) or 1.0)
+        carries = max(rate for _, rate in self._rates) / max(self._shares)
         self.pace = self._gain * carries
         self.crossing = int(carries * self._round_trips[0][1])
         least = self.most if self._gain == _GROWING else LEAST_ON_PATH

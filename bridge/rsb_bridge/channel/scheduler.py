@@ -289,7 +289,7 @@ class Scheduler:
         most = min(self._write, self._window.limit - self.sent)
         parts: list[bytes] = []
         size = 0
-        while queue and size < most and (queue[0][0] <= until or not size):
+        while queue and size < most and queue[0][0] <= until:
             start, _, end = heapq.heappop(queue)
             if not end.queued:
                 continue

@@ -53,8 +53,6 @@ of 1 MB/s on a simulated path of 10 MB/s that stalls for 4 s has 2 MB in transit
 _MEASURED_OVER = 1.0
 """s over which the rate counts: a receiver sends a receipt at least once in it. A round figure: from 0.25 to 4 s, the
 simulated paths show no difference."""
-_STOPPED = 1.5
-"""s without a receipt."""
 _MARKS_PER_WINDOW, _MARK_EVERY = 64, 0.02
 """A mark after each such part of the window, or after so many s: ages are exact to the smaller of the two. Round
 figures: 4 to 1,024 marks, and 2 to 200 ms, make no difference on the simulated paths."""
@@ -80,7 +78,6 @@ class Window:
         "_last_mark",
         "_last_mark_at",
         "_marks",
-        "_origin",
         "_ping",
         "_receipts",
         "_shortest",
@@ -91,19 +88,18 @@ class Window:
         "slow",
     )
 
-    def __init__(self, sent: int, ping: float = 0.0, ages: Ages = QUEUES_LITTLE) -> None:
-        """Begin on a stream.
+    def __init__(self, ping: float = 0.0, ages: Ages = QUEUES_LITTLE) -> None:
+        """Begin on a new link.
 
         Args:
-            sent: bytes that it already carried.
             ping: s of the shortest ping of the connection, or 0 if it is unknown.
         """
         self._ages = ages
         self.slow = False
         self.rate = self.back = 0.0
-        self._origin = self._acknowledged = sent
+        self._acknowledged = 0
         self._marks: deque[tuple[int, float]] = deque()  # how many bytes were sent when (s)
-        self._last_mark, self._last_mark_at = sent, float("-inf")
+        self._last_mark, self._last_mark_at = 0, float("-inf")
         self._receipts: deque[tuple[int, float]] = deque(maxlen=_MOST_RECEIPTS)
         self.expect(ping)
         self._before_shrinking: tuple[int, float] | None = None  # bytes sent until then, and s that data took
@@ -114,7 +110,7 @@ class Window:
         # s, the shortest round trip so far, less what receipts took to come back
         self._shortest = max(_FARTHEST, self._ping)
         self.size = int(FIRST * max(1.0, self._ping / _FIRST_LASTS))
-        self.limit = self._origin + self.size
+        self.limit = self.size
 
     def wrote(self, before: int, now: float) -> None:
         """Record that data is written at `now` (s), after `before` bytes."""
@@ -136,24 +132,18 @@ class Window:
         Args:
             count: bytes of the channel that the peer claims to have received.
         """
-        acknowledged = min(self._origin + count, sent)
+        acknowledged = min(count, sent)
         gained = acknowledged - self._acknowledged
         if gained <= 0:
             return
         # A small topic that never fills half of the window says nothing about what the path carries. If the window
         # grew all the same, all would pass when the path becomes slow, until receipts are late.
         limited = 2 * (sent - self._acknowledged) >= self.size
-        marks = self._marks
-        written_at = None
-        while marks and marks[0][0] < acknowledged:
-            written_at = marks.popleft()[1]
+        written_at = self._pass_marks(acknowledged, sent)
         if written_at is not None:
             took = max(0.0, now - written_at - self._credit)
             self._shortest = min(self._shortest, took)
             self._accept_delay(took, acknowledged)
-            # The rest of a write keeps its age, or a message of 100 kB would never seem late.
-            if acknowledged < sent and (not marks or marks[0][0] > acknowledged):
-                marks.appendleft((acknowledged, written_at))
         self._acknowledged = acknowledged
         rate = self.rate = self._rate(acknowledged, now)
         waits = self._waits(now)
@@ -174,14 +164,20 @@ class Window:
 
     def write_off(self, acknowledged: int, sent: int) -> None:
         """Count bytes as acknowledged that no receipt will count, since their stream is lost; they tell nothing."""
+        self._pass_marks(acknowledged, sent)
+        self._acknowledged = acknowledged
+        self.limit = acknowledged + self.size
+
+    def _pass_marks(self, acknowledged: int, sent: int) -> float | None:
+        """Drop the marks of acknowledged bytes; return when (s) the last of these bytes was written, if a mark says."""
         marks = self._marks
         written_at = None
         while marks and marks[0][0] < acknowledged:
             written_at = marks.popleft()[1]
+        # The rest of a write keeps its age, or a message of 100 kB would never seem late.
         if written_at is not None and acknowledged < sent and (not marks or marks[0][0] > acknowledged):
             marks.appendleft((acknowledged, written_at))
-        self._acknowledged = self._origin + acknowledged
-        self.limit = self._acknowledged + self.size
+        return written_at
 
     def _accept_delay(self, took: float, acknowledged: int) -> None:
         """Accept a delay as that of the path if it stays although less is in transit."""
@@ -207,10 +203,6 @@ class Window:
         if self._waits(now) > _SILENT:
             self.slow = True
             self.limit = min(self.limit, max(sent, self._acknowledged + LEAST))
-
-    def moves(self, now: float) -> bool:
-        """Return whether a receipt came recently."""
-        return bool(self._receipts) and now - self._receipts[-1][1] < _STOPPED
 
     @property
     def every(self) -> int:

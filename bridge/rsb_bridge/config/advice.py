@@ -87,7 +87,7 @@ class Advice(Wording):
     TOPIC_PORT_OF_DISCOVERY = (
         "a server refuses ports by which nodes discover each other: {port} is ROS domain {domain}'s"
     )
-    CROSSES_ALTHOUGH_DENIED = "{reason}, but it crosses: allow and deny apply only to entries of the other side"
+    CROSSES_ALTHOUGH_DENIED = "{reason}, but it crosses: deny applies only to entries of the other side"
     TYPE_NOT_INSTALLED = "{type} is not installed here: check the spelling; the {kind} crosses once there is a {who}"
     DEPTH = "depth {depth}: the receiving side keeps {limit} messages in its publisher"
     DEPTH_OF_LATCHED = "depth {depth}: the receiving side keeps {limit} messages for late joiners"
@@ -112,8 +112,7 @@ def advise(session: Session, domain_variable: str | None, middleware: str = "") 
     yield from missing_transports(session)
     yield from _metrics(session)
     yield from _topics(session.topics, "", session)
-    # A client's own entries need no `allow`.
-    yield from _denied(session.topics, "", dataclasses.replace(rights_of_server(session), allow=()), session)
+    yield from _denied(session.topics, "", rights_of_server(session), session)
     for at, client in enumerate(session.listed_clients):
         where = join("clients", at)
         yield from _topics(client.topics, where, session)
@@ -192,7 +191,8 @@ def _topics(topics: Sequence[Topic], where: str, session: Session) -> Iterator[P
 
 
 def _denied(topics: Sequence[Topic], where: str, rights: Rights, session: Session) -> Iterator[Problem]:
-    """`allow` and `deny` say what the other side may ask for, and not what this side proposes to it."""
+    """`deny` says what the other side may not ask for, and not what this side proposes to it."""
+    rights = dataclasses.replace(rights, allow=())  # an entry of this side is permission enough
     sends = "receive" if session.role == "client" else "transmit"
     for topic, here in zip(topics, locations(topics), strict=True):
         may = uses(topic.kind)[topic.direction != sends]

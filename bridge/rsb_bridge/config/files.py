@@ -145,7 +145,7 @@ def new_file(path: Path, newline: str | None = None) -> Iterator[TextIO]:
     try:
         with os.fdopen(handle, "w", encoding="utf-8", newline=newline) as file:
             yield file
-    except OSError:
+    except BaseException:  # of the caller, too: half a file would refuse the next try
         path.unlink(missing_ok=True)
         raise
 

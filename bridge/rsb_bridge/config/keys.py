@@ -17,7 +17,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.files import kind_of_file, owner_only, replace_file, typed_path
+from rsb_bridge.config.files import kind_of_file, new_file, replace_file, typed_path
 from rsb_bridge.model.fingerprints import fingerprint_of, format_fingerprint
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.text import join_first, plural
@@ -256,15 +256,10 @@ def _decode(text: str) -> bytes | None:
 
 
 def _write_new(path: Path, content: bytes) -> None:
-    handle = owner_only(str(path), os.O_WRONLY | os.O_CREAT | os.O_EXCL)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError:
-        path.unlink()
-        raise
+    with new_file(path) as file:
+        file.write(content.decode())
+        file.flush()
+        os.fsync(file.fileno())  # a key without contents after a power cut would lock the peer out
 
 
 def key_files_by_client(session: Session) -> dict[str, tuple[str, ...]]:

@@ -340,7 +340,9 @@ class Rights:
         """Return the reason why the peer may look at no topic at all, or None. Each topic is checked when it looks."""
         reason = DeniedText.NO_LOOK(owner=self.owner, peer=self.peer)
         for grant in self.deny:
-            if grant.topics and _covers(grant, "look") and not grant.protocol and set(grant.topics) <= {"/", "*"}:
+            # Only what every name matches: /*/* leaves /scan.
+            is_any = grant.topics is not None and not grant.topics.removeprefix("/").strip("*")
+            if is_any and _covers(grant, "look") and not grant.protocol:
                 return DeniedUse(reason, DeniedRemedy.NARROW_DENY(entry=_text(grant), place=self.place))
         if self.allow and not any(grant.topics and _covers(grant, "look") for grant in self.allow):
             return DeniedUse(reason, DeniedRemedy.ADD_LOOK(place=self.place))

@@ -517,7 +517,7 @@ def _call_type(topic: Topic, location: str) -> Iterator[Problem]:
         hint = Hint.DID_YOU_MEAN(name=f"{parts[0]}/{folder}/{parts[-1]}") if len(parts) > 1 else ""
         message = TopicMistake.NOT_A_TYPE(name=show(name), kind=A_KIND[topic.kind], folder=folder, hint=hint)
         yield Problem(location, message)
-    elif len(name) > TEXT_LENGTH - len("_GetResult"):
+    elif len(name) > TEXT_LENGTH - max(len(lane.type_suffix) for lane in LANES[topic.kind]):
         yield Problem(location, TopicMistake.CALLED_TYPE_TOO_LONG(name=show(name), length=len(name)))
 
 

@@ -19,7 +19,6 @@ from rsb_bridge.model.limits import TIME
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import Event, Level
-from rsb_bridge.model.text import sanitize_text
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -34,8 +33,6 @@ FILE_BYTES = 2 << 20
 """Bytes; not measured. All files together have room for tens of thousands of usual events."""
 FILES = 5
 """Files kept: the newest, and older ones with a number, ``NAME.1.jsonl`` and so on."""
-_TEXT_LENGTH = 2000
-"""Characters of an event's text, as in the log (`event_log.EVENT_LENGTH`)."""
 _EMPTY = ("", None, False)
 _line = msgspec.json.Decoder(dict[str, object])
 _FILE_BYTES = 64 << 20
@@ -125,16 +122,13 @@ def numbered(path: Path, number: int) -> Path:
 
 
 def encode_event(event: Event) -> bytes:
-    """Return an event as one line, with the keys of ``--log-format json``; what is empty is left out."""
+    """Return an event as one line, with the keys of ``--log-format json``; what is empty is left out.
+
+    Its texts come from a log, which has made them clean and short.
+    """
     fields = msgspec.to_builtins(event).items()
-    line = {name: _sanitized(name, value) for name, value in fields if value not in _EMPTY and name != "number"}
+    line = {name: value for name, value in fields if value not in _EMPTY and name != "number"}
     return msgspec.json.encode({**line, "source": event.source}) + b"\n"
-
-
-def _sanitized(name: str, value: object) -> object:
-    if not isinstance(value, str):
-        return value
-    return sanitize_text(value, _TEXT_LENGTH) if name == "text" else sanitize_text(value)
 
 
 def read_events(path: Path, since: float) -> Iterator[Event]:
@@ -386,11 +380,12 @@ class Disk:
 
     def _save(self, now: float) -> None:
         # Before the question: what happens during the save is saved by the next one.
-        self._saved_changes = self._recorder.changes
+        changes = self._recorder.changes
         with contextlib.suppress(TimeoutError):  # as in `_restore`
             saved = self._recorder.ask(self._recorder.save).result(_ANSWERED_WITHIN)
             write_history(self._files.history, saved)
-            self._saved_at = now
+            # Only now: a save that failed stays due, so that the next turn tries it before it says that all is well.
+            self._saved_at, self._saved_changes = now, changes
 
     # --- failures
 

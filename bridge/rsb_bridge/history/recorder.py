@@ -134,7 +134,7 @@ class Recorder:
         """Have a method of this called on its thread; on the calling one, when that has ended.
 
         Args:
-            question: the method; a `ValueError` of it becomes the future's exception.
+            question: the method; an exception of it becomes the future's.
         """
         answer: Future[T] = Future()
 
@@ -143,7 +143,7 @@ class Recorder:
                 return
             try:
                 result = question()
-            except ValueError as error:
+            except Exception as error:  # noqa: BLE001 -- it is the future's, and no end of this thread
                 answer.set_exception(error)
             else:
                 answer.set_result(result)
@@ -159,6 +159,16 @@ class Recorder:
     # --- on the thread
 
     def _run(self) -> None:
+        try:
+            self._watch()
+        finally:  # after an error of `_watch`, too: nobody may wait for an answer of a thread that has ended
+            with self._ending:
+                while not self._work.empty():
+                    if (work := self._work.get()) is not None:
+                        work()
+                self._has_ended = True
+
+    def _watch(self) -> None:
         due = self._clock.steady()
         while True:
             try:
@@ -173,11 +183,6 @@ class Recorder:
             work()
         self.look()
         self._timeline.cut()
-        with self._ending:
-            while not self._work.empty():
-                if (work := self._work.get()) is not None:
-                    work()
-            self._has_ended = True
 
     def restore(self, saved: Saved, events: Iterable[Event] = ()) -> None:
         """Continue a saved time line; the seconds that this process has recorded so far are dropped.

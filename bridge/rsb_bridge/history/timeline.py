@@ -204,8 +204,8 @@ class Timeline:
         if self._run is None:
             return
         _, now = self._run
-        for record in sorted(self._records.values(), key=lambda each: bool(each.topic), reverse=True):
-            record.cut(now, self._link_of(record), cut_off=True)  # the topics before their links
+        for record in self._records.values():
+            record.cut(now, self._link_of(record), cut_off=True)
         self._runs.append(self._run)
         self._run = None
 
@@ -240,10 +240,9 @@ class Timeline:
         for key, record in list(self._records.items()):
             if not record.forget(now - KEPT_FOR):
                 del self._records[key]
-        by_outages = sorted(self._records.values(), key=lambda each: len(each.outages))
-        excess = sum(len(each.outages) for each in by_outages) - OUTAGES
+        excess = sum(len(each.outages) for each in self._records.values()) - OUTAGES
         while excess > 0:
-            most = max(by_outages, key=lambda each: len(each.outages))
+            most = max(self._records.values(), key=lambda each: len(each.outages))
             # A quarter at once: a walk over all tracks for each outage would be thousands of walks.
             for _ in range(min(excess, max(1, len(most.outages) // 4))):
                 most.drop(now)

@@ -175,7 +175,7 @@ class DataChannels:
     def connected(self, keys: SessionKeys, role: Role, ages: Ages) -> None:
         """Begin a connection with its keys."""
         self._book = ReceiptBook(self._loop, self._send_receipts, self._way_back, self._ping)
-        self.scheduler = Scheduler(self._book, Window(0, self._ping(), ages))
+        self.scheduler = Scheduler(self._book, Window(self._ping(), ages))
         self.keys = DataKeys(keys, role, self._unfinished, meter_of=self._meter_of)
         self.probe = PathProbe(self.keys)
         self._newest = 0
@@ -283,7 +283,7 @@ class DataChannels:
             if pair.over:
                 del self._pairs[key]
             else:
-                pair.tick()
+                pair.resume()  # a route that frames wait for may be closed
 
     def _report(self) -> None:
         if self._book is not None:

@@ -195,7 +195,7 @@ class Demands:
             if source.is_pattern:
                 excepts = tuple(map(_pattern, source.excepts))
                 on_client = _pattern(source.on_client or source.name)
-                beginning = source.name.partition("*")[0].rstrip("/")  # of all names that match
+                beginning = source.name.partition("*")[0]  # of all names that match
                 self._patterns.append((beginning, _pattern(source.name), on_client, excepts, source))
             else:
                 self._by_name.setdefault(source.name, []).append(source)

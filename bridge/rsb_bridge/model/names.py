@@ -12,7 +12,7 @@ _PART = r"[A-Za-z_][A-Za-z0-9_]*"
 _TOPIC = re.compile(rf"(/{_PART})+")
 _PREFIX = re.compile(rf"{_PART}(/{_PART})*")
 
-_DIGITS = re.compile(r"([0-9]{1,18})")
+_DIGITS = re.compile(r"([0-9]+)")
 
 _STEM_LENGTH = 64
 """Characters; a file's name has at most 255 bytes, and a suffix and a number come behind it."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.descriptors import SHORTAGES
+from rsb_bridge.transport.host_names import look_up
 from rsb_bridge.transport.streams import os_error_message
 from rsb_bridge.transport.transport import ListenError
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.transport.streams import Address, Stream
 
+_LOOKED_UP_WITHIN = 3.0
+"""s for the address of a name, as on a client (`tcp.CONNECT_TIMEOUT`)."""
 _AT_ONCE = 16
 """Connections accepted before the I/O loop turns to other work. Two such batches later the first one has been read: few
 enough that a client which has spoken is read before those behind it are too many (`link.pending_connections`)."""
@@ -47,7 +50,7 @@ async def bind(host: str, port: int, kind: socket.SocketKind) -> list[socket.soc
     """
     sockets: list[socket.socket] = []
     try:
-        found = await asyncio.get_running_loop().getaddrinfo(host, port, type=kind, flags=socket.AI_PASSIVE)
+        found = await look_up(host, port, _LOOKED_UP_WITHIN, kind, socket.AI_PASSIVE)
         for family, type_, proto, _, address in dict.fromkeys(found):  # one listed twice could not be bound again
             sock = socket.socket(family, type_, proto)
             sockets.append(sock)

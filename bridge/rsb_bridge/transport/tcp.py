@@ -8,13 +8,11 @@ import errno
 import os
 import re
 import socket
-from collections.abc import Sequence
-from typing import Any
 
 from aiohappyeyeballs import start_connection
 
 from rsb_bridge.model.transports import TcpTraits
-from rsb_bridge.model.wording import Wording
+from rsb_bridge.transport.host_names import LookUpProblem, look_up
 from rsb_bridge.transport.listening import StreamListener, bind
 from rsb_bridge.transport.streams import (
     RETRIED_AFTER,
@@ -25,38 +23,8 @@ from rsb_bridge.transport.streams import (
     os_error_message,
     retry_after,
 )
-from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.transport import Acceptor, Listener, StreamTransport
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
-
-Found = Sequence[tuple[int | socket.AddressFamily, int | socket.SocketKind, int, str, tuple[Any, ...]]]
-
-
-class LookUpProblem(Wording):
-    """The reasons why a host's name has no address."""
-
-    NO_NAME_SERVER = "the name can't be looked up: no name server answers within {seconds:g} s"
-    NO_ADDRESS = "{host}: the name has no address"
-
-
-async def look_up(host: str, port: int, within: float) -> Found:
-    """Return the stream addresses of a host, as `socket.getaddrinfo` gives them.
-
-    Args:
-        host: a name or an address.
-        within: s until the lookup is given up.
-
-    Raises:
-        OSError: the name is not known, or no name server answers.
-    """
-    # An address needs no thread: each stream of a link would start one.
-    with contextlib.suppress(socket.gaierror):
-        return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST)
-    try:
-        return await in_thread("look-up", lambda: socket.getaddrinfo(host, port, type=socket.SOCK_STREAM), within)
-    except TimeoutError:
-        raise OSError(LookUpProblem.NO_NAME_SERVER(seconds=within)) from None
-
 
 CONNECT_TIMEOUT = 3.0
 """s; a round figure."""

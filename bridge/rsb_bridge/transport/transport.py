@@ -66,7 +66,7 @@ class DatagramSocket(Protocol):
 
     @property
     def port(self) -> int:
-        """The local port."""
+        """The local port, or 0 on a network that has none."""
         ...
 
     @property

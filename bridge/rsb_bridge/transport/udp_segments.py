@@ -53,7 +53,7 @@ def end_of_run(datagrams: Sequence[bytes], begin: int) -> int:
         if length != size:
             return end + 1 if 0 < length < size else end  # an empty one would vanish in the buffer
         end += 1
-    return max(end, begin + 1)
+    return end
 
 
 def segment(size: int) -> Control:

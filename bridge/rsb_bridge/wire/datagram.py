@@ -353,14 +353,13 @@ class DatagramReader:
         Args:
             newest_older_than: s for the newest message, whose next datagram may wait for its turn.
         """
-        while self._incomplete:
-            number, oldest = next(iter(self._incomplete.items()))
+        # All of them: the newest one, which may wait longer, can be anywhere among them.
+        for number, message in tuple(self._incomplete.items()):
             patience = older_than
             if newest_older_than is not None and number == self.newest:
                 patience = newest_older_than
-            if now - oldest.last_seen <= patience:
-                break
-            self._give_up(number)
+            if now - message.last_seen > patience:
+                self._give_up(number)
 
     def close(self) -> None:
         """Give up all incomplete messages."""

@@ -149,7 +149,6 @@ _LENGTH_SIZE = LENGTH.size
 STRANGER_LIMIT = PREAMBLE_LIMIT + _LENGTH_SIZE
 """Bytes that are kept of somebody who has not proven to have a key: a preamble frame with its length."""
 _unpack_header = HEADER.unpack
-_UNKNOWN_FLAGS = 0xFF & ~(ZSTD | MORE | HISTORY | LEASED | SOURCE_FLAGS)
 
 
 def pack_frame(*parts: Buffer) -> bytes:
@@ -315,22 +314,22 @@ class DataWriter:
 class DataReader:
     """Opens a route's data frames, and reassembles chunks."""
 
-    def __init__(
-        self, opener: StreamOpener, route: int, limit: int = MESSAGE_LIMIT, budget: Budget | None = None
-    ) -> None:
+    def __init__(self, opener: StreamOpener, limit: int = MESSAGE_LIMIT, budget: Budget | None = None) -> None:
         """Read one route.
 
         Args:
-            opener: of the peer's direction.
+            opener: of the route, in the peer's direction.
             limit: bytes of the longest message.
             budget: for incomplete messages, or None for a budget of its own.
         """
         self._open = opener.open
-        self._route = route
         self._chunks = Assembly(opener, limit, budget or Budget(UNFINISHED_LIMIT))
 
     def open_frames(self, frames: Iterable[Buffer]) -> list[Message]:
         """Open whole data frames.
+
+        Args:
+            frames: whose headers have the type `DATA` and this route.
 
         Returns:
             The messages, without one of which more chunks follow.
@@ -339,14 +338,12 @@ class DataReader:
             ProtocolError: the format is broken, or the budget is spent.
             SealError: a seal is invalid.
         """
-        open_, chunks, stream, messages = self._open, self._chunks, self._route, list[Message]()
+        open_, chunks, messages = self._open, self._chunks, list[Message]()
         for frame in frames:
             if len(frame) < _HEADER_SIZE:
                 raise ProtocolError(Broken.DATA_FRAME_TOO_SHORT(length=len(frame), header=_HEADER_SIZE))
             header = frame[:_HEADER_SIZE]
-            kind, flags, route, stamp = _unpack_header(header)
-            if kind != DATA or route != stream or flags & _UNKNOWN_FLAGS:
-                raise ProtocolError(Broken.FRAME_OF_ANOTHER_STREAM(kind=kind, flags=flags, route=route, stream=stream))
+            _, flags, _, stamp = _unpack_header(header)
             sealed = frame[_HEADER_SIZE:]
             # Most messages are whole, and need no assembly and no budget.
             if not (flags & MORE or chunks.begun):

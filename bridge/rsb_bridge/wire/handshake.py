@@ -169,8 +169,6 @@ def _hkdf(chaining_key: bytes, material: bytes) -> tuple[bytes, bytes, bytes]:
 
 _MOST = 512
 """A round figure: an older message is answered again, but a replay cannot confirm."""
-_EPHEMERAL_LENGTH = 32
-"""Random bytes at a first message's beginning: the sender's ephemeral key (X25519)."""
 
 
 class ReplayCache:
@@ -181,7 +179,7 @@ class ReplayCache:
 
     def is_new(self, message: bytes) -> bool:
         """Remember a first message; returns False where it came before."""
-        ephemeral = message[:_EPHEMERAL_LENGTH]
+        ephemeral = message[:_DH_LENGTH]  # random bytes: the sender's ephemeral key
         if ephemeral in self._seen:
             return False
         self._seen.append(ephemeral)

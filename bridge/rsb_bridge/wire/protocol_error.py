@@ -15,7 +15,6 @@ class Broken(Wording):
     TOO_MUCH_INCOMPLETE = "the link's incomplete messages would take more than {limit:,} bytes"
     FRAME_TOO_LONG = "a frame of {length} bytes; the limit is {limit}"
     DATA_FRAME_TOO_SHORT = "a data frame of {length} bytes: its header alone has {header}"
-    FRAME_OF_ANOTHER_STREAM = "a frame of type {kind}, flags {flags}, route {route} on the stream of route {stream}"
     INVALID_CONTROL_MESSAGE = "invalid control message: {problem}"
     UNKNOWN_PREAMBLE = "unknown preamble kind {kind}"
     CONTROL_TOO_SHORT = "a CONTROL frame ends before its name or its fingerprint does"

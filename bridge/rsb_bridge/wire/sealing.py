@@ -367,13 +367,12 @@ def _expand(secret: bytes | None, label: bytes, info: bytes = b"") -> bytes | No
 
 
 TAG_LENGTH = 16
-_KEY_LENGTH = 32
 _NONCE = struct.Struct(">BxxxQ")
 
 
 def derive_sample_secret(export: bytes) -> bytes:
     """Derive the secret of all tags of a link, or of an operator's connection, from its handshake."""
-    return HKDFExpand(SHA256(), _KEY_LENGTH, b"rsb samples").derive(export)
+    return HKDFExpand(SHA256(), KEY_LENGTH, b"rsb samples").derive(export)
 
 
 class SampleTags:
@@ -404,4 +403,4 @@ class SampleTags:
     @staticmethod
     def _cipher(secret: bytes, stream: str, direction: int) -> ChaCha20Poly1305:
         info = b"rsb sample tags" + stream.encode() + bytes((direction,))
-        return ChaCha20Poly1305(HKDFExpand(SHA256(), _KEY_LENGTH, info).derive(secret))
+        return ChaCha20Poly1305(HKDFExpand(SHA256(), KEY_LENGTH, info).derive(secret))

@@ -27,7 +27,7 @@ def _read_stream(data: bytes) -> None:
     """Bytes as they come, in pieces as the first one says: a peer that seals as it should, or anything at all."""
     choice = data[0] if data else 0
     budget = Budget(_BUDGET)
-    reader = StreamedReader(StreamOpener(CipherSuite.PLAIN, None), _ROUTE, _LONGEST, budget)
+    reader = StreamedReader(StreamOpener(CipherSuite.PLAIN, None), _LONGEST, budget)
     sealer = Sealer(CipherSuite.PLAIN, None)
     stream = data[1:]
     if choice & 1:
@@ -98,7 +98,7 @@ def _round_trip(suite: CipherSuite, data: bytes) -> None:
     choice = data[0] if data else 0
     payload = data[1:]
     writer = DataWriter(Sealer(suite, _KEY), _ROUTE)
-    reader = StreamedReader(StreamOpener(suite, _KEY), _ROUTE, max(len(payload), 1))
+    reader = StreamedReader(StreamOpener(suite, _KEY), max(len(payload), 1))
     chunk = choice + 1
     stream = writer.write(payload, 5, choice & 1) + b"".join(write_chunks(writer, payload, 2**64 - 1, 0, chunk))
     assert reader.receive_data(stream) == [(payload, 5, choice & 1), (payload, 2**64 - 1, 0)]
