@@ -87,7 +87,7 @@ class Reader:
         Stop after `_ENOUGH` bytes.
 
         Raises:
-            RosError: rcl failed.
+            RosError: rcl failed at the first of them.
         """
         address, buffer, info, last = self.handle.address, self._buffer, self._info, self._last
         guid_of = self._guid_of
@@ -104,6 +104,8 @@ class Reader:
                 if code == TAKE_FAILED:
                     break
                 reset_error()
+                if taken:  # they have been counted; the next take meets an error that lasts
+                    break
                 raise RosError(RosProblem.NOT_TAKEN(topic=self.topic, code=code))
             source, stamp, number, _, _, gid = unpack(info)
             self._last_size = length = buffer.length
