@@ -23,7 +23,7 @@ from rsb_bridge.ros.ros_interface import RosError, RosProblem
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-STRING = "std_msgs/msg/String"
+STRING, SET = "std_msgs/msg/String", "std_srvs/srv/SetBool"
 
 
 def test_errors_say_what_and_what_to_do(open_node: Callable[..., RosNode], printed: Callable[[], str]) -> None:
@@ -84,12 +84,10 @@ def test_what_was_taken_before_an_error_is_not_lost(monkeypatch: pytest.MonkeyPa
 
         place.set(monkeypatch, fails_each_second_time)
     participant = Participant(ANOTHER, "reader")
-    reader, writer = (
-        create("/chat", STRING, "", Qos()) for create in (participant.create_reader, participant.create_writer)
-    )
-    server, client = (
-        create("/set", "std_srvs/srv/SetBool", "") for create in (participant.create_server, participant.create_client)
-    )
+    reader = participant.create_reader("/chat", STRING, "", Qos())
+    writer = participant.create_writer("/chat", STRING, "", Qos())
+    server = participant.create_server("/set", SET, "")
+    client = participant.create_client("/set", SET, "")
     eventually(lambda: writer.matched and client.ready)
 
     def takes(take: Callable[[], Sequence[Any]], count: int) -> list[Any]:

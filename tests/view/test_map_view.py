@@ -124,14 +124,14 @@ def test_a_scan_goes_along_with_the_robot() -> None:
 
 def test_a_frame_that_tf_has_is_not_moved_by_an_odometry() -> None:
     view = MapView()
-    child: Message = {"child_frame_id": "base_link"}
-    transforms = [{"header": {"frame_id": "odom"}, **child}]
-    for topic, type_name, message in (
-        ("/tf", "tf2_msgs/msg/TFMessage", {"transforms": Items("", 1, transforms)}),
-        ("/odom", "nav_msgs/msg/Odometry", {"header": {"frame_id": "other"}, **child}),
-        ("/goal", "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": "base_link"}}),
-    ):
-        view.take(TakenMessage(topic, type_name, message, 1.0))
+    transform: Message = {"header": {"frame_id": "odom"}, "child_frame_id": "base_link"}
+    shown: tuple[tuple[str, Message], ...] = (
+        ("tf2_msgs/msg/TFMessage", {"transforms": Items("", 1, [transform])}),
+        ("nav_msgs/msg/Odometry", {"header": {"frame_id": "other"}, "child_frame_id": "base_link"}),
+        ("geometry_msgs/msg/PoseStamped", {"header": {"frame_id": "base_link"}}),
+    )
+    for type_name, message in shown:
+        view.take(TakenMessage(f"/{type_name}", type_name, message, 1.0))
     assert "goal" in styles(view.draw(msgspec.structs.replace(WISH, frame="odom")))
 
 

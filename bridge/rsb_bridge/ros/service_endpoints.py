@@ -124,7 +124,7 @@ class RawServiceServer(ServiceEndpoint):
         """
         address, info = self.handle.address, self._info
         taken: list[bytes] = []
-        requests = []
+        requests: list[Request] = []
         for _ in range(limit):
             # The list is in the place of the ROS message, see `fast_cdr`.
             code = take_request(address, info, id(taken))
@@ -206,7 +206,7 @@ class RawServiceClient(ServiceEndpoint):
         """
         address, info = self.handle.address, self._info
         taken: list[bytes] = []
-        responses = []
+        responses: list[Response] = []
         for _ in range(limit):
             code = take_response(address, info, id(taken))
             if code == NO_RESPONSE:
