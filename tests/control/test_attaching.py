@@ -227,6 +227,18 @@ def test_it_says_that_the_bridge_has_ended_and_attaches_to_the_next(machine: Mac
     assert numbers == list(range(1, len(EVENTS) * 2 + 3)), "its own count goes on with any server"
 
 
+def test_a_step_that_raises_is_reported_and_the_console_attaches_again(machine: Machine) -> None:
+    def fail(_: str) -> None:
+        raise ValueError("a mistake")
+
+    remote = machine.attach_to(ScriptedEngine())
+    with pytest.raises(EngineError, match="internal error, please report it: a mistake"):
+        remote.restart(fail).result(30)
+    eventually(lambda: any(event.code == EventCode.ATTACH_LOST for event in remote.events()))
+    eventually(lambda: not remote.unreachable)
+    remote.retry().result(30)
+
+
 def test_whoever_hears_of_the_loss_sees_it(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     server = machine.serve()
     remote = machine.attach()

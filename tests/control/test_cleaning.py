@@ -13,11 +13,12 @@ from tests.console.scripted import CALL_ROUTES, EVENTS, LINK, REMEMBERED, ROUTES
 from tests.support import constants
 from tests.support.operators import BOB, Reachable, Stranger
 from tests.support.waiting import eventually
+from tests.support.wording import pattern
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.cleaning import MOST_ITEMS, ROUTE_BYTES, TEXT, UntrustedMessages, check_routes, clean
-from rsb_bridge.control.protocol import BridgeInfo, ControlProtocolError, ToConsole
+from rsb_bridge.control.protocol import BridgeInfo, ControlProtocolError, ToConsole, UnexpectedMessage
 from rsb_bridge.control.states import StateReceiver
 from rsb_bridge.model.snapshot import Event, Level, RouteSnapshot
 from rsb_bridge.model.text import is_clean
@@ -150,11 +151,10 @@ def some_routes(first: int) -> protocol.StateChange:
     return protocol.StateChange(routes=tuple(map(protocol.encode_route, routes)), more=True)
 
 
-def test_a_route_twice_is_refused() -> None:
-    state = protocol.StateChange(
-        routes=(protocol.encode_route(ROUTES[0]),), keys=(ROUTES[0].key,) * 2, links=(LINK,), session=SESSION
-    )
-    with pytest.raises(ControlProtocolError):
+@pytest.mark.parametrize("keys", [(ROUTES[0].key,) * 2, None])
+def test_routes_that_are_not_those_of_the_list_are_refused(keys: tuple[str, ...] | None) -> None:
+    state = protocol.StateChange(routes=(protocol.encode_route(ROUTES[0]),), keys=keys, links=(LINK,), session=SESSION)
+    with pytest.raises(ControlProtocolError, match=pattern(UnexpectedMessage.ROUTES_NOT_AS_LISTED)):
         StateReceiver(BRIDGE, trusted=False).take(state)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import tracemalloc
 from types import SimpleNamespace
@@ -231,6 +232,17 @@ def test_one_link_cannot_use_up_what_a_bridge_can_announce(domain: Domain) -> No
     assert len(domain.ros.publisher.published[-1][1]) < LONGEST
     announcements.withdraw(b"bad0")
     announce("bad", 1000, Origin(via))
+
+
+def test_a_full_announcement_of_short_entries_is_not_too_long(domain: Domain) -> None:
+    via = ("x" * 340,)
+    for link in range(5):
+        with contextlib.suppress(RosError):
+            for number in range(5000):
+                of = endpoint("rsb_robot1", b"%d of %d" % (number, link))
+                domain.announcements.announce(CHAT, link, of, Origin(via))
+    domain.wait(1.0)
+    assert 0.9 * LONGEST < len(domain.ros.publisher.published[-1][1]) <= LONGEST
 
 
 def test_an_announcement_that_changes_all_the_time_is_published_in_a_bounded_number_of_bytes(domain: Domain) -> None:

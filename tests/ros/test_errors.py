@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.ros.domains import ANOTHER
+from tests.support import replaced
+from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
 
 from rsb_bridge.model.names import TypeNameProblem
@@ -17,9 +21,9 @@ from rsb_bridge.ros.participant import Participant
 from rsb_bridge.ros.ros_interface import RosError, RosProblem
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator, Sequence
 
-STRING = "std_msgs/msg/String"
+STRING, SET = "std_msgs/msg/String", "std_srvs/srv/SetBool"
 
 
 def test_errors_say_what_and_what_to_do(open_node: Callable[..., RosNode], printed: Callable[[], str]) -> None:
@@ -69,6 +73,45 @@ def test_what_rcl_refuses_is_said() -> None:
     participant.leave()
     with pytest.raises(RosError, match=pattern(RosProblem.GRAPH_UNREADABLE)):
         participant.topics()
+
+
+def test_what_was_taken_before_an_error_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    for place in (replaced.TAKE_MESSAGE, replaced.TAKE_REQUEST, replaced.TAKE_RESPONSE):
+        codes = itertools.count()
+
+        def fails_each_second_time(*args: object, take: Any = place.value, codes: Iterator[int] = codes) -> int:
+            return next(codes) % 2 or take(*args)
+
+        place.set(monkeypatch, fails_each_second_time)
+    participant = Participant(ANOTHER, "reader")
+    reader = participant.create_reader("/chat", STRING, "", Qos())
+    writer = participant.create_writer("/chat", STRING, "", Qos())
+    server = participant.create_server("/set", SET, "")
+    client = participant.create_client("/set", SET, "")
+    eventually(lambda: writer.matched and client.ready)
+
+    def takes(take: Callable[[], Sequence[Any]], count: int) -> list[Any]:
+        taken: list[Any] = []
+
+        def have_come() -> bool:
+            with contextlib.suppress(RosError):
+                taken.extend(take())
+            return len(taken) >= count
+
+        eventually(have_come, within=20)
+        return taken
+
+    for _ in range(3):
+        writer.publish(bytes(9))
+        client.call(b"\0\1\0\0\0")
+    takes(lambda: reader.take(10, ()), 3)
+    assert reader.lost == 0
+    for request in takes(lambda: server.take(10), 3):
+        server.answer(request.caller, b"\0\1" + bytes(11))
+    takes(lambda: client.take(10), 3)
+    for each in (reader, writer, server, client):
+        each.close()
+    participant.leave()
 
 
 def test_without_rclpy_it_says_how_to_get_it() -> None:

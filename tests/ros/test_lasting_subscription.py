@@ -61,6 +61,22 @@ def test_it_is_opened_again_with_growing_delays() -> None:
         assert len(changes) == count
 
 
+def test_one_that_fails_before_it_is_returned_is_opened_again() -> None:
+    """The ROS thread takes from it as soon as it is there."""
+    opened = list[_Opened]()
+
+    def subscribe(on_failure: OnFailure) -> _Opened:
+        if not opened:
+            on_failure(RosError("broken"))
+        opened.append(_Opened(on_failure))
+        return opened[-1]
+
+    with virtual_loop() as loop:
+        LastingSubscription(loop, subscribe, lambda: None)
+        loop.run_until_complete(asyncio.sleep(1))
+    assert [each.closed for each in opened] == [True, False]
+
+
 def test_a_first_attempt_that_fails_is_the_callers() -> None:
     def subscribe(_: OnFailure) -> _Opened:
         raise RosError("no")

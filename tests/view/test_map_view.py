@@ -122,6 +122,19 @@ def test_a_scan_goes_along_with_the_robot() -> None:
     assert abs(cells.scale.top - (row + 0.5) * cells.scale.row - 2.0) < 1.0
 
 
+def test_a_frame_that_tf_has_is_not_moved_by_an_odometry() -> None:
+    view = MapView()
+    transform: Message = {"header": {"frame_id": "odom"}, "child_frame_id": "base_link"}
+    shown: tuple[tuple[str, Message], ...] = (
+        ("tf2_msgs/msg/TFMessage", {"transforms": Items("", 1, [transform])}),
+        ("nav_msgs/msg/Odometry", {"header": {"frame_id": "other"}, "child_frame_id": "base_link"}),
+        ("geometry_msgs/msg/PoseStamped", {"header": {"frame_id": "base_link"}}),
+    )
+    for type_name, message in shown:
+        view.take(TakenMessage(f"/{type_name}", type_name, message, 1.0))
+    assert "goal" in styles(view.draw(msgspec.structs.replace(WISH, frame="odom")))
+
+
 def test_a_layer_without_a_transform_is_named() -> None:
     scan = LaserScan(angle_increment=0.1, range_max=9.0, ranges=[2.0] * 9)
     scan.header.frame_id = "laser"

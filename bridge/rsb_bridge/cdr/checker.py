@@ -14,6 +14,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, TypeAlias
 
 from rsb_bridge.cdr.decoder import DEPTH, HEADER_LENGTH
+from rsb_bridge.cdr.description import BOUNDED_STRINGS, KINDS, NESTED, STRINGS, WIDE_CHARACTER, WIDE_STRINGS
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 
@@ -28,12 +29,8 @@ STEPS: Final = 250_000
 Sizes: TypeAlias = tuple[int, ...]
 """Bytes of something, with the padding before it, by where it begins modulo 8."""
 
-_KINDS = 48  # type ids of each container (type_description_interfaces/msg/FieldType)
 _PLAIN, _ARRAY, _BOUNDED, _UNBOUNDED = range(4)
-_NESTED = 1
-_STRINGS, _WIDE_STRINGS, _BOUNDED_STRINGS = {17, 19, 21}, {18, 20, 22}, {19, 20, 21, 22}
 _SIZES = {2: 1, 3: 1, 4: 2, 5: 2, 6: 4, 7: 4, 8: 8, 9: 8, 10: 4, 11: 8, 13: 1, 15: 1, 16: 1}
-_WIDE_CHARACTER = 4  # bytes: rosidl_typesupport_fastrtps_cpp/serialization_helpers.hpp
 _ANY_LENGTH = 2**32
 """Above each length, which has 32 bits."""
 _LENGTHS_INLINED = 16
@@ -468,7 +465,7 @@ class _Compiler:
         return body
 
     def _add(self, building: _Building, name: str, kind: FieldType, depth: int) -> None:
-        container, base = divmod(kind.type_id - 1, _KINDS)
+        container, base = divmod(kind.type_id - 1, KINDS)
         element = self._element(kind, base + 1, depth)
         if container == _PLAIN:
             building.inline(name, element)
@@ -483,13 +480,13 @@ class _Compiler:
 
     def _element(self, kind: FieldType, base: int, depth: int) -> _Body:
         building = _Building()
-        if base == _NESTED:
+        if base == NESTED:
             return self.body(kind.nested_type_name, depth - 1)
         if base in _SIZES:
             building.fix("", _primitive(_SIZES[base]))
-        elif base in _STRINGS or base in _WIDE_STRINGS:
-            bound, unit = _ANY_LENGTH, _WIDE_CHARACTER if base in _WIDE_STRINGS else 1
-            if base in _BOUNDED_STRINGS:
+        elif base in STRINGS or base in WIDE_STRINGS:
+            bound, unit = _ANY_LENGTH, WIDE_CHARACTER if base in WIDE_STRINGS else 1
+            if base in BOUNDED_STRINGS:
                 bound = kind.string_capacity + (unit == 1)  # with its terminating zero
             building.step(_Step(_Kind.UNITS, _LENGTH, bound, "", unit), 4)
         else:

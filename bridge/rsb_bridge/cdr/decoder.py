@@ -10,6 +10,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias, Union
 
+from rsb_bridge.cdr.description import BOUNDED_STRINGS, KINDS, NESTED, STRINGS, WIDE_CHARACTER, WIDE_STRINGS
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -21,11 +22,7 @@ DEPTH = 64
 """Messages within messages."""
 
 _BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}  # CDR_BE, CDR_LE
-_KINDS = 48  # type ids of each container (type_description_interfaces/msg/FieldType)
 _CONTAINERS = _PLAIN, _ARRAY, _BOUNDED, _ = range(4)
-_NESTED = 1
-_STRINGS, _WIDE_STRINGS = frozenset({17, 19, 21}), frozenset({18, 20, 22})
-_BOUNDED_STRINGS = frozenset({19, 20, 21, 22})
 _PRIMITIVES = {
     2: ("b", "int8"),
     3: ("B", "uint8"),
@@ -42,7 +39,6 @@ _PRIMITIVES = {
     16: ("B", "byte"),
 }
 """By type id: code of `struct`, and name."""
-_WIDE_CHARACTER = 4  # bytes: rosidl_typesupport_fastrtps_cpp/serialization_helpers.hpp
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,12 +149,12 @@ class _Reader:
                 raise _UnreadableError(text) from None
 
     def _read_field(self, name: str, kind: FieldType, message: Message, depth: int) -> None:
-        container, base = divmod(kind.type_id - 1, _KINDS)
+        container, base = divmod(kind.type_id - 1, KINDS)
         base += 1
         if container not in _CONTAINERS:
             raise _UnreadableError(Unreadable.TYPE_UNKNOWN(type=kind.type_id))
         if container == _PLAIN:
-            if base == _NESTED:
+            if base == NESTED:
                 inner: Message = {}
                 # Before its fields are read, so that they stay if a later one is unreadable.
                 message[name] = inner
@@ -179,11 +175,11 @@ class _Reader:
             self._primitives(base, items)
             return
         self._step()  # an array of none has no bytes, and there may be very many
-        strings = "wstring" if base in _WIDE_STRINGS else "string"
-        items = message[name] = Items(kind.nested_type_name if base == _NESTED else strings, total)
+        strings = "wstring" if base in WIDE_STRINGS else "string"
+        items = message[name] = Items(kind.nested_type_name if base == NESTED else strings, total)
         # Elements beyond the limit are read, too, because the next field begins behind the last one.
         for number in range(total):
-            if base == _NESTED:
+            if base == NESTED:
                 element: Message = {}
                 if number < self._items:
                     items.shown.append(element)
@@ -202,8 +198,8 @@ class _Reader:
             start = self._take(size, size)
             value: bool | int | float = struct.unpack_from(self._order + code, self._payload, start)[0]
             return value
-        if base in _STRINGS or base in _WIDE_STRINGS:
-            return self._string(kind.string_capacity if base in _BOUNDED_STRINGS else None, wide=base in _WIDE_STRINGS)
+        if base in STRINGS or base in WIDE_STRINGS:
+            return self._string(kind.string_capacity if base in BOUNDED_STRINGS else None, wide=base in WIDE_STRINGS)
         raise _UnreadableError(Unreadable.TYPE_UNKNOWN(type=kind.type_id))
 
     def _primitives(self, base: int, items: Items) -> None:
@@ -230,7 +226,7 @@ class _Reader:
 
     def _string(self, capacity: int | None, *, wide: bool) -> str:
         length = self._length()
-        size = length * _WIDE_CHARACTER if wide else length
+        size = length * WIDE_CHARACTER if wide else length
         content = self._payload[(start := self._take(1, size)) : start + size]
         if wide:
             units = struct.unpack(f"{self._order}{length}I", content)

@@ -18,6 +18,12 @@ from rsb_bridge.model.wording import Wording
 HASH_PREFIX = "RIHS01_"
 DESCRIPTION_LIMIT = 64 << 10
 """Bytes of a description; the longest of the common interfaces has 10 kB."""
+KINDS = 48
+"""Type ids of each container (type_description_interfaces/msg/FieldType); the following are of the first one."""
+NESTED = 1
+STRINGS, WIDE_STRINGS, BOUNDED_STRINGS = {17, 19, 21}, {18, 20, 22}, {19, 20, 21, 22}
+WIDE_CHARACTER = 4
+"""Bytes: rosidl_typesupport_fastrtps_cpp/serialization_helpers.hpp."""
 _NAME_LENGTH = 255
 
 

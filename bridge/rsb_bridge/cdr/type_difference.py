@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.cdr.description import DescriptionError, hash_of_text, read_description
+from rsb_bridge.cdr.description import KINDS, NESTED, DescriptionError, hash_of_text, read_description
 from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.wording import Wording
 
@@ -13,9 +13,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.cdr.description import FieldType, MessageType, TypeDescription
 
-_KINDS = 48
-"""Type ids of each container (type_description_interfaces/msg/FieldType)."""
-_NESTED = 1
 _NAMES = {
     2: "int8", 3: "uint8", 4: "int16", 5: "uint16", 6: "int32", 7: "uint32", 8: "int64", 9: "uint64", 10: "float32",
     11: "float64", 12: "long double", 13: "char", 14: "wchar", 15: "bool", 16: "byte", 17: "string", 18: "wstring",
@@ -92,11 +89,11 @@ def _of_message(here: MessageType, there: MessageType, prefix: str) -> Iterator[
 
 def type_text(kind: FieldType) -> str:
     """Return a field's type as message files write it: ``float32[]``, ``string<=10``."""
-    container, base = divmod(kind.type_id - 1, _KINDS)
+    container, base = divmod(kind.type_id - 1, KINDS)
     base += 1
-    if (base not in _NAMES and base != _NESTED) or container not in range(4):
+    if (base not in _NAMES and base != NESTED) or container not in range(4):
         return "unknown"
-    name = _shown(kind.nested_type_name) if base == _NESTED else _NAMES[base]
+    name = _shown(kind.nested_type_name) if base == NESTED else _NAMES[base]
     if kind.string_capacity:
         name += f"<={kind.string_capacity}"
     match container:

@@ -234,7 +234,6 @@ class AttachedConsole:
         changes = read_only or attached_read_only
         takes = changes or self._connection.never_takes_reason
         self._denied = {Right.MEASURE: read_only, Right.CHANGE: changes, Right.TAKE: takes}
-        self._sender = Sender()
         self.send(protocol.ConsoleWelcome(info, bool(changes), may_take=not takes))
 
     def _request(self, request: protocol.CommandRequest) -> None:

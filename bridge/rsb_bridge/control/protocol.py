@@ -96,7 +96,7 @@ class UnexpectedMessage(Wording):
     STATE_BEFORE_WELCOME = "a state before the welcome"
     STATE_WITHOUT_ROUTE = "a state without the route {key}"
     STATE_WITHOUT_SESSION = "a state without a session"
-    ROUTE_TWICE = "a state that has a route twice"
+    ROUTES_NOT_AS_LISTED = "a state that lists a route twice, or has one that it does not list"
 
 
 class ControlProtocolError(Exception):

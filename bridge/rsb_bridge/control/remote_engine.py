@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import logging
 import threading
 import time
 from concurrent.futures import Future
@@ -53,6 +54,8 @@ _COMES_BEFORE_USE = 0.1
 """s: the next state is asked for so long before it is likely to be used."""
 _USED_REGULARLY = 3.0
 """s between two uses up to which the next use is expected after the same time. A round figure."""
+
+_logger = logging.getLogger(__name__)
 
 
 class AttachedAgain(Wording):
@@ -218,6 +221,10 @@ class RemoteEngine(EngineApi):
                 reason = AttachProblem.ON_SOCKET(where=self._way.text, problem=AttachProblem.SILENT())
             except OSError as error:
                 reason = AttachProblem.ON_SOCKET(where=self._way.text, problem=error.strerror or error)
+            except Exception as error:  # the last resort: a console would show the last state for ever
+                reason = f"internal error, please report it: {error}"
+                if reason != self._lost:  # not twice a second
+                    _logger.exception("internal error of the attachment")
             self._connection = None
             if not self._started.done():
                 self._started.set_exception(failure or ControlError(reason))

@@ -463,7 +463,7 @@ class _OperatorConnection(asyncio.Protocol):
         events = machine.receive_data(data)
         if machine.proven and machine.at == self._at:
             transport.adopt()
-            self._machine, self._trial = self._machine.fork(), None
+            self._trial = None
             if machine.sample_secret is not None:
                 transport.authenticate(machine.sample_secret, opener=True)
             return True

@@ -143,7 +143,7 @@ class StateReceiver:
         if self.session is None:
             raise ControlProtocolError(UnexpectedMessage.STATE_WITHOUT_SESSION())
         if len(self._routes) != len(self._keys):
-            raise ControlProtocolError(UnexpectedMessage.ROUTE_TWICE())
+            raise ControlProtocolError(UnexpectedMessage.ROUTES_NOT_AS_LISTED())
         self.waits_for_operator = state.waits_for_operator
         self.snapshot = Snapshot(
             time=state.time,

@@ -153,8 +153,7 @@ async def watch(connector: Connector, may_open: asyncio.Semaphore | None = None)
     """
     try:
         connection = await _open(connector, may_open)
-        with contextlib.ExitStack() as leaving:
-            leaving.callback(connection.abort)
+        try:
             connection.write(protocol.encode(protocol.hello(read_only=True)))
             connection.write(protocol.encode(protocol.Watch()))
             frames = protocol.frames_to_console(protocol.TO_WATCHER_LIMIT)
@@ -172,6 +171,8 @@ async def watch(connector: Connector, may_open: asyncio.Semaphore | None = None)
                         raise ControlError(
                             AttachProblem.ON_SOCKET(where=connector.text, problem=UnexpectedMessage.UNASKED())
                         )
+        finally:
+            connection.abort()
     except TimeoutError:
         raise ControlError(AttachProblem.ON_SOCKET(where=connector.text, problem=AttachProblem.SILENT())) from None
     except ControlProtocolError as error:
@@ -190,8 +191,4 @@ async def _open(connector: Connector, may_open: asyncio.Semaphore | None) -> Con
         except asyncio.CancelledError:
             opening.cancel()
             raise
-    try:
-        return await opening
-    except asyncio.CancelledError:
-        opening.cancel()
-        raise
+    return await opening

@@ -16,6 +16,7 @@ from rsb_bridge.doctor.finding import Check, Finding, Grade
 from rsb_bridge.model.limits import DOMAIN, SAFE_DOMAIN, dds_ports
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.distribution import described, distribution, rclpy_version
+from rsb_bridge.ros.memory import PROFILE_VARIABLES
 from rsb_bridge.ros.middleware import check_middleware
 from rsb_bridge.ros.ros_interface import RosError
 
@@ -31,7 +32,6 @@ _RANGES = {
     "OFF": "no other node",
     "SYSTEM_DEFAULT": "as DDS has it",
 }
-_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
 
 class RosText(Wording):
@@ -175,7 +175,7 @@ def _python_of(package: Path) -> str:
 def _environment(environ: Mapping[str, str], own_domain: int | None) -> Iterator[Finding]:
     value = (environ.get("ROS_DOMAIN_ID", "").strip() or "0") if own_domain is None else str(own_domain)
     reach = environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "") or "SUBNET"
-    facts = {name: environ[name] for name in environ if name.startswith("ROS_") or name in _PROFILES}
+    facts = {name: environ[name] for name in environ if name.startswith("ROS_") or name in PROFILE_VARIABLES}
     finding = partial(Finding, "ros_domain", subject="ROS domain", facts=facts)
     remedy = RosText.DOMAIN_REMEDY(range=SAFE_DOMAIN)
     if not value.isdecimal() or int(value) not in DOMAIN:
@@ -191,7 +191,7 @@ def _environment(environ: Mapping[str, str], own_domain: int | None) -> Iterator
     if environ.get("ROS_LOCALHOST_ONLY", "0") == "1":
         text, remedy = RosText.LOCALHOST_ONLY(), RosText.LOCALHOST_ONLY_REMEDY()
         yield finding(grade=Grade.WARNING, text=text, remedy=remedy)
-    for variable in _PROFILES:
+    for variable in PROFILE_VARIABLES:
         path = environ.get(variable, "")
         if path and not Path(path).is_file():
             text = RosText.PROFILE_MISSING(variable=variable, path=path)

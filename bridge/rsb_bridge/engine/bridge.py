@@ -271,7 +271,7 @@ class Bridge:
         self.context.announcements.stop()
         self.context.events.add(Level.INFO, EventCode.ENGINE_STOPPED, "stopped")
         self._snapshots.refresh_now(self._role, running=False)
-        # Last: while all this took its time, the command for faults could end.
+        # Last: the loop stands still meanwhile, and while all this took its time, a scrape or a command could end.
         self._exporters.join()
 
     def _bridges_changed(self) -> None:

@@ -216,7 +216,7 @@ class WaitingChanges:
         return False
 
     def in_order(self) -> list[FaultChange]:
-        """Return all that wait: links first, then the longest waiting."""
+        """Return all that wait: links first, then in the order in which they came."""
         return sorted(self._waiting.values(), key=lambda each: not isinstance(each.subject, LinkSnapshot))
 
     @property

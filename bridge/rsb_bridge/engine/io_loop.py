@@ -127,7 +127,7 @@ class _Selector(selectors.EpollSelector):
         self.due = False
         # At 0, callbacks are ready. The turn is not given away then: a visitor would overtake them.
         while timeout is None or timeout > 0:
-            found, changes = [], self._changes
+            changes = self._changes
             self._turn.release()
             try:
                 # Two events show whether one socket alone is ready. Of several, asyncio asks for all below.

@@ -102,6 +102,11 @@ class _Own(NamedTuple):
     origin: Origin
     entry: bytes
 
+    @property
+    def size(self) -> int:
+        """Bytes of its entry with a comma, or 0 if it is not announced."""
+        return len(self.entry) + 1 if self.entry else 0
+
 
 class OwnAnnouncement:
     """This bridge's announcement, within bounds."""
@@ -140,7 +145,7 @@ class OwnAnnouncement:
 
     def _put(self, table: _Table, own: _Own) -> bool:
         before = table.by_gid.get(own.endpoint.gid)
-        more = len(own.entry) - (len(before.entry) if before else 0)
+        more = own.size - (before.size if before else 0)
         if self._sizes[own.link] + more > _A_LINK or self.size + more > LONGEST - _FRAME:
             raise RosError(
                 "this bridge publishes more than it can announce to the other bridges in its domain: "
@@ -156,8 +161,8 @@ class OwnAnnouncement:
         own = self._publishers.pop(gid) or self._services.pop(gid)
         if own is None:
             return False
-        self.size -= len(own.entry)
-        self._sizes[own.link] -= len(own.entry)
+        self.size -= own.size
+        self._sizes[own.link] -= own.size
         if not self._sizes[own.link]:
             del self._sizes[own.link]
         return True

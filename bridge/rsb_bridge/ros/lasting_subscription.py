@@ -69,17 +69,20 @@ class LastingSubscription:
             self._retry.cancel()
 
     def _open(self) -> Subscription:
+        subscription: Subscription | None = None
+
         def failed(error: RosError) -> None:  # on the ROS thread
             with contextlib.suppress(RuntimeError):  # the loop is closed: the engine has stopped
-                self._loop.call_soon_threadsafe(self._failed, subscription, str(error))
+                # Read on the loop: it may fail before `subscribe` has returned it.
+                self._loop.call_soon_threadsafe(lambda: self._failed(subscription, str(error)))
 
         subscription = self._subscribe(failed)
         self._opened_at = self._loop.time()
         return subscription
 
-    def _failed(self, subscription: Subscription, reason: str) -> None:
+    def _failed(self, subscription: Subscription | None, reason: str) -> None:
         # `reopen` may have replaced it since it failed.
-        if subscription is self._subscription:
+        if subscription is not None and subscription is self._subscription:
             self._drop()
             if self._loop.time() - self._opened_at >= _HEALED_AFTER:
                 self._backoff.reset()

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, MutableMapping
 
 _HISTORIES = Path(__file__).with_name("fast_dds_histories.xml")
-_PROFILE_VARIABLES = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
+PROFILE_VARIABLES = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
 """Fast DDS 2, until Jazzy, knows the first one only; rmw_fastrtps warns of it where it knows the second one."""
 _QOS_VARIABLE = "RMW_FASTRTPS_USE_QOS_FROM_XML"
 _FAST_DDS_2 = "libfastrtps.so"
@@ -40,7 +40,7 @@ def histories_that_shrink(environment: MutableMapping[str, str]) -> Iterator[Non
     message's memory is freed with it; only an XML profile can ask for that, and only `_QOS_VARIABLE` makes it count.
     Other middlewares ignore the variables. They are removed again, since children of this process inherit what stays.
     """
-    if any(name in environment for name in (*_PROFILE_VARIABLES, _QOS_VARIABLE)) or any(
+    if any(name in environment for name in (*PROFILE_VARIABLES, _QOS_VARIABLE)) or any(
         path.exists() for path in _FOUND_BY_FAST_DDS
     ):
         yield
@@ -56,7 +56,7 @@ def histories_that_shrink(environment: MutableMapping[str, str]) -> Iterator[Non
 
 def profile_variable(environment: Mapping[str, str]) -> str:
     """Return the name of the environment variable in which Fast DDS finds the path of its profiles."""
-    old, new = _PROFILE_VARIABLES
+    old, new = PROFILE_VARIABLES
     prefixes = (*environment.get("AMENT_PREFIX_PATH", "").split(":"), sys.prefix)
     return old if any(prefix and Path(prefix, "lib", _FAST_DDS_2).exists() for prefix in prefixes) else new
 

@@ -28,7 +28,8 @@ A round figure: how long DDS takes was not measured. If it takes longer, an arme
 _BACKLOG = 64
 """Batches: 4,096 messages, or 256 MiB of large ones. A round figure."""
 _PATIENCE = 0.1
-"""Seconds that the ROS thread waits for the loop at most: a loop that hangs must not keep the node from stopping."""
+"""Seconds that the ROS thread waits for the loop at most: a loop that hangs must not keep the node from stopping, and
+one that closes an endpoint waits for the end of this wait."""
 T_contra = TypeVar("T_contra", contravariant=True)
 T = TypeVar("T")
 
@@ -98,7 +99,8 @@ class RosToLoopQueue:
     """Messages on their way from the ROS thread to the I/O loop: no wake-up while the loop waits, else one a drain.
 
     The thread with the loop's turn drains it, so messages keep their order on either thread. While the loop is
-    `_BACKLOG` batches behind, the ROS thread waits; DDS keeps each topic's newest messages meanwhile.
+    `_BACKLOG` batches behind, the ROS thread puts in one each `_PATIENCE` s at most; DDS keeps each topic's newest
+    messages meanwhile.
     """
 
     def __init__(

@@ -120,18 +120,21 @@ class RawServiceServer(ServiceEndpoint):
         """Take up to `limit` calls.
 
         Raises:
-            RosError: rcl failed.
+            RosError: rcl failed at the first of them.
         """
         address, info = self.handle.address, self._info
         taken: list[bytes] = []
-        requests = []
+        requests: list[Request] = []
         for _ in range(limit):
             # The list is in the place of the ROS message, see `fast_cdr`.
             code = take_request(address, info, id(taken))
             if code == NO_REQUEST:
                 break
             if code:
-                raise self._failure(code, "a request could not be taken")
+                failure = self._failure(code, "a request could not be taken")
+                if requests:  # DDS gives them no second time
+                    break
+                raise failure
             source, _, guid, number = CALL_INFO.unpack(info)
             self._served[guid] = None
             # rmw_fastrtps_cpp gives the time at which it was sent, by the caller's clock, for that at which it came.
@@ -199,17 +202,20 @@ class RawServiceClient(ServiceEndpoint):
         """Take up to `limit` answers.
 
         Raises:
-            RosError: rcl failed.
+            RosError: rcl failed at the first of them.
         """
         address, info = self.handle.address, self._info
         taken: list[bytes] = []
-        responses = []
+        responses: list[Response] = []
         for _ in range(limit):
             code = take_response(address, info, id(taken))
             if code == NO_RESPONSE:
                 break
             if code:
-                raise self._failure(code, "a response could not be taken")
+                failure = self._failure(code, "a response could not be taken")
+                if responses:  # DDS gives them no second time
+                    break
+                raise failure
             _, stamp, _, number = CALL_INFO.unpack(info)
             responses.append(Response(taken.pop(), number, stamp))
         return responses
@@ -327,8 +333,13 @@ class TypedServer(ServiceEndpoint):
         """Take up to `limit` calls."""
         requests: list[Request] = []
         for _ in range(limit):
-            with _refused(self.name):
-                message, info = self.handle.rclpy.service_take_request(self._request)
+            try:
+                with _refused(self.name):
+                    message, info = self.handle.rclpy.service_take_request(self._request)
+            except RosError:
+                if requests:  # as `RawServiceServer.take`
+                    break
+                raise
             if message is None:
                 break
             caller = next(_numbers).to_bytes(8, "big")
@@ -365,8 +376,13 @@ class TypedClient(ServiceEndpoint):
         """Take up to `limit` answers."""
         responses: list[Response] = []
         for _ in range(limit):
-            with _refused(self.name):
-                info, message = self.handle.rclpy.take_response(self._response)
+            try:
+                with _refused(self.name):
+                    info, message = self.handle.rclpy.take_response(self._response)
+            except RosError:
+                if responses:  # as `RawServiceClient.take`
+                    break
+                raise
             if message is None:
                 break
             number, stamp = info.request_id.sequence_number, info.received_timestamp

@@ -16,6 +16,7 @@ from rsb_bridge.ros.native.librcl import (
     MESSAGE_INFO,
     TAKE_FAILED,
     Serialized,
+    address_of,
     gid_of,
     publish_long_message,
     publish_message,
@@ -49,8 +50,6 @@ Without it, 64 messages of 6 MB were.
 """
 
 _new = tuple.__new__  # a NamedTuple's own constructor is a call more
-_address_of = ctypes.pythonapi.PyBytes_AsString
-_address_of.argtypes, _address_of.restype = [ctypes.py_object], ctypes.c_void_p
 
 
 class Reader:
@@ -87,7 +86,7 @@ class Reader:
         Stop after `_ENOUGH` bytes.
 
         Raises:
-            RosError: rcl failed.
+            RosError: rcl failed at the first of them.
         """
         address, buffer, info, last = self.handle.address, self._buffer, self._info, self._last
         guid_of = self._guid_of
@@ -104,6 +103,8 @@ class Reader:
                 if code == TAKE_FAILED:
                     break
                 reset_error()
+                if taken:  # they have been counted; the next take meets an error that lasts
+                    break
                 raise RosError(RosProblem.NOT_TAKEN(topic=self.topic, code=code))
             source, stamp, number, _, _, gid = unpack(info)
             self._last_size = length = buffer.length
@@ -183,7 +184,7 @@ class Writer:
 
     def _publish_in_place(self, publish: Callable[..., int], payload: bytes) -> None:
         """Publish without rclpy, which would copy the payload."""
-        message = Serialized(_address_of(payload), len(payload), len(payload))
+        message = Serialized(address_of(payload), len(payload), len(payload))
         code = publish(self._handle.rclpy.pointer, ctypes.byref(message), None)
         if code:
             reset_error()

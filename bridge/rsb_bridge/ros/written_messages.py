@@ -105,7 +105,7 @@ class _Filling:
     """
 
     def __init__(self, now: int) -> None:
-        self._now = dict(zip(("sec", "nanosec"), map(str, divmod(now, 10**9)), strict=True))
+        self._now: Fields = dict(zip(("sec", "nanosec"), map(str, divmod(now, 10**9)), strict=True))
 
     def fill(self, message: Any, fields: Fields, location: str) -> None:
         """Set fields of a message; errors name its `location`."""
@@ -148,7 +148,7 @@ class _Filling:
 
     def _message(self, value: Fields, type_name: str, location: str) -> Any:
         if type_name == _TIME and value == _NOW:
-            value = {**self._now}
+            value = self._now
         elif type_name == _HEADER and value == _AUTO:
             value = {"stamp": _NOW}
         elif type_name == _UUID and isinstance(value, str) and _UUID_DIGITS.fullmatch(digits := value.replace("-", "")):

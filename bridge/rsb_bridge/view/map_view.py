@@ -138,9 +138,10 @@ class MapView(View):
             self._topics.append(received.topic)
         if name == "TFMessage":
             for each in elements(message, "transforms"):
-                self._add_frame(
-                    text(each, "child_frame_id"), text(each, "header.frame_id"), _transform(each, "transform")
-                )
+                child = text(each, "child_frame_id")
+                self._add_frame(child, text(each, "header.frame_id"), _transform(each, "transform"))
+                if child in self._frames:  # no more of them are remembered
+                    self._broadcast.add(child)
             return
         read = _LAYERS.get(name)
         if read is None:

@@ -96,9 +96,8 @@ class PlotView(View):
     def draw(self, wish: Wish) -> Drawn:
         if not self._newest:
             return Drawn()
-        step = wish.seconds / (_COLUMNS * wish.width)
-        start = self._newest - wish.seconds
-        columns = min(2 * wish.width, 800)
+        columns = _COLUMNS * wish.width
+        step, start = wish.seconds / columns, self._newest - wish.seconds
         curves = tuple(_curve(path, self._tracks[path], start, step, columns) for path in self._chosen(wish))
         return Drawn(Series(start, step, curves))
 

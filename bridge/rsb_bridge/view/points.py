@@ -148,7 +148,7 @@ class PointsView(View):
         tilt = math.radians(wish.tilt)
         with np.errstate(all="ignore"):
             ahead = points.x * math.cos(tilt) + points.z * math.sin(tilt)
-            depth = points.z if not tilt else points.z * math.cos(tilt) - points.x * math.sin(tilt)
+            depth = points.z * math.cos(tilt) - points.x * math.sin(tilt)
             across = (-points.y / metres + wish.width * DOTS_ACROSS / 2 - wish.x * wish.width * DOTS_ACROSS).astype(
                 np.int64
             )

@@ -169,7 +169,9 @@ class Renderer:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                start_new_session=True,  # a Ctrl-C in the terminal is for this program, which ends it
+                # A Ctrl-C in the terminal is for this program, which ends it. A session of its own would do, too, but
+                # Linux gives each an autogroup (sched(7)), and niceness has no effect between those.
+                process_group=0,
             )
         except OSError as error:
             raise _StoppedError(NoPicture.NOT_STARTED(error=error)) from None

@@ -20,7 +20,7 @@ FRAMES = 1000
 _OLD = 1.0
 """s without a new transform after which a frame is late."""
 _TIMES = 20
-"""Newest times of a frame by which its rate is taken."""
+"""Newest times of a frame by which its rate is taken; as many parents and authors of it are remembered."""
 _DEEPEST = 30
 """Steps by which a frame is indented at most."""
 

@@ -17,6 +17,7 @@ import struct
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.ros.native.librcl import address_of
 from rsb_bridge.ros.ros_interface import RosError, RosProblem
 
 if TYPE_CHECKING:
@@ -32,9 +33,6 @@ _WORD = struct.Struct("@P")
 _word_at = ctypes.c_size_t.from_address
 _ROOM = 1024
 """bytes that a Cdr certainly fits in; it takes some 200 in fastcdr 2.2.5."""
-
-_address_of = ctypes.pythonapi.PyBytes_AsString
-_address_of.argtypes, _address_of.restype = [ctypes.py_object], ctypes.c_void_p
 
 
 class _Cdr(NamedTuple):
@@ -73,7 +71,7 @@ def outgoing(payload: bytes) -> object:
     cdr = _cdr()
     assert cdr is not None
     length = len(payload) - _HEADER
-    writing = partial(cdr.write, data=_address_of(payload) + _HEADER, length=length)
+    writing = partial(cdr.write, data=address_of(payload) + _HEADER, length=length)
     vars(writing)["size"] = length
     return writing
 

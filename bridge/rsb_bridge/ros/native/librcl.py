@@ -118,8 +118,8 @@ _COPIED_BELOW = 32 * 1024
 
 _new_bytes = ctypes.pythonapi.PyBytes_FromStringAndSize
 _new_bytes.argtypes, _new_bytes.restype = [ctypes.c_void_p, ctypes.c_ssize_t], ctypes.py_object
-_address_of = ctypes.pythonapi.PyBytes_AsString
-_address_of.argtypes, _address_of.restype = [ctypes.py_object], ctypes.c_void_p
+address_of = ctypes.pythonapi.PyBytes_AsString
+address_of.argtypes, address_of.restype = [ctypes.py_object], ctypes.c_void_p
 _REALLOCATE = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
 _DEALLOCATE = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
 
@@ -175,7 +175,7 @@ def _growing(large: list[bytes]) -> Callable[[int | None, int, int | None], int 
             # An exception cannot leave a callback. With a null pointer, rcl reports that there is no memory.
             return None
         large[:] = [payload]
-        address: int = _address_of(payload)
+        address: int = address_of(payload)
         return address
 
     return grow

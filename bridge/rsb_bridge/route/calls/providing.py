@@ -325,7 +325,7 @@ class ProvidingRoute(CallsRoute):
         elif not self._pending.resize(call, frame_size(payload)):
             self._give_up(peers, Refused.BYTES_UNDER_WAY)
         else:
-            self._outbox.put(CallFrame(What.ANSWER, call.lane, peers, max(0, int(took * 1e9)), payload))
+            self._outbox.put(CallFrame(What.ANSWER, call.lane, peers, int(took * 1e9), payload))
         return True
 
     def _leaves(self, frame: CallFrame) -> bool:
