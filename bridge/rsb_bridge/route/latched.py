@@ -200,7 +200,7 @@ class LatchedTopic:
             LatchedFullError: it would be too much to keep.
         """
         now = self._loop.time()
-        history = self._histories.setdefault(header.publisher, _History(now))
+        history = self._histories.get(header.publisher) or _History(now)
         # It was sent again, or a newer one has overtaken it, as datagrams may: late joiners get the newest last.
         if header.number and header.number <= history.newest:
             return False
@@ -209,6 +209,8 @@ class LatchedTopic:
         # A depth that the sender has found since also holds for messages that it sent before.
         depth = min(header.depth, self._present.get(header.publisher, 0) or LATCHED_DEPTH)
         output = self._output_for(history, number, depth)
+        # Only now, as a history without outputs would have the spare publisher closed, the topic's last one.
+        self._histories[header.publisher] = history
         # The message that gives way leaves its memory, so that a full publisher costs no more than before.
         evicted = output.kept[0][1] if output.full else 0
         memory = max(len(content) + _MESSAGE_COST, evicted)  # DDS uses it again, and never makes it smaller
