@@ -189,6 +189,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             # Now, as a rest that does not fit the type must refuse the route instead of failing when it is needed.
             self.rest.prepare(spec)
         except (RosError, LatchedFullError) as error:
+            self.outputs.close()  # a refused topic must not seem to have a publisher
             self._refuse_type(str(error))
             return
         self.type_name, self.type_hash, self.qos = type_and_qos
