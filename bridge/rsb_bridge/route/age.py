@@ -286,14 +286,12 @@ class MessageAge:
         if self._since is None:
             return None
         lost, of, by_cause = self._recent()
-        if not lost:
-            return None
         ((cause, _),) = by_cause.most_common(1)
         return Expired(cause, lost, of, self._limit, self._since)
 
 
 def expired_verdict(expired: Expired) -> Verdict:
     """Return the verdict on a topic of whose messages many are too old."""
-    share = f"{max(1, round(100 * expired.lost / expired.of))} %"
-    text = f"{share} dropped, age limit {expired.limit:g} s: {_REMEDIES[expired.cause]}"
+    percent = round(100 * expired.lost / expired.of)
+    text = f"{percent} % dropped, age limit {expired.limit:g} s: {_REMEDIES[expired.cause]}"
     return Verdict(State.LATE, expired.cause, text, expired.since)

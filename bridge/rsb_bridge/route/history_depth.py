@@ -42,7 +42,6 @@ _MOST_TRIES = 5
 _MEANWHILE = 100
 """Messages from the start of a probe to its end, up to which it bounds the depth from above. A faster publisher may
 overwrite the beginning of its history before DDS has sent it: at 5 kHz, 1,000 messages were taken for 300 at times."""
-_LAST_NUMBER = 2**63 - 1
 _FORGOTTEN_AFTER = 20.0
 """Seconds a publisher must be gone; longer than the peer keeps its history, whose numbers may be given here."""
 _UNNUMBERED_DEPTH = 10
