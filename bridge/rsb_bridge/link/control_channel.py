@@ -258,8 +258,7 @@ class ControlChannel(StreamHandler):
         self.abort(f"the peer broke the format: {error}")
 
     def _take_data(self, frame: memoryview) -> None:
-        if self.data is None:
-            return
+        assert self.data is not None  # `DataFrame`s come on multiplexed connections only
         try:
             self.data.count(frame_size(frame))
             self.data.take((frame,))

@@ -17,7 +17,7 @@ from rsb_bridge.route.arming import Question
 from rsb_bridge.wire.messages import AskEnded, AskForArming
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
+    from collections.abc import Hashable
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.peer_operators import PeerOperators
@@ -104,7 +104,7 @@ class HolderQuestions:
             raise LinkError(TakeOverText.ASKED_ALREADY(who=before.who, topic=topic))
         holder = arming.by
         now, answer = self._context.now(), self._context.loop.create_future()
-        question, asker = Question(acting_operator(), now + ASKED_FOR, _once(answer)), _Asker(console, now)
+        question, asker = Question(acting_operator(), now + ASKED_FOR, answer.set_result), _Asker(console, now)
         self._begin(route, question)
         self._peer.send(AskForArming(route.id, question.who))
         self._askers.append(asker)
@@ -205,14 +205,6 @@ class HolderQuestions:
             who=holder if by_holder else asker,
             from_peer=route.arming.console is None if by_holder else question.from_peer,
         )
-
-
-def _once(answer: asyncio.Future[bool | None]) -> Callable[[bool | None], None]:
-    def take(gives: bool | None) -> None:
-        if not answer.done():
-            answer.set_result(gives)
-
-    return take
 
 
 def _ignored(_: bool | None) -> None:
