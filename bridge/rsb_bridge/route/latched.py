@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 PUBLISHER_COST = 1 << 20
 """Bytes that are counted with each publisher, which bounds their number. DDS needs about 170 kB."""
-_MESSAGE_COST = 256  # bytes, for what DDS keeps with each message: an estimate
+MESSAGE_COST = 256  # bytes, for what DDS keeps with each message: an estimate
 _ALONE = 16
 """Messages of a growing history for which there is a publisher each, so that each can be dropped alone: as many as the
 sender probes each message for (`history_depth`)."""
@@ -213,7 +213,7 @@ class LatchedTopic:
         self._histories[header.publisher] = history
         # The message that gives way leaves its memory, so that a full publisher costs no more than before.
         evicted = output.kept[0][1] if output.full else 0
-        memory = max(len(content) + _MESSAGE_COST, evicted)  # DDS uses it again, and never makes it smaller
+        memory = max(len(content) + MESSAGE_COST, evicted)  # DDS uses it again, and never makes it smaller
         if not self._budget.take(memory - evicted):
             raise LatchedFullError
         if output.full:
