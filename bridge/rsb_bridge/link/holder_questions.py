@@ -14,6 +14,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.arming import Question
+from rsb_bridge.tasks import NOT_TOO_EARLY
 from rsb_bridge.wire.messages import AskEnded, AskForArming
 
 if TYPE_CHECKING:
@@ -31,8 +32,6 @@ ASKER_SILENT_AFTER: Final = 3.0
 """s without a sign of life after which the console that asks counts as gone: it gives one at least every 2 s."""
 _LOOK_EVERY = 0.05
 """s between looks for the sign of life that the arming waits for. A round figure."""
-_LATE = 0.001
-"""s by which a timer comes later than a moment that it must not come before: its clock is another one."""
 
 
 class TakeOverText(Wording):
@@ -175,7 +174,7 @@ class HolderQuestions:
             if now - asker.seen_at >= ASKER_SILENT_AFTER:
                 return
             left = min(until, asker.seen_at + ASKER_SILENT_AFTER) - now
-            await asyncio.wait((answer,), timeout=left + _LATE if left > 0 else _LOOK_EVERY)
+            await asyncio.wait((answer,), timeout=left + NOT_TOO_EARLY if left > 0 else _LOOK_EVERY)
 
     # --- records, and the other side
 
