@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 
 SLICE = 20
 """Routes handled in one go: about 1 ms, which no message notices."""
+NOT_TOO_EARLY = 0.001
+"""s by which a timer is set later than a moment that it must not come before: its clock is another one, and the time
+left could be too short for that to move."""
 
 T = TypeVar("T")
 

@@ -165,6 +165,14 @@ def test_servers_of_one_fleet_are_named_on_both_and_may_have_other_clients(bridg
     assert linked(client)
 
 
+def test_a_server_with_two_keys_of_a_client_finds_the_one_with_the_former_key(bridge: Bridge, router: Router) -> None:
+    """The client may still use that key, and could not tell the two servers apart."""
+    first = bridge.server(**over(router))
+    eventually(lambda: happened(first, EventCode.ENGINE_LISTENING))
+    twin = bridge.server(next_key_file=bridge.make_key("next"), **over(router))
+    eventually(lambda: happened(twin, EventCode.ENGINE_NOT_LISTENING))
+
+
 def test_a_client_that_is_killed_is_missed_at_once(bridge: Bridge, router: Router, programs: Programs) -> None:
     """Its token goes with it: the server does not wait until it has been silent for long."""
     server = bridge.server(**over(router))

@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from rsb_bridge.link.client_link import ClientLink
 from rsb_bridge.link.roles import ClientRole
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic
+from rsb_bridge.route.lifecycle import RouteEvent
 from rsb_bridge.transport.registry import Transports
 from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.wire.messages import Shutdown
@@ -235,3 +238,23 @@ def test_a_server_cannot_keep_a_client_away_for_years(
     assert soonest - 0.01 < min(gaps) <= max(gaps) < latest + 0.01
     assert (max(gaps) - min(gaps) > 5.0) == (retry_after is None)  # many robots do not ask at the same moment
     assert not network.role.links()[0].shut_down
+
+
+async def test_a_restart_waits_for_the_topics_that_there_are_by_then(
+    loop: VirtualLoop, make_context: Callable[..., Context], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each edit meanwhile puts another route in the place of one that will never be accepted."""
+    monkeypatch.setattr(ClientLink, "linked", True)
+    role = ClientRole(make_context(), {"robot1": ()})
+    (link,) = role.links()
+    link.add_entry(Topic("/chat", "transmit"))
+    (route,) = link.routes.values()
+    steps: list[str] = []
+    restarting = loop.create_task(role.restart(steps.append))
+    await asyncio.sleep(1.0)
+    for depth in (7, 8):
+        route = link.proposed.replace(route, Topic("/chat", "transmit", qos=depth))
+    for event in (RouteEvent.OPEN, RouteEvent.ACCEPT):
+        route.life.take(event)
+    await restarting
+    assert steps[-1] == "1 of 1 topics and services accepted"

@@ -13,6 +13,7 @@ from tests.support import constants
 from tests.support.bridge import link, linked, now
 from tests.support.waiting import eventually
 
+from rsb_bridge.link.pending_connections import Rejected
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.wire.preamble import recognise
@@ -132,10 +133,14 @@ def test_packets_that_vanish_while_linked(bridge: Bridge, relay: Relay) -> None:
 
 
 @pytest.mark.parametrize(
-    ("sent", "cause"), [(b"GET / HTTP/1.1\r\n\r\n", LinkCause.NOT_A_BRIDGE), (b"", LinkCause.NO_ANSWER)]
+    ("sent", "cause", "text"),
+    [
+        (b"GET / HTTP/1.1\r\n\r\n", LinkCause.NOT_A_BRIDGE, ""),
+        (b"", LinkCause.NO_ANSWER, Rejected.SENT_NOTHING(seconds=0.3)),
+    ],
 )
 def test_another_program_that_connects_to_the_server(
-    sent: bytes, cause: LinkCause, bridge: Bridge, monkeypatch: pytest.MonkeyPatch
+    sent: bytes, cause: LinkCause, text: str, bridge: Bridge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One line reports it, however often it connects."""
     constants.SERVER_HANDSHAKE_WITHIN.set(monkeypatch, 0.3)
@@ -147,4 +152,5 @@ def test_another_program_that_connects_to_the_server(
                 pass
     rejected = [event for event in server.events() if event.code == EventCode.LINK_REJECTED]
     assert [event.cause for event in rejected] == [cause]
+    assert text in rejected[0].text
     assert not now(server).refused

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from rsb_bridge.link.contention import Asked, Contention, LinkFullness
+from rsb_bridge.link.fullness import Asked, FullnessWatch, LinkFullness
 from rsb_bridge.link.roles import ClientRole
 from rsb_bridge.model.capacity import rates_text
 from rsb_bridge.model.codes import EventCode
@@ -94,12 +94,12 @@ def test_what_the_peer_says_is_brought_within_sense() -> None:
 
 def test_the_time_without_a_link_does_not_count() -> None:
     clock: Any = SimpleNamespace(now=lambda: 1000.0, wall=lambda: 1000.0)
-    contention = Contention(clock, list, list, LinkFullness(lambda *_: None))
+    watch = FullnessWatch(clock, list, list, LinkFullness(lambda *_: None))
     for second in range(4):
-        contention.sending.look(1e5, second, second, full=True)
-    contention.disconnected()
-    contention.sending.look(1e5, 1000.0, 1000.0, full=True)
-    assert contention.sending.look(1e5, 1001.0, 1001.0, full=True) == pytest.approx(1e5)
+        watch.sending.look(1e5, second, second, full=True)
+    watch.disconnected()
+    watch.sending.look(1e5, 1000.0, 1000.0, full=True)
+    assert watch.sending.look(1e5, 1001.0, 1001.0, full=True) == pytest.approx(1e5)
 
 
 @pytest.mark.parametrize("asked", [15e3, 10.4e3, 1e3, 950.0, 1.04e6])
@@ -151,7 +151,7 @@ def test_clocks_that_differ_are_a_warning(seconds: int, words: str, context: Con
     link.control = SimpleNamespace()  # type: ignore[assignment]
     link.status.up(link.context.wall())
     there = seconds * 10**9
-    link.clock.add(0, there + 10**6, there + 10**6, 2 * 10**6)
+    link.clock.add(0, there + 10**6, 2 * 10**6)
     assert words in link.fault.warning
     assert bool(link.fault.warning) is bool(words)
     assert link.fault.cause is (LinkCause.CLOCKS_DIFFER if words else LinkCause.NONE)

@@ -426,6 +426,7 @@ def test_a_message_that_does_not_fit_is_refused_before_anything_moves(
 ) -> None:
     driven = make_driven(kind, on_end)
     assert "on_end" in driven.half.life.refusal
+    assert not any(voice.is_open for voice in driven.robot.voices), "a refused topic has no publisher"
 
 
 def test_the_velocity_that_the_robot_has_is_reported(driven: Driven, monkeypatch: pytest.MonkeyPatch) -> None:

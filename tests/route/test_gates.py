@@ -38,9 +38,9 @@ from rsb_bridge.route.gates import (
     ThrottleSieve,
     YoungGate,
     YoungSieve,
+    armed_gates,
     calling_gates,
     chained,
-    hand_gates,
     incoming_gates,
     providing_gates,
 )
@@ -318,7 +318,7 @@ def test_nothing_old_and_nothing_unarmed_gets_to_ros(make_context: Callable[...,
     assert batch == [ArmedGate]
     assert arriving == [LeaseGate, RateGate]
     assert leaving == [LeaseGate, AgeGate]
-    assert order(hand_gates(route)) == [ArmedGate]
+    assert order(armed_gates(route)) == [ArmedGate]
 
 
 def test_calls_pass_them_from_callers_to_the_channel(make_context: Callable[..., Context]) -> None:

@@ -468,6 +468,18 @@ def test_publishers_and_bytes_are_bounded() -> None:
         assert not far.open
 
 
+def test_a_topic_stays_in_the_graph_if_its_first_message_is_too_much() -> None:
+    with virtual_loop() as loop:
+        far = FarDds(loop)
+        topic = LatchedTopic(loop, far.advertise, Budget(PUBLISHER_COST + 100), 1, unexpected)
+        with pytest.raises(LatchedFullError):
+            topic.publish(HistoryHeader(publisher_id(b"writer"), 1, 5), b"x")
+        for _ in range(3):
+            loop.run_until_complete(asyncio.sleep(1.0))
+            topic.tick()
+        assert len(far.open) == 1
+
+
 def test_messages_that_waited_do_not_overrun_a_subscriber() -> None:
     """A new depth needs a new publisher, which nobody has discovered yet: what comes meanwhile waits."""
     count, depth = 2500, 500

@@ -13,9 +13,6 @@ THERE = (RouteEvent.OPEN, RouteEvent.ACCEPT, RouteEvent.DESCRIBE, RouteEvent.REA
 
 def in_phase(phase: RoutePhase) -> Lifecycle:
     life = Lifecycle()
-    if phase is RoutePhase.REFUSED:
-        life.take(RouteEvent.REFUSE, "no")
-        return life
     for event in THERE:
         if life.phase is phase:
             break
@@ -28,10 +25,10 @@ def in_phase(phase: RoutePhase) -> Lifecycle:
 def test_every_phase_can_be_reached_refused_and_closed(phase: RoutePhase) -> None:
     life = in_phase(phase)
     assert life.take(RouteEvent.REFUSE, "no such type")
-    assert (life.phase, life.refusal, life.accepted) == (RoutePhase.REFUSED, "no such type", False)
+    assert (life.phase, life.refusal, life.accepted) == (RoutePhase.CLOSED, "no such type", False)
     life = in_phase(phase)
     assert life.take(RouteEvent.CLOSE)
-    assert life.phase is (RoutePhase.REFUSED if phase is RoutePhase.REFUSED else RoutePhase.CLOSED)
+    assert life.phase is RoutePhase.CLOSED
 
 
 def test_a_new_type_is_described_before_messages_flow_again() -> None:
@@ -49,7 +46,7 @@ def test_a_new_type_is_described_before_messages_flow_again() -> None:
         (RoutePhase.PROPOSED, RouteEvent.DESCRIBE),
         (RoutePhase.ACCEPTED, RouteEvent.READY),
         (RoutePhase.READY, RouteEvent.ACCEPT),
-        (RoutePhase.REFUSED, RouteEvent.READY),
+        (RoutePhase.CLOSED, RouteEvent.READY),
     ],
 )
 def test_what_a_peer_says_out_of_order_changes_nothing(phase: RoutePhase, event: RouteEvent) -> None:

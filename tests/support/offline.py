@@ -10,7 +10,7 @@ import pytest
 from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 
 from rsb_bridge.context import Context
-from rsb_bridge.link.contention import LinkFullness
+from rsb_bridge.link.fullness import LinkFullness
 from rsb_bridge.link.path_watch import PathWatch
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.profiles import PLAIN

@@ -7,9 +7,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.channel.datagram_channel import DatagramSender
-from rsb_bridge.link.contention import Contention, LinkFullness
 from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.extension import Extension
+from rsb_bridge.link.fullness import FullnessWatch, LinkFullness
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.link_status import LinkFault, LinkStatus
 from rsb_bridge.link.path_watch import STALLED, PathWatch, Pings
@@ -201,7 +201,7 @@ class BaseLink(ABC):
             self._take_urgent,
         )
         self.fullness = LinkFullness(partial(self.log, link_status=True))
-        self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers, self.fullness)
+        self.fullness_watch = FullnessWatch(context, lambda: tuple(self.routes.values()), self.carriers, self.fullness)
         self.path = PathWatch(partial(self.log_of_peer, link_status=True), self._judge_again)
         # Not the keepalive's own methods, as each connection has another one.
         self.handlers: dict[type, Callable[[Any], Slices | None]] = {
@@ -360,7 +360,7 @@ class BaseLink(ABC):
         for each in reversed(self._extensions):
             each.disconnected()
         self.channels.disconnected()
-        self.contention.disconnected()
+        self.fullness_watch.disconnected()
         self.path.disconnected()
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"
@@ -436,7 +436,7 @@ class BaseLink(ABC):
         """Do the regular work once a second, after the routes' own tick."""
         if self.control is not None:
             self._tick_path(self.control)  # first: a path that loses packets is not taken for a full one
-            self.contention.tick(self.keepalive, self.peer_name, lossy=self.path.loss.lossy > 0)
+            self.fullness_watch.tick(self.keepalive, self.peer_name, lossy=self.path.loss.lossy > 0)
             self.send(self.keepalive.tick())
             self.channels.tick()
         for each in self._extensions:

@@ -85,7 +85,7 @@ class ClientLink(Link):
         self._udp_retry: asyncio.TimerHandle | None = None
         self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY, context.random, _JITTER)
         self._asking = Backoff(ASKED_EVERY, ASKED_EVERY, context.random)
-        self._search = ServerSearch(self.transport, context.now)
+        self._search = ServerSearch(self.transport, context.now, _HANDSHAKE_TIMEOUT)
         self._streams_opening: dict[tuple[str, int], asyncio.Task[None]] = {}
         self._streams_wanted = 0  # by those, which have their descriptors yet to take
         self.handlers |= {Duplicate: self.on_duplicate, Shutdown: self.on_shutdown}

@@ -12,6 +12,7 @@ from rsb_bridge.channel.data_stream import frame_size
 from rsb_bridge.model.budgets import TokenBucket
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.tasks import NOT_TOO_EARLY
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.codec import decode_in_parts, invalid
 from rsb_bridge.wire.events import DataFrame, Event, Failed, MessageReceived, StreamRefused, Undecoded
@@ -54,8 +55,6 @@ _BYTES, _BYTES_A_SECOND = 4 * CONTROL_LIMIT, CONTROL_LIMIT
 _ENTRIES, _ENTRIES_A_SECOND = 40_000, 10_000.0
 """Entries of reports and lists that are handled at once, and then in a second. A thousand routes report once a second,
 and up to ten times as often at high rates. A steady flood of entries takes a fifth of the thread's time."""
-_NOT_TOO_EARLY = 0.001
-"""s; the rest could be too short for the clock to move."""
 
 
 def in_slices(entries: Iterable[tuple[_E, int]], work: Callable[[_E], None]) -> Slices:
@@ -159,9 +158,7 @@ class ControlChannel(StreamHandler):
         owed, self._owes = self._owes, not self._volume.take(size, now)
         if self._owes:
             self.stream.pause_reading()
-            self._loop.call_later(
-                (size - self._volume.left(now)) / _BYTES_A_SECOND + _NOT_TOO_EARLY, self._charge, size
-            )
+            self._loop.call_later((size - self._volume.left(now)) / _BYTES_A_SECOND + NOT_TOO_EARLY, self._charge, size)
         elif owed:
             self._resume()
 
@@ -187,7 +184,7 @@ class ControlChannel(StreamHandler):
         while units > 0 and self._waits:
             now = self._loop.time()
             if (owed := -self._entries.left(now)) > 0:
-                delay = owed / _ENTRIES_A_SECOND + _NOT_TOO_EARLY
+                delay = owed / _ENTRIES_A_SECOND + NOT_TOO_EARLY
                 break
             if self._work is not None:
                 units -= 1 + self._do_slice(self._work, now) // _ENTRIES_A_UNIT
@@ -258,8 +255,7 @@ class ControlChannel(StreamHandler):
         self.abort(f"the peer broke the format: {error}")
 
     def _take_data(self, frame: memoryview) -> None:
-        if self.data is None:
-            return
+        assert self.data is not None  # `DataFrame`s come on multiplexed connections only
         try:
             self.data.count(frame_size(frame))
             self.data.take((frame,))

@@ -14,10 +14,11 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.arming import Question
+from rsb_bridge.tasks import NOT_TOO_EARLY
 from rsb_bridge.wire.messages import AskEnded, AskForArming
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
+    from collections.abc import Hashable
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.peer_operators import PeerOperators
@@ -31,8 +32,6 @@ ASKER_SILENT_AFTER: Final = 3.0
 """s without a sign of life after which the console that asks counts as gone: it gives one at least every 2 s."""
 _LOOK_EVERY = 0.05
 """s between looks for the sign of life that the arming waits for. A round figure."""
-_LATE = 0.001
-"""s by which a timer comes later than a moment that it must not come before: its clock is another one."""
 
 
 class TakeOverText(Wording):
@@ -104,7 +103,7 @@ class HolderQuestions:
             raise LinkError(TakeOverText.ASKED_ALREADY(who=before.who, topic=topic))
         holder = arming.by
         now, answer = self._context.now(), self._context.loop.create_future()
-        question, asker = Question(acting_operator(), now + ASKED_FOR, _once(answer)), _Asker(console, now)
+        question, asker = Question(acting_operator(), now + ASKED_FOR, answer.set_result), _Asker(console, now)
         self._begin(route, question)
         self._peer.send(AskForArming(route.id, question.who))
         self._askers.append(asker)
@@ -175,7 +174,7 @@ class HolderQuestions:
             if now - asker.seen_at >= ASKER_SILENT_AFTER:
                 return
             left = min(until, asker.seen_at + ASKER_SILENT_AFTER) - now
-            await asyncio.wait((answer,), timeout=left + _LATE if left > 0 else _LOOK_EVERY)
+            await asyncio.wait((answer,), timeout=left + NOT_TOO_EARLY if left > 0 else _LOOK_EVERY)
 
     # --- records, and the other side
 
@@ -205,14 +204,6 @@ class HolderQuestions:
             who=holder if by_holder else asker,
             from_peer=route.arming.console is None if by_holder else question.from_peer,
         )
-
-
-def _once(answer: asyncio.Future[bool | None]) -> Callable[[bool | None], None]:
-    def take(gives: bool | None) -> None:
-        if not answer.done():
-            answer.set_result(gives)
-
-    return take
 
 
 def _ignored(_: bool | None) -> None:

@@ -32,7 +32,6 @@ _CODES = {
     RefusalCode.SHUT_DOWN: EventCode.LINK_SHUT_DOWN,
 }
 _ONLY_BRIDGES = "correct the address in that program, as only bridges use this port"
-_SENDS_NOTHING = "it sent nothing for 5 s: probably a port scan or a health check, as a bridge sends its name"
 
 
 class Admission(Protocol):
@@ -133,11 +132,10 @@ class _InboundStream(PendingConnection, StreamHandler):
     def closed(self, reason: str) -> None:
         self._leave()
 
-    def _give_up(self) -> None:
+    def _why_overdue(self) -> tuple[Rejected, str]:
         if self._stream is None or self._stream.received_bytes:
-            super()._give_up()
-        else:
-            self.reject(_SENDS_NOTHING, LinkCause.NO_ANSWER)
+            return super()._why_overdue()
+        return Rejected.SENT_NOTHING, LinkCause.NO_ANSWER
 
     def received(self, data: bytes) -> None:
         stream, connection = self._stream, self._connection

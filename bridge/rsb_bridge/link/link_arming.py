@@ -25,6 +25,7 @@ from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.arming import ANSWERED_WITHIN, DISARM_TEXT, Disarmed
 from rsb_bridge.route.lease import BEAT, LeaseHalf, Standstill
 from rsb_bridge.route.peer import Peer
+from rsb_bridge.tasks import NOT_TOO_EARLY
 from rsb_bridge.wire import messages as wire
 from rsb_bridge.wire.messages import Arm, Armed, Disarm
 
@@ -38,8 +39,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import Accept, ArmingMessage, Propose, Settled, UrgentMessage
 
-_LATE = 0.001
-"""s by which a timer comes later than a moment that it must not come before: its clock is another one."""
 _LOOK_EVERY = 0.02
 """s between looks whether a route is open: an operator waits so much longer at most. A round figure."""
 _AT_ONCE, _A_SECOND = 20.0, 1 / 30
@@ -156,7 +155,7 @@ class LinkLease:
         if was_alive and not self._was_alive:
             self._lapsed()
         elif 0 < left < BEAT:
-            self._loop.call_later(left + _LATE, self._watch)
+            self._loop.call_later(left + NOT_TOO_EARLY, self._watch)
 
     def _send(self) -> None:
         lease = wire.Lease(*self.state.beat())
@@ -440,7 +439,7 @@ class LinkArming:
             if (why := route.arming.overdue(now)) is not None:
                 self.disarm(route, why)
             elif (left := route.arming.due_at - now) < BEAT:
-                self._context.loop.call_later(left + _LATE, self._end_overdue)
+                self._context.loop.call_later(left + NOT_TOO_EARLY, self._end_overdue)
 
     # --- the other side
 

@@ -96,14 +96,16 @@ class Server:
         keyed = [entry for entry in self.entries.values() if entry.keys][:_ASKED_AS]
         if not keyed:
             return hosts  # without encryption, a client cannot tell two servers apart
-        found = await asyncio.gather(*(self._with_the_key_of(entry, hosts) for entry in keyed))
+        # Of two keys, the client may still use the former one.
+        keys = [(entry.client.name, key.secret) for entry in keyed for key in entry.keys]
+        found = await asyncio.gather(*(self._with_the_key_of(name, secret, hosts) for name, secret in keys))
         return sorted(set(chain.from_iterable(found)))
 
-    async def _with_the_key_of(self, entry: ClientEntry, hosts: list[str]) -> list[str]:
-        hello = Hello(__version__, entry.client.name, os.urandom(8).hex(), 0)
+    async def _with_the_key_of(self, name: str, secret: bytes, hosts: list[str]) -> list[str]:
+        hello = Hello(__version__, name, os.urandom(8).hex(), 0)
 
         def begin(suite: CipherSuite | None) -> ClientConnection:
-            return ClientConnection(hello, entry.keys[-1].secret, suite or CipherSuite.AESGCM)
+            return ClientConnection(hello, secret, suite or CipherSuite.AESGCM)
 
         search = ServerSearch(self._transport, self.context.now, _PROVES_WITHIN)
         proven, _, _ = await search.find(hosts, begin, lambda _, message: message)

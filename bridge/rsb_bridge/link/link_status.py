@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.context import Context
-    from rsb_bridge.link.contention import LinkFullness
+    from rsb_bridge.link.fullness import LinkFullness
     from rsb_bridge.link.path_watch import PathWatch
     from rsb_bridge.telemetry.meters import ClockOffset
 

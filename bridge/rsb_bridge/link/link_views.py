@@ -71,7 +71,7 @@ class PeerView:
         self.newest: bytes | None = None
         self.news = asyncio.Event()
         self.asked: tuple[int, tuple[str, ...], Wish] | None = None
-        """The opening, topics and wish that the peer knows."""
+        """The opening, topics and wish that the peer knows, or None if that is not sure."""
         self.sink: PictureSink | None = None
 
     def take(self, encoded: bytes) -> None:
@@ -225,14 +225,14 @@ class LinkViews(Extension):
             LinkError: the peer refuses, or the link is lost.
         """
         await self._opened(view)
-        opening = view.route.id
-        if view.asked != (opening, topics, wish):
-            view.asked = opening, topics, wish
+        asked = view.route.id, topics, wish
+        if view.asked != asked:
+            view.asked = None  # without an answer, the peer may know the former wish or this one
             self._request += 1
-            answer = await self._questions.ask(self._request, Look(self._request, opening, topics, wish))
+            answer = await self._questions.ask(self._request, Look(self._request, *asked))
             if answer.problem:
-                view.asked = None
                 raise LinkError(answer.problem)
+            view.asked = asked
         try:
             async with asyncio.timeout(seconds):
                 await view.news.wait()

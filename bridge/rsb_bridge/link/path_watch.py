@@ -120,7 +120,7 @@ def steady(shown: float, share: float) -> float:
     """Return the share to show after `shown`: it changes only if the new one differs clearly, as a banner shows it."""
     if shown and abs(share - shown) <= max(0.02, 0.3 * shown):
         return shown
-    return max(0.01, round(share, 2 if share < 0.1 else 1))
+    return round(share, 2 if share < 0.1 else 1)
 
 
 class PathWatch:

@@ -31,8 +31,11 @@ class Rejected(Wording):
 
     TOO_MANY = "too many unauthenticated connections"
     NO_HANDSHAKE = "no handshake within {seconds:g} s"
+    SENT_NOTHING = (
+        "it sent nothing for {seconds:g} s: probably a port scan or a health check, as a bridge sends its name"
+    )
     SUPERSEDED = "replaced by newer connections under the same name"
-    SERVER_STOPS = "the server stops"
+    BRIDGE_STOPS = "the bridge stops"
 
 
 class ConnectionStage(IntEnum):
@@ -131,7 +134,7 @@ class PendingConnections:
     def close(self) -> None:
         """Reject all."""
         for pending in self.present:
-            pending.reject(Rejected.SERVER_STOPS())
+            pending.reject(Rejected.BRIDGE_STOPS())
 
 
 class PendingConnection(ABC):
@@ -162,7 +165,12 @@ class PendingConnection(ABC):
 
     def _give_up(self) -> None:
         """Reject a peer whose handshake takes too long."""
-        self.reject(Rejected.NO_HANDSHAKE(seconds=_HANDSHAKE_WITHIN))
+        why, cause = self._why_overdue()
+        self.reject(why(seconds=_HANDSHAKE_WITHIN), cause)
+
+    def _why_overdue(self) -> tuple[Rejected, str]:
+        """Return the reason why the handshake is overdue, and the event's cause."""
+        return Rejected.NO_HANDSHAKE, ""
 
     def _accept(self) -> None:
         """Note that the peer's first message opens under its key."""

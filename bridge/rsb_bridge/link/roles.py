@@ -184,11 +184,12 @@ class ClientRole:
         self._link.retry()
         await _until(lambda: self._link.linked, lambda: self._link.status.reason)
         step("linked; opening topics and services")
-        routes = self._link.routes.values()
+        # Not kept over the wait: an edit meanwhile replaces a route.
         await _until(
-            lambda: all(r.life.accepted or r.life.refusal for r in routes),
+            lambda: all(r.life.accepted or r.life.refusal for r in self._link.routes.values()),
             lambda: "the server has not answered for all topics and services yet",
         )
+        routes = self._link.routes.values()
         refused = sum(1 for route in routes if route.life.refusal)
         step(f"{len(routes) - refused} of {len(routes)} topics and services accepted")
 

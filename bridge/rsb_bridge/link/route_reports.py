@@ -75,7 +75,7 @@ class RouteReports(Extension):
 
     def _take(self, report: Report | ReportParts) -> Slices:
         if report.full is not None:
-            self._link.contention.take_record(report.full, self._link.peer_name)
+            self._link.fullness_watch.take_record(report.full, self._link.peer_name)
         if report.path is not None:
             self._link.path.take_record(report.path, self._link.peer_name)
         return in_slices(report_entries(report), self._take_entry)

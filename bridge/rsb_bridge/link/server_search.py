@@ -154,7 +154,7 @@ class ServerSearch:
         patience: s that a server has to prove the key.
     """
 
-    def __init__(self, transport: StreamTransport, now: Callable[[], float], patience: float = 5.0) -> None:
+    def __init__(self, transport: StreamTransport, now: Callable[[], float], patience: float) -> None:
         self._transport = transport
         self._trials: Trials[ProvenServer] = Trials(now, patience)
 

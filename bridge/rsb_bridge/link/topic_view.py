@@ -14,12 +14,13 @@ import msgspec
 from rsb_bridge.config.topic_rules import name_problems
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.model.pictures import MOST_RATE, Picture, Wish
-from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.qos import AUTO_DEPTH, Qos
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.ros.ros_graph import agreed_type
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.view.worker import TakenSample, Task
+from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Coroutine, Hashable, Iterable, Sequence
@@ -31,14 +32,10 @@ if TYPE_CHECKING:
 KEPT_BYTES, KEPT_MESSAGES = 256 << 10, 2000
 """Messages between two pictures that are kept for the next one, of each topic; the newest is always kept. Round
 figures: nothing was measured."""
-MESSAGE_LIMIT = 64 << 20
-"""Bytes of a message that is drawn at most: as many as a message of a route may have."""
 _RESOLVE_EVERY = 2.0
 """s after which publishers and their QoS are looked up again."""
 _LATCHED_AGAIN_AFTER = 10.0
 """s after which kept messages may be asked for once more: one of them may be what ends the process that draws."""
-_DEPTH = 10
-"""Messages that DDS keeps until they are taken, as by default in ROS."""
 _SLOWEST = 0.05
 """Hz of pictures at the least, whatever is wished."""
 
@@ -330,5 +327,5 @@ def _qos_for(offered: Sequence[Qos]) -> Qos:
     return Qos(
         reliability="reliable" if all(each.reliability == "reliable" for each in offered) else "best_effort",
         durability="transient_local" if all(each.latched for each in offered) else "volatile",
-        depth=_DEPTH,
+        depth=AUTO_DEPTH,
     )

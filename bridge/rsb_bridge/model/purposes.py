@@ -25,7 +25,7 @@ class Purpose:
         right: the peer's right that a proposal needs, as a session calls it, or an empty string for those of topics.
         peer_sends: whether the peer may propose to send.
         is_shown: whether operators see its routes as rows, in the history and in the log.
-        fills_link: whether it fills the link on purpose, which is then no sign of contention.
+        fills_link: whether it fills the link on purpose, which then does not count as full.
         type_name: the type of its messages, which is installed nowhere, or an empty string for those of topics.
     """
 

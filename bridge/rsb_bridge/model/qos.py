@@ -58,12 +58,15 @@ PROFILES: dict[str, Qos] = {
 AUTO = "auto"
 AUTO_SECONDS = 5.0
 """What a reliable volatile topic brings in this time may wait with ``auto``: a link that stalls longer is given up."""
+AUTO_DEPTH = 10
+"""Messages, where the QoS names no number: the default of ROS."""
 _DEPTH_AT_FIRST = 500
 """Messages before a rate is measured: as many as a topic of 100 Hz brings in `AUTO_SECONDS`."""
-_LEAST_AUTO, _MOST_AUTO = 10, 10_000
-"""Messages: as many as ROS keeps by default, and as the receiving side keeps (`limits.KEPT_DEPTH`)."""
-_MOST_AUTO_BYTES = 32 << 20
-"""That DDS may hold for a topic of large messages; not measured."""
+_MOST_AUTO = 10_000
+"""Messages: as many as the receiving side keeps (`limits.KEPT_DEPTH`)."""
+QUEUE_BYTES = 32 << 20
+"""Of one topic's messages that wait in one place: in DDS, for the link, or until their publisher is known, so that a
+large image which comes first is not lost. Not measured."""
 
 
 class QosProblem(Wording):
@@ -189,8 +192,8 @@ def auto_depth(rate: float | None, mean_size: float) -> int:
     """
     if rate is None:
         return _DEPTH_AT_FIRST
-    most = min(_MOST_AUTO, _MOST_AUTO_BYTES / mean_size) if mean_size else _MOST_AUTO
-    return int(max(_LEAST_AUTO, min(rate * AUTO_SECONDS, most)))
+    most = min(_MOST_AUTO, QUEUE_BYTES / mean_size) if mean_size else _MOST_AUTO
+    return int(max(AUTO_DEPTH, min(rate * AUTO_SECONDS, most)))
 
 
 def clamp_qos(qos: Qos) -> Qos:

@@ -17,6 +17,7 @@ from rsb_bridge.model.demands import effective_max_age
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.ros.ros_interface import RawMessage, Request
+from rsb_bridge.telemetry.watches import LATELY, LOSSY_ABOVE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -38,10 +39,6 @@ _MOST_PUBLISHERS = 1024
 """Wrong clocks that are remembered: any node of the domain can make publishers. A forgotten one is measured again."""
 EXPIRED = "expired"
 """The cause under which the receiver reports messages that were too old."""
-_LATELY = 10
-"""s that verdicts look back on, as for losses (`telemetry.watches`): `topic_verdict` compares the two numbers."""
-_MANY = 0.05
-"""Share of expired messages above which a topic is late; the same as for losses (`telemetry.watches`)."""
 _AHEAD = 0.05
 """s, beyond the uncertainty, by which a message may seem to come from the future. A round figure: nothing was measured.
 Ten times more would publish commands whose age is wrong by half a second."""
@@ -143,7 +140,7 @@ class MessageAge:
         self._limit_ns = 0
         self._steps = 0
         self._counts: Counter[Cause] = Counter()
-        self._lately: deque[tuple[int, Counter[Cause]]] = deque(maxlen=_LATELY + 1)
+        self._lately: deque[tuple[int, Counter[Cause]]] = deque(maxlen=LATELY + 1)
         self._since: float | None = None
 
     def settle(self, demands: Iterable[float | None], *, armed: bool, lifespan: float = 0.0) -> None:
@@ -267,7 +264,7 @@ class MessageAge:
         if not self.is_on and self._since is None:
             self._lately.clear()
         lost, of, _ = self._recent()
-        if lost <= _MANY * of:
+        if lost <= LOSSY_ABOVE * of:
             self._since = None
         elif self._since is None:
             self._since = now
@@ -286,14 +283,12 @@ class MessageAge:
         if self._since is None:
             return None
         lost, of, by_cause = self._recent()
-        if not lost:
-            return None
         ((cause, _),) = by_cause.most_common(1)
         return Expired(cause, lost, of, self._limit, self._since)
 
 
 def expired_verdict(expired: Expired) -> Verdict:
     """Return the verdict on a topic of whose messages many are too old."""
-    share = f"{max(1, round(100 * expired.lost / expired.of))} %"
-    text = f"{share} dropped, age limit {expired.limit:g} s: {_REMEDIES[expired.cause]}"
+    percent = round(100 * expired.lost / expired.of)
+    text = f"{percent} % dropped, age limit {expired.limit:g} s: {_REMEDIES[expired.cause]}"
     return Verdict(State.LATE, expired.cause, text, expired.since)

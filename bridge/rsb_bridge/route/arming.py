@@ -382,13 +382,11 @@ class Arming:
 
     def overdue(self, now: float) -> Disarmed | None:
         """Return the reason to disarm it at `now` (s), or None."""
-        if not self.held:
+        if now < self.due_at:
             return None
-        if now >= self._deadline:
-            return Disarmed.NO_ANSWER if self._phase is _Phase.ASKED else Disarmed.DEADMAN
-        if self.console is not None and now - self._seen_at > CONSOLE_SILENT_AFTER:
+        if now < self._deadline:
             return Disarmed.CONSOLE_GONE
-        return None
+        return Disarmed.NO_ANSWER if self._phase is _Phase.ASKED else Disarmed.DEADMAN
 
 
 def account_of(operator: str) -> str:

@@ -130,7 +130,7 @@ class LossyPath:
         if path is None or path.cause is not LinkCause.LOSSY:
             self._until, self._stuck_since = float("-inf"), None
             return verdict
-        suffers = (verdict.cause, verdict.text) == (Cause.LOSSY, path.text)
+        suffers = verdict.cause == Cause.LOSSY
         if suffers:
             self._until = now + _SUFFERS_FOR
         # A fault of another kind is not the path's.

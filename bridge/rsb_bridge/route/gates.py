@@ -1,7 +1,7 @@
 """The gates of messages and calls: nothing old and nothing unarmed gets through (`Gate`, `Sieve`).
 
 Each direction has a function that lists its gates in the order in which they are asked, without those that are off:
-`sending_gates`, `incoming_gates`, `calling_gates`, `providing_gates`, `hand_gates`. They ask ages and leases twice:
+`sending_gates`, `incoming_gates`, `calling_gates`, `providing_gates`, `armed_gates`. They ask ages and leases twice:
 when a sample comes, before it costs anything, and right before it is handed on, because queues, unpacking, checks and
 requests to DDS take long.
 
@@ -401,7 +401,7 @@ def sending_gates(
     # A latched topic's messages wait in its histories; their age is asked when they leave these (`KeptAgeSieve`).
     fresh = (FreshSieve(age, ledger),) if ages and not route.is_latched else ()
     return SendingGates(
-        batch=hand_gates(route),
+        batch=armed_gates(route),
         arriving=(*fresh, LoopSieve(loops, route, ledger)),
         sourced=(ThrottleSieve(throttle, ledger),) if throttle.is_on else (),
         kept=(*((KeptAgeSieve(age, ledger),) if ages else ()), KeptLoopSieve(loops, ledger)),
@@ -453,7 +453,7 @@ def incoming_gates(route: Route) -> IncomingGates:
     young: Gates = (AgeGate(route.age),) if route.age.is_on else ()
     slow: Gates = (RateGate(route.peer.budget.rates, route.local_topic, rate),) if rate else ()
     # The rate comes last, so that messages which the lease refuses take no token.
-    return IncomingGates(batch=hand_gates(route), arriving=(*leased, *slow), leaving=(*leased, *young))
+    return IncomingGates(batch=armed_gates(route), arriving=(*leased, *slow), leaving=(*leased, *young))
 
 
 # --- calls; those of lanes that stop or watch a robot are not `limited`
@@ -479,7 +479,7 @@ def calling_gates(route: Route, outbox: Carries, rate: CallRateGate, *, limited:
     young: Gates = (YoungGate(route.age),) if route.age.is_on else ()
     slow: Gates = (rate,) if rate.rate else ()
     # Rate and budget come last: a call that is refused before takes no token, and no place.
-    return CallingGates((PauseGate(route.pausing), *hand_gates(route), *young, fits, *slow, budget), young)
+    return CallingGates((PauseGate(route.pausing), *armed_gates(route), *young, fits, *slow, budget), young)
 
 
 class ProvidingGates(NamedTuple):
@@ -500,21 +500,21 @@ def providing_gates(route: Route, *, limited: bool) -> ProvidingGates:
     if not limited:
         return ProvidingGates((), (budget,))
     young: Gates = (AgeGate(route.age),) if route.age.is_on else ()
-    armed: Gates = (*hand_gates(route), LeaseGate(arming)) if arming.required else ()
+    armed: Gates = (*armed_gates(route), LeaseGate(arming)) if arming.required else ()
     slow: Gates = (RateGate(route.peer.budget.rates, route.local_topic, rate),) if rate else ()
     # As on the callers' side, only a call that nothing else refuses takes a token and a place.
     return ProvidingGates((*young, PauseGate(route.pausing), *armed), (*young, *armed, *slow, budget))
 
 
-# --- by hand
+# --- by hand; neither a pause nor a rate holds that up
 
 
-def hand_gates(route: Route) -> Gates:
-    """Return the gates of what an operator of this side does here: neither a pause nor a rate holds that up."""
+def armed_gates(route: Route) -> Gates:
+    """Return the gate of a route that must be armed. The other lists begin with it, and by hand there is no further."""
     return (ArmedGate(route.arming),) if route.arming.required else ()
 
 
 def why_not_by_hand(route: Route, now: float) -> Refused | None:
     """Return the reason why an operator may do nothing by hand over a route at `now` (s), or None."""
-    check = chained(hand_gates(route))
+    check = chained(armed_gates(route))
     return None if check is None else check(NO_SAMPLE, now)

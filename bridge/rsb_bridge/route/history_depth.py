@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.limits import LATCHED_DEPTH
+from rsb_bridge.model.qos import AUTO_DEPTH, QUEUE_BYTES
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.wire.headers import HistoryHeader, publisher_id
 
@@ -30,7 +31,6 @@ _HELD_FOR = 0.3
 """s; a probe takes 0.1 to 0.2 s on an idle machine. A publisher is busy that has not been quiet for so long."""
 _HELD = 64
 """Messages of one publisher. At 5 kHz they come within 13 ms, and released together they fit into usual depths."""
-_HELD_SIZE = 32 << 20  # bytes of one publisher's messages: as many as wait to be sent (`sending`)
 _PROBES_FOR = 1.0
 """s until a probe ends that has not got what it waits for: five times as long as one takes on an idle machine."""
 _PROBE_SETTLES_AFTER = 0.05
@@ -42,10 +42,8 @@ _MOST_TRIES = 5
 _MEANWHILE = 100
 """Messages from the start of a probe to its end, up to which it bounds the depth from above. A faster publisher may
 overwrite the beginning of its history before DDS has sent it: at 5 kHz, 1,000 messages were taken for 300 at times."""
-_LAST_NUMBER = 2**63 - 1
 _FORGOTTEN_AFTER = 20.0
 """Seconds a publisher must be gone; longer than the peer keeps its history, whose numbers may be given here."""
-_UNNUMBERED_DEPTH = 10
 
 
 class Sample(NamedTuple):
@@ -239,7 +237,7 @@ class Histories:
         if self._depth:
             return self._depth
         if not number:
-            return _UNNUMBERED_DEPTH
+            return AUTO_DEPTH
         if self._lifespan or publisher.latest - publisher.flows_since >= _HELD_FOR - _SETTLES_AFTER:
             return publisher.at_most  # with a lifespan the peer's publishers forget as quickly
         return min(number - publisher.first + 1, publisher.at_most)
@@ -256,7 +254,7 @@ class Histories:
             if not publisher.first or self._depth:
                 continue
             releases_at = publisher.began + _HELD_FOR
-            if len(publisher.held) >= _HELD or publisher.held_size > _HELD_SIZE:
+            if len(publisher.held) >= _HELD or publisher.held_size > QUEUE_BYTES:
                 releases_at = now
             if not publisher.settled:
                 settles_at = min(publisher.latest + _SETTLES_AFTER, releases_at)

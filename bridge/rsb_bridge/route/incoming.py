@@ -14,7 +14,7 @@ from rsb_bridge.channel.channel import ReceivingChannel
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import full_type
-from rsb_bridge.model.qos import clashes, incompatible, match_subscriptions
+from rsb_bridge.model.qos import AUTO_DEPTH, clashes, incompatible, match_subscriptions
 from rsb_bridge.model.snapshot import Ledger, Level, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.verdict import Cause
@@ -29,13 +29,7 @@ from rsb_bridge.route.lifecycle import RouteEvent
 from rsb_bridge.route.message_check import ExpandsTooMuchError, MessageCheck, Unpacker, malformed_text
 from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.rest_message import RestAfterArming, velocity_on
-from rsb_bridge.route.source_publishers import (
-    AUTO_DEPTH,
-    PublicationSpec,
-    SlowSubscriberError,
-    SourcePublishers,
-    bounded,
-)
+from rsb_bridge.route.source_publishers import PublicationSpec, SlowSubscriberError, SourcePublishers, bounded
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.route.topic_verdict import TopicProgress
 from rsb_bridge.route.type_versions import CompareTypes, TypeClash, TypeVersion, unknown_difference
@@ -189,6 +183,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             # Now, as a rest that does not fit the type must refuse the route instead of failing when it is needed.
             self.rest.prepare(spec)
         except (RosError, LatchedFullError) as error:
+            self.outputs.close()  # a refused topic must not seem to have a publisher
             self._refuse_type(str(error))
             return
         self.type_name, self.type_hash, self.qos = type_and_qos

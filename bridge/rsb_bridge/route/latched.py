@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 PUBLISHER_COST = 1 << 20
 """Bytes that are counted with each publisher, which bounds their number. DDS needs about 170 kB."""
-_MESSAGE_COST = 256  # bytes, for what DDS keeps with each message: an estimate
+MESSAGE_COST = 256  # bytes, for what DDS keeps with each message: an estimate
 _ALONE = 16
 """Messages of a growing history for which there is a publisher each, so that each can be dropped alone: as many as the
 sender probes each message for (`history_depth`)."""
@@ -200,7 +200,7 @@ class LatchedTopic:
             LatchedFullError: it would be too much to keep.
         """
         now = self._loop.time()
-        history = self._histories.setdefault(header.publisher, _History(now))
+        history = self._histories.get(header.publisher) or _History(now)
         # It was sent again, or a newer one has overtaken it, as datagrams may: late joiners get the newest last.
         if header.number and header.number <= history.newest:
             return False
@@ -209,9 +209,11 @@ class LatchedTopic:
         # A depth that the sender has found since also holds for messages that it sent before.
         depth = min(header.depth, self._present.get(header.publisher, 0) or LATCHED_DEPTH)
         output = self._output_for(history, number, depth)
+        # Only now, as a history without outputs would have the spare publisher closed, the topic's last one.
+        self._histories[header.publisher] = history
         # The message that gives way leaves its memory, so that a full publisher costs no more than before.
         evicted = output.kept[0][1] if output.full else 0
-        memory = max(len(content) + _MESSAGE_COST, evicted)  # DDS uses it again, and never makes it smaller
+        memory = max(len(content) + MESSAGE_COST, evicted)  # DDS uses it again, and never makes it smaller
         if not self._budget.take(memory - evicted):
             raise LatchedFullError
         if output.full:

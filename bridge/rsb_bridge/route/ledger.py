@@ -351,7 +351,7 @@ class MissedWhileDown:
         if self._since is None:
             return
         taken = 0
-        elapsed, self._since = max(0.0, now - self._since), now
+        elapsed, self._since = now - self._since, now
         if self._subscribed is not None:
             since, before = self._subscribed
             taken = offered - before

@@ -16,12 +16,10 @@ if TYPE_CHECKING:
 
 
 class RoutePhase(Enum):
-    """Progress of the agreement between the two sides, in this order; `REFUSED` and `CLOSED` lie outside it."""
+    """Progress of the agreement between the two sides, in this order; `CLOSED` lies outside it."""
 
     CLOSED = auto()
-    """Not open on the present connection."""
-    REFUSED = auto()
-    """Not open, for a given reason; the side that proposed it tries again later."""
+    """Not open on the present connection; the side that proposed it tries again later."""
     PROPOSED = auto()
     """One side has proposed it; the other has not answered yet."""
     ACCEPTED = auto()
@@ -49,15 +47,10 @@ class RouteEvent(Enum):
     """The opening ends for no fault of the route's: the link is lost, or the route is opened again."""
 
 
-_END = {RouteEvent.REFUSE: RoutePhase.REFUSED, RouteEvent.CLOSE: RoutePhase.CLOSED}
+_END = {RouteEvent.REFUSE: RoutePhase.CLOSED, RouteEvent.CLOSE: RoutePhase.CLOSED}
 
 TRANSITIONS: dict[RoutePhase, dict[RouteEvent, RoutePhase]] = {
     RoutePhase.CLOSED: {RouteEvent.OPEN: RoutePhase.PROPOSED, **_END},
-    RoutePhase.REFUSED: {
-        RouteEvent.OPEN: RoutePhase.PROPOSED,
-        RouteEvent.REFUSE: RoutePhase.REFUSED,
-        RouteEvent.CLOSE: RoutePhase.REFUSED,
-    },
     RoutePhase.PROPOSED: {RouteEvent.ACCEPT: RoutePhase.ACCEPTED, **_END},
     RoutePhase.ACCEPTED: {RouteEvent.DESCRIBE: RoutePhase.DESCRIBED, **_END},
     RoutePhase.DESCRIBED: {RouteEvent.DESCRIBE: RoutePhase.DESCRIBED, RouteEvent.READY: RoutePhase.READY, **_END},

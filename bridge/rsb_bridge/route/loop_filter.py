@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.model.qos import QUEUE_BYTES
 from rsb_bridge.model.sources import MOST_HOPS, MOST_SOURCES, Via, hop, node_of, place
 from rsb_bridge.model.text import join_first
 from rsb_bridge.wire.framing import SOURCE_SHIFT
@@ -36,7 +37,6 @@ LEFT_OUT = -2
 """No number ever: the message must not be carried."""
 _GONE_REMEMBERED = 256  # publishers: a round figure
 _MOST_HELD = 10_000  # messages: 3 s at 3 kHz
-_MOST_HELD_BYTES = 32 << 20  # as many as wait to be sent: an image that comes first is not lost
 _MOST_NAMED = 5  # nodes in one sentence
 
 
@@ -293,7 +293,7 @@ class LoopFilter:
     def _hold(self, message: RawMessage) -> None:
         self._held.append(message)
         self._held_bytes += len(message.payload)
-        while len(self._held) > 1 and (len(self._held) > _MOST_HELD or self._held_bytes > _MOST_HELD_BYTES):
+        while len(self._held) > 1 and (len(self._held) > _MOST_HELD or self._held_bytes > QUEUE_BYTES):
             self._held_bytes -= len(self._held.popleft().payload)
             self._overflowed += 1
 

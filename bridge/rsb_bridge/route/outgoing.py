@@ -25,9 +25,9 @@ from rsb_bridge.route.resolving import Resolver
 from rsb_bridge.route.sending import OutgoingPath
 from rsb_bridge.route.topic_route import MEASURED_FOR, TopicRoute
 from rsb_bridge.route.topic_subscription import SubscriptionSpec, TopicSubscription
-from rsb_bridge.route.topic_verdict import LATELY, TopicProgress
+from rsb_bridge.route.topic_verdict import TopicProgress
 from rsb_bridge.route.type_versions import TypeVersion
-from rsb_bridge.telemetry.watches import LossWatch, SlowWatch, StopWatch
+from rsb_bridge.telemetry.watches import LATELY, LossWatch, SlowWatch, StopWatch
 from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.fields import MOST_PUBLISHERS
 from rsb_bridge.wire.headers import publisher_id

@@ -58,7 +58,7 @@ class PeerPings(Protocol):
 
 
 class LinkRates(Protocol):
-    """Whether a link is full in either direction (`rsb_bridge.link.contention`)."""
+    """Whether a link is full in either direction (`rsb_bridge.link.fullness`)."""
 
     out: Fullness | None
     into: Fullness | None

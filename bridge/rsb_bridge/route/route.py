@@ -271,7 +271,6 @@ class Route:
         # One that another program refuses, or that lacks a descriptor, has a cause of its own.
         broke = DATA_CONNECTION in reason and (self.connected or timed_out(reason))
         self.close(reason)
-        self._verdict = None
         self.life.take(RouteEvent.REFUSE, reason)
         self.reopening.failed(self.context.now(), broke=broke)
 

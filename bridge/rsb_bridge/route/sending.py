@@ -15,7 +15,7 @@ from rsb_bridge.model.clock import shifted
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.on_end import NONE
 from rsb_bridge.model.profiles import PLAIN
-from rsb_bridge.model.qos import AUTO_SECONDS
+from rsb_bridge.model.qos import AUTO_DEPTH, AUTO_SECONDS, QUEUE_BYTES
 from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, sending_gates, sifting
 from rsb_bridge.route.ledger import CAUSES
 from rsb_bridge.route.peeking import peeked
@@ -41,9 +41,6 @@ if TYPE_CHECKING:
 _LOOKS_EVERY = 1.0  # s at least between the two looks at a queue that an overload takes
 WAITS = 1.0
 """s that an overloaded topic's queue keeps a message, unless it is the only one."""
-_AUTO_DEPTH = 10
-_QUEUE_BYTES = 32 * 1024 * 1024
-"""Bytes of one topic, besides the longest message: as many as ``qos: auto`` has DDS keep (`model.qos`)."""
 _SLOW_QUEUE_BYTES = 64 * 1024  # best effort on a slow transport: a second or two, later it would be stale
 _BATCH = 16
 _ZSTD_LEVEL = 3
@@ -225,9 +222,7 @@ class Outbox:
     def pass_on(self, messages: Sequence[Message], size: int, channel: SendingChannel) -> bool:
         """Send messages of `size` bytes together past the empty queue, or return False: they have to wait in it."""
         # Only if nothing waits, or it would overtake that; and no more than one turn of the scheduler.
-        if self._queue.waiting or channel.congested or len(messages) > _BATCH:
-            return False
-        if size > self.largest or size > channel.batch_bytes:
+        if self._queue.waiting or channel.congested or len(messages) > _BATCH or size > channel.batch_bytes:
             return False
         if self.leaving is not None:
             messages = self.leaving(messages)
@@ -272,7 +267,7 @@ class Outbox:
     @property
     def newest_only(self) -> QueueLimits:
         """The limits of a queue in which a message makes those before it worthless."""
-        return QueueLimits(1, 0.0, _QUEUE_BYTES + self.largest)
+        return QueueLimits(1, 0.0, QUEUE_BYTES + self.largest)
 
     def limits(self, qos: Qos | None, depth: int, pace: Pace, now: float, profile: LinkProfile = PLAIN) -> QueueLimits:
         """Return the queue's limits at `now` (s). While the channel takes messages, the queue only passes them on.
@@ -283,7 +278,7 @@ class Outbox:
         """
         self._overload.look(now, self._queue.oldest_since, len(self._queue), moves=pace is Pace.SLOW)
         best_effort = qos is not None and qos.reliability == "best_effort"
-        size = _QUEUE_BYTES + self.largest
+        size = QUEUE_BYTES + self.largest
         if best_effort:
             size = profile.queue_bytes or (_SLOW_QUEUE_BYTES if self._transport.slow else size)
         live = best_effort and self._automatic and qos is not None and not qos.latched
@@ -294,7 +289,7 @@ class Outbox:
         # A latched topic keeps its depth, because late joiners get its history.
         if automatic and self._overload.lasts and not qos.latched:
             return QueueLimits(1, WAITS, size)
-        most = qos.depth or (profile.depth if best_effort else _AUTO_DEPTH)
+        most = qos.depth or (profile.depth if best_effort else AUTO_DEPTH)
         kept_for = AUTO_SECONDS if profile.patience is None else profile.patience
         return QueueLimits(max(depth, most), kept_for if automatic else 0.0, size, oldest)
 

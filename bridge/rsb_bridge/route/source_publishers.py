@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from rsb_bridge.model.limits import KEPT_DEPTH, LATCHED_DEPTH
+from rsb_bridge.model.qos import AUTO_DEPTH
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.ros_interface import Endpoint, RosError
-from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
+from rsb_bridge.route.latched import MESSAGE_COST, LatchedFullError, LatchedTopic
 from rsb_bridge.route.peer import TypeUse
 
 if TYPE_CHECKING:
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.framing import Budget
     from rsb_bridge.wire.records import Source
 
-AUTO_DEPTH = 10
-"""Messages, where the QoS names no number: the default of ROS."""
 FREE = 1 << 16
 """Bytes that each publisher may hold uncounted, so that small messages pass even if large ones fill the budget."""
 BURST_DEPTH = 2000
@@ -41,7 +40,6 @@ figure: nothing was measured. With less, a burst could be dropped before it is a
 _MATCHED_WITHIN = 2.0
 """Seconds that subscriptions have to find the new publisher before it takes over: what is published before is lost to
 them."""
-_MESSAGE_COST = 256  # bytes, for what DDS keeps with each message: an estimate
 _ASKS_AGAIN_AFTER = 0.01
 """s, while subscribers take nothing: to ask DDS takes 100 µs then, so that it takes 1 % of the time at most."""
 
@@ -125,7 +123,7 @@ class VolatileTopic:
             RosError: the middleware refused it.
             SlowSubscriberError: it would take too much memory.
         """
-        size, waiting = len(content) + _MESSAGE_COST, self._waiting
+        size, waiting = len(content) + MESSAGE_COST, self._waiting
         is_full = len(waiting) >= self._depth
         memory = waiting[0] if is_full else self._free[-1] if self._free else 0
         room = self._held_when_asked + FREE - self._held

@@ -12,7 +12,7 @@ from rsb_bridge.model.verdict import LASTING, Cause, Verdict
 from rsb_bridge.route.age import expired_verdict
 from rsb_bridge.route.blocking_rules import ACCEPTED, as_known, first_missing, link_and_acceptance, stage, worst
 from rsb_bridge.route.lateness import late_verdict
-from rsb_bridge.telemetry.watches import FAST_ABOVE
+from rsb_bridge.telemetry.watches import FAST_ABOVE, LATELY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.lateness import Late
     from rsb_bridge.telemetry.watches import Loss
 
-LATELY = 10
-"""s for which `lost_in_dds` counts: as long as other losses (`telemetry.watches`)."""
 USE_TCP = "use protocol: tcp"
 """The remedy for messages that are lost on the way."""
 STOPPED_PUBLISHING = ("has stopped publishing, or died", "have stopped publishing, or died")

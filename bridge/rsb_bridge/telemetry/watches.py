@@ -26,9 +26,9 @@ tests/telemetry/test_regularity.py has publishers at random and in bursts, none 
 """
 _PAUSES = 2.0
 """A topic may pause for so many times as long as it has paused before."""
-_WINDOW = 10.0
-"""s over which losses are counted."""
-_LOSSY_ABOVE, _WHOLE_BELOW, _LEAST_LOST = 0.05, 0.02, 3
+LATELY = 10
+"""s over which losses are counted. Their causes are compared, so all of them are counted for as long."""
+LOSSY_ABOVE, _WHOLE_BELOW, _LEAST_LOST = 0.05, 0.02, 3
 """Shares of the messages, and messages: from the one on a topic loses messages, below the other it no longer does.
 
 Two shares, so that a loss about one of them does not flap.
@@ -36,7 +36,7 @@ Two shares, so that a loss about one of them does not flap.
 _ROW_LASTS = 2.0
 """Times as long as between the last two losses in a row for which they count: a topic that ended owes nothing."""
 _FEW_FOR = 10
-"""Ticks in a row with fewer losses than make a fault, after which a topic has recovered: as long as `_WINDOW`."""
+"""Ticks in a row with fewer losses than make a fault, after which a topic has recovered: as long as `LATELY`."""
 _LOSSLESS_TICKS, _RECOVERED_TICKS = 2, 4
 """Ticks in which messages arrive and none is lost, after which a topic recovers, and after which it has recovered."""
 _EXPECTED_LOSSES = 3.0
@@ -181,7 +181,7 @@ class _LostInARow:
         if self.lost.total() < _LEAST_LOST:
             return False
         apart = self._at[-1] - self._at[-2] if len(self._at) > 1 else 0.0
-        return now - self._at[-1] <= max(_WINDOW, _ROW_LASTS * apart)
+        return now - self._at[-1] <= max(LATELY, _ROW_LASTS * apart)
 
     def clear(self) -> None:
         self.lost.clear()
@@ -219,7 +219,7 @@ class LossWatch:
         self._marks.append((now, delivered, lost))
         # One mark from before the window stays, to count from; and the last two, which are compared even if ticks come
         # late.
-        while len(self._marks) > 2 and now - self._marks[1][0] >= _WINDOW:
+        while len(self._marks) > 2 and now - self._marks[1][0] >= LATELY:
             self._marks.popleft()
         self._count_since_loss(now)
         if self.loss is not None and self._lossless >= _RECOVERED_TICKS and self._not_chance(self.loss):
@@ -236,10 +236,10 @@ class LossWatch:
             new = self._row.lost
             settled = total = new.total()
         share = total / settled if settled else 0.0
-        self._few = self._few + 1 if share < _LOSSY_ABOVE else 0
+        self._few = self._few + 1 if share < LOSSY_ABOVE else 0
         if self._few >= _FEW_FOR:
             self.loss = None
-        elif share >= (_WHOLE_BELOW if self.loss else _LOSSY_ABOVE) and total >= (1 if self.loss else _LEAST_LOST):
+        elif share >= (_WHOLE_BELOW if self.loss else LOSSY_ABOVE) and total >= (1 if self.loss else _LEAST_LOST):
             ((cause, _),) = new.most_common(1)
             recovering = self._few > 0
             if self.loss is not None:
@@ -251,7 +251,7 @@ class LossWatch:
                 since = max(since, self._arrived_at)
             self.loss = Loss(total, settled, cause, since, recovering)
         # While nothing at all settles, a loss of everything is no news and goes on.
-        elif settled or now - self._marks[0][0] >= _WINDOW:
+        elif settled or now - self._marks[0][0] >= LATELY:
             self.loss = None
 
     def _count_since_loss(self, now: float) -> None:
@@ -273,7 +273,7 @@ class LossWatch:
     def _not_chance(self, loss: Loss) -> bool:
         """Whether so many messages have arrived since the last loss that the losses are probably over."""
         # Never more than 60 messages: at the 2 % to which a loss may fall, it would be 150.
-        return self._since_loss * max(loss.share, _LOSSY_ABOVE) >= _EXPECTED_LOSSES
+        return self._since_loss * max(loss.share, LOSSY_ABOVE) >= _EXPECTED_LOSSES
 
     def reset(self) -> None:
         """Start over."""

@@ -228,7 +228,7 @@ class _Counts(NamedTuple):
     queue_full: int
 
 
-class Contention:
+class FullnessWatch:
     """Decides for one link whether it is full."""
 
     def __init__(

@@ -1,0 +1,39 @@
+"""One side's questions for pictures of the other side's topics, on virtual time."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.wording import pattern
+
+from rsb_bridge.link.base_link import BaseLink
+from rsb_bridge.link.errors import Denied, LinkError
+from rsb_bridge.link.link_views import PeerView
+from rsb_bridge.link.roles import ClientRole
+from rsb_bridge.model.pictures import Wish
+from rsb_bridge.model.purposes import VIEW
+from rsb_bridge.model.qos import Qos
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.context import Context
+
+
+async def test_a_look_without_an_answer_is_asked_again(
+    make_context: Callable[..., Context], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A peer that has too many questions already ignores further ones."""
+    sent: list[Any] = []
+    monkeypatch.setattr(BaseLink, "send", lambda _, message: sent.append(message))
+    context = make_context()
+    (link,) = ClientRole(context, {"robot1": ()}).links()
+    route: Any = SimpleNamespace(id=2, local_topic=VIEW.route_name("1"), outgoing=False, flowing=True)
+    context.internal[VIEW.name].advertise(route.local_topic, "", "", Qos(), link.name)
+    view = PeerView(route)
+    for _ in range(2):
+        with pytest.raises(LinkError, match=pattern(Denied.NO_ANSWER)):
+            await link.views.look(view, ("/map",), Wish(), 1.0)
+    assert [look.topics for look in sent] == [("/map",)] * 2
