@@ -192,10 +192,10 @@ def measure(
         routed = _without_router(running, plan.down) if running.router is not None else None
         _wait_until_heard(listener)
         time.sleep(plan.settles)
-        before, since = running.look()[flooding].published, time.monotonic()
+        before, since = running.records()[flooding].published, time.monotonic()
         running.tell(flooding, "flood", "/scan", "2500")
         flooded = _watch(running, control, listener, plan.watched)
-        flood = (running.look()[flooding].published - before) / (time.monotonic() - since)
+        flood = (running.records()[flooding].published - before) / (time.monotonic() - since)
         return Figures(
             count,
             running.routes,
@@ -241,7 +241,7 @@ def _wait_until_heard(listener: Process) -> None:
 def _watch(running: SimulatedFleet, control: Process, listener: Process, seconds: float) -> Steady:
     others = running.names[:-1]
     rate = next(talk.rate for talk in running.load.talks if talk.topic == "/pose")
-    lost, before = _lost(running, others), running.look()
+    lost, before = _lost(running, others), running.records()
     listener.ask("reset")
     began, cpu = time.monotonic(), control.cpu()
     cpu_of_robots = sum(process.cpu() for process in running.processes)
@@ -249,7 +249,7 @@ def _watch(running: SimulatedFleet, control: Process, listener: Process, seconds
     passed = time.monotonic() - began
     used = control.cpu() - cpu
     used_by_robots = sum(process.cpu() for process in running.processes) - cpu_of_robots
-    report, after = listener.ask("report"), running.look()
+    report, after = listener.ask("report"), running.records()
     published = sum(after[name].published - before[name].published for name in others)
     return Steady(
         used / passed,

@@ -95,7 +95,7 @@ class Bridge:
         wish, seen = Wish(width=80, height=24, rate=rate, webp=True), []
         ends = time.monotonic() + seconds
         while time.monotonic() < ends:
-            viewed = self.engine.look(viewer, (topic,), wish).result(_WITHIN)
+            viewed = self.engine.next_picture(viewer, (topic,), wish).result(_WITHIN)
             if viewed is not None and viewed.picture.content is not None:
                 seen.append((viewed, viewed.age or 0.0))
         return seen

@@ -173,7 +173,7 @@ class EngineApi(ABC):
     def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
         return self.do(commands.Peek(key, kept))
 
-    def look(self, viewer: str, topics: tuple[str, ...], wish: Wish, link: str = "") -> Future[Viewed | None]:
+    def next_picture(self, viewer: str, topics: tuple[str, ...], wish: Wish, link: str = "") -> Future[Viewed | None]:
         return self.do(commands.LookAtTopics(viewer, topics, wish, link))
 
     def draft_message(self, topic: str, type_name: str = "") -> Future[Draft]:

@@ -301,9 +301,9 @@ class ConsoleApp(TerminalApp[None]):
         snapshot = self.snapshot()
         self.needs_young_keys = any(route.arming is not None or route.spec.paused for route in snapshot.routes)
         self.deadman.keep(self.engine, snapshot)
-        for route in self._questions.look(snapshot, self.deadman.held):
+        for route in self._questions.find_new(snapshot, self.deadman.held):
             self._hand_over(route)
-        self.fault_bell.look(self.engine, snapshot)
+        self.fault_bell.ring_for_new(self.engine, snapshot)
         if any(isinstance(screen, FullScreen) for screen in self.screen_stack):
             self.main.hold(events)  # Textual would write the whole of the screen above for each of its changes
         else:
@@ -362,7 +362,7 @@ class Bell:
         self._engine: EngineApi | None = None
         self._watch: FaultWatch | None = None
 
-    def look(self, engine: EngineApi | None, snapshot: Snapshot) -> None:
+    def ring_for_new(self, engine: EngineApi | None, snapshot: Snapshot) -> None:
         """Look for new faults. Called at each refresh; costs nothing while the bell is off."""
         now = self._clock()
         if engine is None or not self.is_on or not snapshot.running:
@@ -371,7 +371,7 @@ class Bell:
             self._engine, self._watch = engine, FaultWatch()
             self._watch.assume(snapshot, now)  # what is wrong already does not ring
         else:
-            begun = [change for change in self._watch.look(snapshot, now) if rings_for(change)]
+            begun = [change for change in self._watch.find_changes(snapshot, now) if rings_for(change)]
             if begun and now - self._rang_at >= RINGS_EVERY:
                 self._rang_at = now
                 self._ring()

@@ -12,11 +12,11 @@ from rsb_bridge.ros.measured_stream import Arrivals
 
 def test_what_an_earlier_run_has_left_does_not_count_for_the_next() -> None:
     arrivals, late = Arrivals(), stamped_string(100)
-    arrivals.take(late)
+    arrivals.add(late)
     assert (arrivals.count, len(arrivals.latencies)) == (1, 1)
     arrivals.reset()
-    arrivals.take(late)
-    arrivals.take(stamped_string(100))
+    arrivals.add(late)
+    arrivals.add(stamped_string(100))
     assert (arrivals.count, len(arrivals.latencies)) == (1, 1)
 
 

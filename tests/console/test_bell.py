@@ -42,7 +42,7 @@ class Rung:
         for _ in range(int(4 * seconds)):
             self.now += 0.25
             snapshot = Snapshot(NOW + self.now, "robot1", "client", "", 0, running=True, links=(LINK,), routes=routes)
-            self.bell.look(engine, snapshot)
+            self.bell.ring_for_new(engine, snapshot)
         return self.times
 
 

@@ -137,7 +137,7 @@ def pictures(*verdicts: Verdict, width: int, seconds: int = 90) -> list[list[str
             for name, verdict in zip("abcd", verdicts, strict=False)
         ]
         faults = faults_of(snapshot(*routes, time=now))
-        heights.look(faults, width, now)
+        heights.record(faults, width, now)
         lines = fault_lines(faults, width, 9, MoreKeys("c", "f"), heights)
         found.append(["".join(piece for piece, _ in line).rstrip() for line in lines])
     return found

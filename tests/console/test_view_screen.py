@@ -666,7 +666,7 @@ def test_a_hostile_bridge_s_picture_is_refused(machine: Machine) -> None:
 
     machine.serve(Hostile())
     with pytest.raises(EngineError, match=RequestProblem.INVALID_PICTURE(error="")):
-        machine.attach().look("me", ("/scan",), Wish()).result(30)
+        machine.attach().next_picture("me", ("/scan",), Wish()).result(30)
 
 
 @looking(NARROW)

@@ -140,9 +140,9 @@ def test_routes_that_are_never_listed_are_bounded(monkeypatch: pytest.MonkeyPatc
     constants.CLEANED_ITEMS.set(monkeypatch, 300)
     receiver = StateReceiver(BRIDGE, trusted=False)
     for first in range(0, 300, 100):
-        assert not receiver.take(some_routes(first))
+        assert not receiver.receive(some_routes(first))
     with pytest.raises(ControlProtocolError):
-        receiver.take(some_routes(300))
+        receiver.receive(some_routes(300))
 
 
 def some_routes(first: int) -> protocol.StateChange:
@@ -155,7 +155,7 @@ def some_routes(first: int) -> protocol.StateChange:
 def test_routes_that_are_not_those_of_the_list_are_refused(keys: tuple[str, ...] | None) -> None:
     state = protocol.StateChange(routes=(protocol.encode_route(ROUTES[0]),), keys=keys, links=(LINK,), session=SESSION)
     with pytest.raises(ControlProtocolError, match=pattern(UnexpectedMessage.ROUTES_NOT_AS_LISTED)):
-        StateReceiver(BRIDGE, trusted=False).take(state)
+        StateReceiver(BRIDGE, trusted=False).receive(state)
 
 
 def test_a_robot_that_was_taken_over_does_nothing_to_an_attached_console(reachable: Reachable) -> None:

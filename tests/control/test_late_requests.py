@@ -57,7 +57,7 @@ def test_what_moves_a_robot_expires() -> None:
 def slow_line(remote: RemoteEngine, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
     """Let the tickets that the console has grow old."""
     remote._ticket -= int(seconds * 1e3)
-    monkeypatch.setattr(remote, "_look", lambda: None)  # no further ticket comes by itself
+    monkeypatch.setattr(remote, "_poll", lambda: None)  # no further ticket comes by itself
 
 
 @pytest.mark.parametrize("command", MOVING, ids=lambda each: type(each).__name__)

@@ -100,7 +100,7 @@ def test_a_console_has_the_routes_that_the_engine_has(data: st.DataObject) -> No
         ]
         encoded.keep_only(now)
         states = fed(b"".join(wire), to_bridge=False)
-        assert [receiver.take(state) for state in states] == [False] * (len(states) - 1) + [True]
+        assert [receiver.receive(state) for state in states] == [False] * (len(states) - 1) + [True]
         assert isinstance(states[-1], StateChange)
         assert receiver.snapshot == now
         assert receiver.session == session

@@ -48,7 +48,7 @@ def test_snapshots_are_renewed_four_times_a_second_while_somebody_looks_often(
         for turn in range(round(seconds / 0.05)):
             await asyncio.sleep(0.05)
             looks = turn % round(look_every / 0.05) == 0 if look_every else False
-            times.add((publisher.look() if looks else publisher.latest).time)
+            times.add((publisher.newest() if looks else publisher.latest).time)
         return len(times)
 
     async def main() -> None:

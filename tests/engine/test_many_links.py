@@ -157,7 +157,7 @@ def test_routes_that_rest_are_shown_anew_while_somebody_looks_often(
 
     async def look() -> None:
         while True:
-            shown.look()
+            shown.newest()
             await asyncio.sleep(1 / looks)
 
     async def main() -> None:

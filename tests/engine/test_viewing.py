@@ -54,7 +54,7 @@ def looked(engine: Engine, topic: str, wish: Wish = WISH, *, viewer: str = "me",
     """Return the next picture that has content."""
 
     def look() -> Viewed | None:
-        viewed = engine.look(viewer, (topic,), wish, link).result(30)
+        viewed = engine.next_picture(viewer, (topic,), wish, link).result(30)
         return viewed if viewed is not None and viewed.picture.content is not None else None
 
     return eventually(look, 30)
@@ -86,7 +86,7 @@ class Talker:
 
 def looked_while(talker: Talker, engine: Engine, topic: str, wish: Wish = WISH, **about: str) -> Viewed:
     """Return a picture while a talker talks."""
-    future = engine.look(about.get("viewer", "me"), (topic,), wish, about.get("link", ""))
+    future = engine.next_picture(about.get("viewer", "me"), (topic,), wish, about.get("link", ""))
     deadline = time.monotonic() + 30
 
     while True:
@@ -97,7 +97,7 @@ def looked_while(talker: Talker, engine: Engine, topic: str, wish: Wish = WISH, 
         viewed = future.result()
         if viewed is not None and viewed.picture.content is not None:
             return viewed
-        future = engine.look(about.get("viewer", "me"), (topic,), wish, about.get("link", ""))
+        future = engine.next_picture(about.get("viewer", "me"), (topic,), wish, about.get("link", ""))
 
 
 def feeds(view: TopicView) -> dict[str, Any]:
@@ -193,7 +193,7 @@ def test_who_may_not_look_gets_no_picture(bridge: Bridge, robot: Domain, deny: G
     server, client = bridge.server(), bridge.client(deny=(deny,))
     eventually(lambda: linked(client) and linked(server))
     with pytest.raises(EngineError, match=pattern(DeniedText.DENIED)):
-        eventually(lambda: server.look("me", ("/pose",), WISH, "robot1").result(30))
+        eventually(lambda: server.next_picture("me", ("/pose",), WISH, "robot1").result(30))
 
 
 def test_looking_is_less_than_reading(bridge: Bridge, robot: Domain) -> None:
@@ -220,7 +220,7 @@ def test_a_right_that_is_taken_away_ends_the_view(bridge: Bridge, robot: Domain)
 
     def refused() -> bool:
         try:
-            server.look("me", ("/pose",), WISH).result(30)
+            server.next_picture("me", ("/pose",), WISH).result(30)
         except EngineError as error:
             return has_text(str(error), DeniedText.DENIED)
         return False
@@ -279,7 +279,7 @@ def test_a_peer_names_topics_as_rights_do(bridge: Bridge, robot: Domain, monkeyp
     (link,) = inside(client).links()
     for name in NO_NAMES:
         with pytest.raises(EngineError, match=pattern(TopicMistake.NOT_ABSOLUTE)):
-            server.look("me", (name,), WISH, "robot1").result(30)
+            server.next_picture("me", (name,), WISH, "robot1").result(30)
         assert not views_drawn_by(link)
 
 
@@ -287,9 +287,9 @@ def test_an_operator_names_topics_in_full_and_that_somebody_publishes(pair: tupl
     server, _ = pair
     for name in NO_NAMES:
         with pytest.raises(EngineError, match=pattern(TopicMistake.NOT_ABSOLUTE)):
-            server.look("me", (name,), WISH).result(30)
+            server.next_picture("me", (name,), WISH).result(30)
     with pytest.raises(EngineError, match=pattern(LookProblem.NOWHERE)):
-        server.look("me", ("/nothing",), WISH).result(30)
+        server.next_picture("me", ("/nothing",), WISH).result(30)
 
 
 def test_a_view_that_cannot_be_opened_leaves_no_route(
@@ -301,7 +301,7 @@ def test_a_view_that_cannot_be_opened_leaves_no_route(
         constants.VIEW_OPENED_WITHIN.set(patch, -1.0)
         for _ in range(VIEWS_OF_PEER + 1):
             with pytest.raises(EngineError, match=pattern(ViewRefused.NOT_OPENED)):
-                server.look("me", ("/pose",), WISH, "robot1").result(30)
+                server.next_picture("me", ("/pose",), WISH, "robot1").result(30)
     assert views(server) == []
     looked_while(talker, server, "/pose")
 
@@ -337,7 +337,7 @@ def test_a_view_that_is_ended_makes_room_for_the_next_one(pair: tuple[Engine, En
 def test_a_view_that_is_ended_while_it_opens_leaves_nothing(pair: tuple[Engine, Engine], robot: Domain) -> None:
     publisher = robot.publisher("/pose", PoseStamped)
     server, client = pair
-    asked = server.look("me", ("/pose",), WISH, "robot1")
+    asked = server.next_picture("me", ("/pose",), WISH, "robot1")
     server.do(EndLook("me")).result(30)
     eventually(lambda: asked.done() or publisher.publish(pose(1.0)))
     eventually(lambda: not views(server) and not views(client))
@@ -346,7 +346,7 @@ def test_a_view_that_is_ended_while_it_opens_leaves_nothing(pair: tuple[Engine, 
 def test_one_viewer_that_asks_for_two_topics_at_once_leaves_nothing(pair: tuple[Engine, Engine], robot: Domain) -> None:
     talkers = [Talker(robot, topic) for topic in ("/pose", "/other")]
     server, client = pair
-    futures = [server.look("me", (topic,), WISH, "robot1") for topic in ("/pose", "/other")]
+    futures = [server.next_picture("me", (topic,), WISH, "robot1") for topic in ("/pose", "/other")]
     deadline = time.monotonic() + 60
     while not all(future.done() for future in futures):
         assert time.monotonic() < deadline
@@ -370,7 +370,7 @@ def test_a_picture_is_of_the_topic_that_was_asked_for_last(pair: tuple[Engine, E
 
     def text() -> Viewed | None:
         publisher.publish(String(data="x"))
-        return server.look("me", ("/text",), WISH).result(30)
+        return server.next_picture("me", ("/text",), WISH).result(30)
 
     assert eventually(text, 30).picture.type_name == "std_msgs/msg/String"
 
@@ -489,7 +489,7 @@ def test_a_message_that_is_too_large_is_reported(
     def problem() -> str:
         publisher.publish(String(data="x" * 200))
         try:
-            viewed = server.look("me", ("/text",), WISH).result(30)
+            viewed = server.next_picture("me", ("/text",), WISH).result(30)
         except EngineError:
             return ""
         return "" if viewed is None else viewed.picture.problem
@@ -511,7 +511,7 @@ def test_publishers_are_not_looked_up_for_each_picture(
 
     topics = ("/pose", "/absent")
     eventually(partial(ros.publishers, "/pose"), 30)
-    future = server.look("me", topics, WISH)
+    future = server.next_picture("me", topics, WISH)
     monkeypatch.setattr(ros, "publishers", counted)
     pictures = 0
     while pictures < 20:
@@ -519,5 +519,5 @@ def test_publishers_are_not_looked_up_for_each_picture(
         time.sleep(0.02)
         if future.done():
             pictures += future.result() is not None
-            future = server.look("me", topics, WISH)
+            future = server.next_picture("me", topics, WISH)
     assert max(asked.values()) < pictures

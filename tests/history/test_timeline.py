@@ -371,7 +371,7 @@ def test_an_engine_that_hangs_or_has_ended_is_not_known_to_be_fine() -> None:
     world.go(60)
     for _ in range(100):
         world.clock.go(1)
-        world.recorder.look()
+        world.recorder.record()
     assert round(sum(gap.seconds for gap in world.report(160).gaps)) == 100
     world.go(60)
     (event,) = world.events.after(0)  # once
@@ -381,7 +381,7 @@ def test_an_engine_that_hangs_or_has_ended_is_not_known_to_be_fine() -> None:
     world.go(600)
     for _ in range(100):
         world.clock.go(1)
-        world.recorder.look()
+        world.recorder.record()
     assert world.report(800).gaps[-1].seconds >= 700
     assert len(world.events.after(0)) == 1, "the cause is shown"
 
@@ -393,7 +393,7 @@ def next_process(world: World, away: float) -> World:
     world.clock.go(away)
     new = World(*world.routes, clock=world.clock)
     new.recorder.restore(saved)
-    new.recorder.look()
+    new.recorder.record()
     return new
 
 

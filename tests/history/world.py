@@ -37,7 +37,7 @@ class World:
         self.running = True
         self.recorder = Recorder("robot1", "client", self.events, lambda: self.snapshot, self.clock)
         self._renew()
-        self.recorder.look()
+        self.recorder.record()
 
     @property
     def timeline(self) -> Timeline:
@@ -63,13 +63,13 @@ class World:
                     ledger = Ledger(delivered=each.ledger.delivered + round(rate * step))
                     self.routes[topic] = replace(each, ledger=ledger)
             self._renew()
-            self.recorder.look()
+            self.recorder.record()
 
     def put(self, topic: str, state: State, reason: str = "") -> None:
         """A topic's state from now on."""
         self.routes[topic] = replace(self.routes[topic], state=state, reason=reason)
         self._renew()
-        self.recorder.look()
+        self.recorder.record()
 
     def begin(self, topic: str, state: State, reason: str = "") -> None:
         self.routes[topic] = route(topic, ledger=Ledger())
@@ -79,7 +79,7 @@ class World:
         """The link's state from now on; its topics follow two seconds later."""
         self.link = replace(self.link, state=state, reason=reason)
         self._renew()
-        self.recorder.look()
+        self.recorder.record()
         self.go(2)
         for topic in self.routes:
             self.put(topic, state, "" if state is State.OK else "no link")

@@ -255,6 +255,6 @@ async def test_a_restart_waits_for_the_topics_that_there_are_by_then(
     for depth in (7, 8):
         route = link.proposed.replace(route, Topic("/chat", "transmit", qos=depth))
     for event in (RouteEvent.OPEN, RouteEvent.ACCEPT):
-        route.life.take(event)
+        route.life.handle(event)
     await restarting
     assert steps[-1] == "1 of 1 topics and services accepted"

@@ -38,7 +38,7 @@ class Side:
     def look(self, names: Names) -> list[Followed]:
         self.sent.clear()
         self.followed.patterns_here()
-        self.followed.look(names)
+        self.followed.update_names(names)
         return self.sent
 
     def ask(self, *patterns: NamePattern, request: int = 1) -> None:

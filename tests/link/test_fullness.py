@@ -96,10 +96,10 @@ def test_the_time_without_a_link_does_not_count() -> None:
     clock: Any = SimpleNamespace(now=lambda: 1000.0, wall=lambda: 1000.0)
     watch = FullnessWatch(clock, list, list, LinkFullness(lambda *_: None))
     for second in range(4):
-        watch.sending.look(1e5, second, second, full=True)
+        watch.sending.measure(1e5, second, second, full=True)
     watch.disconnected()
-    watch.sending.look(1e5, 1000.0, 1000.0, full=True)
-    assert watch.sending.look(1e5, 1001.0, 1001.0, full=True) == pytest.approx(1e5)
+    watch.sending.measure(1e5, 1000.0, 1000.0, full=True)
+    assert watch.sending.measure(1e5, 1001.0, 1001.0, full=True) == pytest.approx(1e5)
 
 
 @pytest.mark.parametrize("asked", [15e3, 10.4e3, 1e3, 950.0, 1.04e6])

@@ -35,5 +35,5 @@ async def test_a_look_without_an_answer_is_asked_again(
     view = PeerView(route)
     for _ in range(2):
         with pytest.raises(LinkError, match=pattern(Denied.NO_ANSWER)):
-            await link.views.look(view, ("/map",), Wish(), 1.0)
+            await link.views.next_picture(view, ("/map",), Wish(), 1.0)
     assert [look.topics for look in sent] == [("/map",)] * 2

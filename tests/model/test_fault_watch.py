@@ -37,7 +37,7 @@ class Watched:
         for _ in range(seconds):
             self.now += 1
             snapshot = Snapshot(NOW + self.now, "robot1", "client", "", 0, running=True, links=(link,), routes=routes)
-            found += self.watch.look(snapshot, self.now)
+            found += self.watch.find_changes(snapshot, self.now)
         return found
 
 

@@ -141,11 +141,11 @@ def test_throughput() -> None:
     """A link's capacity is measured within some seconds; a full link's figure replaces earlier ones."""
     meter = Throughput()
     for second in range(10):
-        meter.look(2e6, float(second), float(second), full=False)
+        meter.measure(2e6, float(second), float(second), full=False)
     assert meter.capacity is not None
     assert (meter.capacity.bytes_per_second, meter.capacity.source) == (2e6, CapacitySource.SEEN)
     for second in range(10, 20):
-        meter.look(1e6, float(second), float(second), full=True)
+        meter.measure(1e6, float(second), float(second), full=True)
     assert meter.capacity is not None
     assert (meter.capacity.bytes_per_second, meter.capacity.source) == (1e6, CapacitySource.FULL)
     meter.measured(Capacity(3e6, CapacitySource.BENCH, 20.0))

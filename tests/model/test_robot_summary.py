@@ -211,20 +211,20 @@ def ledgers(time: float, *counts: tuple[int, dict[str, int]], expired: int = 0) 
 
 def test_loss_is_of_the_last_minute() -> None:
     window = LossWindow()
-    assert window.take(ledgers(NOW, (100, {"queue full": 900}))) == {}  # before this console looked
-    assert window.take(ledgers(NOW + 5, (200, {"queue full": 900}))) == {"robot1": LostMessages(0.0, 5.0)}
-    assert window.take(ledgers(NOW + 10, (275, {"queue full": 900}), expired=25)) == {
+    assert window.add(ledgers(NOW, (100, {"queue full": 900}))) == {}  # before this console looked
+    assert window.add(ledgers(NOW + 5, (200, {"queue full": 900}))) == {"robot1": LostMessages(0.0, 5.0)}
+    assert window.add(ledgers(NOW + 10, (275, {"queue full": 900}), expired=25)) == {
         "robot1": LostMessages(25 / 200, 10.0)
     }
     for second in range(11, 200):
-        loss = window.take(ledgers(NOW + second, (275 + second, {"queue full": 900}), expired=25))
+        loss = window.add(ledgers(NOW + second, (275 + second, {"queue full": 900}), expired=25))
     assert loss == {"robot1": LostMessages(0.0, LOSS_SPAN)}
 
 
 def test_loss_counts_what_nobody_wants_only() -> None:
     window = LossWindow()
-    window.take(ledgers(NOW, (0, {}), (0, {})))
-    took = window.take(
+    window.add(ledgers(NOW, (0, {}), (0, {})))
+    took = window.add(
         ledgers(NOW + 1, (50, {"would loop": 30, "paused": 9}), (30, {"lost on the way": 20, "disarmed": 1}))
     )
     assert took == {"robot1": LostMessages(0.2, 1.0)}
@@ -232,11 +232,11 @@ def test_loss_counts_what_nobody_wants_only() -> None:
 
 def test_loss_of_a_topic_that_counts_anew_or_is_gone() -> None:
     window = LossWindow()
-    window.take(ledgers(NOW, (500, {"queue full": 10})))
-    assert window.take(ledgers(NOW + 1, (5, {}))) == {}
-    assert window.take(ledgers(NOW + 2, (9, {"queue full": 1}))) == {"robot1": LostMessages(1 / 5, 1.0)}
-    assert window.take(ledgers(NOW + 3)) == {}
-    assert window.take(ledgers(NOW + 4, (900, {"queue full": 1}))) == {}
+    window.add(ledgers(NOW, (500, {"queue full": 10})))
+    assert window.add(ledgers(NOW + 1, (5, {}))) == {}
+    assert window.add(ledgers(NOW + 2, (9, {"queue full": 1}))) == {"robot1": LostMessages(1 / 5, 1.0)}
+    assert window.add(ledgers(NOW + 3)) == {}
+    assert window.add(ledgers(NOW + 4, (900, {"queue full": 1}))) == {}
 
 
 def test_what_another_says_is_bounded() -> None:

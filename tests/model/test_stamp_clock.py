@@ -26,21 +26,21 @@ class SetClock(Clock):
 def test_a_step_changes_no_time_and_is_noticed(step: float) -> None:
     wall = SetClock()
     clock = StampClock(wall)
-    clock.look()
+    clock.compare()
     before = clock.now()
     assert before == pytest.approx(wall.time_ns(), abs=10**6)
     assert clock.is_sure
     wall.offset += step
     wall.boot += 1.0
-    clock.look()
+    clock.compare()
     assert clock.now() - before == pytest.approx(S, abs=10**4)
     assert (clock.is_sure, clock.steps) == (False, 1)
     assert wall.time_ns() + clock.shift == pytest.approx(clock.now(), abs=10**6)
     wall.boot += 5.0
-    clock.look()
+    clock.compare()
     assert not clock.is_sure
     wall.boot += 6.0
-    clock.look()
+    clock.compare()
     assert (clock.is_sure, clock.steps) == (True, 1)
 
 
@@ -49,7 +49,7 @@ def test_a_step_during_a_freeze_is_noticed() -> None:
     clock = StampClock(wall)
     wall.boot += 8.0
     wall.offset -= 8.0
-    clock.look()
+    clock.compare()
     assert not clock.is_sure
 
 
@@ -59,7 +59,7 @@ def test_drift_is_no_step() -> None:
     for _ in range(10_000):
         wall.boot += 1.0
         wall.offset += 50e-6
-        clock.look()
+        clock.compare()
     assert clock.is_sure
     assert wall.time_ns() + clock.shift == pytest.approx(clock.now(), abs=2 * 10**6)
 
@@ -88,6 +88,6 @@ def test_a_wall_stamp_from_before_the_clock_was_set_stays_a_time() -> None:
     clock = StampClock(wall)
     taken = wall.time_ns()
     wall.offset = 1_800_000_000.0
-    clock.look()
+    clock.compare()
     assert shifted(taken, clock.shift) == 0
     assert shifted(wall.time_ns(), clock.shift) == pytest.approx(clock.now(), abs=10**6)

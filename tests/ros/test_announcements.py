@@ -136,7 +136,7 @@ def bridge_announcement(*gids: bytes, via: str = "rsb_there/chat") -> bytes:
 def test_an_announcement_is_read_as_soon_as_it_comes_and_nothing_is_asked_while_nothing_happens(domain: Domain) -> None:
     other, chat = endpoint("rsb_other", b"other"), endpoint("rsb_other", b"chat")
     domain.ros.announcers = [other]
-    domain.announcements.look()
+    domain.announcements.update()
     assert domain.announcements.origin_of(chat) is None  # a bridge's that has not said so
     before = domain.changes
     domain.ros.announce(other, bridge_announcement(b"chat"))
@@ -177,7 +177,7 @@ def test_strangers_fill_no_memory_and_do_not_drown_a_bridge(domain: Domain) -> N
     other, chat = endpoint("rsb_other", b"other"), endpoint("rsb_other", b"chat")
     strangers = [endpoint(f"stranger{number}", b"%04d" % number) for number in range(100)]
     domain.ros.announcers = [other, *strangers]
-    domain.announcements.look()
+    domain.announcements.update()
     tracemalloc.start()
     try:
         before = tracemalloc.get_traced_memory()[0]

@@ -79,7 +79,7 @@ def armed(arming: Arming, context: Context) -> LeaseHalf:
     """Arm by the other side; return the lease, which both sides have answered."""
     arming.demand(required=True, deadman=0.0)
     lease = leased(arming, context)
-    arming.take("anna", context.now())
+    arming.arm_for_peer("anna", context.now())
     return lease
 
 
@@ -96,7 +96,7 @@ def test_the_armed_gate_asks_operators_and_then_the_link(make_context: Callable[
     assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
     leased(arming, context)
     assert gate.check(NO_SAMPLE, context.now()) is Refused.DISARMED
-    arming.take("anna", context.now())
+    arming.arm_for_peer("anna", context.now())
     assert gate.check(NO_SAMPLE, context.now()) is None
     context.loop.jump(LASTS * 1.1)  # type: ignore[attr-defined]
     assert gate.check(NO_SAMPLE, context.now()) is Refused.UNHEARD
@@ -111,7 +111,7 @@ def test_the_lease_gate_passes_what_is_of_this_arming_and_young(
     gate = LeaseGate(arming)
     assert gate.check(taken(1), 0.0) is Refused.DISARMED
     lease = leased(arming, context)
-    arming.take("anna", context.now())
+    arming.arm_for_peer("anna", context.now())
     number = lease.number
     found = [gate.check(taken(each), 0.0) for each in (0, number - 1, number, number + 1)]
     assert found == [Refused.DISARMED, Refused.DISARMED, None, Refused.DISARMED]

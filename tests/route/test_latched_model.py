@@ -220,7 +220,7 @@ class Route:
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
         assert self.subscription.histories is not None
-        self.offered += self.subscription.histories.take(batch)
+        self.offered += self.subscription.histories.receive(batch)
 
     def emit(self, samples: Sequence[Sample]) -> None:
         for header, message, _ in samples:
@@ -251,7 +251,7 @@ class Route:
 
     def second(self) -> None:
         assert self.subscription.histories is not None
-        self.subscription.histories.look(set(self.near.writers))
+        self.subscription.histories.forget_gone(set(self.near.writers))
         self.subscription.tick()
         self.tell()
         self.topic.tick()

@@ -210,10 +210,10 @@ def test_figures_of_the_other_side_count_for_as_long() -> None:
 @pytest.mark.parametrize("mistake", [float("nan"), float("inf"), -float("inf"), 1e9])
 def test_what_cannot_be_a_delay_is_no_report(mistake: float) -> None:
     delays = SendersDelay()
-    delays.take(mistake, 0.0, 1.0)
+    delays.receive(mistake, 0.0, 1.0)
     assert (delays.reported, delays.tick(0.5, 0.0, 1.0)) == (None, None)
-    delays.take(0.2, 0.0, 1.0)
-    delays.take(mistake, 0.0, 1.5)
+    delays.receive(0.2, 0.0, 1.0)
+    delays.receive(mistake, 0.0, 1.5)
     assert delays.tick(0.0, 0.05, 2.0) == 0.2
     assert delays.least == pytest.approx(0.15)
     assert delays.longer == 0.0

@@ -16,7 +16,7 @@ def in_phase(phase: RoutePhase) -> Lifecycle:
     for event in THERE:
         if life.phase is phase:
             break
-        life.take(event)
+        life.handle(event)
     assert life.phase is phase
     return life
 
@@ -24,18 +24,18 @@ def in_phase(phase: RoutePhase) -> Lifecycle:
 @pytest.mark.parametrize("phase", RoutePhase)
 def test_every_phase_can_be_reached_refused_and_closed(phase: RoutePhase) -> None:
     life = in_phase(phase)
-    assert life.take(RouteEvent.REFUSE, "no such type")
+    assert life.handle(RouteEvent.REFUSE, "no such type")
     assert (life.phase, life.refusal, life.accepted) == (RoutePhase.CLOSED, "no such type", False)
     life = in_phase(phase)
-    assert life.take(RouteEvent.CLOSE)
+    assert life.handle(RouteEvent.CLOSE)
     assert life.phase is RoutePhase.CLOSED
 
 
 def test_a_new_type_is_described_before_messages_flow_again() -> None:
     life = in_phase(RoutePhase.READY)
-    assert life.take(RouteEvent.DESCRIBE)
+    assert life.handle(RouteEvent.DESCRIBE)
     assert not life.ready
-    assert life.take(RouteEvent.READY)
+    assert life.handle(RouteEvent.READY)
     assert life.ready
 
 
@@ -51,7 +51,7 @@ def test_a_new_type_is_described_before_messages_flow_again() -> None:
 )
 def test_what_a_peer_says_out_of_order_changes_nothing(phase: RoutePhase, event: RouteEvent) -> None:
     life = in_phase(phase)
-    assert not life.take(event)
+    assert not life.handle(event)
     assert life.phase is phase
 
 
@@ -60,7 +60,7 @@ def test_whatever_happens_the_way_is_gone_in_order(events: list[RouteEvent]) -> 
     life = Lifecycle()
     since_open: list[RouteEvent] = []
     for event in events:
-        if life.take(event):
+        if life.handle(event):
             since_open = [event] if event is RouteEvent.OPEN else [*since_open, event]
         if life.ready:
             assert since_open[:2] == [RouteEvent.OPEN, RouteEvent.ACCEPT]

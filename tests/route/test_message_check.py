@@ -80,7 +80,7 @@ class Bed:
         return self.asks[-1]
 
     def look(self, *hashes: str) -> None:
-        self.check.look("/names", [Endpoint("/node", NAMES, each, Qos(), b"") for each in hashes])
+        self.check.ask_subscribers("/names", [Endpoint("/node", NAMES, each, Qos(), b"") for each in hashes])
 
 
 def run(work: Callable[[], Any]) -> None:

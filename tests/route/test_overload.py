@@ -79,16 +79,16 @@ def test_keep_all_keeps_all() -> None:
 def test_queue_that_drains_after_a_stall_is_no_overload() -> None:
     overload = Overload()
     for tick in range(30):
-        overload.look(tick / 10, 0.0, tick, moves=False)
+        overload.judge(tick / 10, 0.0, tick, moves=False)
     for tick in range(30, 60):
-        overload.look(tick / 10, (tick - 30) / 10 * 2, 30 - (tick - 30), moves=True)
+        overload.judge(tick / 10, (tick - 30) / 10 * 2, 30 - (tick - 30), moves=True)
         assert not overload.lasts
 
 
 def test_overload_ends_with_the_queue() -> None:
     overload = Overload()
     for tick in range(40):
-        overload.look(tick / 10, 0.0, tick, moves=True)
+        overload.judge(tick / 10, 0.0, tick, moves=True)
     assert overload.lasts
     overload.over()
     assert not overload.lasts

@@ -93,9 +93,9 @@ def test_a_similar_name_is_suggested_if_the_topic_may_have_moved_there() -> None
     )
     resolver = Resolver(context, Propose(route=1, topic="/chat", remote_topic="/chat", from_client=True))
     assert resolver.no_publisher() == "no publisher of /chat in domain 3; did you mean /chart?"
-    resolver.look([publisher(A, "1", "/talker")])
+    resolver.update([publisher(A, "1", "/talker")])
     assert resolver.similar == ""
-    resolver.look([])
+    resolver.update([])
     assert resolver.similar == "", "another node's topic"
     elsewhere.append(publisher(A, "1", "/talker"))
     assert resolver.similar == "/chart", "its publisher has another name for it now"

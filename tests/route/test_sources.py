@@ -118,7 +118,7 @@ class Route:
 
     def advance(self) -> None:
         """Update the sources as `OutgoingRoute.advance` does."""
-        self.loop_filter.look(self.topic, self.remote_topic)
+        self.loop_filter.update(self.topic, self.remote_topic)
         sources = self.table.sources if self.table.closes_loop else self.table.to_describe()
         if sources and sources != self.described:
             self.described = sources

@@ -375,8 +375,8 @@ verdicts = st.builds(
 @given(verdicts, verdicts)
 def test_both_sides_show_the_same_and_never_less_than_either_says(one: Verdict, other: Verdict) -> None:
     sender, receiver = CombinedVerdict(sends=True, peer_name="server"), CombinedVerdict(sends=False, peer_name="robot1")
-    sender.take(record_of(other), NOW)
-    receiver.take(record_of(one), NOW)
+    sender.receive(record_of(other), NOW)
+    receiver.receive(record_of(one), NOW)
     shown = [sender.shown(one), receiver.shown(other)]
     own = {Cause.LINK_DOWN, Cause.REFUSED, Cause.PAUSED, Cause.DISARMED}
     if not own & {one.cause, other.cause}:
@@ -418,10 +418,10 @@ def test_the_side_that_knows_why_is_heard() -> None:
 
 def test_who_says_it_stands_before_what_the_other_side_says_only() -> None:
     here = CombinedVerdict(sends=False, peer_name="robot1")
-    here.take(VerdictRecord("slow", "slow", "2 Hz of 20"), NOW)
+    here.receive(VerdictRecord("slow", "slow", "2 Hz of 20"), NOW)
     assert here.shown(FINE).verdict.text == "robot1: 2 Hz of 20"
     assert here.shown(Verdict(State.DOWN, Cause.NO_PATH, "no UDP")).verdict.text == "no UDP"
-    here.take(None, NOW)
+    here.receive(None, NOW)
     assert here.shown(FINE).verdict == FINE
 
 
@@ -429,7 +429,7 @@ def test_how_long_it_has_lasted_counts_on_at_the_other_side() -> None:
     """It is sent once, and needs no clock of the other side."""
     slow = Verdict(State.SLOW, Cause.SLOW, "slow, for {lasting}", NOW - 5.0)
     here = CombinedVerdict(sends=False, peer_name="robot1")
-    here.take(lasting(record_of(slow), slow, NOW), 100.0)
+    here.receive(lasting(record_of(slow), slow, NOW), 100.0)
     assert here.shown(FINE).verdict.said(100.0) == "robot1: slow, for 5 s"
     assert here.shown(FINE).verdict.said(295.0) == "robot1: slow, for 3 min"
 
@@ -449,13 +449,13 @@ def test_since_when_it_is_so() -> None:
 @pytest.mark.parametrize("lasts", [float("nan"), float("inf"), -1.0, 1e300])
 def test_a_time_that_cannot_be_is_not_believed(lasts: float) -> None:
     here = CombinedVerdict(sends=False, peer_name="robot1")
-    here.take(VerdictRecord("slow", "slow", "for {lasting}", lasts), NOW)
+    here.receive(VerdictRecord("slow", "slow", "for {lasting}", lasts), NOW)
     assert here.shown(FINE).verdict.said(NOW) == "robot1: for 1 s"
 
 
 def test_what_a_newer_peer_says_is_shown_as_it_stands() -> None:
     here = CombinedVerdict(sends=True, peer_name="server")
-    here.take(VerdictRecord("haunted", "ghosts", "there are ghosts on the line"), NOW)
+    here.receive(VerdictRecord("haunted", "ghosts", "there are ghosts on the line"), NOW)
     shown = here.shown(FINE).verdict
     assert (shown.state, shown.cause, shown.text) == (State.SLOW, "ghosts", "server: there are ghosts on the line")
 

@@ -137,7 +137,7 @@ def _end_for_nothing(self: Any, number: int) -> Any:
 
 
 def _ask_again_anyway(self: Any, question: Any, call: int, *, again: bool) -> Any:
-    """Replace `KeptAnswers.take` by a form that passes repeated requests to the server."""
+    """Replace `KeptAnswers.decide` by a form that passes repeated requests to the server."""
     return AnswerAction.ASK if again and question.lane == SEND_GOAL else _take(self, question, call, again=again)
 
 
@@ -159,7 +159,7 @@ def _forget_all(self: Any, _: float) -> None:
 
 
 _answered = KeptAnswers.answered
-_take = KeptAnswers.take
+_take = KeptAnswers.decide
 _keep = KeptCalls.keep
 _end = PendingCalls.end
 _settle = RouteLedger.settle
@@ -272,7 +272,7 @@ MUTATIONS = (
     ),
     Mutation(
         "what the other side makes of a topic is not taken in",
-        ((CombinedVerdict, "take", nothing),),
+        ((CombinedVerdict, "receive", nothing),),
         "do not agree on", _SILENT, 1, 0.5,
     ),
     Mutation(
@@ -307,7 +307,7 @@ MUTATIONS = (
     ),
     Mutation(
         "a goal in flight is sent to the server again",
-        ((KeptAnswers, "take", _ask_again_anyway),),
+        ((KeptAnswers, "decide", _ask_again_anyway),),
         "came to the server 2 times", replace(ACTIONS, faults=20.0), 4, 0.1,
     ),
     Mutation(

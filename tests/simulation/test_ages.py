@@ -66,7 +66,7 @@ def _wall(self: Any) -> int:
 
 
 def _unseen(self: Any) -> None:
-    """Replace `StampClock.look` by a form that ignores steps."""
+    """Replace `StampClock.compare` by a form that ignores steps."""
     self.shift = self._measure()[0]
 
 
@@ -83,7 +83,7 @@ _MISTAKES = (
         linked_by_a_slow_way,
     ),
     ("stamps are of a clock that may be set", ((StampClock, "now", _wall),), aged),
-    ("a clock that is set is not noticed", ((StampClock, "look", _unseen),), aged),
+    ("a clock that is set is not noticed", ((StampClock, "compare", _unseen),), aged),
     ("a message's age counts from when it was taken", ((PublisherClocks, "born", _taken),), aged),
 )
 

@@ -490,7 +490,7 @@ def _any_time(self: LeaseHalf, number: int) -> bool:
 
 
 def _blind_to(where: Standstill) -> Callable[[LeaseHalf], None]:
-    """Replace `LeaseHalf._look` by a form that does not notice one kind of stall."""
+    """Replace `LeaseHalf._end_at_standstill` by a form that does not notice one kind of stall."""
 
     def look(self: LeaseHalf) -> None:
         ended: list[bool] = []
@@ -526,15 +526,16 @@ _ALIVE = property(lambda self: self._on)
 _OLD = "s old, more than"
 _AFTER = "after a disarm, made before it"
 _STANDSTILL = "nobody has armed it since"
+_ENDS = "_end_at_standstill"
 _NO_LOOP, _NO_THREAD, _NO_PEER = map(_blind_to, (Standstill.LOOP, Standstill.ROS_THREAD, Standstill.PEER))
 # fmt: off
 _MISTAKES = (
     ("messages of any age pass", (LeaseHalf, "passes", _any_number), held_one_way, _OLD),
     ("messages pass for as long as the lease may last", (LeaseHalf, "passes", _any_time), held_one_way, _OLD),
     ("it is always alive", (LeaseHalf, "alive", _ALIVE), numbers_held, "s after the last heartbeat"),
-    ("a loop that stands still is not noticed", (LeaseHalf, "_look", _NO_LOOP), frozen_for_long, _STANDSTILL),
-    ("a ROS thread that stands still is not noticed", (LeaseHalf, "_look", _NO_THREAD), stalled_for_long, _STANDSTILL),
-    ("a silent peer is not given up", (LeaseHalf, "_look", _NO_PEER), held_for_long, _STANDSTILL),
+    ("a loop that stands still is not noticed", (LeaseHalf, _ENDS, _NO_LOOP), frozen_for_long, _STANDSTILL),
+    ("a ROS thread that stands still is not noticed", (LeaseHalf, _ENDS, _NO_THREAD), stalled_for_long, _STANDSTILL),
+    ("a silent peer is not given up", (LeaseHalf, _ENDS, _NO_PEER), held_for_long, _STANDSTILL),
     ("messages carry the newest number", (Marker, "marked", _newest_number), stalled_on_a_slow_way, _OLD),
     ("a backlog counts as new", (Marker, "marked", _each_turn), stalled_with_a_backlog, _OLD),
     ("the command that disarms does not wait", (Settling, "wait", _at_once), disarmed_on_a_slow_way, _AFTER),

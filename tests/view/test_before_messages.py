@@ -21,5 +21,5 @@ def test_before_the_first_message_there_is_nothing_to_say(type_name: str) -> Non
 
 def test_a_map_of_frames_alone_waits_for_a_layer() -> None:
     view = MapView()
-    view.take(TakenMessage("/tf", "tf2_msgs/msg/TFMessage", {"transforms": Items("", 0)}, 0.0))
+    view.receive(TakenMessage("/tf", "tf2_msgs/msg/TFMessage", {"transforms": Items("", 0)}, 0.0))
     assert view.draw(Wish()).problem == ""

@@ -39,7 +39,7 @@ def transforms(*pairs: tuple[str, str], at: float = 0.0, topic: str = "/tf", aut
 def tree(*received: TakenMessage) -> tuple[list[str], str]:
     view = TfTree()
     for each in received:
-        view.take(each)
+        view.receive(each)
     result = view.draw(WISH)
     assert isinstance(result.content, Cells)
     return [row.rstrip() for row in result.content.rows], result.problem
@@ -132,7 +132,7 @@ def test_frames_with_many_parents_are_drawn_once_below_one_of_them() -> None:
     layers = [[f"f{depth}_{at}" for at in range(8)] for depth in range(20)]
     pairs = [(one, other) for above, below in itertools.pairwise(layers) for one in above for other in below]
     view = TfTree()
-    view.take(transforms(*pairs))
+    view.receive(transforms(*pairs))
     picture = view.draw(Wish(width=80, height=100))
     assert picture.notes == ("160 frames",)
     assert isinstance(picture.content, Cells)
@@ -141,7 +141,7 @@ def test_frames_with_many_parents_are_drawn_once_below_one_of_them() -> None:
 
 def test_ages_of_frames_go_on_without_messages() -> None:
     view = TfTree()
-    view.take(transforms(("odom", "base"), at=1.0))
+    view.receive(transforms(("odom", "base"), at=1.0))
     fresh = view.draw(WISH)
     view.now = 4.5
     old = view.draw(WISH)

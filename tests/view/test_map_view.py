@@ -131,7 +131,7 @@ def test_a_frame_that_tf_has_is_not_moved_by_an_odometry() -> None:
         ("geometry_msgs/msg/PoseStamped", {"header": {"frame_id": "base_link"}}),
     )
     for type_name, message in shown:
-        view.take(TakenMessage(f"/{type_name}", type_name, message, 1.0))
+        view.receive(TakenMessage(f"/{type_name}", type_name, message, 1.0))
     assert "goal" in styles(view.draw(msgspec.structs.replace(WISH, frame="odom")))
 
 
@@ -173,7 +173,7 @@ def test_unknown_cells_of_a_costmap_are_not_occupied() -> None:
     cells = Items("uint8", 4, raw=memoryview(bytes([255, 255, 0, 254])), code="<B")
     view = MapView()
     message: Message = {"metadata": {"size_x": 2, "size_y": 2, "resolution": 1.0}, "data": cells}
-    view.take(TakenMessage("/c", "nav2_msgs/msg/Costmap", message, 1.0))
+    view.receive(TakenMessage("/c", "nav2_msgs/msg/Costmap", message, 1.0))
     found = styles(view.draw(WISH))
     assert found.keys() == {"free", "occupied", "axis"}
     assert max(found["occupied"]) <= max(found["free"]) + 1, "below are the unknown ones"

@@ -75,7 +75,7 @@ def test_memory_is_bounded() -> None:
     from rsb_bridge.view.drawing import TakenMessage
 
     for at in range(2 * VALUES):
-        view.take(TakenMessage("/t", "std_msgs/msg/Float64", {"data": float(at)}, at * 1e-3))
+        view.receive(TakenMessage("/t", "std_msgs/msg/Float64", {"data": float(at)}, at * 1e-3))
     assert held_by(view) <= 1 + 2 * (1.25 * VALUES + 1), "a topic, and the time and the number of each value"
 
 

@@ -131,11 +131,11 @@ class DataStream(StreamHandler):
             if self._held:
                 self._held = [*self._held, *frames]
             else:
-                self.take(frames)
+                self.receive(frames)
         except (ProtocolError, SealError) as error:
             self._pair.lost(self, str(error))
 
-    def take(self, frames: Sequence[memoryview]) -> None:
+    def receive(self, frames: Sequence[memoryview]) -> None:
         """Hand frames to their routes, and hold frames that have to wait for another stream, or for their route.
 
         Raises:
@@ -160,7 +160,7 @@ class DataStream(StreamHandler):
             return
         held, self._held = self._held, ()
         try:
-            self.take(held)
+            self.receive(held)
         except (ProtocolError, SealError) as error:
             self._pair.lost(self, str(error))
             return

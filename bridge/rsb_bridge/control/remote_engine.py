@@ -111,7 +111,7 @@ class RemoteEngine(EngineApi):
         self._events_before = 0
         self._asked_at: float | None = None
         self._used_at = float("-inf")
-        self._look_is_due = False
+        self._poll_is_due = False
 
     # --- from any thread
 
@@ -156,7 +156,7 @@ class RemoteEngine(EngineApi):
         since, self._used_at = now - self._used_at, now
         delay = since - _COMES_BEFORE_USE if since < _USED_REGULARLY else 0.0
         with contextlib.suppress(RuntimeError):  # detached already
-            self._loop.call_soon_threadsafe(self._look_soon, delay)
+            self._loop.call_soon_threadsafe(self._poll_soon, delay)
         if self._silent_for > ANSWERS_WITHIN:
             wall = self._clock.time_ns() / 1e9
             return out_of_reach(self._shown, AttachProblem.SILENT(), since=wall - self._silent_for, now=wall)
@@ -264,7 +264,7 @@ class RemoteEngine(EngineApi):
             case protocol.StateChange():
                 if self._receiver is None:
                     raise ControlProtocolError(UnexpectedMessage.STATE_BEFORE_WELCOME())
-                if self._receiver.take(message):
+                if self._receiver.receive(message):
                     self._ticket = message.ticket
                     self._show(self._receiver)
                     return True
@@ -278,9 +278,9 @@ class RemoteEngine(EngineApi):
             case protocol.Reply() | protocol.CommandFailed():
                 # Some refusals bring none.
                 self._ticket = message.ticket or self._ticket
-                self._requests.take(message)
+                self._requests.receive(message)
             case protocol.RestartStep():
-                self._requests.take(message)
+                self._requests.receive(message)
             case protocol.Summary():
                 raise ControlProtocolError(UnexpectedMessage.UNASKED_SUMMARY())
             case protocol.HelloRefused() | protocol.Goodbye():
@@ -296,7 +296,7 @@ class RemoteEngine(EngineApi):
             text = AttachedAgain.RESTARTED if another else AttachedAgain.SAME
             self._log.add(Level.INFO, EventCode.ATTACH_AGAIN, text(name=bridge.name, pid=bridge.pid))
         self._receiver = StateReceiver(bridge, trusted=self._untrusted is None)
-        self._look()
+        self._poll()
         self._send(protocol.FollowEvents(self._followed))
 
     def _show(self, received: StateReceiver) -> None:
@@ -333,13 +333,13 @@ class RemoteEngine(EngineApi):
 
     # --- looking
 
-    def _look_soon(self, delay: float) -> None:
-        if not self._look_is_due and self._asked_at is None and self._connection is not None:
-            self._look_is_due = True
-            self._loop.call_later(max(0.0, delay), self._look)
+    def _poll_soon(self, delay: float) -> None:
+        if not self._poll_is_due and self._asked_at is None and self._connection is not None:
+            self._poll_is_due = True
+            self._loop.call_later(max(0.0, delay), self._poll)
 
-    def _look(self) -> None:
-        self._look_is_due = False
+    def _poll(self) -> None:
+        self._poll_is_due = False
         if self._connection is not None and self._asked_at is None:
             self._asked_at = time.monotonic()
             self._send(protocol.PollState())
@@ -358,10 +358,10 @@ class RemoteEngine(EngineApi):
         try:
             size = len(protocol.encode(request))
         except UnicodeEncodeError:
-            self._requests.take(CommandFailed(request.id, RequestProblem.NOT_UNICODE(), invalid=True))
+            self._requests.receive(CommandFailed(request.id, RequestProblem.NOT_UNICODE(), invalid=True))
             return
         if size > protocol.TO_BRIDGE_LIMIT:  # the bridge would end the connection
-            self._requests.take(CommandFailed(request.id, RequestProblem.TOO_LONG(length=size)))
+            self._requests.receive(CommandFailed(request.id, RequestProblem.TOO_LONG(length=size)))
         else:
             self._send(request)
 
@@ -388,7 +388,7 @@ class _Waiting(Generic[R]):
         life = TICKET_LIFE if isinstance(self.command, Publish) and self.command.rest else OLD_AFTER
         return self.command.expires and Clock.steady() - self.given_at > life
 
-    def take(self, reply: Reply) -> None:
+    def complete(self, reply: Reply) -> None:
         if not self.future.set_running_or_notify_cancel():
             return
         try:
@@ -425,7 +425,7 @@ class _Requests:
             raise ControlProtocolError(UnexpectedMessage.UNASKED())
         return waiting
 
-    def take(self, message: Reply | CommandFailed | RestartStep) -> None:
+    def receive(self, message: Reply | CommandFailed | RestartStep) -> None:
         """Pass on what the bridge reports of a command.
 
         Raises:
@@ -441,7 +441,7 @@ class _Requests:
         if isinstance(message, CommandFailed):
             waiting.fail((InvalidRequestError if message.invalid else EngineError)(message.reason))
         else:
-            waiting.take(message)
+            waiting.complete(message)
 
     def fail(self, reason: str) -> None:
         """Fail all commands, because no reply will come."""

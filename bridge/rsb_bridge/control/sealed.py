@@ -211,7 +211,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
                 case Admitted():
                     self._admit(event)
                 case OperatorOpened(content):
-                    self._take(content)
+                    self._receive(content)
                 case StreamRefused(code, message):
                     text = f"{message}: {remedy}" if (remedy := _REMEDIES.get(code)) else message
                     self._refuse(_CODES.get(code, EventCode.ATTACH_REJECTED), text, answer)
@@ -344,7 +344,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         self._transport.abort()
         self._detach()
 
-    def _take(self, content: bytes) -> None:
+    def _receive(self, content: bytes) -> None:
         if self._console is None or self.closing:  # an earlier record ended it
             return
         try:

@@ -115,7 +115,7 @@ class StateReceiver:
         self._routes: dict[str, RouteSnapshot] = {}
         self._keys: tuple[str, ...] = ()
 
-    def take(self, state: StateChange) -> bool:
+    def receive(self, state: StateChange) -> bool:
         """Take a message; whether it completes a state.
 
         Raises:

@@ -61,7 +61,7 @@ class Batteries:
         """Take the messages that have come, and look at the batteries that are due."""
         routes = {route.link: route for route in now.routes if self._is_battery(route)}
         for link, future in list(self._looking.items()):
-            if future.done() and (link not in routes or self._take(link, future, routes[link])):
+            if future.done() and (link not in routes or self._read(link, future, routes[link])):
                 del self._looking[link]
         self.known = {link: battery for link, battery in self.known.items() if link in routes}
         self._due = {link: self._due.get(link, 0.0) for link in routes}
@@ -80,7 +80,7 @@ class Batteries:
         of_robot = route.outgoing == self._outgoing and route.type_name == BATTERY_STATE
         return of_robot and route.state.flows and route.spec.topic.endswith(_BATTERY_TOPIC)
 
-    def _take(self, link: str, future: Future[PeekedMessage | None], route: RouteSnapshot) -> bool:
+    def _read(self, link: str, future: Future[PeekedMessage | None], route: RouteSnapshot) -> bool:
         """Read a message. Return False if the description of its type has to come first."""
         try:
             peeked = future.result()
@@ -130,7 +130,7 @@ class SummaryBuilder:
         """Return the engine as it is now, as `rsb_bridge.model.robot_summary.encode` has it."""
         snapshot = self._engine.snapshot()
         if snapshot.running:
-            self._loss = self._losses.take(snapshot)
+            self._loss = self._losses.add(snapshot)
             self._batteries.tick(snapshot)
         battery = min(self._batteries.known.values(), key=lambda each: each.charge, default=None)
         summary = of_engine(

@@ -162,7 +162,7 @@ class Bridge:
             commands.EditTopic: topics.edit,
             commands.EndLook: self._viewing.end,
             commands.KeepArmed: arming.keep,
-            commands.LookAtTopics: self._viewing.look,
+            commands.LookAtTopics: self._viewing.next_picture,
             commands.PauseTopics: topics.pause,
             commands.Peek: inspector.peek,
             commands.Publish: self._publishing.publish,
@@ -178,7 +178,7 @@ class Bridge:
         """Held by the command that changes the session, so that the next one sees all of its effect."""
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
-        self._exporters = Exporters(context, snapshots.look, folder)
+        self._exporters = Exporters(context, snapshots.newest, folder)
         self._errors_logged: dict[str, float] = {}
 
     def links(self) -> list[Link]:

@@ -87,7 +87,7 @@ class PendingCommands:
         self, loop: asyncio.AbstractEventLoop, work: Callable[[], Coroutine[None, None, T]], future: Future[T]
     ) -> None:
         if future.cancelled():
-            self._take(future)
+            self._claim(future)
         # `end` may have failed it before its turn came.
         elif not future.done():
             task = loop.create_task(self._run(work, future))
@@ -107,14 +107,14 @@ class PendingCommands:
             later(self._failed, future, error)
 
     def _succeeded(self, future: Future[T], result: T) -> None:
-        if self._take(future):
+        if self._claim(future):
             future.set_result(result)
 
     def _failed(self, future: Future[T], error: Exception) -> None:
-        if self._take(future):
+        if self._claim(future):
             future.set_exception(error)
 
-    def _take(self, future: Future[T]) -> bool:
+    def _claim(self, future: Future[T]) -> bool:
         """Whether it is up to the caller to give the future its result."""
         with self._lock:
             if future not in self._futures:
@@ -317,7 +317,7 @@ class Engine(EngineApi):
 
         While nobody does, routes to which nothing has happened for minutes are as they were at most 15 s ago.
         """
-        return self._snapshots.look()
+        return self._snapshots.newest()
 
     def events(self, after: int = 0) -> list[Event]:
         return self._events.after(after)

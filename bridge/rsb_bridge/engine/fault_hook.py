@@ -305,7 +305,7 @@ class _Runner:
         if snapshot is None or snapshot is self._seen or self._ends:
             return
         self._seen = snapshot
-        for change in self._watch.look(snapshot, self._clock.steady()):
+        for change in self._watch.find_changes(snapshot, self._clock.steady()):
             self._waiting.add(change)
 
     def _report(self, snapshot: Snapshot) -> None:

@@ -77,7 +77,7 @@ class Viewing:
         self._spawn = spawn
         self._views: dict[str, _View] = {}
 
-    async def look(self, command: LookAtTopics) -> Viewed | None:
+    async def next_picture(self, command: LookAtTopics) -> Viewed | None:
         """Return a console's next picture, or None if there is none for some time.
 
         Raises:
@@ -115,7 +115,7 @@ class Viewing:
         if view.peer_view is not None:
             assert view.link is not None
             topics = tuple(_there(view.link, topic) for topic in command.topics)
-            return await view.link.views.look(view.peer_view, topics, command.wish, WAITS_AT_MOST)
+            return await view.link.views.next_picture(view.peer_view, topics, command.wish, WAITS_AT_MOST)
         assert view.own is not None
         view.own.change(command.topics, command.wish)
         try:

@@ -174,14 +174,14 @@ class Recorder:
             try:
                 work = self._work.get(timeout=max(0.0, due - self._clock.steady()))
             except queue.Empty:
-                self.look()
+                self.record()
                 # After a sleep of the machine, missed looks are not made up for.
                 due = max(due + _EVERY, self._clock.steady())
                 continue
             if work is None:
                 break
             work()
-        self.look()
+        self.record()
         self._timeline.cut()
 
     def restore(self, saved: Saved, events: Iterable[Event] = ()) -> None:
@@ -204,7 +204,7 @@ class Recorder:
         # The dropped time line had the events of this process so far; the new one gets them again.
         self._followed, self._seen = 0, None
 
-    def look(self) -> None:
+    def record(self) -> None:
         """Take note of how everything is now."""
         axis, timeline = self._axis, self._timeline
         wall = self._clock.time_ns() / 1e9
@@ -229,13 +229,13 @@ class Recorder:
 
     def report(self, seconds: float) -> HistoryReport:
         """Return what `history` returns; called on this recorder's thread."""
-        self.look()
+        self.record()
         return self._timeline.report(self._axis.now, seconds, running=True)
 
     def save(self) -> Saved:
         """Return all that is remembered, to be restored by the next process."""
         if not self._has_ended:
-            self.look()
+            self.record()
         return self._timeline.save(self._axis.now)
 
     def _follow(self) -> None:

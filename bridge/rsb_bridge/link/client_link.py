@@ -225,7 +225,7 @@ class ClientLink(Link):
         assert isinstance(event, Established)
         control = ControlChannel(stream, connection, self.handlers, self.lost)
         self.up(control, event.peer, event.keys)
-        control.take(more)
+        control.receive(more)
 
     def _failed(self, failure: Failure) -> None:
         self.status.attempts += 1

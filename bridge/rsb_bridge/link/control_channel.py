@@ -148,7 +148,7 @@ class ControlChannel(StreamHandler):
         self._end(reason)
 
     def received(self, data: bytes) -> None:
-        self.take(self._connection.receive_data(data))
+        self.receive(self._connection.receive_data(data))
         if self.data is None:  # else most of them may be messages, which a radio keeps slow enough
             self._charge(len(data))
 
@@ -162,7 +162,7 @@ class ControlChannel(StreamHandler):
         elif owed:
             self._resume()
 
-    def take(self, events: list[Event]) -> None:
+    def receive(self, events: list[Event]) -> None:
         """Handle events, a few at a time; reading pauses until all are handled."""
         waits = self._waits
         self._events.extend(events)
@@ -258,7 +258,7 @@ class ControlChannel(StreamHandler):
         assert self.data is not None  # `DataFrame`s come on multiplexed connections only
         try:
             self.data.count(frame_size(frame))
-            self.data.take((frame,))
+            self.data.receive((frame,))
         except (ProtocolError, SealError) as error:
             self._broken(error)
 

@@ -257,7 +257,7 @@ class FullnessWatch:
         """
         now, at = self._context.now(), self._context.wall()
         asking = [
-            _Asking(route, route.channel, route.traffic.look(now))
+            _Asking(route, route.channel, route.traffic.measure(now))
             for route in self._routes()
             if isinstance(route, OutgoingRoute) and route.channel is not None and route.connected
         ]
@@ -266,7 +266,7 @@ class FullnessWatch:
         # Where all that is asked for arrives, pings are held up by somebody else's traffic.
         held_up = self._held_up(keepalive) and asked > _MORE * self._crossed
         full = full or held_up or self._delayed(asking, asked) or any(map(_overflows, asking))
-        self._crossed = self.sending.look(arrived, now, at, full=full)
+        self._crossed = self.sending.measure(arrived, now, at, full=full)
         busy = [each for each in asking if each.traffic.bytes_per_second > 0.0]
         wanted = [Asked(route.topic, route.remote_topic, traffic.bytes_per_second) for route, _, traffic in busy]
         # While all windows still grow, what waits behind them says nothing about the link. The last condition looks at
@@ -276,7 +276,7 @@ class FullnessWatch:
         # The link has carried the parts of incomplete messages, too, though nobody gets these.
         self._fullness.tick(wanted, arrived + parts, full=overloaded, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
-        self.receiving.look(received - self._received, now, at, full=False)
+        self.receiving.measure(received - self._received, now, at, full=False)
         self._received = received
         if self._fullness.out != before:
             self._judge_again(outgoing=True)

@@ -44,7 +44,7 @@ class GraphWatch:
         """Look soon: the graph has changed. May be called from any thread."""
         if not self._noted:  # a robot that starts reports a hundred changes a second, each of which would wake the loop
             self._noted = True
-            self._context.call(self._look_soon)
+            self._context.call(self._advance_soon)
 
     async def run(self) -> None:
         """Look again and again, for ever."""
@@ -60,22 +60,22 @@ class GraphWatch:
                 # Before the look: routes that have been asked already have to look again after a further change.
                 self._due.clear()
                 self._noted = False
-                cost = await self._look()
+                cost = await self._advance_routes()
                 await asyncio.sleep(max(_LOOK_EVERY, min(_LONGEST_PAUSE, cost * (_SHARE - 1))))
         finally:
             if self._settled is not None:
                 self._settled.cancel()
 
-    def _look_soon(self) -> None:
+    def _advance_soon(self) -> None:
         self._due.set()
         if self._settled is not None:
             self._settled.cancel()
         self._settled = self._context.loop.call_later(_MATCHED_AFTER, self._due.set)
 
-    async def _look(self) -> float:
+    async def _advance_routes(self) -> float:
         """Advance all routes in slices; return the seconds that this took of the loop."""
         now, cost = self._context.now, 0.0
-        self._context.announcements.look()  # first: routes ask it which publishers are bridges
+        self._context.announcements.update()  # first: routes ask it which publishers are bridges
         for link in self._links():
             routes = tuple(link.routes.values())
             for first in range(0, len(routes), SLICE):

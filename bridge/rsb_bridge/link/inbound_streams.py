@@ -189,7 +189,7 @@ class _InboundStream(PendingConnection, StreamHandler):
             self._refuse_proven(stream, refusal, event.peer)
         else:
             stream.trust()
-            control.take(more)
+            control.receive(more)
 
     def _refuse_proven(self, stream: Stream, refusal: Refusal, peer: Hello) -> None:
         """Refuse a client that has the key: that is no failed authentication."""

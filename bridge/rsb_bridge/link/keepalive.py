@@ -99,7 +99,7 @@ class Keepalive:
     def watch(self, on_silence: Callable[[], None]) -> None:
         """Call a function once the peer has been silent for as long as the patience lasts, until `stop`."""
         self._on_silence = on_silence
-        self._look()
+        self._watch_silence()
 
     def stop(self) -> None:
         """Stop watching."""
@@ -107,13 +107,13 @@ class Keepalive:
         if self._watchdog is not None:
             self._watchdog.cancel()
 
-    def _look(self) -> None:
+    def _watch_silence(self) -> None:
         if self._on_silence is None:
             return
         # The time of the silence, not the seconds until then: these could be too few for the clock to move.
         silent_at = self._heard + (DEAD_AFTER if self._patience is None else self._patience)
         if self._context.now() < silent_at:
-            self._watchdog = self._context.loop.call_at(silent_at, self._look)
+            self._watchdog = self._context.loop.call_at(silent_at, self._watch_silence)
         else:
             self._on_silence()
 
@@ -141,7 +141,7 @@ class Keepalive:
         """Return a further ping, to be sent now."""
         self._pings += 1
         self._pinged_at = self._context.now()
-        self._context.stamps.look()
+        self._context.stamps.compare()
         self._sent_at[self._pings] = self._context.stamps.now()
         if len(self._sent_at) > _UNANSWERED:
             del self._sent_at[next(iter(self._sent_at))]
@@ -154,7 +154,7 @@ class Keepalive:
             self.ping_delay = min(max(0.0, delay), _LONGEST_PING)
         if not self._answers.take(1, self._context.now()):
             return None
-        self._context.stamps.look()
+        self._context.stamps.compare()
         return Pong(ping.n, ping.sent, answered=self._context.wall_ns(), shift=self._context.stamps.shift)
 
     def answered(self, pong: Pong) -> None:

@@ -34,7 +34,7 @@ class Neighbourhood(Extension):
     """The bridges in the ROS domains of both sides: each side tells the other which are in its own."""
 
     def __init__(self, link: BaseLink) -> None:
-        self.messages = {Neighbours: self._take}
+        self.messages = {Neighbours: self._receive}
         self._link = link
         self._announcements = link.context.announcements
         self._told: tuple[str, ...] = ()
@@ -48,7 +48,7 @@ class Neighbourhood(Extension):
             self._told = self._announcements.bridges
             self._link.send(Neighbours(bridges=self._told))
 
-    def _take(self, neighbours: Neighbours) -> None:
+    def _receive(self, neighbours: Neighbours) -> None:
         if neighbours.bridges != self._link.bridges:
             self._link.bridges = neighbours.bridges
             self._announcements.changed()

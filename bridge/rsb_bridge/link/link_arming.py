@@ -476,7 +476,7 @@ class LinkArming:
         if arming.held and arming.console is None:
             # A further Arm tells of a key (PROTOCOL.md, 7). It does not revive what is overdue.
             if arming.stands(now):
-                arming.take(who, now)
+                arming.arm_for_peer(who, now)
             return
         if not arming.required or arming.spent or arming.armed or (arming.asked and self._peer.is_client):
             return  # of two operators who arm it at once, the client's does
@@ -487,7 +487,7 @@ class LinkArming:
             self._not_armed(route, Disarmed.PAUSED, who)
         else:
             self.lease.hold()  # first: a Lease goes right before Armed (PROTOCOL.md, 7.2)
-            arming.take(who, now)
+            arming.arm_for_peer(who, now)
             self._peer.send(Armed(route.id))
             self._armed_by(route, who, from_peer=True)
             self._open_if_begun(route)

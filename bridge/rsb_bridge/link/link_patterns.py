@@ -156,7 +156,7 @@ class PeerSubscription:
             self._asked_for = ()
         return self._patterns
 
-    def look(self, names: Names) -> None:
+    def update_names(self, names: Names) -> None:
         """Send the peer the changes of the matching names."""
         # While the newest patterns wait to be compiled, these names match the earlier ones.
         if self._request is None or self._asked_for or not (self._patterns or self._told or not self._answered):
@@ -208,7 +208,7 @@ class LinkPatterns(Extension):
         self._proposed = proposed
         self._transport = link.transport.name
         self.followed = PeerSubscription(context, link.shows, link.send)
-        self.messages = {Follow: self.followed.asked, Followed: self._take}
+        self.messages = {Follow: self.followed.asked, Followed: self._receive}
         self.entries: list[PatternEntry] = []
         self._here: Names | None = None  # matching names of this side's graph, or None as long as they are unknown
         self.there: Names | None = None
@@ -343,7 +343,7 @@ class LinkPatterns(Extension):
             self.there, self.unseen = None, 0
             self._link.send(Follow(self._request, theirs))
 
-    def _take(self, message: Followed) -> None:
+    def _receive(self, message: Followed) -> None:
         if message.request != self._request:
             return
         names = {} if self.there is None else self.there
@@ -361,7 +361,7 @@ class LinkPatterns(Extension):
         """Return the patterns of this side's graph."""
         return [(entry.topic.kind, entry.source) for entry in self.entries if self.is_local(entry)]
 
-    def look(self, names: Names) -> None:
+    def update_names(self, names: Names) -> None:
         """Take the present names of this side's graph."""
         if self.entries and names != self._here:
             self._here = names

@@ -74,7 +74,7 @@ class PeerView:
         """The opening, topics and wish that the peer knows, or None if that is not sure."""
         self.sink: PictureSink | None = None
 
-    def take(self, encoded: bytes) -> None:
+    def receive(self, encoded: bytes) -> None:
         """Take a picture."""
         self.newest = encoded
         self.news.set()
@@ -215,7 +215,7 @@ class LinkViews(Extension):
             raise
         return view
 
-    async def look(self, view: PeerView, topics: tuple[str, ...], wish: Wish, seconds: float) -> Viewed | None:
+    async def next_picture(self, view: PeerView, topics: tuple[str, ...], wish: Wish, seconds: float) -> Viewed | None:
         """Return the next picture, or None if there is none within so many seconds.
 
         Args:
@@ -268,7 +268,7 @@ class LinkViews(Extension):
 
     def _arrived(self, view: PeerView, encoded: bytes) -> None:
         """Take a picture; on the ROS thread, if that does the I/O thread's work."""
-        self._context.call(partial(view.take, encoded))
+        self._context.call(partial(view.receive, encoded))
 
 
 async def _send(context: Context, source: PictureSource, picture: Picture) -> None:

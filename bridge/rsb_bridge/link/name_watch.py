@@ -42,7 +42,7 @@ class Follower(Protocol):
         """Return the patterns of the names that it wants."""
         ...
 
-    def look(self, names: Names) -> None:
+    def update_names(self, names: Names) -> None:
         """Take the present names of the graph that match any follower's patterns."""
         ...
 
@@ -85,10 +85,10 @@ class NameWatch:
                 pass
             self._due.clear()  # before the look: a change meanwhile calls for another one
             began = now()
-            await self._look()
+            await self._search_graph()
             await asyncio.sleep(max(_LOOK_EVERY, min(_LONGEST_PAUSE, (now() - began) * (_SHARE - 1))))
 
-    async def _look(self) -> None:
+    async def _search_graph(self) -> None:
         self._collect()
         found: list[_Found] = []
         if self._asked:
@@ -98,7 +98,7 @@ class NameWatch:
                 return  # it is about to stop
         names = {each.named: each.type_name for each in found if self._is_a_programs(each)}
         for follower in tuple(self._followers()):
-            follower.look(names)
+            follower.update_names(names)
 
     def _collect(self) -> None:
         wanted = {(kind, p.text): p for each in self._followers() for kind, p in each.patterns_here()}

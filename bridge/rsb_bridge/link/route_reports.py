@@ -44,7 +44,7 @@ class RouteReports(Extension):
     """The reports of one link's routes. Early ones go together, at most ten times a second."""
 
     def __init__(self, link: BaseLink) -> None:
-        self.messages = {Report: self._take, ReportParts: self._take}
+        self.messages = {Report: self._receive, ReportParts: self._receive}
         self._link = link
         self._due: set[Route] = set()
         self._timer: asyncio.TimerHandle | None = None
@@ -73,14 +73,14 @@ class RouteReports(Extension):
             for report in _reports(routes, self._link.fullness.next_record(), self._link.path.next_record()):
                 self._link.send(report)
 
-    def _take(self, report: Report | ReportParts) -> Slices:
+    def _receive(self, report: Report | ReportParts) -> Slices:
         if report.full is not None:
             self._link.fullness_watch.take_record(report.full, self._link.peer_name)
         if report.path is not None:
             self._link.path.take_record(report.path, self._link.peer_name)
-        return in_slices(report_entries(report), self._take_entry)
+        return in_slices(report_entries(report), self._receive_entry)
 
-    def _take_entry(self, entry: SentReport | ReceivedReport | CallsReport) -> None:
+    def _receive_entry(self, entry: SentReport | ReceivedReport | CallsReport) -> None:
         route = self._link.ids.open_route(entry.route)
         if route is not None and isinstance(entry, route.peer_report):  # a peer may report as the half that is here
             route.reported(entry)

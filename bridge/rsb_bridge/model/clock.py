@@ -61,7 +61,7 @@ class StampClock:
         """Return the time in ns since the epoch."""
         return self._base + int(self._clock.steady() * 1e9)
 
-    def look(self) -> None:
+    def compare(self) -> None:
         """Compare it with the wall clock. To be called once a second, and before wall stamps are converted."""
         shift, now = self._measure()
         change = abs(shift - self.shift)

@@ -184,7 +184,7 @@ class FaultWatch:
                 watched = self._watched[_key(subject)] = _Watched(subject, now, snapshot.time, ("", ""))
                 watched.report(kind)
 
-    def look(self, snapshot: Snapshot, now: float) -> list[FaultChange]:
+    def find_changes(self, snapshot: Snapshot, now: float) -> list[FaultChange]:
         """Return the changes to report since the snapshots before, at `now` (s on a monotonic clock)."""
         found = [*self._changes(snapshot, now)]
         self._well = {_key(each): _kind(each) for each in _subjects(snapshot) if _key(each) not in self._watched}

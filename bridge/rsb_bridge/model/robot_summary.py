@@ -181,7 +181,7 @@ class LossWindow:
     def __init__(self) -> None:
         self._marks: dict[str, deque[_Mark]] = {}
 
-    def take(self, snapshot: Snapshot) -> dict[str, LostMessages]:
+    def add(self, snapshot: Snapshot) -> dict[str, LostMessages]:
         """Take a snapshot, newer than the one before; gives the loss of each link that has a figure."""
         now = snapshot.time
         lost, settled, since = Counter[str](), Counter[str](), dict[str, float]()
@@ -220,7 +220,7 @@ def of_clients(
 
     Args:
         session: of the server, with the groups of its clients.
-        losses: of each link by its name, as `LossWindow.take` returns them.
+        losses: of each link by its name, as `LossWindow.add` returns them.
         batteries: of each link by its name.
     """
     groups = {client.name: client.group or "" for client in session.accepted_clients}

@@ -423,7 +423,7 @@ class Announcements:
             return None
         # Each node is looked up once: a robot has many publishers, and the question to DDS takes some 50 µs.
         if node not in self._by_node and node not in self._ordinary:
-            self.look()
+            self.update()
         if node in self._by_node:
             found = (find(heard.content) for heard in self._by_node[node])
             return next((origin for origin in found if origin is not None), None)
@@ -433,7 +433,7 @@ class Announcements:
             self._ordinary[node] = None
         return _ORDINARY
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Update the list of bridges. Call it when the graph has changed."""
         if self._subscription is None:
             return

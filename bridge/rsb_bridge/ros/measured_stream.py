@@ -123,7 +123,7 @@ class Arrivals:
         self.count = 0
         self.latencies.clear()
 
-    def take(self, payload: bytes) -> None:
+    def add(self, payload: bytes) -> None:
         made = made_at(payload)
         if made < self._since:
             return
@@ -134,7 +134,7 @@ class Arrivals:
 
 def _listen(context: Context, node: Node, topics: Sequence[str]) -> None:
     arrivals = Arrivals()
-    take = arrivals.take
+    take = arrivals.add
 
     def commands() -> None:
         for line in sys.stdin:

@@ -200,7 +200,7 @@ class ParameterEvents:
                 self._call(lambda: self._failed(topic, shared, error))
 
             shared.subscription = self._ros.subscribe(
-                topic.name, topic.type_name, topic.type_hash, qos, shared.take, topic.link, failed
+                topic.name, topic.type_name, topic.type_hash, qos, shared.receive, topic.link, failed
             )
             self._shared[topic] = shared
         listener = _Listener(node, sink, on_failure)
@@ -240,7 +240,7 @@ class _Shared:
             by_node.setdefault(each.node, []).append(each.sink)
         self._listeners, self._by_node = listeners, by_node
 
-    def take(self, batch: Sequence[RawMessage]) -> None:
+    def receive(self, batch: Sequence[RawMessage]) -> None:
         """On the ROS thread: hand each event to those who listen to its node."""
         sinks = self._by_node
         found: dict[str, list[RawMessage]] = {}

@@ -184,7 +184,7 @@ class StandIn(NoRos):
             batch = [RawMessage(make(size), stamp, gid, first + each) for each in range(count)]
             # A sink may close its reader, which then leaves the list.
             for reader in tuple(readers):
-                reader.take(batch)
+                reader.receive(batch)
 
     def _battery(self, _: int) -> bytes:
         """Return the state of a battery that falls; each robot's has begun at another time."""
@@ -248,7 +248,7 @@ class _Reader:
         self._sink: Sink | None = sink
         self._among = among
 
-    def take(self, batch: Sequence[RawMessage]) -> None:
+    def receive(self, batch: Sequence[RawMessage]) -> None:
         if (sink := self._sink) is not None:
             sink(batch)
 

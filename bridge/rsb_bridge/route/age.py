@@ -160,7 +160,7 @@ class MessageAge:
 
     def stamped(self, batch: Sequence[RawMessage]) -> list[RawMessage]:
         """Return messages from ROS, each with the time from which its age counts as its stamp, or 0 if none is sure."""
-        clock = self._look()
+        clock = self._compared_clock()
         shift, born = clock.shift, self.publishers.born
         if not clock.is_sure:
             if not self.max_age:
@@ -187,7 +187,7 @@ class MessageAge:
 
     def aged(self, request: Request) -> Request:
         """Return a request with the time from which its age counts as its stamp, or 0 if it is too old."""
-        clock, source = self._look(), request.source
+        clock, source = self._compared_clock(), request.source
         caller = request.caller[:_CALLER]
         stamp = self.publishers.born(source and source + clock.shift, request.stamp + clock.shift, caller)
         return request._replace(stamp=stamp if clock.is_sure and self.is_young(stamp) else 0)
@@ -210,9 +210,9 @@ class MessageAge:
         self.expired(Cause.LINK_SLOW, len(messages) - len(young))
         return young
 
-    def _look(self) -> StampClock:
+    def _compared_clock(self) -> StampClock:
         clock = self._context.stamps
-        clock.look()
+        clock.compare()
         if clock.steps != self._steps:
             self._steps = clock.steps
             self.publishers.forget()

@@ -324,7 +324,7 @@ class Arming:
         """Report success to the operator who armed it: messages may cross from now on."""
         self._answer()
 
-    def take(self, by: str, now: float) -> None:
+    def arm_for_peer(self, by: str, now: float) -> None:
         """Arm it for an operator of the other side, who armed it or pressed a key at `now` (s)."""
         self._hold(_Phase.ARMED, by, None)
         # This side's operator may have asked at the same moment: that command ends, and names the other operator.

@@ -86,7 +86,7 @@ class CombinedVerdict:
         self._shows: tuple[State, str] | None = None
         self._since = 0.0
 
-    def take(self, record: VerdictRecord | None, now: float) -> None:
+    def receive(self, record: VerdictRecord | None, now: float) -> None:
         """Take the other side's verdict, which came at `now` (s)."""
         if record is None:
             self.peer = FINE

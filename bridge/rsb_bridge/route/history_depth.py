@@ -145,7 +145,7 @@ class Histories:
 
     # --- messages
 
-    def take(self, batch: Sequence[RawMessage]) -> int:
+    def receive(self, batch: Sequence[RawMessage]) -> int:
         """Take messages from ROS, oldest first.
 
         Returns:
@@ -181,7 +181,7 @@ class Histories:
             publisher.settled = publisher.exact
             publisher.arrivals.clear()
 
-    def look(self, present: Collection[bytes]) -> None:
+    def forget_gone(self, present: Collection[bytes]) -> None:
         """Forget publishers that are gone."""
         now = self._loop.time()
         for gid, publisher in tuple(self._publishers.items()):
@@ -294,7 +294,7 @@ class Histories:
 
     def _probed(self, batch: Sequence[RawMessage]) -> None:
         if self._probe is not None:
-            self._probe.take(batch, self._loop.time())
+            self._probe.receive(batch, self._loop.time())
             self._work()
 
     def _finish_probe(self) -> None:
@@ -377,7 +377,7 @@ class _Probe:
         self.last: dict[bytes, int] = {}
         self._complete = False
 
-    def take(self, batch: Sequence[RawMessage], now: float) -> None:
+    def receive(self, batch: Sequence[RawMessage], now: float) -> None:
         """Take messages. Once all wanted numbers have come, the probe ends a moment later, even if more come."""
         for message in batch:
             self.first.setdefault(message.gid, message.number)

@@ -164,7 +164,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         """Make the publishers for the messages that the sender describes, or refuse the route."""
         # Asked before the event, because the sender describes its messages again whenever it adds a source.
         first = not self.life.described
-        if not self.life.take(RouteEvent.DESCRIBE):
+        if not self.life.handle(RouteEvent.DESCRIBE):
             return
         if not self._agrees(description):
             return
@@ -194,7 +194,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
             newest = self.outputs.opened()
             self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.transport.name} connected ({description.type})")
         self.peer.send(Ready(route=self.id, sources=len(self.outputs), before=self._counted_before(), newest=newest))
-        self.life.take(RouteEvent.READY)
+        self.life.handle(RouteEvent.READY)
         self._verdict = None
         self.advance()
 
@@ -442,7 +442,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         super().tick()
         self.outputs.tick()
         if self.purpose.in_graph:  # else no node knows the type
-            self.check.look(self.remote_topic, self.endpoints)
+            self.check.ask_subscribers(self.remote_topic, self.endpoints)
         counts = self.channel.counts() if self.channel is not None else None
         expired = counts.expired if counts else 0
         if self._received != self._received_before:
@@ -463,7 +463,7 @@ class IncomingRoute(TopicRoute[ReceivingChannel]):
         if not self._is_reported:
             self._is_reported = True
             self._verdict = None
-        self.judged.take(report.verdict, self.context.now())
+        self.judged.receive(report.verdict, self.context.now())
         peer = self.judged.peer
         self.notices.set_loop(peer.text if peer.cause == Cause.LOOP else "")
         left_out = peer.cause == Cause.TYPE_CONFLICT and peer.state is not State.DOWN

@@ -196,7 +196,7 @@ class SendersDelay:
         self._shortest = float("inf")
         self._unreported = Unreported()
 
-    def take(self, seconds: float, jitter: float, now: float) -> None:
+    def receive(self, seconds: float, jitter: float, now: float) -> None:
         """Take a delay that the receiver reports."""
         if not math.isfinite(seconds) or abs(seconds) > _LONGEST_DELAY:
             return

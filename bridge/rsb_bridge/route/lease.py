@@ -105,7 +105,7 @@ class LeaseHalf:
     def beat(self) -> tuple[int, int]:
         """Return the next number of this side, and the newest of the other one. To be called every `BEAT` s."""
         # First, because this number would hide a standstill before it.
-        self._look()
+        self._end_at_standstill()
         now = self._steady()
         self._beaten = now
         self.number += 1
@@ -119,7 +119,7 @@ class LeaseHalf:
     def hear(self, number: int, echo: int) -> None:
         """Take a number of the other side, and the number of this side that it has heard."""
         # First, because numbers that waited through a standstill would revive the lease.
-        self._look()
+        self._end_at_standstill()
         if 0 < echo <= self._newest_before:
             return  # it is of the lease before this one: datagrams may come late
         now = self._steady()
@@ -152,7 +152,7 @@ class LeaseHalf:
     @property
     def alive(self) -> bool:
         """Whether the other side has heard a number that this side has sent within the last second."""
-        self._look()
+        self._end_at_standstill()
         return self._on and self.over is None and self._steady() - self._confirmed <= LASTS
 
     @property
@@ -179,7 +179,7 @@ class LeaseHalf:
         """Return the newest number of the other side that was heard before a time (s), or 0. From any thread."""
         return next((number for number, heard_at in reversed(self._heard) if heard_at <= time), 0)
 
-    def _look(self) -> None:
+    def _end_at_standstill(self) -> None:
         """End it if nothing has moved for too long."""
         if not self._on or self.over is not None:
             return

@@ -73,7 +73,7 @@ class Lifecycle:
         self.accepted = self.described = self.ready = False
         self.refusal = ""
 
-    def take(self, event: RouteEvent, reason: str = "") -> bool:
+    def handle(self, event: RouteEvent, reason: str = "") -> bool:
         """Move to the next phase.
 
         Returns:

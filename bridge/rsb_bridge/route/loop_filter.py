@@ -217,7 +217,7 @@ class LoopFilter:
         """Begin with an empty table.
 
         Args:
-            due: called when the wait for a publisher's hops is over: `look` decides about it then.
+            due: called when the wait for a publisher's hops is over: `update` decides about it then.
         """
         self.table = SourceTable()
         self._overflowed = 0
@@ -229,7 +229,7 @@ class LoopFilter:
         self._held: deque[RawMessage] = deque()
         self._held_bytes = 0
 
-    def look(self, topic: str, remote_topic: str) -> list[Endpoint]:
+    def update(self, topic: str, remote_topic: str) -> list[Endpoint]:
         """Update the table from the ROS graph; return the publishers whose messages may be carried."""
         announcements, ros = self._context.announcements, self._context.ros
         endpoints = [*self._ends.publishers(topic), *announcements.own_publishers(topic, besides=self._peer.name)]
@@ -251,7 +251,7 @@ class LoopFilter:
         return [each for each in endpoints if not self.table.left_out(each.gid)]
 
     def _wait(self) -> None:
-        """Call `due` when the wait for the next publisher is over; earlier announcements trigger `look` anyway."""
+        """Call `due` when the wait for the next publisher is over; earlier announcements trigger `update` anyway."""
         self._cancel_timer()
         if self.table.unexplained:
             delay = self.table.explained_by - self._context.now()
@@ -261,7 +261,7 @@ class LoopFilter:
         """Sort messages; hold those with an unknown source until `release`.
 
         Returns:
-            The messages to send now, and whether `look` has not yet seen a publisher of the held ones.
+            The messages to send now, and whether `update` has not yet seen a publisher of the held ones.
         """
         admitted: list[RawMessage] = []
         unseen = False

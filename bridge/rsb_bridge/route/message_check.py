@@ -282,7 +282,7 @@ class MessageCheck:
         """Take over `check_messages` of the session."""
         self.begin(self.type_name)
 
-    def look(self, topic: str, endpoints: Iterable[Endpoint]) -> None:
+    def ask_subscribers(self, topic: str, endpoints: Iterable[Endpoint]) -> None:
         """Ask the nodes that subscribe to a topic for the description of a type that is not installed here.
 
         This may be called often.

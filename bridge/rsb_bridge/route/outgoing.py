@@ -160,7 +160,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         # Asked before the event, because the peer answers each description, and only its first answer has this side
         # subscribe.
         again = self.life.ready
-        if not self.life.take(RouteEvent.READY):
+        if not self.life.handle(RouteEvent.READY):
             return
         if not self._ledger.settle(ready.before, self.peer.instance):
             self.notices.doubt(self.peer.instance, _LIMITED)
@@ -192,8 +192,8 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._ledger.lose("paused", self._loop_filter.forget())  # nobody wants them when it is resumed
             return
         self._path.resume()
-        self.endpoints = self._loop_filter.look(self.topic, self.remote_topic)
-        self._resolver.look(self.endpoints)
+        self.endpoints = self._loop_filter.update(self.topic, self.remote_topic)
+        self._resolver.update(self.endpoints)
         if self._described is not None and self._described.sources != self._loop_filter.table.sources:
             # A further source needs no new subscription: only its own messages wait for the peer's answer.
             self._describe(msgspec.structs.replace(self._described, sources=self._loop_filter.table.sources))
@@ -217,7 +217,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             return
         if described != self._described:
             self._subscription.unsubscribe()
-            self.life.take(RouteEvent.DESCRIBE)
+            self.life.handle(RouteEvent.DESCRIBE)
             self._describe(described)
         if not self.life.ready:
             return
@@ -274,7 +274,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         if (histories := self._subscription.histories) is None:
             return
         gids = {endpoint.gid for endpoint in self.endpoints}
-        histories.look(gids)
+        histories.forget_gone(gids)
         depths = histories.depths()
         ids = islice(map(publisher_id, gids), MOST_PUBLISHERS)
         present = {each: depths.get(each, 0) for each in ids}
@@ -394,7 +394,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def reported(self, report: ReceivedReport) -> None:
         """Take the peer's counts of the present opening."""
         self._report = report
-        self.judged.take(report.verdict, self.context.now())
+        self.judged.receive(report.verdict, self.context.now())
         delay = self.delays.with_report(self.peer.keepalive.ping_delay)
         if not self._ledger.reported(report, self.context.now(), delay):
             self.notices.doubt(self.peer.instance, _LIMITED)
@@ -404,7 +404,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
             self._resolver.hint = TypeVersion(report.type, report.type_hash)
             self.advance()
         if report.latency is not None:
-            self.delays.take(report.latency, report.jitter or 0.0, self.context.now())
+            self.delays.receive(report.latency, report.jitter or 0.0, self.context.now())
         self.latency.take_reported(report.latency_p50, report.latency_p99, report.jitter)
 
     @property

@@ -75,7 +75,7 @@ class Resolver:
         self._publishers: Sequence[Endpoint] = ()
         self._nodes: frozenset[str] = frozenset()  # of the last publishers
 
-    def look(self, publishers: Sequence[Endpoint]) -> None:
+    def update(self, publishers: Sequence[Endpoint]) -> None:
         """Take the topic's present publishers."""
         self._publishers = publishers
         if publishers:

@@ -195,7 +195,7 @@ class Route:
 
     def on_accepted(self) -> None:
         """Go on after both sides have accepted the route."""
-        if self.life.take(RouteEvent.ACCEPT):
+        if self.life.handle(RouteEvent.ACCEPT):
             self.advance()
 
     def set_peer_topic(self, topic: str) -> None:
@@ -230,9 +230,9 @@ class Route:
         self.opened_at = self.context.now()
         self.limit.opened()
         self._verdict = None
-        self.life.take(RouteEvent.OPEN)
+        self.life.handle(RouteEvent.OPEN)
         # The other side's verdict belongs to the opening before.
-        self.judged.take(None, self.context.now())
+        self.judged.receive(None, self.context.now())
         self._may_flow()
 
     def close(self, reason: str) -> None:
@@ -249,9 +249,9 @@ class Route:
         self.peer.closed(self.id)
         self.id = 0
         self.notices.closed()
-        self.judged.take(None, self.context.now())
+        self.judged.receive(None, self.context.now())
         self._verdict = None
-        self.life.take(RouteEvent.CLOSE)
+        self.life.handle(RouteEvent.CLOSE)
         self.reopening.closed_at = self.context.now()
 
     def destroy(self) -> None:
@@ -271,7 +271,7 @@ class Route:
         # One that another program refuses, or that lacks a descriptor, has a cause of its own.
         broke = DATA_CONNECTION in reason and (self.connected or timed_out(reason))
         self.close(reason)
-        self.life.take(RouteEvent.REFUSE, reason)
+        self.life.handle(RouteEvent.REFUSE, reason)
         self.reopening.failed(self.context.now(), broke=broke)
 
     def channel_lost(self, reason: str) -> None:

@@ -166,7 +166,7 @@ class Overload:
         self.lasts = False
         self._before: tuple[float, float, int] | None = None  # when (s), the oldest message's age (s), the length
 
-    def look(self, now: float, oldest_since: float | None, length: int, *, moves: bool) -> None:
+    def judge(self, now: float, oldest_since: float | None, length: int, *, moves: bool) -> None:
         """Judge the queue. Called whenever a message is queued.
 
         Args:
@@ -276,7 +276,7 @@ class Outbox:
             qos: of the route, or None if it is unknown.
             depth: messages that the publisher of a latched topic keeps, or 0.
         """
-        self._overload.look(now, self._queue.oldest_since, len(self._queue), moves=pace is Pace.SLOW)
+        self._overload.judge(now, self._queue.oldest_since, len(self._queue), moves=pace is Pace.SLOW)
         best_effort = qos is not None and qos.reliability == "best_effort"
         size = QUEUE_BYTES + self.largest
         if best_effort:
@@ -364,7 +364,7 @@ class OutgoingPath:
     def take(self, batch: Sequence[RawMessage]) -> None:
         """Take messages that do not loop, oldest first."""
         if self.histories is not None:
-            self._take_latched(self.histories.take(batch), ())
+            self._take_latched(self.histories.receive(batch), ())
             return
         if not batch:
             return

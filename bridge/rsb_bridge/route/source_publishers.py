@@ -154,13 +154,13 @@ class VolatileTopic:
         elif full and since is not None and self._renew is not None and self._now() - since >= _BURST_TIME:
             self._successor, self._successor_since = self._renew(self._lasting_depth), self._now()
         try:
-            self._take(size, self._memory())
+            self._reserve(size, self._memory())
         except SlowSubscriberError:
             # DDS may have enough free memory, but in pieces that are too small, or a kept burst fills the budget.
             if self._renew is None or (not deep and (self._waiting or not self._free)):
                 raise
             self._begin_anew(self._renew)
-            self._take(size, 0)
+            self._reserve(size, 0)
 
     def close(self) -> None:
         """Close the publisher, which frees its memory. May be called twice."""
@@ -222,7 +222,7 @@ class VolatileTopic:
                 self._unacknowledged_since = now
             self._asks_at = now + _ASKS_AGAIN_AFTER
 
-    def _take(self, size: int, memory: int) -> None:
+    def _reserve(self, size: int, memory: int) -> None:
         growth = max(0, size - memory)
         charge = max(0, self._held + growth - FREE) - self._charged
         if charge > 0 and not self._charge(charge):

@@ -45,7 +45,7 @@ class TrafficMeter:
         self._size = 0.0
         self._wanted = Smoothed(now)
 
-    def look(self, now: float) -> Traffic:
+    def measure(self, now: float) -> Traffic:
         """Return the traffic since the last call. Called once a second."""
         # Most of hundreds of topics are idle, and each is asked once a second.
         if not self.offered and self._wanted.idle(now):

@@ -478,7 +478,7 @@ class Throughput:
         self._full = False
         self._window: deque[tuple[float, float]] = deque(maxlen=_WINDOW)
 
-    def look(self, arrived: float, now: float, at: float, *, full: bool) -> float:
+    def measure(self, arrived: float, now: float, at: float, *, full: bool) -> float:
         """Take what has arrived since the last look, about a second ago.
 
         Args:

@@ -105,7 +105,7 @@ class SnapshotPublisher:
         code = EventCode.OPERATOR_ACKNOWLEDGEMENT_ENDED
         self._events.add(Level.INFO, code, f"{topic}: {text}" if topic else text, link=link, topic=topic)
 
-    def look(self) -> Snapshot:
+    def newest(self) -> Snapshot:
         """Return the newest snapshot; called on any thread."""
         self._looks += 1
         return self.latest

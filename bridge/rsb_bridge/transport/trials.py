@@ -112,12 +112,12 @@ class Trials(Generic[T]):
             else:
                 await asyncio.sleep(until - now)
             for task in done:
-                self._take(task, running.pop(task), results)
+                self._note_result(task, running.pop(task), results)
             now = self._now()
             if results.proven and done:
                 queue, ends = [], min(ends, now + _OTHERS)
 
-    def _take(self, task: asyncio.Task[T], address: str, results: Results[T]) -> None:
+    def _note_result(self, task: asyncio.Task[T], address: str, results: Results[T]) -> None:
         try:
             results.proven[address] = task.result()
         except UnprovenError as error:

@@ -37,7 +37,7 @@ class DiagnosticsView(View):
         self._statuses: dict[str, _Status] = {}
         self._newest = 0.0
 
-    def take(self, received: TakenMessage) -> None:
+    def receive(self, received: TakenMessage) -> None:
         self._newest = max(self._newest, received.time)
         message = received.message
         for each in elements(message, "status") if "status" in message else [message]:

@@ -60,7 +60,7 @@ class View(ABC):
     now = 0.0
 
     @abstractmethod
-    def take(self, received: TakenMessage) -> None:
+    def receive(self, received: TakenMessage) -> None:
         """Take a message. Called for every message, or, if they are large or many, for the newest ones.
 
         Raises:

@@ -30,7 +30,7 @@ class FieldsView(View):
         self._shown: dict[str, str] = {}
         self._lines: list[tuple[str, str, str]] = []
 
-    def take(self, received: TakenMessage) -> None:
+    def receive(self, received: TakenMessage) -> None:
         self._lines = []
         for line in _tree(received.message, "", 0):
             self._lines.append(line)

@@ -111,7 +111,7 @@ class ImageView(View):
     def __init__(self) -> None:
         self._message: Message | None = None
 
-    def take(self, received: TakenMessage) -> None:
+    def receive(self, received: TakenMessage) -> None:
         self._message = received.message
 
     def draw(self, wish: Wish) -> Drawn:

@@ -40,7 +40,7 @@ class LogView(View):
     def __init__(self) -> None:
         self._lines: deque[tuple[_Line, int]] = deque(maxlen=LINES)
 
-    def take(self, received: TakenMessage) -> None:
+    def receive(self, received: TakenMessage) -> None:
         message = received.message
         level = number(message, "level")
         line = _Line(

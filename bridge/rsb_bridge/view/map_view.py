@@ -132,7 +132,7 @@ class MapView(View):
         """Frames that TF has; of others, an odometry gives the pose."""
         self._topics: list[str] = []
 
-    def take(self, received: TakenMessage) -> None:
+    def receive(self, received: TakenMessage) -> None:
         message, name = received.message, received.type_name.rpartition("/")[2]
         if received.topic not in self._topics:
             self._topics.append(received.topic)

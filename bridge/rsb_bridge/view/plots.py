@@ -80,7 +80,7 @@ class PlotView(View):
         self._type_name = ""
         self._newest = 0.0
 
-    def take(self, received: TakenMessage) -> None:
+    def receive(self, received: TakenMessage) -> None:
         self._type_name = received.type_name
         self._newest = max(self._newest, received.time)
         for path, value in _numbers(received.message, "", _element_names(received.message)):

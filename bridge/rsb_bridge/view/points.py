@@ -133,7 +133,7 @@ class PointsView(View):
         self._points: Points | None = None
         self._reach: float | None = None
 
-    def take(self, received: TakenMessage) -> None:
+    def receive(self, received: TakenMessage) -> None:
         read = scan_points if "ranges" in received.message else cloud_points
         self._points = read(received.message)
 

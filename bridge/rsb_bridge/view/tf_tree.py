@@ -59,7 +59,7 @@ class TfTree(View):
         self._newest = 0.0
         self._too_many = False
 
-    def take(self, received: TakenMessage) -> None:
+    def receive(self, received: TakenMessage) -> None:
         self._newest = max(self._newest, received.time)
         static = received.topic.endswith("tf_static")
         for each in elements(received.message, "transforms"):

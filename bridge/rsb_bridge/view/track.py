@@ -35,7 +35,7 @@ class TrackView(View):
         self._positions: list[tuple[float, float]] = []
         self._note = ""
 
-    def take(self, received: TakenMessage) -> None:
+    def receive(self, received: TakenMessage) -> None:
         latitude, longitude = number(received.message, "latitude"), number(received.message, "longitude")
         status = number(received.message, "status.status")
         self._note = _STATUS.get(int(status), "") if math.isfinite(status) else ""

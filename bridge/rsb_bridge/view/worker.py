@@ -150,7 +150,7 @@ class Artist:
                 continue
             try:
                 time = sample.stamp / 1e9
-                self._view(task).take(
+                self._view(task).receive(
                     TakenMessage(sample.topic, sample.type_name, decoded.message, time, sample.author)
                 )
                 taken, _ = self._newest.get(task.view, (0, 0))

@@ -125,7 +125,7 @@ class _Bridged:
         # This runs on the server's thread, whose end `stop` waits for.
         threading.Thread(target=self.stop, daemon=True).start()
 
-    def look(self) -> RobotRecord:
+    def record(self) -> RobotRecord:
         self._follow()
         robot, ros = self._robot, self.ros
         robot.published = sum(ros.published.values())
@@ -170,7 +170,7 @@ def _carry_out(words: Sequence[str], robots: dict[str, _Bridged], metronome: Met
         case ["flood", name, topic, size]:
             metronome.flood(robots[name].ros, Talk(topic, 0.0, int(size)))
         case _:
-            return RobotRecords({name: robot.look() for name, robot in robots.items()})
+            return RobotRecords({name: robot.record() for name, robot in robots.items()})
     return RobotRecords({})
 
 

@@ -162,7 +162,7 @@ class SimulatedFleet:
         """Send a command to a robot (`bench.robots`)."""
         self._in[name].ask(" ".join((command, name, *words)))
 
-    def look(self) -> dict[str, RobotRecord]:
+    def records(self) -> dict[str, RobotRecord]:
         """Return the record of each robot."""
         # All are asked before the first one has answered, so that they work at the same time.
         for process in self.processes:
@@ -183,7 +183,7 @@ class SimulatedFleet:
         """
         deadline = time.monotonic() + within
         while True:
-            robots = self.look()
+            robots = self.records()
             late = [name for name, robot in robots.items() if not done(robot)]
             if not late:
                 return robots

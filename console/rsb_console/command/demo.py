@@ -163,7 +163,7 @@ def simulated(robots: int) -> Iterator[Simulated]:
         running.start_robots(running.names)
         # Robots that start earlier would fail to link at first, and try again after their pause.
         listening(control, running.session)
-        running.look()  # all processes answer
+        running.records()  # all processes answer
         yield running
 
 

@@ -125,7 +125,7 @@ def _first(engine: RemoteEngine, viewer: str, arguments: Namespace, wish: Wish, 
     deadline = time.monotonic() + seconds
     while (left := deadline - time.monotonic()) > 0:
         try:
-            viewed = engine.look(viewer, tuple(arguments.topics), wish, arguments.link).result(left)
+            viewed = engine.next_picture(viewer, tuple(arguments.topics), wish, arguments.link).result(left)
         except TimeoutError:
             break
         if viewed is None or (viewed.picture.content is None and not viewed.picture.problem):
@@ -188,7 +188,7 @@ def many(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
             problem, lines, painted = "", [], ""
             wish = _wish(arguments)
             if asked is None:
-                asked = engine.look(viewer, tuple(arguments.topics), wish, arguments.link)
+                asked = engine.next_picture(viewer, tuple(arguments.topics), wish, arguments.link)
             wait((asked,), _REDRAWN_AFTER)  # without a new picture, the age of the last one goes on
             try:
                 if asked.done():

@@ -66,7 +66,7 @@ class ServerFleet:
         if now is not self._shown:
             self._shown = now
             if now.running:
-                self._loss = self._losses.take(now)
+                self._loss = self._losses.add(now)
                 self._batteries.tick(now)
             self._robots = of_clients(now, self._engine.session, self._loss, self._batteries.known)
         return self._robots

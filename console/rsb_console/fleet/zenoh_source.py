@@ -185,7 +185,7 @@ class ZenohFleet:
             try:
                 async with contextlib.aclosing(watch(way, self._may_connect)) as contents:
                     async for content in contents:
-                        self._take(name, decode(content))
+                        self._receive(name, decode(content))
                         self._has_spoken(member)
                         backoff.reset()
             except (ControlError, ValueError) as error:
@@ -198,7 +198,7 @@ class ZenohFleet:
         self._silent.discard(member.address)
         self._news.set()
 
-    def _take(self, name: str, summary: RobotSummary) -> None:
+    def _receive(self, name: str, summary: RobotSummary) -> None:
         now = time.time()
         before, why, state = self._robots[name], summary.why, summary.state
         # What the engine says of times is by its clock, which nobody has set by this one: only their ages are known.

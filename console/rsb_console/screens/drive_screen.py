@@ -210,7 +210,7 @@ class Steering:
 
     def press(self, key: str, now: float) -> None:
         """Take a key at `now` (s)."""
-        self._look(now)
+        self._note_time(now)
         self._times.append(now)
         if len(self._times) == _BURST and now - self._times[0] < _BURST_SECONDS:
             self._ignored_until = now + _IGNORED_FOR
@@ -237,7 +237,7 @@ class Steering:
         moves = now < max(self._forward_until, self._left_until)
         return self._together == 1 and (moves or (key == before and _HELD[0] < now - at < _HELD[1]))
 
-    def _look(self, now: float) -> None:
+    def _note_time(self, now: float) -> None:
         if now - self._looked_at > _STOOD_STILL:
             self._ignored_until = now + _IGNORED_FOR
             self._forward_until = self._left_until = 0.0
@@ -255,7 +255,7 @@ class Steering:
 
     def at(self, now: float) -> tuple[float, float]:
         """Return the velocity at `now` (s): forward in m/s, turn in rad/s. To be asked several times a second."""
-        self._look(now)
+        self._note_time(now)
         forward = self._forward * self.speed if now < self._forward_until else 0.0
         return forward, self._left * self.turn if now < self._left_until else 0.0
 

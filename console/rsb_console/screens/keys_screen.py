@@ -72,7 +72,7 @@ class KeyFile(NamedTuple):
     note: str
 
 
-def look_at(path: Path, user: str, used_by: Sequence[str], now: float) -> KeyFile:
+def facts_of(path: Path, user: str, used_by: Sequence[str], now: float) -> KeyFile:
     """Read the facts about a key file.
 
     Args:
@@ -158,9 +158,9 @@ class KeysScreen(ModalScreen[None]):
         yield Dialog("Key files", self.table, self._written, self._note, keys=keys)
 
     def on_mount(self) -> None:
-        self.look()
+        self.refresh_table()
 
-    def look(self) -> None:
+    def refresh_table(self) -> None:
         engine, now = self.console.engine, time.time()
         links = () if engine is None else engine.snapshot().links
         used = [link.fingerprint for link in links if link.state is State.OK]
@@ -168,7 +168,7 @@ class KeysScreen(ModalScreen[None]):
         # A bridge elsewhere has other files under these names.
         if engine is not None and engine.same_machine:
             files = files | key_files(engine.session, self.console.base)
-        self.table.show([look_at(path, user, used, now) for path, user in files.items()])
+        self.table.show([facts_of(path, user, used, now) for path, user in files.items()])
         self.on_selectable_list_cursor_moved()
 
     def on_selectable_list_cursor_moved(self) -> None:
@@ -193,7 +193,7 @@ class KeysScreen(ModalScreen[None]):
         )
         if path is not None:
             self._made.setdefault(path, "not in the session")
-            self.look()
+            self.refresh_table()
             self.table.move_to(self.table.keys.index(str(path)))
 
 

@@ -87,7 +87,7 @@ class MessageScreen(FullScreen[bool]):
     def on_mount(self) -> None:
         self.set_interval(1.0, self._draw)
         self.call_after_refresh(self._draw)
-        self._look()
+        self._follow()
 
     def on_resize(self) -> None:
         self.call_after_refresh(self._lay_out_anew)
@@ -95,7 +95,7 @@ class MessageScreen(FullScreen[bool]):
     # -- messages -----------------------------------------------------------------------------------------------------
 
     @work
-    async def _look(self) -> None:
+    async def _follow(self) -> None:
         """Take messages until the screen is closed."""
         first = True
         while True:

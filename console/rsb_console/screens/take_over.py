@@ -131,7 +131,7 @@ class NewQuestions:
     def __init__(self) -> None:
         self._asked: set[str] = set()
 
-    def look(self, snapshot: Snapshot, held: Iterable[str]) -> list[RouteSnapshot]:
+    def find_new(self, snapshot: Snapshot, held: Iterable[str]) -> list[RouteSnapshot]:
         """Return the routes of `held` for whose arming somebody has begun to ask."""
         routes = {key: route for key in held if (route := asked_about(snapshot, key)) is not None}
         new = [route for key, route in routes.items() if key not in self._asked]

@@ -300,10 +300,10 @@ class TopicScreen(FormScreen[TopicDraft]):
     def on_mount(self) -> None:
         """Look at the graphs, and go on looking."""
         if self._route is None:
-            self._look()
-            self.set_interval(LOOK_EVERY, self._look)
+            self._ask_both()
+            self.set_interval(LOOK_EVERY, self._ask_both)
 
-    def _look(self) -> None:
+    def _ask_both(self) -> None:
         """Ask both sides what they have; a side that has not answered yet is not asked again."""
         # What a whole interval has not answered. A note about it at once would flicker, as most answers come soon.
         self._late = set(self._awaited)
@@ -346,7 +346,7 @@ class TopicScreen(FormScreen[TopicDraft]):
     def _another_client_or_kind(self, event: Field.Changed) -> None:
         key = event.field.spec.key
         if key == "link":
-            self._look()
+            self._ask_both()
         elif key == "kind":
             # Not what a pick fills in: the list would then keep to that kind.
             self._kind_chosen = self._kind_chosen or event.field.control.has_focus

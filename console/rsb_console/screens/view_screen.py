@@ -246,7 +246,7 @@ class ViewScreen(FullScreen[bool]):
 
     def _begin(self) -> None:
         self._fit()
-        self._look()
+        self._follow()
 
     def _keys(self, width: int) -> str:
         """Return the keys that have room in so many cells."""
@@ -271,7 +271,7 @@ class ViewScreen(FullScreen[bool]):
     # -- pictures -----------------------------------------------------------------------------------------------------
 
     @work
-    async def _look(self) -> None:
+    async def _follow(self) -> None:
         """Take pictures until the screen is closed."""
         while True:
             await self._goes_on.wait()
@@ -294,7 +294,9 @@ class ViewScreen(FullScreen[bool]):
         engine = self.console.engine
         if engine is None:
             raise EngineError("no session runs")
-        return await asyncio.wrap_future(engine.look(self._viewer, self._topics, self._wish, self._subject.link))
+        return await asyncio.wrap_future(
+            engine.next_picture(self._viewer, self._topics, self._wish, self._subject.link)
+        )
 
     @property
     def _topics(self) -> tuple[str, ...]:

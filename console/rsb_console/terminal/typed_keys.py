@@ -100,9 +100,9 @@ class TypedKeys:
         except OSError:  # the terminal is gone
             data = b""
         self._ended = not data
-        return self._take(data)
+        return self._receive(data)
 
-    def _take(self, data: bytes) -> bool:
+    def _receive(self, data: bytes) -> bool:
         """Take keys and answers, in their order; return whether there was a young line."""
         data, is_young, done = self._begun + data, False, 0
         for piece in _PIECES.finditer(data):

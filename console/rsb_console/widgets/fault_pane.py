@@ -108,7 +108,7 @@ class FaultLines(LiveLines):
         self._lay_out(self.size.width)
 
     def _lay_out(self, width: int) -> None:
-        self._heights.look(self._faults[: self._most], width, self._now)
+        self._heights.record(self._faults[: self._most], width, self._now)
         self._lines = fault_lines(self._faults, width, self._most, self._keys, self._heights)
         self.styles.height = len(self._lines)
 
@@ -120,7 +120,7 @@ class Heights:
         self._width = 0
         self._needed: dict[tuple[str, str, str], tuple[int, float]] = {}
 
-    def look(self, faults: list[Fault], width: int, now: float) -> None:
+    def record(self, faults: list[Fault], width: int, now: float) -> None:
         """Record how many lines faults need.
 
         Args:

@@ -46,7 +46,7 @@ def _read(make: Callable[[], protocol.Frames[Any]], data: bytes) -> None:
             for message in frames.feed(content[at : at + size]):
                 _check_same(make, message)
                 if isinstance(message, StateChange):
-                    receiver.take(message)
+                    receiver.receive(message)
     except ControlProtocolError:
         pass  # the connection ends
     if receiver.snapshot is not None:

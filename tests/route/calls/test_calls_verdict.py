@@ -115,7 +115,7 @@ def test_both_sides_show_the_same(sends: bool, trouble: Trouble, state: State) -
     far = judge_calls(CallsFacts(RouteStatus(sends=False, topic="/go"), unavailable=trouble))
     own, others = (near, far) if sends else (far, near)
     both = CombinedVerdict(sends=sends, peer_name="the other")
-    both.take(record_of(others), 0.0)
+    both.receive(record_of(others), 0.0)
     shown, from_peer = both.shown(own)
     assert (shown.state, shown.cause) == (state, trouble.cause)
     assert from_peer is sends

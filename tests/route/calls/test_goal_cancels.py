@@ -59,7 +59,7 @@ def make_route(make_context: Callable[..., Context]) -> Callable[..., ProvidingA
         for number in (1, 3):
             action.goals.asked(goal(number))
             action.answers.asked(CallIdentity(SEND_GOAL, goal(number)), number, frozenset())
-        route.arming.take("anna", context.now())
+        route.arming.arm_for_peer("anna", context.now())
         accept(route, 1)
         action.published(STATUS, [RawMessage(statuses((goal(1), "executing"), (goal(2), "executing")), 0)])
         return route

@@ -117,7 +117,7 @@ def test_an_old_goal_is_refused_however_it_was_held_up(make_context: Callable[..
     before, _ = lease.beat()
     lease.hear(1, 0)
     lease.beat()
-    route.arming.take("anna", context.now())
+    route.arming.arm_for_peer("anna", context.now())
     number, _ = lease.beat()
     lease.hear(2, number)
     assert refusal(number) is Refused.PROVIDER_GONE, "it may pass"
@@ -138,7 +138,7 @@ def test_what_is_armed_is_not_said_to_be_disarmed_while_the_link_is_silent(
     lease = route.arming.lease = LeaseHalf(context.clock.steady, RosTurns(), lambda: None)
     lease.begin()
     assert why_not_by_hand(route, context.now()) is Refused.DISARMED
-    route.arming.take("anna", context.now())
+    route.arming.arm_for_peer("anna", context.now())
     for newest in range(1, 3):  # the second shows that the other side knows that it is heard
         lease.hear(newest, lease.beat()[0])
     assert why_not_by_hand(route, context.now()) is None

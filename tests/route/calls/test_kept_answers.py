@@ -32,7 +32,7 @@ def asks(lane: int, number: int = 1) -> CallIdentity:
 def interrupted_after_asking(question: CallIdentity) -> KeptAnswers:
     """Call 1 made this side ask, under number 7; the link went at 100 s."""
     answers = KeptAnswers()
-    assert answers.take(question, 1, again=False) is AnswerAction.ASK
+    assert answers.decide(question, 1, again=False) is AnswerAction.ASK
     answers.asked(question, 7, SERVERS, 1)
     answers.is_over(1, 100.0)
     answers.interrupted(100.0)
@@ -61,7 +61,7 @@ def test_an_answer_that_came_while_the_link_was_down_is_there_when_it_is_asked_f
     assert answers.under_way
     assert answers.answered(lane, 7, answer, 110.0, linked=False) == (asks(lane), [])
     answers.expire(110.0 + INTERRUPTION - 1)
-    assert answers.take(asks(lane), 1, again=True) is AnswerAction.ANSWER
+    assert answers.decide(asks(lane), 1, again=True) is AnswerAction.ANSWER
     assert answers.answer(asks(lane)) == answer
     assert not answers.under_way
 
@@ -73,24 +73,24 @@ def test_an_answer_that_was_sent_is_kept_until_the_link_would_have_noticed_that_
     answers.expire(10.0 + SENT_KEPT - 1)
     answers.interrupted(10.0 + SENT_KEPT - 1)
     answers.expire(10.0 + INTERRUPTION)
-    assert answers.take(asks(GET_RESULT), 1, again=True) is AnswerAction.ANSWER
+    assert answers.decide(asks(GET_RESULT), 1, again=True) is AnswerAction.ANSWER
     answers.expire(10.0 + INTERRUPTION + 2 * SENT_KEPT)
-    assert answers.take(asks(GET_RESULT), 2, again=True) is AnswerAction.ASK
+    assert answers.decide(asks(GET_RESULT), 2, again=True) is AnswerAction.ASK
 
 
 def test_a_result_is_the_same_for_everybody() -> None:
     answers = KeptAnswers()
     answers.asked(asks(GET_RESULT), 7, SERVERS, 1)
-    assert answers.take(asks(GET_RESULT), 2, again=False) is AnswerAction.WAIT
+    assert answers.decide(asks(GET_RESULT), 2, again=False) is AnswerAction.WAIT
     assert answers.answered(GET_RESULT, 7, RESULT, 0.0, linked=True) == (asks(GET_RESULT), [1, 2])
-    assert answers.take(asks(GET_RESULT), 3, again=False) is AnswerAction.ANSWER
+    assert answers.decide(asks(GET_RESULT), 3, again=False) is AnswerAction.ANSWER
 
 
 @pytest.mark.parametrize("lane", [SEND_GOAL, CANCEL_GOAL])
 def test_a_new_call_goes_to_the_server_whatever_it_answered_before(lane: int) -> None:
     answers = interrupted_after_asking(asks(lane))
     answers.answered(lane, 7, goal_response(False), 101.0, linked=False)
-    assert answers.take(asks(lane), 1, again=False) is AnswerAction.ASK
+    assert answers.decide(asks(lane), 1, again=False) is AnswerAction.ASK
 
 
 def test_the_second_goal_of_an_id_does_not_hide_what_became_of_the_first() -> None:
@@ -100,7 +100,7 @@ def test_the_second_goal_of_an_id_does_not_hide_what_became_of_the_first() -> No
     answers.asked(asks(SEND_GOAL), 8, SERVERS)
     assert answers.answered(SEND_GOAL, 8, goal_response(False), 0.0, linked=True) is None
     answers.interrupted(0.0)
-    assert answers.take(asks(SEND_GOAL), 1, again=True) is AnswerAction.ANSWER
+    assert answers.decide(asks(SEND_GOAL), 1, again=True) is AnswerAction.ANSWER
     assert answers.answer(asks(SEND_GOAL)) == goal_response(True)
 
 
@@ -108,7 +108,7 @@ def test_that_a_server_does_not_know_a_goal_is_told_and_not_kept() -> None:
     answers = KeptAnswers()
     answers.asked(asks(GET_RESULT), 7, SERVERS, 1)
     assert answers.answered(GET_RESULT, 7, result_response("unknown"), 0.0, linked=True) == (asks(GET_RESULT), [1])
-    assert answers.take(asks(GET_RESULT), 2, again=True) is AnswerAction.ASK
+    assert answers.decide(asks(GET_RESULT), 2, again=True) is AnswerAction.ASK
 
 
 def test_a_new_server_is_asked_once_none_of_those_that_were_asked_is_left() -> None:
@@ -131,8 +131,8 @@ def test_a_client_that_was_closed_has_no_answers() -> None:
     answers.asked(asks(SEND_GOAL, 2), 8, SERVERS)
     answers.clients_closed()
     assert answers.to_ask(SERVERS) == [asks(GET_RESULT)]
-    assert answers.take(asks(SEND_GOAL), 1, again=True) is AnswerAction.ANSWER
-    assert answers.take(asks(SEND_GOAL, 2), 1, again=True) is AnswerAction.LOSE, "it may have come to the server"
+    assert answers.decide(asks(SEND_GOAL), 1, again=True) is AnswerAction.ANSWER
+    assert answers.decide(asks(SEND_GOAL, 2), 1, again=True) is AnswerAction.LOSE, "it may have come to the server"
     assert asks(CANCEL_GOAL) not in answers
 
 
@@ -146,7 +146,9 @@ def test_those_with_answers_are_forgotten_first(monkeypatch: pytest.MonkeyPatch)
     assert [asks(GET_RESULT, number) in answers for number in range(1, 5)] == [True, False, True, True]
     answers.asked(asks(GET_RESULT, 5), 5, SERVERS)
     assert [asks(GET_RESULT, number) in answers for number in range(1, 6)] == [False, False, True, True, True]
-    assert answers.take(asks(SEND_GOAL), 1, again=True) is AnswerAction.LOSE, "it may have been one of those forgotten"
+    assert answers.decide(asks(SEND_GOAL), 1, again=True) is AnswerAction.LOSE, (
+        "it may have been one of those forgotten"
+    )
 
 
 def test_what_calls_wait_for_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:

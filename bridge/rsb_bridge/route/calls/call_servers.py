@@ -323,7 +323,7 @@ class LocalServers:
         self._first_seen: dict[bytes, float] = {}
         self._timer: asyncio.TimerHandle | None = None
 
-    def look(self, services: Iterable[str], *, offered: bool) -> Trouble | None:
+    def find_trouble(self, services: Iterable[str], *, offered: bool) -> Trouble | None:
         """Return the trouble that keeps services from being offered here, or None.
 
         Args:

@@ -1,7 +1,7 @@
 """The callers' half of a route of calls: offers here what the other side provides, and answers callers.
 
 A call goes through `CallingRoute._asked` (from ROS), `_begin`, and the outbox to the channel. What the provider says of
-it comes to `_take`, and goes to ROS in `_answer_caller`, or ends the call in `_take_refusal`.
+it comes to `_receive`, and goes to ROS in `_answer_caller`, or ends the call in `_take_refusal`.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class LaneMessages:
         self._notices = notices
         self._kept: dict[int, bytes] = {}  # by lane
 
-    def take(self, lane: int, content: bytes) -> None:
+    def publish(self, lane: int, content: bytes) -> None:
         """Publish a message that came."""
         qos = self._members[lane].qos
         if qos is not None and qos.latched:
@@ -230,7 +230,7 @@ class CallingRoute(CallsRoute):
             return
         if self.channel is None:
             self.peer.open_channel(self)
-        self._look()
+        self._find_callers()
         lanes = self._to_offer()
         if not lanes:
             self._retry.clear()
@@ -240,7 +240,7 @@ class CallingRoute(CallsRoute):
             self._offer(lanes)
         self._verdict = None
 
-    def _look(self) -> None:
+    def _find_callers(self) -> None:
         """Find the callers, and what keeps it from being offered here."""
         ros, names = self.context.ros, self.local_names
         services = [name for member, name in zip(self.members, names, strict=True) if not member.is_topic]
@@ -250,7 +250,7 @@ class CallingRoute(CallsRoute):
         if entries := self._provided.lanes:
             self.type_name, self.type_hash = self.types.know(entries)
             self._warning = others_called(self.members, entries, names, callers)
-            self._unavailable = self._local_servers.look(services, offered=bool(self._reach))
+            self._unavailable = self._local_servers.find_trouble(services, offered=bool(self._reach))
             if self._unavailable is None and self.types.load(entries):
                 difference_from = partial(self._comparison.difference, self.compare_types, self.id)
                 self._unavailable = types_clash(ros, self.members, entries, names, callers, difference_from)
@@ -444,7 +444,7 @@ class CallingRoute(CallsRoute):
 
     # --- answers, from the channel to ROS
 
-    def _take(self, frame: CallFrame, *, readable: bool = True) -> None:
+    def _receive(self, frame: CallFrame, *, readable: bool = True) -> None:
         match frame.what:
             case What.MESSAGE:
                 if readable and self._malformed(frame, "") is None:
@@ -498,7 +498,7 @@ class CallingRoute(CallsRoute):
 
     def _take_message(self, frame: CallFrame) -> None:
         """Publish a message of a lane that is a topic."""
-        self._messages.take(frame.lane, frame.content)
+        self._messages.publish(frame.lane, frame.content)
 
     def _expired(self, number: int, call: CallerCall) -> None:
         self.calls.expired += 1

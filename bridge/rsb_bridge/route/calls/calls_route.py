@@ -92,7 +92,7 @@ class CallsRoute(Route):
         """Return whether a call or an answer, which is about to be sent, is still wanted."""
         raise NotImplementedError
 
-    def _take(self, frame: CallFrame, *, readable: bool = True) -> None:
+    def _receive(self, frame: CallFrame, *, readable: bool = True) -> None:
         """Handle a frame that came.
 
         Args:
@@ -235,7 +235,7 @@ class CallsRoute(Route):
                     return  # an earlier frame has ended the opening
                 frame = self._frame_of(message)
                 if not message[2] & ZSTD:
-                    self._take(frame)
+                    self._receive(frame)
                 elif self._unpacker.begin((frame.content, *message[1:])):
                     self._take_packed(frame)
                 else:
@@ -262,9 +262,9 @@ class CallsRoute(Route):
             content = self._unpacker.unpack(frame.content)
         except ExpandsTooMuchError as error:
             self.notices.message_error(EventCode.ROUTE_EXPANDS_TOO_MUCH, str(error))
-            self._take(frame, readable=False)
+            self._receive(frame, readable=False)
         else:
-            self._take(frame._replace(content=content))
+            self._receive(frame._replace(content=content))
 
     def _malformed(self, frame: CallFrame, part: str) -> Refused | None:
         """Return the reason why ROS may not get a frame's content, or None if it may.
@@ -315,7 +315,7 @@ class CallsRoute(Route):
     def reported(self, report: CallsReport) -> None:
         """Take the peer's counts and verdict."""
         self._report = report
-        self.judged.take(report.verdict, self.context.now())
+        self.judged.receive(report.verdict, self.context.now())
 
     def news(self) -> CallsReport | None:
         """Return the report that the peer has not been sent yet, or None if nothing is new."""

@@ -206,12 +206,12 @@ class KeptAnswers:
         return {question.about for question, kept in self._kept.items() if question.lane == GET_RESULT and kept.calls}
 
     def answer(self, question: CallIdentity) -> bytes:
-        """Return the kept answer to a question for which `take` returned `ANSWER`."""
+        """Return the kept answer to a question for which `decide` returned `ANSWER`."""
         answer = self._kept[question].answer
         assert answer is not None
         return answer
 
-    def take(self, question: CallIdentity, call: int, *, again: bool) -> AnswerAction:
+    def decide(self, question: CallIdentity, call: int, *, again: bool) -> AnswerAction:
         """Decide how to handle a call.
 
         A result does not change, so that one answer serves all calls for it. Other calls go to the server, unless the

@@ -127,10 +127,10 @@ class TypeComparison:
             self._compared, self._difference, self._comparing = versions, "", True
             here = messages_of(entry.type, installed)
             others = [each for each in messages_of(entry.type, entry.type_hash) if each not in here]
-            compare(route_id, others, self._take)
+            compare(route_id, others, self._compared_types)
         return (self._difference if versions == self._compared else "") or hashes_text(*versions)
 
-    def _take(self, difference: str) -> None:
+    def _compared_types(self, difference: str) -> None:
         self._comparing, self._difference = False, difference
         if difference or self._compared is None:  # in another opening, compare again
             self._found()

@@ -1,6 +1,6 @@
 """The providing half of a route of calls: finds who answers here, tells the peer, and calls them for its callers.
 
-A call comes from the channel to `ProvidingRoute._take`, and goes to ROS in `_call`. The server's response comes to
+A call comes from the channel to `ProvidingRoute._receive`, and goes to ROS in `_call`. The server's response comes to
 `_responded`, goes to the outbox in `_answer`, and ends the call in `_leaves`, once the channel takes it.
 """
 
@@ -90,7 +90,7 @@ class ProvidingRoute(CallsRoute):
             return
         if self.channel is None:
             self.peer.open_channel(self)
-        self._look()
+        self._find_servers()
         entries = self._provision.entries
         if not entries or all(self.held(lane) for lane in range(len(self.members))):
             self._retry.clear()
@@ -107,7 +107,7 @@ class ProvidingRoute(CallsRoute):
         self.flush()
         self._verdict = None
 
-    def _look(self) -> None:
+    def _find_servers(self) -> None:
         """Find the servers that may be called, and what is wrong with them."""
         self._provision = found = self._find()
         self.endpoints = found.servers
@@ -221,7 +221,7 @@ class ProvidingRoute(CallsRoute):
 
     # --- calls, from the channel to ROS
 
-    def _take(self, frame: CallFrame, *, readable: bool = True) -> None:
+    def _receive(self, frame: CallFrame, *, readable: bool = True) -> None:
         if frame.what not in self.come_as:
             raise from_wrong_side(frame)
         if frame.call <= self._highest:

@@ -204,7 +204,7 @@ class ProvidingActionRoute(ProvidingRoute):
 
     def _take_question(self, question: CallIdentity, frame: CallFrame) -> None:
         """Answer a call from the kept answers, have it wait for one, refuse it, or ask the server."""
-        todo = self.action.answers.take(question, frame.call, again=frame.what is What.AGAIN)
+        todo = self.action.answers.decide(question, frame.call, again=frame.what is What.AGAIN)
         if todo is AnswerAction.ASK and frame.lane == GET_RESULT:
             # First: if ROS refuses the question, this call is refused.
             self._add(frame)

@@ -265,7 +265,7 @@ class ZenohEndpoint:
         if stream == _DATAGRAM:
             if sender in self._peers and length <= DATAGRAM:
                 content = payload.to_bytes()
-                self._within_budget(length, lambda: self._take_datagram(sender, content))
+                self._within_budget(length, lambda: self._receive_datagram(sender, content))
             return
         end = self._streams.get((sender, stream))
         if end is None and not (_ADDRESS.fullmatch(sender) and _ADDRESS.fullmatch(stream)):
@@ -277,7 +277,7 @@ class ZenohEndpoint:
             return
         header, content = attachment.to_bytes(), payload.to_bytes()
         # A stream notices losses by the samples' numbers.
-        take = partial(self._take, sender, stream, header, content)
+        take = partial(self._receive, sender, stream, header, content)
         if end is not None and end.trusted:
             # Here, if the loop waits. A link's own messages may end the session, which waits for this thread.
             if end.of_link or self._arrivals or self._do_now is None or not self._do_now(take):
@@ -350,11 +350,11 @@ class ZenohEndpoint:
         self._strangers.give(each.size)
         each.work()
 
-    def _take_datagram(self, sender: str, payload: bytes) -> None:
+    def _receive_datagram(self, sender: str, payload: bytes) -> None:
         if self.on_datagram is not None:
             self.on_datagram(sender, payload)
 
-    def _take(self, sender: str, stream: str, attachment: bytes, payload: bytes) -> None:
+    def _receive(self, sender: str, stream: str, attachment: bytes, payload: bytes) -> None:
         header = Header.unpack(attachment)
         if header is None:
             return
