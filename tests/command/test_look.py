@@ -49,7 +49,7 @@ class Engine:
     def __init__(self, *answers: Viewed | Exception) -> None:
         self._answers = list(answers)
 
-    def look(self, *_: Any) -> Future[Viewed]:
+    def next_picture(self, *_: Any) -> Future[Viewed]:
         future: Future[Viewed] = Future()
         if self._answers:
             answer = self._answers.pop(0)

@@ -198,7 +198,7 @@ def test_datagrams_that_the_network_drops_are_in_the_ledger(
     qos = {"depth": 500, "reliability": "best_effort"}
     server, client = bridge.both(Topic("/drop", "transmit", qos=qos), **over(router))
     carries([out], server, ["/drop"])
-    take, count = replaced.ZENOH_TAKE_DATAGRAM.value, [0]
+    take, count = replaced.ZENOH_RECEIVE_DATAGRAM.value, [0]
 
     def lossy(self: endpoints.ZenohEndpoint, sender: str, payload: bytes) -> None:
         if self._service == "server" and len(payload) > 500:
@@ -207,7 +207,7 @@ def test_datagrams_that_the_network_drops_are_in_the_ledger(
                 return
         take(self, sender, payload)
 
-    replaced.ZENOH_TAKE_DATAGRAM.set(monkeypatch, lossy)
+    replaced.ZENOH_RECEIVE_DATAGRAM.set(monkeypatch, lossy)
     for number in range(301):
         out.publish(text(f"{number}" + " " * 800))
         eventually(lambda number=number: count[0] > number)  # one datagram each, so that the loss can be computed
@@ -224,7 +224,7 @@ def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
     there, out = pc.listener("/odom"), robot.publisher("/odom")
     server, client = bridge.both(Topic("/odom", "transmit", qos={"depth": 100}), **over(router))
     carries([out], server, ["/odom"])
-    take = replaced.ZENOH_TAKE.value
+    take = replaced.ZENOH_RECEIVE.value
     lost: list[str] = []
 
     def lossy(self: endpoints.ZenohEndpoint, sender: str, stream: str, attachment: bytes, payload: bytes) -> None:
@@ -233,7 +233,7 @@ def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
             return
         take(self, sender, stream, attachment, payload)
 
-    replaced.ZENOH_TAKE.set(monkeypatch, lossy)
+    replaced.ZENOH_RECEIVE.set(monkeypatch, lossy)
     for number in range(3):
         out.publish(text(str(number) * 60_000))
     eventually(lambda: lost)

@@ -120,13 +120,13 @@ class ActionInvariants:
     @contextlib.contextmanager
     def tapped(self) -> Iterator[None]:
         """Watch the messages that reach the servers' engines over the links."""
-        take = replaced.PROVIDER_TAKE.value
+        take = replaced.PROVIDER_RECEIVE.value
 
         def tap(route: ProvidingRoute, frame: CallFrame, *, readable: bool = True) -> None:
             self._came(route, frame)
             take(route, frame, readable=readable)
 
-        with replaced.PROVIDER_TAKE.during(tap):
+        with replaced.PROVIDER_RECEIVE.during(tap):
             yield
 
     def _came(self, route: ProvidingRoute, frame: CallFrame) -> None:

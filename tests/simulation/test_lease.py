@@ -519,7 +519,7 @@ async def _at_once(self: Settling) -> None:
     """Replace `Settling.wait` by a form that does not wait."""
 
 
-_look = replaced.LEASE_LOOK.value
+_look = replaced.LEASE_END.value
 _marked = Marker.marked
 _ALIVE = property(lambda self: self._on)
 

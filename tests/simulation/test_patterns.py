@@ -187,7 +187,7 @@ def test_many_patterns_cost_nothing_while_nothing_changes(yard: Yard) -> None:
     yard.publish(*(f"/group{n % 20}/t{n}" for n in range(500)))
     matched: list[str] = []
     looks: list[float] = []
-    match, look = Pattern.match, replaced.NAMES_LOOK.value
+    match, look = Pattern.match, replaced.NAMES_SEARCH.value
 
     def note_match(self: Pattern, name: str) -> tuple[str, ...] | None:
         matched.append(name)
@@ -209,5 +209,5 @@ def test_many_patterns_cost_nothing_while_nothing_changes(yard: Yard) -> None:
         await until(lambda: yard.patterns()[-1].routes == 26, _SEEN)
         assert set(matched) == {"/group0/new", "/another"}
 
-    with patch.object(Pattern, "match", note_match), replaced.NAMES_LOOK.during(note_look):
+    with patch.object(Pattern, "match", note_match), replaced.NAMES_SEARCH.during(note_look):
         yard.world.play(life=yard.live(live()))

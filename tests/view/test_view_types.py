@@ -28,7 +28,7 @@ from rsb_bridge.view.drawing import Drawn, View, text
 class KeyView(View):
     said = ""
 
-    def take(self, received):
+    def receive(self, received):
         self.said = text(received.message, "key")
 
     def draw(self, wish):
