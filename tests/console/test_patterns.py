@@ -117,6 +117,15 @@ def test_topics_of_one_way_stay_together_where_it_sorts_the_table() -> None:
 
 
 @on_main()
+async def test_a_link_shows_its_own_patterns_only(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    with_pattern(app)
+    put(app, links=(*app.snapshot().links, replace(LINK, name="robot2")))
+    await pilot.press("c", "j", "enter")
+    await shown(pilot, "Link robot2")
+    await shown(pilot, "Nothing is bridged over this link.")
+
+
+@on_main()
 async def test_both_names_are_this_side_s_and_the_other_s(app: ConsoleApp, pilot: Pilot[None]) -> None:
     with_pattern(app)
     now = app.snapshot()

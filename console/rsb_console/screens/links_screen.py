@@ -181,7 +181,9 @@ class LinkScreen(ModalScreen[None]):
             self.dismiss()
             return
         self.detail.show(link, server=now.role == "server")
-        self.topics.show(replace(now, routes=tuple(route for route in now.routes if route.link == self._name)))
+        # Patterns stand with their links; and if there are several, the table names the peer of each topic.
+        routes = tuple(route for route in now.routes if route.link == self._name)
+        self.topics.show(replace(now, routes=routes, links=(link,)))
         self.topics.explain("Nothing is bridged over this link.")
         self.topics.styles.height = min(self.topics.line_count + 1, max(3, self.size.height // 2))
 
