@@ -178,7 +178,9 @@ class LinkScreen(ModalScreen[None]):
         now = self.console.snapshot()
         link = next((link for link in now.links if link.name == self._name), None)
         if link is None:
-            self.dismiss()
+            # Textual closes the screen on top, which may be the help.
+            if self.is_active:
+                self.dismiss()
             return
         self.detail.show(link, server=now.role == "server")
         # Patterns stand with their links; and if there are several, the table names the peer of each topic.
