@@ -64,7 +64,8 @@ def number(value: float) -> str:
         return "0"
     if 1e-3 <= abs(value) < 1e5:
         return f"{value:.4g}"
-    return f"{value:.2e}"
+    # Without the plus, the largest numbers have no more characters than a small negative one.
+    return f"{value:.2e}".replace("e+", "e")
 
 
 def _range(series: Series) -> tuple[float, float]:
