@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from typing import TYPE_CHECKING, Any
 
 from textual import work
 
 from rsb_console.actions import FLEET_ACTIONS
-from rsb_console.app import LOCAL_RATE, REFRESH_RATES, SSH_RATE, ConsoleApp
+from rsb_console.app import REFRESH_RATES, SSH_RATE, ConsoleApp
 from rsb_console.screens.fleet_screen import FleetScreen
 from rsb_console.screens.main import MODES, MainScreen
 from rsb_console.terminal.input_queue import DIALOG
@@ -53,7 +52,7 @@ class FleetApp(TerminalApp["Robot"]):
         super().__init__(readonly=readonly, ascii_only=ascii_only, theme=theme, config=config)
         self._after_quit = after_quit
         self.main = FleetScreen(self, fleet, view, self._open, self._change_rate)
-        self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else min(LOCAL_RATE, 2.0)
+        self.refresh_rate = SSH_RATE
 
     def get_default_screen(self) -> Screen[Any]:
         return self.main

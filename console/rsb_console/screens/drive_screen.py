@@ -220,10 +220,9 @@ class Steering:
             self._forward_until = self._left_until = 0.0
             return
         forward, left = _WAYS[key]
-        letters = bool(forward and left)
-        if forward or letters:
+        if forward:
             self._forward, self._forward_until = forward, now + _KEY_LASTS
-        if left or letters:
+        if left:
             self._left, self._left_until = left, now + _KEY_LASTS
 
     def _is_held(self, key: str, now: float) -> bool:

@@ -79,7 +79,7 @@ class LiveLines(ScrollView):
         self.measure_lines()
         self._measure()
         width = self.width
-        for y, (old, was_cursor) in list(self._drawn.items()):
+        for y, (old, was_cursor) in self._drawn.items():
             new, cursor = self._make(y)
             if cursor != was_cursor:
                 self.refresh(Region(0, y, width, 1))
