@@ -90,7 +90,7 @@ async def test_a_pattern_has_no_figures(
     monkeypatch.chdir(tmp_path)
     with_pattern(app)
     await until(pilot, lambda: "/aa/**" in listed(app), "the pattern")
-    app.main.topics.sort_column = next(column for column in COLUMNS if column.title == "HZ/EXP")
+    app.main.topics.order.column = next(column for column in COLUMNS if column.title == "HZ/EXP")
     app.main.topics.relist()
     assert listed(app)[-1] == "/aa/**"
     rows = list(csv.DictReader(export_topics(app.main.topics.listed).read_text().splitlines()))
