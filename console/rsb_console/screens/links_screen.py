@@ -20,7 +20,7 @@ from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.columns import state_order
 from rsb_console.widgets.detail_parts import acknowledged_by
 from rsb_console.widgets.fault_pane import link_fault
-from rsb_console.widgets.lines import Line, LiveLines, fit
+from rsb_console.widgets.lines import FixedLines, Line, fit
 from rsb_console.widgets.selectable_list import SelectableList
 from rsb_console.widgets.topics import TopicsTable
 
@@ -94,28 +94,17 @@ class LinksTable(SelectableList):
         )
 
 
-class LinkDetail(LiveLines, can_focus=False):
+class LinkDetail(FixedLines):
     """The facts without a column: the reason why it is down, the key, the other side."""
 
     def __init__(self) -> None:
         super().__init__(id="link-detail")
         self._link: LinkSnapshot | None = None
         self._server = False
-        self._lines: list[Line] = []
-
-    @property
-    def line_count(self) -> int:
-        """Number of lines of the detail."""
-        return len(self._lines)
-
-    def line(self, index: int) -> Line:
-        return fit(self._lines[index], self.size.width)
 
     def show(self, link: LinkSnapshot | None, *, server: bool) -> None:
         self._link, self._server = link, server
-        self._lines = [] if link is None else list(_detail(link, self.size.width, server=server))
-        self.styles.height = len(self._lines)
-        self.sync()
+        self.put([] if link is None else list(_detail(link, self.size.width, server=server)))
 
     def on_resize(self) -> None:
         self.show(self._link, server=self._server)

@@ -13,7 +13,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_console.look import formats
 from rsb_console.look.glyphs import ACK_WORD, KNOWN, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.columns import HISTORY, WIDE
-from rsb_console.widgets.lines import LiveLines, fit
+from rsb_console.widgets.lines import FixedLines, fit
 from rsb_console.widgets.sorted_table import Column, Order, SortedTable, filled
 
 if TYPE_CHECKING:
@@ -372,21 +372,11 @@ def _unheard(summaries: Sequence[RobotSummary]) -> Line:
     return ((text, State.UNHEARD.value),) if count else ()
 
 
-class FleetStatus(LiveLines):
+class FleetStatus(FixedLines):
     """The number of robots in each state, and below it each source without data."""
-
-    can_focus = False
 
     def __init__(self) -> None:
         super().__init__(id="fleet-status")
-        self._lines: Sequence[Line] = ()
-
-    @property
-    def line_count(self) -> int:
-        return len(self._lines)
-
-    def line(self, index: int) -> Line:
-        return fit(self._lines[index], self.width)
 
     def show(self, table: FleetTable, fleet: RobotFleet, *, readonly: bool) -> None:
         """Show the state of all robots, even if the filter hides some."""
@@ -415,27 +405,16 @@ class FleetStatus(LiveLines):
         problems = [
             (("  ✗ ", "down"), (f"{source.name}: {source.problem}", "")) for source in fleet.sources if source.problem
         ]
-        self._lines = [first, *problems]
-        self.styles.height = len(self._lines)
-        self.sync()
+        self.put([first, *problems])
 
 
-class RobotDetail(LiveLines):
+class RobotDetail(FixedLines):
     """Details for which the table has no room: the cause, and the source of the figures."""
 
-    can_focus = False
     LINES = 4
 
     def __init__(self) -> None:
         super().__init__(id="robot-detail", classes="pane")
-        self._lines: list[Line] = []
-
-    @property
-    def line_count(self) -> int:
-        return len(self._lines)
-
-    def line(self, index: int) -> Line:
-        return fit(self._lines[index], self.width)
 
     def show(self, title: str, rows: Sequence[RobotRow]) -> None:
         """Show a robot, or the faulty robots of a group.
@@ -449,9 +428,10 @@ class RobotDetail(LiveLines):
         else:
             wrong = [row for row in rows if row.robot.summary.state.is_wrong]
             well = ((" nothing is wrong" if rows else "", ""), *_unheard([row.robot.summary for row in rows]))
-            self._lines = [_in_a_line(row) for row in wrong[: self.LINES]] or [well]
+            lines = [_in_a_line(row) for row in wrong[: self.LINES]] or [well]
             if len(wrong) > self.LINES:
-                self._lines[-1] = ((f" and {len(wrong) - self.LINES + 1} more", "dim"),)
+                lines[-1] = ((f" and {len(wrong) - self.LINES + 1} more", "dim"),)
+            self._lines = lines
         self.entitle(f" {title} " if title else "")
         self.sync()
 
