@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     Serve = Callable[[EngineApi, Session, Path | None], tuple[ControlServer | None, RunningBridge | None]]
 
 T = TypeVar("T")
-REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
 LOCAL_RATE, SSH_RATE = 4.0, 2.0
 """500 topics take 4 ms and up to 10 kB a refresh (docs/design.md, 9). Over SSH half as often: the line may be slow."""
 RINGS_EVERY = 10.0
@@ -129,7 +128,7 @@ class ConsoleApp(TerminalApp[None]):
         """Report problems of the preferences and start the session, after the first picture."""
         self.tell_problems()
         # Not earlier: the first picture waits for no engine.
-        self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
+        self.begin_pulling()
         if self._attach_to is not None:
             self._attach_to_bridge(self._attach_to)
         elif self._session is not None:
@@ -319,14 +318,6 @@ class ConsoleApp(TerminalApp[None]):
         gives = await self.ask(HandOverScreen(self, route))
         if gives is not None and self.engine is not None:
             await self.command(self.engine.answer_asker(route.key, gives=gives))
-
-    def change_refresh_rate(self, step: int) -> None:
-        index = REFRESH_RATES.index(self.refresh_rate) + step
-        self.refresh_rate = REFRESH_RATES[max(0, min(len(REFRESH_RATES) - 1, index))]
-        # Textual cannot change the interval of a timer.
-        self._pulling.stop()
-        self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
-        self.pull()
 
     # --- actions
 

@@ -44,10 +44,12 @@ class ConsoleShell(Protocol):
     Attributes:
         preferences: the user's themes and keys.
         config: the folder that those are in.
+        refresh_rate: Hz.
     """
 
     preferences: Preferences
     config: Path
+    refresh_rate: float
 
     @property
     def readonly(self) -> bool:
@@ -74,6 +76,14 @@ class ConsoleShell(Protocol):
         """Return the keys of an action, as written on a keyboard."""
         ...
 
+    def pull(self) -> None:
+        """Show the present state now."""
+        ...
+
+    def change_refresh_rate(self, step: int) -> None:
+        """Refresh faster or slower by so many steps."""
+        ...
+
 
 class Console(ConsoleShell, Protocol):
     """One engine under one session, shown by one app.
@@ -98,7 +108,6 @@ class Console(ConsoleShell, Protocol):
     temporary: bool
     attached_to: str
     note: str
-    refresh_rate: float
     changes: Changes
 
     # --- the session
@@ -156,14 +165,6 @@ class Console(ConsoleShell, Protocol):
     @property
     def deadman(self) -> OperatorWatch:
         """The proof to the engine that the operator watches what is armed."""
-        ...
-
-    def pull(self) -> None:
-        """Show the engine's present state now."""
-        ...
-
-    def change_refresh_rate(self, step: int) -> None:
-        """Refresh faster or slower by so many steps."""
         ...
 
     def request_quit(self) -> None:

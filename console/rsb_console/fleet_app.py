@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from typing import TYPE_CHECKING, Any
 
 from textual import work
 
 from rsb_console.actions import FLEET_ACTIONS
-from rsb_console.app import LOCAL_RATE, REFRESH_RATES, SSH_RATE, ConsoleApp
+from rsb_console.app import SSH_RATE, ConsoleApp
 from rsb_console.screens.fleet_screen import FleetScreen
 from rsb_console.screens.main import MODES, MainScreen
 from rsb_console.terminal.input_queue import DIALOG
@@ -52,26 +51,20 @@ class FleetApp(TerminalApp["Robot"]):
     ) -> None:
         super().__init__(readonly=readonly, ascii_only=ascii_only, theme=theme, config=config)
         self._after_quit = after_quit
-        self.main = FleetScreen(self, fleet, view, self._open, self._change_rate)
-        self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else min(LOCAL_RATE, 2.0)
+        self.main = FleetScreen(self, fleet, view, self._open)
+        self.refresh_rate = SSH_RATE
 
     def get_default_screen(self) -> Screen[Any]:
         return self.main
 
     def on_ready(self) -> None:
         self.tell_problems()
-        self._pulling = self.set_interval(1 / self.refresh_rate, self._pull)
-        self._pull()
+        self.begin_pulling()
+        self.pull()
 
-    def _pull(self) -> None:
+    def pull(self) -> None:
         if self.screen_stack:
             self.main.show()
-
-    def _change_rate(self, step: int) -> None:
-        index = REFRESH_RATES.index(self.refresh_rate) + step
-        self.refresh_rate = REFRESH_RATES[max(0, min(len(REFRESH_RATES) - 1, index))]
-        self._pulling.stop()
-        self._pulling = self.set_interval(1 / self.refresh_rate, self._pull)
 
     def _open(self, robot: Robot) -> None:
         self.exit(robot)

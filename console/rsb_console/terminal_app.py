@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from textual.screen import Screen
 
 T = TypeVar("T")
+REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
 
 
 class TerminalApp(App[ReturnType]):
@@ -45,6 +46,7 @@ class TerminalApp(App[ReturnType]):
     BINDINGS = bindings(Group.CONSOLE)
     COMMANDS: ClassVar = {ActionsProvider}
     actions: Sequence[Action] = ACTIONS
+    refresh_rate: float
 
     def __init__(
         self,
@@ -115,6 +117,23 @@ class TerminalApp(App[ReturnType]):
 
     def key_labels(self, action: Action) -> list[str]:
         return self.preferences.key_labels(action, ascii_only=self.ascii_only)
+
+    # --- refreshing
+
+    def pull(self) -> None:
+        raise NotImplementedError
+
+    def begin_pulling(self) -> None:
+        """Call `pull` as often as `refresh_rate` says, from now on."""
+        self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
+
+    def change_refresh_rate(self, step: int) -> None:
+        index = REFRESH_RATES.index(self.refresh_rate) + step
+        self.refresh_rate = REFRESH_RATES[max(0, min(len(REFRESH_RATES) - 1, index))]
+        # Textual cannot change the interval of a timer.
+        self._pulling.stop()
+        self.begin_pulling()
+        self.pull()
 
     # --- actions
 

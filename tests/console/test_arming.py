@@ -27,7 +27,8 @@ from rsb_bridge.control.protocol import RequestProblem
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
 from rsb_bridge.model.velocity_limits import VelocityLimits
-from rsb_console.screens.take_over import HandOverText
+from rsb_console.screens.help import HelpScreen
+from rsb_console.screens.take_over import HandOverScreen, HandOverText
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -115,6 +116,21 @@ async def test_a_question_that_is_over_is_gone(app: ConsoleApp, pilot: Pilot[Non
     put(app, DISARMED)
     await gone(pilot, title)
     assert engine_of(app).commands == []
+
+
+@on_main()
+async def test_a_question_that_is_over_closes_no_screen_above_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    title = HandOverText.GIVE(topic="/cmd_vel", link="robot1")
+    put(app, asked())
+    await shown(pilot, title)
+    question = app.screen
+    assert isinstance(question, HandOverScreen)
+    await pilot.press("question_mark")
+    put(app, DISARMED)
+    question.show()
+    assert isinstance(app.screen, HelpScreen)
+    await pilot.press("escape")
+    await gone(pilot, title)
 
 
 @on_main()

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import os
 import re
 import shutil
 import sys
+import weakref
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -559,6 +561,18 @@ def test_the_console_on_a_robot_shows_that_one_and_leaves_with_escape(machine: M
     asyncio.run(run())
     app.stop()
     assert app.return_value is None
+
+
+def test_the_console_on_a_robot_leaves_no_memory_behind() -> None:
+    async def run() -> weakref.ref[RobotApp]:
+        app = RobotApp(SESSION, None, config=NOWHERE, theme="dark", make_engine=ScriptedEngine)
+        async with app.run_test(size=NARROW):
+            await shown(Pilot(app), "/robot1/scan")
+        return weakref.ref(app)
+
+    app = asyncio.run(run())
+    gc.collect()
+    assert app() is None
 
 
 # --- pictures, and a terminal

@@ -13,6 +13,7 @@ from tests.console.driving import (
     form_of,
     gone,
     on_main,
+    put,
     shown,
     text,
     until,
@@ -27,8 +28,9 @@ from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import State
 from rsb_console.app import ConsoleApp
+from rsb_console.screens.help import HelpScreen
 from rsb_console.screens.keys_screen import KeyText, key_files
-from rsb_console.screens.links_screen import LinkText
+from rsb_console.screens.links_screen import LinkScreen, LinkText
 from rsb_console.session.saving import PathProblem
 
 # -- keys ------------------------------------------------------------------------------------------------------------
@@ -174,6 +176,20 @@ async def test_a_link_in_the_clear_stands_out(app: ConsoleApp, pilot: Pilot[None
     await shown(pilot, "key          ")
     key_line = next(line for line in text(app).splitlines() if "key          " in line)
     assert "NOT ENCRYPTED" in key_line
+
+
+@on_main()
+async def test_a_link_that_goes_closes_its_screen_and_none_above_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("c", "enter")
+    await shown(pilot, "Link robot1")
+    link = app.screen
+    assert isinstance(link, LinkScreen)
+    await pilot.press("question_mark")
+    put(app, links=())
+    link.show()
+    assert isinstance(app.screen, HelpScreen)
+    await pilot.press("escape")
+    await gone(pilot, "Link robot1")
 
 
 # -- Bluetooth -------------------------------------------------------------------------------------------------------

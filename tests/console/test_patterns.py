@@ -90,7 +90,7 @@ async def test_a_pattern_has_no_figures(
     monkeypatch.chdir(tmp_path)
     with_pattern(app)
     await until(pilot, lambda: "/aa/**" in listed(app), "the pattern")
-    app.main.topics.sort_column = next(column for column in COLUMNS if column.title == "HZ/EXP")
+    app.main.topics.order.column = next(column for column in COLUMNS if column.title == "HZ/EXP")
     app.main.topics.relist()
     assert listed(app)[-1] == "/aa/**"
     rows = list(csv.DictReader(export_topics(app.main.topics.listed).read_text().splitlines()))
@@ -114,6 +114,15 @@ def test_topics_of_one_way_stay_together_where_it_sorts_the_table() -> None:
     ways = [("bluetooth", 10), ("tcp", 9003), ("tcp", 9001), ("bluetooth", 2), ("tcp", 9003)]
     rows = sorted((route("/a", transport=name, port=port) for name, port in ways), key=way.order)
     assert [row.port for row in rows] == [2, 10, 9001, 9003, 9003]
+
+
+@on_main()
+async def test_a_link_shows_its_own_patterns_only(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    with_pattern(app)
+    put(app, links=(*app.snapshot().links, replace(LINK, name="robot2")))
+    await pilot.press("c", "j", "enter")
+    await shown(pilot, "Link robot2")
+    await shown(pilot, "Nothing is bridged over this link.")
 
 
 @on_main()

@@ -15,7 +15,7 @@ from tests.view.samples import drawn, task
 from rsb_bridge.model.pictures import Curve, Picture, Series, Wish, decode_picture, encode_picture
 from rsb_bridge.view.plots import VALUES, PlotProblem, PlotView
 from rsb_bridge.view.worker import Artist
-from rsb_console.look.plot_lines import plot_rows
+from rsb_console.look.plot_lines import AXIS, plot_rows
 
 WISH = Wish(width=20, height=10, how="plot", seconds=10.0)
 
@@ -93,6 +93,11 @@ def test_rows_fit_the_window(width: int, height: int) -> None:
     assert len(rows) <= height
     if width >= 20:
         assert all(sum(len(text) for text, _ in row) <= width for row in rows)
+
+
+def test_labels_of_large_values_leave_the_axis_straight() -> None:
+    *rows, _axis, _times, _legend = plot_rows(Series(0.0, 1.0, (Curve("a", (-3e200,), (3e200,)),)), 40, 24)
+    assert {len(row[0][0]) for row in rows} == {AXIS - 1}
 
 
 @pytest.mark.parametrize("value", [1.7e308, -1.7e308, math.inf, math.nan, 5e-324])

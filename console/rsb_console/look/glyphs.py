@@ -37,7 +37,7 @@ KNOWN, ACK_WORD = "a", "ack"
 """Mark of an acknowledged fault."""
 OUT, IN = "→", "←"
 DONE, FAILED, UNKNOWN, UNDER_WAY = "✓", "✗", "·", "▸"
-BARS = " ▁▂▃▄▅▆▇█"
+BARS = " ▁▂▃▄▅▆▇"
 
 # Dots of a braille cell (Unicode block 2800), column by column from the bottom up.
 _DOTS = ((0x40, 0x04, 0x02, 0x01), (0x80, 0x20, 0x10, 0x08))
@@ -48,7 +48,7 @@ def sparkline(values: Sequence[float], width: int, top: float = 0.0) -> str:
 
     Args:
         width: cells.
-        top: the value of a full bar, unless one of `values` is larger.
+        top: the value of the highest bar, unless one of `values` is larger.
     """
     shown = values[-width:]
     top = max(top, *shown, 0.0) if shown else 0.0
@@ -60,7 +60,7 @@ def _level(value: float, top: float) -> int:
     if value <= 0 or top <= 0:
         return 0
     # At least the lowest bar: a little must not look like nothing.
-    return max(1, min(8, round(7 * value / top)))
+    return max(1, round((len(BARS) - 1) * value / top))
 
 
 def braille_plot(values: Sequence[float], width: int, height: int, top: float) -> list[str]:

@@ -19,7 +19,7 @@ AXIS = 10
 """Cells of the labels of values, with the axis: a label such as -1.23e-05 has nine."""
 _TICK_ROWS, _TICK_COLUMNS = 4, 16
 """Least rows and columns from one label to the next. A label of time takes up to eleven columns."""
-_STEPS = (1, 2, 5, 10)
+_STEPS = (1, 2, 5)
 
 
 def plot_rows(series: Series, width: int, height: int, *, cursor: int | None = None) -> list[Parts]:
@@ -64,7 +64,8 @@ def number(value: float) -> str:
         return "0"
     if 1e-3 <= abs(value) < 1e5:
         return f"{value:.4g}"
-    return f"{value:.2e}"
+    # Without the plus, the largest numbers have no more characters than a small negative one.
+    return f"{value:.2e}".replace("e+", "e")
 
 
 def _range(series: Series) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from textual.screen import ModalScreen
 
 from rsb_bridge.bluetooth.scan import ANY_ADAPTER, Adapter, ChannelUse, Device, Scan, held_channels, scan
 from rsb_console.widgets.form import Notice
-from rsb_console.widgets.lines import Line, LiveLines, fit
+from rsb_console.widgets.lines import FixedLines, Line, fit
 from rsb_console.widgets.selectable_list import SelectableList
 
 if TYPE_CHECKING:
@@ -71,28 +71,17 @@ class Machines(SelectableList):
         )
 
 
-class Channels(LiveLines, can_focus=False):
+class Channels(FixedLines):
     """Channels 1-30 of each adapter: free, busy, or this bridge's own."""
 
     def __init__(self) -> None:
         super().__init__(id="channels")
         self.display = False
-        self._lines: list[Line] = []
-
-    @property
-    def line_count(self) -> int:
-        """Number of lines: two for each adapter, and the legend."""
-        return len(self._lines)
-
-    def line(self, index: int) -> Line:
-        return self._lines[index]
 
     def show(self, found: Scan) -> None:
         """Show the channels that were tried."""
-        self._lines = list(_channel_lines(found)) if found.channels else []
-        self.styles.height = len(self._lines)
-        self.display = bool(self._lines)
-        self.sync()
+        self.display = bool(found.channels)
+        self.put(list(_channel_lines(found)) if found.channels else [])
 
 
 def _channel_lines(found: Scan) -> Iterator[Line]:

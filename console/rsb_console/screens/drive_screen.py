@@ -115,7 +115,7 @@ class DriveText(Wording):
     NOT_DRIVEN = "{topic} cannot be driven: set arm: true on the topic first (e), and leave max_age as it is"
 
 
-def known_type(route: RouteSnapshot) -> str:
+def full_type(route: RouteSnapshot) -> str:
     """Return the full name of a route's type, or an empty string if nobody on this side knows it."""
     if route.type_name or route.spec.type == "auto":
         return route.type_name
@@ -128,7 +128,7 @@ def why_not_driven(route: RouteSnapshot, type_name: str = "") -> str:
     Args:
         type_name: the type, if the route does not know it.
     """
-    type_name = known_type(route) or type_name
+    type_name = full_type(route) or type_name
     if type_name not in (TWIST, TWIST_STAMPED):
         return DriveText.OTHER_TYPE(topic=route.topic, type_name=type_name or "unknown")
     if route.arming is None or not route.max_age:
@@ -170,7 +170,7 @@ async def drive(console: Console, route: RouteSnapshot) -> None:
 
     Only from a worker.
     """
-    type_name = known_type(route)
+    type_name = full_type(route)
     if not type_name and console.engine is not None:
         with contextlib.suppress(EngineError):  # then the reason names what is missing
             type_name = (await asyncio.wrap_future(console.engine.draft_message(route.topic))).type_name
@@ -220,10 +220,9 @@ class Steering:
             self._forward_until = self._left_until = 0.0
             return
         forward, left = _WAYS[key]
-        letters = bool(forward and left)
-        if forward or letters:
+        if forward:
             self._forward, self._forward_until = forward, now + _KEY_LASTS
-        if left or letters:
+        if left:
             self._left, self._left_until = left, now + _KEY_LASTS
 
     def _is_held(self, key: str, now: float) -> bool:

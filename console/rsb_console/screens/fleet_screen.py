@@ -35,7 +35,6 @@ class FleetScreen(Screen[None]):
     Args:
         view: the operator's settings of the table, from here or a screen before.
         open_robot: opens the console on one.
-        change_rate: refreshes faster or slower by so many steps.
     """
 
     BINDINGS = bindings(Group.FLEET, Group.VIEW, actions=FLEET_ACTIONS)
@@ -43,16 +42,11 @@ class FleetScreen(Screen[None]):
     VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short")]  # noqa: RUF012 -- Textual declares it without ClassVar
 
     def __init__(
-        self,
-        console: ConsoleShell,
-        fleet: RobotFleet,
-        view: FleetView,
-        open_robot: Callable[[Robot], None],
-        change_rate: Callable[[int], None],
+        self, console: ConsoleShell, fleet: RobotFleet, view: FleetView, open_robot: Callable[[Robot], None]
     ) -> None:
         super().__init__()
         self.console, self.fleet, self.view = console, fleet, view
-        self._open, self._change_rate = open_robot, change_rate
+        self._open = open_robot
         self.status, self.table, self.detail = FleetStatus(), FleetTable(view), RobotDetail()
         self.prompt, self.key_bar = Prompt("state: robot: group: why:"), KeyBar()
         self._keys_shown_for: tuple[object, ...] = ()
@@ -246,10 +240,10 @@ class FleetScreen(Screen[None]):
         self.table.reverse()
 
     def action_faster(self) -> None:
-        self._change_rate(1)
+        self.console.change_refresh_rate(1)
 
     def action_slower(self) -> None:
-        self._change_rate(-1)
+        self.console.change_refresh_rate(-1)
 
     def action_copy(self) -> None:
         """Copy the robot's name and the reason of its state."""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 _AROUND = 11
 """Lines that are not the form's: the frame, help and buttons, and below the dialog those of a toast."""
-SEEN_AFTER = 0.1  # s from a refusal until it is drawn, which takes two or three refreshes
+_DRAWN_AFTER = 0.1  # s from a refusal until it is drawn, which takes two or three refreshes
 
 
 class FormScreen(ModalScreen[T | None]):
@@ -96,7 +96,7 @@ class FormScreen(ModalScreen[T | None]):
         self.check()
         if self.form.settle():
             self.accept(self.result(self.form.values))
-        self.set_timer(SEEN_AFTER, self.form.input_guard.end)
+        self.set_timer(_DRAWN_AFTER, self.form.input_guard.end)
 
     def on_key(self, event: events.Key) -> None:
         """Ignore the keys that were typed before the result of a submission was shown."""

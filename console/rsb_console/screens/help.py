@@ -12,7 +12,7 @@ from textual.command import DiscoveryHit, Hit, Provider
 from textual.screen import ModalScreen
 
 from rsb_console.actions import KEYS_ON_SCREENS, NAMESPACE, Group
-from rsb_console.widgets.lines import Line, LiveLines
+from rsb_console.widgets.lines import ScrolledLines
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -22,17 +22,13 @@ if TYPE_CHECKING:
 
     from rsb_console.actions import Action
     from rsb_console.console_api import ConsoleShell
+    from rsb_console.widgets.lines import Line
 
 KEYS_WIDTH, ID_WIDTH = 13, 15  # cells
 
 
-class KeyList(LiveLines, can_focus=True):
-    BINDINGS: ClassVar = [
-        Binding("j", "scroll_down", show=False),
-        Binding("k", "scroll_up", show=False),
-        Binding("g", "scroll_home", show=False),
-        Binding("G", "scroll_end", show=False),
-    ]
+class KeyList(ScrolledLines):
+    """One line for each key, and the headings."""
 
     def __init__(self, make: Callable[[int], Iterator[Line]]) -> None:
         super().__init__(classes="dialog -wide")
@@ -40,14 +36,6 @@ class KeyList(LiveLines, can_focus=True):
         self._make_lines = make
         # The room in a wide dialog; the first resize says how much there is.
         self._lines = list(make(94))
-
-    @property
-    def line_count(self) -> int:
-        """One line for each key, and the headings."""
-        return len(self._lines)
-
-    def line(self, index: int) -> Line:
-        return self._lines[index]
 
     def on_resize(self) -> None:
         self._lines = list(self._make_lines(self.size.width))

@@ -20,7 +20,7 @@ from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.screens.dialog import Dialog
 from rsb_console.session import history_report
 from rsb_console.widgets.filter import Prompt
-from rsb_console.widgets.lines import Line, LiveLines, fit, fit_middle
+from rsb_console.widgets.lines import FixedLines, Line, fit, fit_middle
 from rsb_console.widgets.selectable_list import SelectableList
 
 if TYPE_CHECKING:
@@ -148,26 +148,6 @@ class HistoryTable(SelectableList):
         return fit(line, self.width)
 
 
-class Lines(LiveLines, can_focus=False):
-    """Some lines that are replaced as a whole, and take as much room as they need."""
-
-    def __init__(self, *, id: str) -> None:  # noqa: A002 -- Textual's name
-        super().__init__(id=id)
-        self._lines: list[Line] = []
-
-    @property
-    def line_count(self) -> int:
-        return len(self._lines)
-
-    def line(self, index: int) -> Line:
-        return fit(self._lines[index], self.size.width)
-
-    def put(self, lines: list[Line]) -> None:
-        self._lines = lines
-        self.styles.height = len(lines)
-        self.sync()
-
-
 class HistoryScreen(ModalScreen[None]):
     """The history of the last hour, 8 hours or day: outages, operators' actions and times without a record."""
 
@@ -184,7 +164,8 @@ class HistoryScreen(ModalScreen[None]):
     def __init__(self, console: Console) -> None:
         super().__init__()
         self.console = console
-        self.summary, self.table, self.detail = Lines(id="history-summary"), HistoryTable(), Lines(id="history-detail")
+        self.summary, self.detail = FixedLines(id="history-summary"), FixedLines(id="history-detail")
+        self.table = HistoryTable()
         self.prompt = Prompt()
         self.pattern: RowFilter | None = None
         self._span = SPANS[0]

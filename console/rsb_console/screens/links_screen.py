@@ -20,7 +20,7 @@ from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.columns import state_order
 from rsb_console.widgets.detail_parts import acknowledged_by
 from rsb_console.widgets.fault_pane import link_fault
-from rsb_console.widgets.lines import Line, LiveLines, fit
+from rsb_console.widgets.lines import FixedLines, Line, fit
 from rsb_console.widgets.selectable_list import SelectableList
 from rsb_console.widgets.topics import TopicsTable
 
@@ -94,28 +94,17 @@ class LinksTable(SelectableList):
         )
 
 
-class LinkDetail(LiveLines, can_focus=False):
+class LinkDetail(FixedLines):
     """The facts without a column: the reason why it is down, the key, the other side."""
 
     def __init__(self) -> None:
         super().__init__(id="link-detail")
         self._link: LinkSnapshot | None = None
         self._server = False
-        self._lines: list[Line] = []
-
-    @property
-    def line_count(self) -> int:
-        """Number of lines of the detail."""
-        return len(self._lines)
-
-    def line(self, index: int) -> Line:
-        return fit(self._lines[index], self.size.width)
 
     def show(self, link: LinkSnapshot | None, *, server: bool) -> None:
         self._link, self._server = link, server
-        self._lines = [] if link is None else list(_detail(link, self.size.width, server=server))
-        self.styles.height = len(self._lines)
-        self.sync()
+        self.put([] if link is None else list(_detail(link, self.size.width, server=server)))
 
     def on_resize(self) -> None:
         self.show(self._link, server=self._server)
@@ -178,10 +167,14 @@ class LinkScreen(ModalScreen[None]):
         now = self.console.snapshot()
         link = next((link for link in now.links if link.name == self._name), None)
         if link is None:
-            self.dismiss()
+            # Textual closes the screen on top, which may be the help.
+            if self.is_active:
+                self.dismiss()
             return
         self.detail.show(link, server=now.role == "server")
-        self.topics.show(replace(now, routes=tuple(route for route in now.routes if route.link == self._name)))
+        # Patterns stand with their links; and if there are several, the table names the peer of each topic.
+        routes = tuple(route for route in now.routes if route.link == self._name)
+        self.topics.show(replace(now, routes=routes, links=(link,)))
         self.topics.explain("Nothing is bridged over this link.")
         self.topics.styles.height = min(self.topics.line_count + 1, max(3, self.size.height // 2))
 

@@ -75,10 +75,10 @@ class LookScreen(ModalScreen[Subject]):
 
     BINDINGS: ClassVar = [
         Binding("escape", "dismiss", show=False),
-        Binding("up", "move(-1)", show=False, priority=True),
-        Binding("down", "move(1)", show=False, priority=True),
-        Binding("pageup", "page(-1)", show=False, priority=True),
-        Binding("pagedown", "page(1)", show=False, priority=True),
+        Binding("up", "move(-1)", show=False),
+        Binding("down", "move(1)", show=False),
+        Binding("pageup", "page(-1)", show=False),
+        Binding("pagedown", "page(1)", show=False),
     ]
     AUTO_FOCUS = "Input"
 

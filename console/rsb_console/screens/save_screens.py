@@ -15,7 +15,7 @@ from rsb_bridge.config.session_file import SessionError, UneditableError, backup
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.session.saving import difference, file_of, moved, rescued, text_of, unsaved
-from rsb_console.widgets.lines import Line, LiveLines, clip
+from rsb_console.widgets.lines import FixedLines, Line, clip
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -118,7 +118,7 @@ def _question(session: Session, path: Path, opened: SessionFile | None) -> tuple
     return DiffScreen(title, message, yes, difference(text_of(path), after)), opened
 
 
-class DiffLines(LiveLines, can_focus=False):
+class DiffLines(FixedLines):
     """The lines of a diff, coloured; a long one goes on in the next line."""
 
     def __init__(self, lines: Sequence[str]) -> None:
@@ -126,26 +126,18 @@ class DiffLines(LiveLines, can_focus=False):
         self._diff = lines
         self._wrap(_UNWRAPPED)
 
-    @property
-    def line_count(self) -> int:
-        """Number of lines of the diff at the present width."""
-        return len(self._lines)
-
-    def line(self, index: int) -> Line:
-        return self._lines[index]
-
     def on_resize(self) -> None:
         self._wrap(max(_NARROWEST, self.size.width))
 
     def _wrap(self, width: int) -> None:
-        self._lines: list[Line] = []
+        lines: list[Line] = []
         for text in self._diff:
             look, rest = _LOOKS.get(text[:1], ""), text or " "
             while rest:
                 piece = clip(rest, width)
-                self._lines.append(((piece, look),))
+                lines.append(((piece, look),))
                 rest = rest[len(piece) :]
-        self.styles.height = len(self._lines)
+        self._lines, self.styles.height = lines, len(lines)
 
 
 class DiffScreen(ConfirmScreen):

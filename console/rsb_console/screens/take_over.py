@@ -102,13 +102,14 @@ class HandOverScreen(GuardedConfirmScreen):
         yield self._text
 
     def on_mount(self) -> None:
-        self.set_interval(_LOOK_EVERY, self._count)
+        self.set_interval(_LOOK_EVERY, self.show)
 
-    def _count(self) -> None:
+    def show(self) -> None:
+        """Show the seconds that are left; close the question if it is over."""
         route = asked_about(self.console.snapshot(), self._key)
         if route is None:
-            # Textual closes the screen on top, which may be another one.
-            if self.is_current:
+            # Textual closes the screen on top, which may be the help. `is_current` is true below that, too.
+            if self.is_active:
                 self.dismiss(None)
         else:
             self._text.update(_asks(route))

@@ -220,11 +220,6 @@ class ViewScreen(FullScreen[bool]):
         self._goal: Goal | None = None
         self._turns_goal = False
 
-    @property
-    def has_content(self) -> bool:
-        """Whether a picture has come."""
-        return self._viewed is not None and self._viewed.picture.content is not None
-
     def compose(self) -> ComposeResult:
         self.pane = PicturePane()
         self._entitle()

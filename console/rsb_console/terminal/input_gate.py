@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any, ClassVar
-from weakref import WeakKeyDictionary
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 from textual import events
 from textual.screen import Screen
@@ -45,7 +44,11 @@ class GuardedScreen(Screen[Any]):
     drawn_at: float | None = None
 
 
-_gates: WeakKeyDictionary[App[Any], InputGate] = WeakKeyDictionary()
+@runtime_checkable
+class HasInputGate(Protocol):
+    """An app whose input goes through a gate."""
+
+    input_gate: InputGate
 
 
 class InputGate:
@@ -65,12 +68,12 @@ class InputGate:
         self._app = app
         self._clock = clock
         self._told_at = float("-inf")
-        _gates[app] = self
 
     @classmethod
     def of(cls, app: App[Any]) -> InputGate:
         """Return the gate of an app."""
-        return _gates[app]
+        assert isinstance(app, HasInputGate)
+        return app.input_gate
 
     @property
     def is_on(self) -> bool:

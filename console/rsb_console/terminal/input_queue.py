@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary, WeakSet
 
 from textual import events
@@ -33,7 +33,11 @@ _LOOK_EVERY = 0.005
 """s between two looks whether the app has finished: at most so much later comes a key of a burst."""
 
 
-_queues: WeakKeyDictionary[App[Any], InputQueue] = WeakKeyDictionary()
+@runtime_checkable
+class HasInputQueue(Protocol):
+    """An app whose input waits in a queue."""
+
+    input_queue: InputQueue
 
 
 class InputQueue:
@@ -55,12 +59,12 @@ class InputQueue:
         self._dialogs: WeakKeyDictionary[Worker[Any], Screen[Any]] = WeakKeyDictionary()
         self._abandoned: WeakSet[Worker[Any]] = WeakSet()
         """Workers that input no longer waits for."""
-        _queues[app] = self
 
     @classmethod
     def of(cls, app: App[Any]) -> InputQueue:
         """Return the queue of an app."""
-        return _queues[app]
+        assert isinstance(app, HasInputQueue)
+        return app.input_queue
 
     def takes(self, event: Message) -> bool:
         """Whether the queue takes an event of the app, which comes to the app again when it is the event's turn."""

@@ -64,6 +64,6 @@ def _terminal(environ: Mapping[str, str]) -> Iterator[Finding]:
     )
     grade = Grade.NOTE if plain else Grade.OK
     yield Finding("terminal", grade, "terminal", text, TerminalText.ASCII_REMEDY() if plain else "", facts)
-    if (size.columns, size.lines) < _SMALLEST or size.lines < _SMALLEST[1]:
+    if size.columns < _SMALLEST[0] or size.lines < _SMALLEST[1]:
         text = TerminalText.SMALL(columns=_SMALLEST[0], lines=_SMALLEST[1])
         yield Finding("terminal_size", Grade.WARNING, "terminal", text, facts=facts)

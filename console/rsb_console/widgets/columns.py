@@ -2,58 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, cast
 
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural
 from rsb_console.look import formats
 from rsb_console.look.formats import KIND_SHORT, PatternRow, Row
 from rsb_console.look.glyphs import ACK_WORD, ARMED, ARMED_WORD, IN, KNOWN, OUT, STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.widgets.sorted_table import Column, filled
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_console.widgets.sorted_table import Layout
 
-R = TypeVar("R")
 WIDE = 70  # cells; a narrower table shows a state's sign without its word
 HISTORY = 12  # s
 _STATE_WIDTH = 10  # cells
 TOTAL_FROM = 92  # cells from which on there is room for the bytes in all
 _SHORT_NAMES = {"zenoh-drop": "DROP"}
 _BESIDE_CALLS = 100  # cells; wider tables have room for both topics' bytes and figures of calls
-
-
-# Compared by identity: by value, each look into a set of columns would hash all fields.
-@dataclass(frozen=True, slots=True, eq=False)
-class Column(Generic[R]):
-    """One column of a table.
-
-    Attributes:
-        width: cells, or 0 for all remaining ones.
-        text: formats the cell of a route or another row.
-        right: whether cells are aligned to the right.
-        from_width: cells; a narrower table leaves the column out.
-        beside_calls: the same for a table with calls, or None to use `from_width`.
-        only_calls: whether a table with only topics leaves it out.
-    """
-
-    title: str
-    width: int
-    text: Callable[[R], str]
-    order: Callable[[R], Any]
-    right: bool = True
-    from_width: int = 0
-    beside_calls: int | None = None
-    only_calls: bool = False
-
-    def fits(self, width: int, *, calls: bool) -> bool:
-        """Whether a table of so many cells, which has more than topics or not, has this column."""
-        if not calls:
-            return width >= self.from_width and not self.only_calls
-        return width >= (self.from_width if self.beside_calls is None else self.beside_calls)
 
 
 def state_order(state: State, *, acknowledged: bool) -> float:
@@ -200,7 +171,7 @@ COLUMNS: tuple[Column[Row], ...] = (
         from_width=50,
         only_calls=True,
     ),
-    Column("TOPIC", 0, lambda r: r.topic, lambda r: r.topic, right=False),
+    Column("TOPIC", 0, lambda r: r.topic, lambda r: r.topic, right=False, names=True),
     Column("PEER", 10, lambda r: r.link, lambda r: (r.link, r.topic), right=False, from_width=100),
     Column("VIA", 7, via, _by_way, right=False, from_width=40),
     _of_routes(
@@ -209,15 +180,13 @@ COLUMNS: tuple[Column[Row], ...] = (
     ),
     *map(_of_routes, _FIGURES),
 )
-STATE, SIGN, TOPIC, PEER, HISTORY_COLUMN = (
-    next(column for column in COLUMNS if column.title == title) for title in ("STATE", "", "TOPIC", "PEER", " HISTORY")
+STATE, SIGN, PEER, HISTORY_COLUMN = (
+    next(column for column in COLUMNS if column.title == title) for title in ("STATE", "", "PEER", " HISTORY")
 )
 
 
 @cache
-def layout(
-    width: int, *, peers: bool, grouped: bool = False, calls: bool = False
-) -> tuple[tuple[Column[Row], int], ...]:
+def layout(width: int, *, peers: bool, grouped: bool = False, calls: bool = False) -> Layout[Row]:
     """Return the columns that fit, each with its width in cells.
 
     Args:
@@ -233,9 +202,3 @@ def layout(
         if width < TOTAL_FROM and shown[-1] is HISTORY_COLUMN:
             shown.pop()  # the names need its room
     return filled(shown, width - 1)
-
-
-def filled(columns: Sequence[Column[R]], width: int) -> tuple[tuple[Column[R], int], ...]:
-    """Columns with their widths in cells: one of width 0 gets what the others leave of `width`, a blank behind each."""
-    rest = max(8, width - sum(column.width + 1 for column in columns))
-    return tuple((column, column.width or rest) for column in columns)

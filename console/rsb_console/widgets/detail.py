@@ -10,7 +10,7 @@ from rsb_console.look.formats import PatternRow, Row
 from rsb_console.look.glyphs import DONE, FAILED, IN, OUT, UNDER_WAY, UNKNOWN
 from rsb_console.widgets import detail_parts as parts
 from rsb_console.widgets.detail_parts import DetailText
-from rsb_console.widgets.lines import Line, LiveLines, fit
+from rsb_console.widgets.lines import FixedLines, Line, fit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -28,24 +28,15 @@ _NOT_KNOWN = "unknown"
 """State of a goal whose end is unknown, for instance because its server has gone."""
 
 
-class DetailPane(LiveLines, can_focus=True):
+class DetailPane(FixedLines, can_focus=True):
     """Shows the topic under the table's cursor. It has no cursor of its own: a list's keys scroll it."""
 
     BINDINGS = bindings(Group.MOVE)
 
     def __init__(self) -> None:
         super().__init__(id="detail")
-        self._lines: list[Line] = []
         self._route: Row | None = None
         self._peer = ""
-
-    @property
-    def line_count(self) -> int:
-        """Number of lines of the topic's details."""
-        return len(self._lines)
-
-    def line(self, index: int) -> Line:
-        return self._lines[index]
 
     def show(self, route: Row | None, peer: str = "") -> None:
         """Show a topic. If the topic changed, scroll to its first line.

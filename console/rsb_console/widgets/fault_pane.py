@@ -14,7 +14,7 @@ from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_console.look import formats
 from rsb_console.look.formats import PatternRow, Row, rows_of
 from rsb_console.look.glyphs import STATE_SIGN
-from rsb_console.widgets.lines import Line, LiveLines, fit
+from rsb_console.widgets.lines import FixedLines, Line, fit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -72,26 +72,16 @@ class MoreKeys(NamedTuple):
     topics: str
 
 
-class FaultLines(LiveLines):
+class FaultLines(FixedLines):
     """The faults, the worst first, each in whole sentences, and the number of faults that do not fit."""
-
-    can_focus = False
 
     def __init__(self) -> None:
         super().__init__(id="faults")
         self._faults: list[Fault] = []
-        self._lines: list[Line] = []
         self._most = 0
         self._keys = MoreKeys("", "")
         self._heights = Heights()
         self._now = 0.0
-
-    @property
-    def line_count(self) -> int:
-        return len(self._lines)
-
-    def line(self, index: int) -> Line:
-        return self._lines[index]
 
     def show(self, faults: list[Fault], most: int, keys: MoreKeys, now: float) -> None:
         """Show as many of `faults` as fit.

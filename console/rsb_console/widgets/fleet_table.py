@@ -12,9 +12,9 @@ from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.snapshot import State
 from rsb_console.look import formats
 from rsb_console.look.glyphs import ACK_WORD, KNOWN, STATE_SIGN, STATE_WORD, sparkline
-from rsb_console.widgets.columns import HISTORY, WIDE, Column, filled
-from rsb_console.widgets.lines import LiveLines, clip, fit, fit_middle
-from rsb_console.widgets.selectable_list import SelectableList
+from rsb_console.widgets.columns import HISTORY, WIDE
+from rsb_console.widgets.lines import FixedLines, fit
+from rsb_console.widgets.sorted_table import Column, Order, SortedTable, filled
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rsb_console.fleet.fleet import Robot, RobotFleet
     from rsb_console.widgets.filter import RowFilter
     from rsb_console.widgets.lines import Line
+    from rsb_console.widgets.sorted_table import Layout
 
 ROBOT_SIGN = {
     RobotState.MISSING: "✗",
@@ -114,7 +115,7 @@ COLUMNS: tuple[Column[RobotRow], ...] = (
     ),
     Column("", 1, lambda r: ROBOT_SIGN[r.robot.summary.state], _by_state, right=False),
     Column("ROBOT", 0, lambda r: f"{r.robot.summary.name}{' (server)' * r.robot.is_server}", lambda r: r.robot.order,
-           right=False),
+           right=False, names=True),
     Column("SERVER", 10, lambda r: r.robot.source.name, lambda r: (r.robot.source.name, r.robot.order), right=False,
            from_width=60),
     Column("GROUP", 10, lambda r: r.robot.summary.group, lambda r: (r.robot.summary.group, r.robot.order),
@@ -146,7 +147,7 @@ DIM = frozenset({NAME, SERVER, GROUP})
 
 
 @cache
-def layout(width: int, *, servers: bool, grouped: bool) -> tuple[tuple[Column[RobotRow], int], ...]:
+def layout(width: int, *, servers: bool, grouped: bool) -> Layout[RobotRow]:
     """Return the columns that fit, each with its width in cells.
 
     Args:
@@ -162,7 +163,7 @@ def layout(width: int, *, servers: bool, grouped: bool) -> tuple[tuple[Column[Ro
     return filled([each for each in COLUMNS if each.fits(width, calls=False) and each not in hidden], width)
 
 
-def cell(column: Column[RobotRow], row: RobotRow, text: str) -> str:
+def _look(column: Column[RobotRow], row: RobotRow) -> str:
     summary = row.robot.summary
     if column in {STATE, SIGN}:
         return ROBOT_LOOK[summary.state]
@@ -170,14 +171,13 @@ def cell(column: Column[RobotRow], row: RobotRow, text: str) -> str:
         return "" if column in DIM else "dim"
     if (column is LOSS and _loss(row) >= HIGH_LOSS) or (column is BATTERY and _charge(row) <= LOW_BATTERY):
         return "slow"
-    return "plot" if column is HISTORY_COLUMN and text.strip() else ""
+    return "plot" if column is HISTORY_COLUMN and any(row.rates[-HISTORY:]) else ""
 
 
 _GROUP = "\0"
 """Before a group's name: the key of its heading."""
 _MARKED, _FOLDED, _UNFOLDED = "✓", "▸", "▾"
 ROOMY = 100  # cells
-_EDGE = 2  # cells: the cursor, and the mark
 
 
 @dataclass
@@ -197,23 +197,20 @@ class FleetView:
     grouped: bool = False
     folded: set[str] = field(default_factory=set)
     marked: set[str] = field(default_factory=set)
-    sort_column: Column[RobotRow] = STATE
-    reversed: bool = False
+    order: Order[RobotRow] = field(default_factory=lambda: Order(STATE))
 
 
-class FleetTable(SelectableList):
-    """One line for each robot and each group. The cursor stays on its robot when the order changes."""
+class FleetTable(SortedTable[RobotRow]):
+    """One line for each robot and each group."""
 
-    sticky = 1
-    begins_at_top = True
+    EDGE = 2  # the cursor, and the mark
 
     def __init__(self, view: FleetView) -> None:
-        super().__init__(id="fleet", classes="pane")
+        super().__init__(view.order, id="fleet", classes="pane")
         self.view = view
         self.rows: dict[str, RobotRow] = {}
         self._groups: dict[str, list[RobotRow]] = {}
         self._servers = False
-        self._empty: list[str] = []
         self._restore = view.cursor
 
     # -- what is listed -----------------------------------------------------------------------------------------------
@@ -236,7 +233,7 @@ class FleetTable(SelectableList):
     def relist(self) -> None:
         view = self.view
         shown = [row for row in self.rows.values() if self._wanted(row)]
-        shown.sort(key=view.sort_column.order, reverse=view.reversed)
+        shown.sort(key=view.order.column.order, reverse=view.order.reversed)
         self._groups = {}
         if self.grouped:
             for row in shown:
@@ -274,13 +271,6 @@ class FleetTable(SelectableList):
     def shown(self) -> int:
         """Robots that the filter leaves, folded or not."""
         return sum(map(len, self._groups.values())) if self.grouped else len(self.keys)
-
-    def explain(self, empty: str) -> None:
-        """Set the text shown while the table is empty: why it is, and what to do."""
-        lines = textwrap.wrap(empty, max(20, self.size.width - 4))
-        if lines != self._empty:
-            self._empty = lines
-            self.sync()
 
     # -- what is selected ---------------------------------------------------------------------------------------------
 
@@ -334,72 +324,23 @@ class FleetTable(SelectableList):
             self.view.folded ^= {group}
             self.relist()
 
-    def sort_by(self, step: int) -> None:
-        """Sort by the column `step` places to the right."""
-        columns = [column for column, _ in self._layout]
-        at = columns.index(self.view.sort_column) if self.view.sort_column in columns else 0
-        self.view.sort_column = columns[(at + step) % len(columns)]
-        self.relist()
-
-    def reverse(self) -> None:
-        self.view.reversed = not self.view.reversed
-        self.relist()
-
-    def next_match(self, step: int) -> None:
-        """Move to the next match, or without a filter to the next robot with something wrong."""
-        count = len(self.keys)
-        for distance in range(1, count + 1):
-            position = (self.position + step * distance) % count
-            row = self.rows.get(self.keys[position])
-            if row is not None and (self.view.pattern is not None or row.robot.summary.state.is_wrong):
-                self.move_to(position)
-                return
-
-    def heading_clicked(self, x: int) -> None:
-        """Sort by the column at `x`; if the table is sorted by it already, reverse the order."""
-        edge = _EDGE
-        for column, width in self._layout:
-            edge += width + 1
-            if x < edge:
-                self.view.reversed = column is self.view.sort_column and not self.view.reversed
-                self.view.sort_column = column
-                self.relist()
-                return
+    def is_match(self, key: str) -> bool:
+        row = self.rows.get(key)
+        return row is not None and (self.view.pattern is not None or row.robot.summary.state.is_wrong)
 
     # -- how it looks -------------------------------------------------------------------------------------------------
 
     @property
-    def line_count(self) -> int:
-        """Number of lines: the heading and the robots and groups, or a text for an empty table."""
-        return self.sticky + (len(self.keys) or len(self._empty))
+    def columns(self) -> Layout[RobotRow]:
+        return layout(self.width - self.EDGE, servers=self._servers, grouped=self.grouped)
 
-    def is_cursor(self, index: int) -> bool:
-        """Whether the cursor is on a line; an empty table has none."""
-        return bool(self.keys) and super().is_cursor(index)
-
-    @property
-    def _layout(self) -> tuple[tuple[Column[RobotRow], int], ...]:
-        return layout(self.width - _EDGE, servers=self._servers, grouped=self.grouped)
-
-    def line(self, index: int) -> Line:
-        if index == 0:
-            return (("  ", ""), *(self._heading(column, width) for column, width in self._layout))
-        if not self.keys:
-            return ((f"  {self._empty[index - 1]}", "dim"),)
-        key = self.keys[index - 1]
-        cursor = "▌" if self.is_cursor(index) else " "
-        row = self.rows.get(key)
+    def row_line(self, key: str, *, cursor: bool) -> Line:
+        sign, row = "▌" if cursor else " ", self.rows.get(key)
         if row is None:
-            group = key.removeprefix(_GROUP)
-            return ((cursor, "key"), *self._group(group))
-        look = ROBOT_LOOK[row.robot.summary.state]
+            return ((sign, "key"), *self._group(key.removeprefix(_GROUP)))
         mark = _MARKED if key in self.view.marked else " "
-        return ((cursor, look), (mark, "key"), *(_cell(column, row, width) for column, width in self._layout))
-
-    def _heading(self, column: Column[RobotRow], width: int) -> tuple[str, str]:
-        arrow = ("▲" if self.view.reversed else "▼") if column is self.view.sort_column else ""
-        title = clip(column.title + arrow, width)
-        return (f"{title:>{width}} " if column.right else f"{title:<{width}} "), "head"
+        cells = ((column.cell(row, width), _look(column, row)) for column, width in self.columns)
+        return ((sign, ROBOT_LOOK[row.robot.summary.state]), (mark, "key"), *cells)
 
     def _group(self, group: str) -> Line:
         rows = self._groups.get(group, [])
@@ -412,14 +353,6 @@ class FleetTable(SelectableList):
         if marked:
             pieces.append((f"  {_MARKED} {marked}", "key"))
         return fit(tuple(pieces), self.width - 1)
-
-
-def _cell(column: Column[RobotRow], row: RobotRow, width: int) -> tuple[str, str]:
-    text = column.text(row)
-    if len(text) > width:
-        text = fit_middle(text, width) if column is NAME else f"{text[: width - 1]}…"
-    look = cell(column, row, text)
-    return (f"{text:>{width}} " if column.right else f"{text:<{width}} "), look
 
 
 def state_counts(robots: Iterable[Robot]) -> Line:
@@ -439,21 +372,11 @@ def _unheard(summaries: Sequence[RobotSummary]) -> Line:
     return ((text, State.UNHEARD.value),) if count else ()
 
 
-class FleetStatus(LiveLines):
+class FleetStatus(FixedLines):
     """The number of robots in each state, and below it each source without data."""
-
-    can_focus = False
 
     def __init__(self) -> None:
         super().__init__(id="fleet-status")
-        self._lines: Sequence[Line] = ()
-
-    @property
-    def line_count(self) -> int:
-        return len(self._lines)
-
-    def line(self, index: int) -> Line:
-        return fit(self._lines[index], self.width)
 
     def show(self, table: FleetTable, fleet: RobotFleet, *, readonly: bool) -> None:
         """Show the state of all robots, even if the filter hides some."""
@@ -482,27 +405,16 @@ class FleetStatus(LiveLines):
         problems = [
             (("  ✗ ", "down"), (f"{source.name}: {source.problem}", "")) for source in fleet.sources if source.problem
         ]
-        self._lines = [first, *problems]
-        self.styles.height = len(self._lines)
-        self.sync()
+        self.put([first, *problems])
 
 
-class RobotDetail(LiveLines):
+class RobotDetail(FixedLines):
     """Details for which the table has no room: the cause, and the source of the figures."""
 
-    can_focus = False
     LINES = 4
 
     def __init__(self) -> None:
         super().__init__(id="robot-detail", classes="pane")
-        self._lines: list[Line] = []
-
-    @property
-    def line_count(self) -> int:
-        return len(self._lines)
-
-    def line(self, index: int) -> Line:
-        return fit(self._lines[index], self.width)
 
     def show(self, title: str, rows: Sequence[RobotRow]) -> None:
         """Show a robot, or the faulty robots of a group.
@@ -516,9 +428,10 @@ class RobotDetail(LiveLines):
         else:
             wrong = [row for row in rows if row.robot.summary.state.is_wrong]
             well = ((" nothing is wrong" if rows else "", ""), *_unheard([row.robot.summary for row in rows]))
-            self._lines = [_in_a_line(row) for row in wrong[: self.LINES]] or [well]
+            lines = [_in_a_line(row) for row in wrong[: self.LINES]] or [well]
             if len(wrong) > self.LINES:
-                self._lines[-1] = ((f" and {len(wrong) - self.LINES + 1} more", "dim"),)
+                lines[-1] = ((f" and {len(wrong) - self.LINES + 1} more", "dim"),)
+            self._lines = lines
         self.entitle(f" {title} " if title else "")
         self.sync()
 

@@ -15,7 +15,7 @@ from textual.strip import Strip
 from rsb_bridge.model.snapshot import State
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from rich.style import Style
 
@@ -79,7 +79,7 @@ class LiveLines(ScrollView):
         self.measure_lines()
         self._measure()
         width = self.width
-        for y, (old, was_cursor) in list(self._drawn.items()):
+        for y, (old, was_cursor) in self._drawn.items():
             new, cursor = self._make(y)
             if cursor != was_cursor:
                 self.refresh(Region(0, y, width, 1))
@@ -208,8 +208,29 @@ def clip(text: str, width: int) -> str:
     return text
 
 
-class ScrolledLines(LiveLines, can_focus=True):
-    """Lines that are replaced as a whole."""
+class FixedLines(LiveLines, can_focus=False):
+    """Lines that are replaced as a whole, each cut to the pane's width."""
+
+    def __init__(self, *, id: str | None = None, classes: str | None = None) -> None:  # noqa: A002 -- Textual's name
+        super().__init__(id=id, classes=classes)
+        self._lines: Sequence[Line] = ()
+
+    @property
+    def line_count(self) -> int:
+        return len(self._lines)
+
+    def line(self, index: int) -> Line:
+        return fit(self._lines[index], self.width)
+
+    def put(self, lines: Sequence[Line]) -> None:
+        """Show other lines, in a pane that is as high as they are many."""
+        self._lines = lines
+        self.styles.height = len(lines)
+        self.sync()
+
+
+class ScrolledLines(FixedLines, can_focus=True):
+    """Lines that an operator scrolls."""
 
     BINDINGS: ClassVar = [
         Binding("j", "scroll_down", show=False),
@@ -217,17 +238,6 @@ class ScrolledLines(LiveLines, can_focus=True):
         Binding("g", "scroll_home", show=False),
         Binding("G", "scroll_end", show=False),
     ]
-
-    def __init__(self, *, id: str, classes: str = "") -> None:  # noqa: A002 -- Textual's name
-        super().__init__(id=id, classes=classes)
-        self._lines: list[Line] = []
-
-    @property
-    def line_count(self) -> int:
-        return len(self._lines)
-
-    def line(self, index: int) -> Line:
-        return self._lines[index]
 
     def show(self, lines: Iterable[Line]) -> None:
         """Show other lines in place of the present ones."""

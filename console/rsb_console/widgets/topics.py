@@ -2,59 +2,36 @@
 
 from __future__ import annotations
 
-import textwrap
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
 from rsb_console.look.formats import KIND_SHORT, PatternRow, rows_of
 from rsb_console.look.glyphs import ACK_WORD, STATE_WORD
-from rsb_console.widgets.columns import HISTORY_COLUMN, SIGN, STATE, TOPIC, is_armed, last_failure, layout, via
+from rsb_console.widgets.columns import HISTORY_COLUMN, SIGN, STATE, is_armed, last_failure, layout, via
 from rsb_console.widgets.filter import table_title
-from rsb_console.widgets.lines import clip, fit_middle
-from rsb_console.widgets.selectable_list import SelectableList
+from rsb_console.widgets.sorted_table import Order, SortedTable
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.look.formats import Row
-    from rsb_console.widgets.columns import Column
     from rsb_console.widgets.filter import RowFilter
     from rsb_console.widgets.lines import Line
+    from rsb_console.widgets.sorted_table import Column, Layout
 
 FAULTS = tuple(state for state in State if state not in (State.PAUSED, State.DISARMED, State.DISARMING, State.OK))
 
 
-class TopicsTable(SelectableList):
-    """Shows the routes of a snapshot, and the patterns that make some of them, one per line.
-
-    The cursor stays on its route when the order changes.
-    """
-
-    sticky = 1
-    begins_at_top = True
+class TopicsTable(SortedTable["Row"]):
+    """Shows the routes of a snapshot, and the patterns that make some of them, one per line."""
 
     def __init__(self) -> None:
-        super().__init__(id="topics")
+        super().__init__(Order(STATE), id="topics")
         self.rows: dict[str, Row] = {}
-        self.sort_column = STATE
-        self.reversed = False
         self.faults_only = False
         self.grouped = False
         """Whether the topics of each robot stand together."""
         self.pattern: RowFilter | None = None
         self._peers = self._calls = False
-        self._empty: list[str] = []
-
-    @property
-    def line_count(self) -> int:
-        """Number of lines: the heading and a line for each route, or a text for an empty table."""
-        return self.sticky + (len(self.keys) or len(self._empty))
-
-    def explain(self, empty: str) -> None:
-        """Set the text shown while the table is empty: why it is, and what to do."""
-        lines = textwrap.wrap(empty, max(20, self.size.width - 4))
-        if lines != self._empty:
-            self._empty = lines
-            self.sync()
 
     def show(self, snapshot: Snapshot) -> None:
         self.rows = {row.key: row for row in rows_of(snapshot)}
@@ -65,7 +42,7 @@ class TopicsTable(SelectableList):
     def relist(self) -> None:
         filtered = self.faults_only or self.pattern is not None
         shown = [row for row in self.rows.values() if not filtered or self._wanted(row)]
-        shown.sort(key=self.sort_column.order, reverse=self.reversed)
+        shown.sort(key=self.order.column.order, reverse=self.order.reversed)
         if self.grouped:
             # Sorting is stable: within a robot, the chosen order stays.
             shown.sort(key=lambda row: row.link)
@@ -85,10 +62,6 @@ class TopicsTable(SelectableList):
         hidden = ("kind",) if self._peers else ("kind", "robot")
         return self.pattern is None or self.pattern.matches(_searched(row), hidden=hidden)
 
-    def is_cursor(self, index: int) -> bool:
-        """Whether the cursor is on a line; an empty table has none."""
-        return bool(self.keys) and super().is_cursor(index)
-
     @property
     def selected(self) -> Row | None:
         return None if self.cursor_key is None else self.rows[self.cursor_key]
@@ -104,55 +77,18 @@ class TopicsTable(SelectableList):
         """The rows shown, in the table's order."""
         return [self.rows[key] for key in self.keys]
 
-    def sort_by(self, step: int) -> None:
-        """Sort by the column `step` places to the right."""
-        columns = [column for column, _ in self._layout]
-        at = columns.index(self.sort_column) if self.sort_column in columns else 0
-        self.sort_column = columns[(at + step) % len(columns)]
-        self.relist()
+    def is_match(self, key: str) -> bool:
+        row = self.rows[key]
+        return self.pattern is not None or (row.state in FAULTS and row.acknowledged is None)
 
-    def reverse(self) -> None:
-        self.reversed = not self.reversed
-        self.relist()
-
-    def next_match(self, step: int) -> None:
-        """Move to the next match, or without a filter to the next fault. With a filter, every line is a match."""
-        count = len(self.keys)
-        for distance in range(1, count + 1):
-            position = (self.position + step * distance) % count
-            row = self.rows[self.keys[position]]
-            if self.pattern is not None or (row.state in FAULTS and row.acknowledged is None):
-                self.move_to(position)
-                return
-
-    def line(self, index: int) -> Line:
-        if index == 0:
-            return ((" ", ""), *(self._heading(column, width) for column, width in self._layout))
-        if not self.keys:
-            return ((f"  {self._empty[index - 1]}", "dim"),)
-        row = self.rows[self.keys[index - 1]]
-        edge = ("▌", row.state.value) if self.is_cursor(index) else (" ", "")
-        return (edge, *(_cell(column, row, width) for column, width in self._layout))
+    def row_line(self, key: str, *, cursor: bool) -> Line:
+        row = self.rows[key]
+        edge = ("▌", row.state.value) if cursor else (" ", "")
+        return (edge, *((column.cell(row, width), _look(column, row)) for column, width in self.columns))
 
     @property
-    def _layout(self) -> tuple[tuple[Column[Row], int], ...]:
+    def columns(self) -> Layout[Row]:
         return layout(self.width, peers=self._peers, grouped=self.grouped, calls=self._calls)
-
-    def _heading(self, column: Column[Row], width: int) -> tuple[str, str]:
-        arrow = ("▲" if self.reversed else "▼") if column is self.sort_column else ""
-        title = clip(column.title + arrow, width)
-        return (f"{title:>{width}} " if column.right else f"{title:<{width}} "), "head"
-
-    def heading_clicked(self, x: int) -> None:
-        """Sort by the column at `x`; if the table is sorted by it already, reverse the order."""
-        edge = 1
-        for column, width in self._layout:
-            edge += width + 1
-            if x < edge:
-                self.reversed = column is self.sort_column and not self.reversed
-                self.sort_column = column
-                self.relist()
-                return
 
 
 def _searched(row: Row) -> dict[str, str]:
@@ -172,17 +108,11 @@ def _searched(row: Row) -> dict[str, str]:
     return texts
 
 
-def _cell(column: Column[Row], row: Row, width: int) -> tuple[str, str]:
-    text = column.text(row)
-    if len(text) > width:
-        text = fit_middle(text, width) if column is TOPIC else text[: width - 1] + "…"
-    look = ""
+def _look(column: Column[Row], row: Row) -> str:
     if row.acknowledged is not None and not is_armed(row):  # an armed topic may move a robot, so it is not dimmed
-        look = "dim"
-    elif column in {STATE, SIGN}:
-        look = "armed" if is_armed(row) else row.state.value
-    elif column is HISTORY_COLUMN:
-        look = "plot" if row.state.flows else row.state.value
-    elif row.state in (State.PAUSED, State.DISARMED, State.DISARMING):
-        look = "dim"
-    return (f"{text:>{width}} " if column.right else f"{text:<{width}} "), look
+        return "dim"
+    if column in {STATE, SIGN}:
+        return "armed" if is_armed(row) else row.state.value
+    if column is HISTORY_COLUMN:
+        return "plot" if row.state.flows else row.state.value
+    return "dim" if row.state in (State.PAUSED, State.DISARMED, State.DISARMING) else ""
