@@ -1,4 +1,4 @@
-"""Fixtures of the tests that run the whole bridge. ROS is imported by those that ask for it."""
+"""Fixtures of the tests that run the whole bridge. Only fixtures that need ROS import it."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None]:
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Where no test uses Hypothesis, its plugin would import it at the end, only to have nothing to say."""
+    """If no test uses Hypothesis, its plugin would import it at the end, only to have nothing to say."""
     if "hypothesis" not in sys.modules:
         session.config.pluginmanager.unregister(name="hypothesispytest")
 
@@ -208,7 +208,7 @@ def pc(_pc_domain: Domain) -> Iterator[Domain]:
 
 @pytest.fixture
 def third() -> Iterator[Domain]:
-    """A domain beside those two."""
+    """A third domain."""
     yield from _domain(domains_of("programs"))
 
 

@@ -59,7 +59,7 @@ class Here:
 
     @property
     def own(self) -> set[Any]:
-        """What the peer was asked to send."""
+        """The messages that the peer was asked for."""
         return self.bench._own
 
     def ask(self, **wanted: Any) -> BenchAnswer:

@@ -279,7 +279,7 @@ async def test_a_command_is_not_sent_again_after_a_later_message(monkeypatch: py
 
 @pytest.mark.parametrize("lost", [0, 1])
 async def test_an_urgent_message_is_sent_twice_and_taken_once(lost: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whichever of the two is lost."""
+    """One of the two is lost."""
     async with serving() as server:
         client, channel = await met(server)
         taken: list[bytes] = []

@@ -1,4 +1,4 @@
-"""What `make test` checks beside the tests: style, layers, types, and the wire with its coverage."""
+"""Checks of `make test` that are no tests: style, layers, types, and the wire with its coverage."""
 
 from __future__ import annotations
 

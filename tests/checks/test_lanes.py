@@ -1,4 +1,4 @@
-"""Which tests `make test` runs in one worker."""
+"""Groups of tests that `make test` runs in one worker."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many private members tests name: each breaks a test that need not care when the program renames it."""
+"""A limit on private members in tests: each breaks a test when the program renames it."""
 
 from __future__ import annotations
 

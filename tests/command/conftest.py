@@ -1,4 +1,4 @@
-"""What the tests of commands share: the program's arguments in, its exit code and its output back."""
+"""Fixtures of the tests of commands: the program's arguments in, its exit code and its output back."""
 
 from __future__ import annotations
 

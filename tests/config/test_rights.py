@@ -61,12 +61,12 @@ def serve(name: str, kind: Any = "service", protocol: str = "tcp") -> Use:
 
 
 def on_client(**session: Any) -> Rights:
-    """What the server may do on a client."""
+    """The rights of the server on a client."""
     return rights_of_server(Session(**CLIENT, **session))
 
 
 def on_server(**client: Any) -> Rights:
-    """What a client may do on the server."""
+    """The rights of a client on the server."""
     return rights_of_client(Client("robot1", **client), "pc")
 
 

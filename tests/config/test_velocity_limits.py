@@ -101,7 +101,7 @@ def test_check_shows_the_smallest_with_their_lines(path: Path) -> None:
 
 
 def test_check_shows_them_on_a_server_without_routes_of_its_own(tmp_path: Path) -> None:
-    """There, no entry has the name; its clients' files do."""
+    """No entry has the name there; its clients' files do."""
     path = tmp_path / "pc.yaml"
     path.write_text(
         "name: pc\nrole: server\nserver_ip: 10.0.0.1\nserver_port: 5\nuse_encryption: false\n"

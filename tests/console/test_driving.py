@@ -569,7 +569,7 @@ async def test_leaving_the_screen_asks_no_longer(app: ConsoleApp, pilot: Pilot[N
 async def test_the_holder_sees_the_question_while_driving_and_answers(
     app: ConsoleApp, pilot: Pilot[None], clock: Clock, key: str, gives: bool
 ) -> None:
-    """The keys that drive and stop do so meanwhile. A key that was on its way when the question came is no answer."""
+    """The keys that drive and stop do so meanwhile. A key that was pressed before the question came is no answer."""
     put(app, ASKED)
     await shown(pilot, DriveText.ASKS, who="bert on pts/2", seconds=7.0)
     await pilot.press(key)

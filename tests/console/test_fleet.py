@@ -331,7 +331,7 @@ def rollout(bed: Bed) -> RolloutScreen:
 
 
 async def marked(bed: Bed) -> RolloutScreen:
-    """Open the dialog for the first two robots, whose faults need not last long."""
+    """Open the dialog for the first two robots, whose faults last only a moment."""
     await bed.press("space", "space", "e")
     await bed.until(lambda: isinstance(bed.app.screen, RolloutScreen), "the dialog")
     screen = rollout(bed)

@@ -1,4 +1,4 @@
-"""What the other sides of a topic's routes report about messages by hand."""
+"""Reports of a topic's other sides about messages by hand."""
 
 from __future__ import annotations
 

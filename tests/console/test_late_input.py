@@ -268,7 +268,7 @@ def test_a_held_key_goes_on() -> None:
 @pytest.mark.parametrize("count", [1, 3, 9, 240])
 @pytest.mark.parametrize("parts", [1, 2, 5])
 def test_keys_that_come_together_move_nothing(count: int, parts: int) -> None:
-    """They come in one piece, or in some a round trip apart, as TCP sends again what was lost."""
+    """They come in one piece, or in some a round trip apart, as TCP repeats lost segments."""
     steering = Steering(lambda: True)
     for number in range(count):
         now = 10.0 + number * 1e-4 + (number * min(parts, count) // count) * 0.08

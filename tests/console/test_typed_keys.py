@@ -37,7 +37,7 @@ class Terminal:
         self._there, self.here = os.openpty()
 
     def questions(self) -> list[bytes]:
-        """Wait for a question, and return the places of those that have come."""
+        """Wait for a question, and return the places of all that have come."""
         data = b""
         found: list[bytes] = []
         while not found:

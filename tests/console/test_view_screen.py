@@ -227,7 +227,7 @@ WISHES: list[tuple[list[str], dict[str, Any]]] = [
 
 @on_main(landmark=SCAN)
 async def test_a_key_changes_the_wish(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    """Each time the view is opened anew."""
+    """Each time the view is opened again."""
     for keys, changes in WISHES:
         engine_of(app).commands.clear()
         await opened(pilot)

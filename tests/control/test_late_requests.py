@@ -89,7 +89,7 @@ def test_a_command_that_was_given_long_ago_is_not_sent(machine: Machine, command
 def test_a_refused_command_is_repeated_only_while_it_may_be_wanted(
     machine: Machine, monkeypatch: pytest.MonkeyPatch, rest: str
 ) -> None:
-    """The console, or its way to the bridge, stands still between the command and its refusal."""
+    """The console, or its connection to the bridge, hangs between the command and its refusal."""
     engine = ScriptedEngine()
     remote = machine.attach_to(engine)
     eventually(lambda: remote._ticket)

@@ -255,7 +255,7 @@ def test_adding_a_demand_closes_what_is_open(bridge: Bridge, yard: Yard) -> None
     [("client", "by name"), ("server", "pattern"), ("server", "armed"), *long_cases(("client", "armed"))],
 )
 def test_a_reload_drops_a_demand_only_if_an_operator_agrees(side: str, way: str, bridge: Bridge, yard: Yard) -> None:
-    """The file demands nothing any more, and neither it nor a restart of the links ends what was demanded."""
+    """The file demands nothing any more, and neither it nor a restart of the links ends a demand."""
     yard.add("/cmd_vel")
     yard.add("/free")
     plain = Topic("/cmd_vel", "receive")

@@ -180,7 +180,7 @@ def test_one_client_that_takes_all_it_can_leaves_enough_for_the_next(
 def test_half_a_pair_of_streams_holds_no_descriptor(
     bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where descriptors are scarce, half a pair of each topic would be all that there is, and none would connect."""
+    """If descriptors are scarce, half a pair of each topic would be all that there is, and none would connect."""
     out = robot.publisher("/scan")
     port = free_port()
     message = Scarcity.ROUTE_WITHOUT_STREAM(side="client", limit=150, remedy=MORE_DESCRIPTORS)
@@ -206,7 +206,7 @@ def test_half_a_pair_of_streams_holds_no_descriptor(
         eventually(lambda: opened.count(True) > 1, what="it is tried again from the beginning")
     eventually(out.get_subscription_count, what="subscribed")
     # A client may use its second stream a moment before the server has counted it.
-    eventually(lambda: carriers() == [3, 3], what="both streams beside the control connection")
+    eventually(lambda: carriers() == [3, 3], what="both streams and the control connection")
     client.remove_topic(route(client, "/scan").key).result(60)
     eventually(lambda: carriers() == [1, 1])
 

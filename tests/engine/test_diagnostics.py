@@ -100,7 +100,7 @@ def test_a_type_that_is_missing_ends_nothing_else(bridge: Bridge, monkeypatch: p
 
 
 def _held(listener: Listener) -> list[dict[str, object]] | None:
-    """What the newest message says of who holds what."""
+    """The holders of topics in the newest message."""
     if not (payloads := listener.payloads):
         return None
     found: list[dict[str, object]] = json.loads(deserialize_message(payloads[-1], String).data)
@@ -110,7 +110,7 @@ def _held(listener: Listener) -> list[dict[str, object]] | None:
 def test_nodes_hear_who_holds_which_topic_when_it_changes(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:
-    """On both sides; latched, for those that come later."""
+    """On both sides; latched, for late subscribers."""
     here, there = robot.listener("/rsb/driver", qos=LATCHED), pc.listener("/rsb/driver", qos=LATCHED)
     server, client = bridge.both(Topic("/cmd", "receive", arm=True, deadman=0.0), driver_topic="/rsb/driver")
     eventually(lambda: (_held(here), _held(there)) == ([], []))
@@ -142,7 +142,7 @@ def test_no_session_has_a_topic_of_holders_by_itself_and_a_reload_begins_one(
 
 @pytest.mark.parametrize("side", ["server", "client"])
 def test_the_topic_of_holders_is_bridged_by_neither_side(bridge: Bridge, side: str) -> None:
-    """A topic that is added while the bridge runs, and one that the other side proposes: both are told why not."""
+    """A topic that is added while the bridge runs, and one that the other side proposes: both get the reason."""
     own = {side: {"driver_topic": "/rsb/driver"}}
     server = bridge.server(clients=(Client("robot1"),), **own.get("server", {}))
     client = bridge.client(allow=("/**",), **own.get("client", {}))

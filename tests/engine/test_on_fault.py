@@ -39,7 +39,7 @@ class Told:
         self.program.chmod(0o755)
 
     def all(self) -> list[dict[str, Any]]:
-        """Return all changes: those of one command as it lists them."""
+        """Return all changes; one command lists its own in order."""
         if not self.file.exists():
             return []
         lines = [line for line in self.file.read_text().splitlines(keepends=True) if line.endswith("\n")]

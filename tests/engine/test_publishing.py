@@ -321,7 +321,7 @@ def driven(bridge: Bridge, pc: Domain, consoles: Consoles) -> tuple[Engine, Engi
 def test_a_topic_is_driven_whose_type_only_the_robot_knows(
     bridge: Bridge, robot: Domain, consoles: Consoles, type_name: str
 ) -> None:
-    """As documented: ``{topic: /cmd_vel, direction: receive, arm: true}``, and no publisher on the control PC."""
+    """The documented entry: ``{topic: /cmd_vel, direction: receive, arm: true}``, and no publisher on the control PC."""
     motors = robot.listener("/cmd", Twist)
     server, _ = bridge.both(replace(DRIVEN, type=type_name))
     eventually(lambda: route(server, "/cmd").arming is not None)
@@ -404,7 +404,7 @@ def test_a_message_without_ticket_leaves_the_rest(
 
 
 def test_whatever_disarms_ends_the_motion_first(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
-    """Afterwards, no message could stop the robot. Nodes beside the operator hear the end, too."""
+    """Afterwards, no message could stop the robot. The operator's other nodes hear the end, too."""
     motors, near = robot.listener("/cmd", Twist), pc.listener("/cmd", Twist)
     server, client = driven(bridge, pc, consoles)
     numbers = itertools.count(1)

@@ -1,4 +1,4 @@
-"""No hand asks more of a robot than the sessions of both sides allow, whatever it publishes with."""
+"""No hand asks more of a robot than the sessions of both sides allow, with any tool."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_what_follows_a_message_is_held_to_them_too(
 
 
 def test_a_stamped_velocity_has_limits_too(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """Of a topic that needs no arming."""
+    """A topic that needs no arming has them, too."""
     motors = robot.listener("/cmd", TwistStamped)
     pc.publisher("/cmd", TwistStamped)
     server = bridge.server(armed=())

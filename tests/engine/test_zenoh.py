@@ -151,7 +151,7 @@ def test_without_a_server_the_client_says_so(bridge: Bridge, router: Router) -> 
 
 
 def test_servers_of_one_fleet_are_named_on_both_and_may_have_other_clients(bridge: Bridge, router: Router) -> None:
-    """Of two servers with one key, the second does not listen: the client could not tell them apart."""
+    """The second of two servers with one key does not listen: the client could not tell them apart."""
     first, client = bridge.both(**over(router))
     twin = bridge.server(**over(router))
     eventually(lambda: happened(twin, EventCode.ENGINE_NOT_LISTENING))

@@ -146,7 +146,7 @@ def test_a_message_from_before_it_was_armed_is_not_published(at: int, pair: Pair
 
 
 def command(side: Side, *, take: bool = False, ask: bool = False) -> asyncio.Task[None]:
-    """What `rsb-console arm` has the bridge do, for a console; the other side hears nothing of it yet."""
+    """Have the bridge arm as `rsb-console arm` does, for a console; the other side hears nothing of it yet."""
 
     async def no_motions(_: set[str]) -> None:
         """Nobody drives by hand."""
@@ -172,7 +172,7 @@ def command(side: Side, *, take: bool = False, ask: bool = False) -> asyncio.Tas
 @pytest.mark.parametrize("take", [False, True], ids=["arm", "take"])
 @pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
 def test_a_topic_that_was_just_disarmed_is_armed_once_the_link_moves_again(at: int, take: bool, pair: Pair) -> None:
-    """What is said about its new opening stands in the link for a while."""
+    """The link holds the messages about its new opening for a while."""
     side = pair[at]
     arm(side).result()
     side.table.arming.disarm(route(side), Disarmed.OPERATOR)
@@ -221,7 +221,7 @@ def test_a_console_that_is_gone_before_the_type_is_loaded_arms_nothing(
 
 
 def test_a_console_that_is_gone_before_the_robot_stands_arms_nothing(pair: Pair) -> None:
-    """What it takes over is disarmed all the same."""
+    """The taken topic is disarmed all the same."""
     pc = pair[1]
     arm(pc, console="ben's").result()
     task = command(pc, take=True)

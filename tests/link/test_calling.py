@@ -243,7 +243,7 @@ def test_a_server_cannot_keep_a_client_away_for_years(
 async def test_a_restart_waits_for_the_topics_that_there_are_by_then(
     loop: VirtualLoop, make_context: Callable[..., Context], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each edit meanwhile puts another route in the place of one that will never be accepted."""
+    """Each edit meanwhile replaces a route that will never be accepted."""
     monkeypatch.setattr(ClientLink, "linked", True)
     role = ClientRole(make_context(), {"robot1": ()})
     (link,) = role.links()

@@ -1,4 +1,4 @@
-"""What a peer proposes that this side does not know, and ages that either side limits."""
+"""Proposals that this side does not understand, and ages that either side limits."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ REFUSED: tuple[tuple[Purpose, dict[str, Any], str], ...] = (
 
 
 def test_an_internal_route_has_its_own_rules(bridge: Bridge) -> None:
-    """Whatever a peer calls it, it does not become a topic, and a topic does not become one."""
+    """It becomes no topic under any name, and a topic becomes none."""
     server = bridge.server()
     with rogue(bridge) as client:
         numbers = itertools.count(1, 2)

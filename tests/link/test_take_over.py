@@ -76,7 +76,7 @@ both = pytest.mark.parametrize("at", [0, 1], ids=["from the other side", "beside
 
 @both
 def test_the_holder_sees_who_asks_and_how_long_it_takes(at: int, pair: Pair) -> None:
-    """So do both sides; the topic stays armed meanwhile."""
+    """Both sides do so; the topic stays armed meanwhile."""
     task = ask(pair[at])
     for side in pair:
         assert "bert" in shown(side).asked_by
@@ -140,7 +140,7 @@ def test_a_console_that_asked_and_is_silent_gets_nothing(
 
 @both
 def test_a_silent_console_does_not_get_what_was_disarmed_meanwhile(at: int, pair: Pair) -> None:
-    """As after a machine slept: its operator asked before that."""
+    """The machine may have slept: its operator asked before that."""
     task = ask(pair[at])
     now = pair[at].context.now
     with patch.object(pair[at].context, "now", lambda: now() + 60.0):
@@ -262,7 +262,7 @@ def test_of_two_questions_from_both_sides_the_holders_side_has_the_first(pair: P
 
 
 def test_a_side_that_asks_again_and_again_is_not_heard(pair: Pair) -> None:
-    """Whoever drives watches the robot, not questions."""
+    """The driver watches the robot, not questions."""
     for _ in range(int(_AT_ONCE)):
         ask(pair[0]).cancel()
         turn(pair[0])

@@ -201,7 +201,7 @@ class Running:
 def test_what_an_entry_demanded_stays(
     before: tuple[Topic, ...], after: tuple[Topic, ...], armed: list[str | ArmedName]
 ) -> None:
-    """A name once demanded stays so, whatever becomes of the entries; an edit may change the deadman."""
+    """A name once demanded stays so, even without its entries; an edit may change the deadman."""
     running = Running(*before)
     names = [each for each in ("/cmd", "/cmd_a", "/cmd_x", "/c/b", "/c/x") if running.demanded(each) is not None]
     running.edit(*after)

@@ -1,4 +1,4 @@
-"""The program where ROS's libraries differ from those that `rsb_bridge.ros.native` knows.
+"""The program with ROS libraries that `rsb_bridge.ros.native` was not made for.
 
 Stand-ins for other distributions: arguments that are refused, structs that are laid out otherwise, missing symbols.
 """

@@ -310,7 +310,7 @@ def test_nothing_old_and_nothing_unarmed_gets_to_the_channel(world: World) -> No
 
 
 def test_nothing_old_and_nothing_unarmed_gets_to_ros(make_context: Callable[..., Context]) -> None:
-    """What a long check or DDS could let in is asked once more, right before DDS gets the message."""
+    """Age and lease are asked once more after a long check, right before DDS gets the message."""
     route = opened(make_context(ros=OnePublisher()), FakePeer(), "/cmd")
     assert all(not each for each in incoming_gates(route))
     everything_on(route)
@@ -322,7 +322,7 @@ def test_nothing_old_and_nothing_unarmed_gets_to_ros(make_context: Callable[...,
 
 
 def test_calls_pass_them_from_callers_to_the_channel(make_context: Callable[..., Context]) -> None:
-    """What stops or watches a robot passes whatever it is."""
+    """A call that stops or watches a robot always passes."""
     route = calls(make_context(), CallingActionRoute)
     fast, slow = CallRateGate(0.0, 0.0), CallRateGate(10.0, 0.0)
     assert order(calling_gates(route, _CarriesFive(), fast, limited=True).arriving) == [PauseGate, SizeGate, BudgetGate]
@@ -335,7 +335,7 @@ def test_calls_pass_them_from_callers_to_the_channel(make_context: Callable[...,
 
 
 def test_calls_pass_them_from_the_channel_to_servers(make_context: Callable[..., Context]) -> None:
-    """What time may change is asked again after the check of contents."""
+    """Age and lease are asked again after the check of contents."""
     route = calls(make_context(), ProvidingActionRoute)
     arriving, leaving = map(order, providing_gates(route, limited=True))
     assert (arriving, leaving) == ([PauseGate], [BudgetGate])

@@ -381,7 +381,7 @@ def test_a_busy_publisher_is_measured_too() -> None:
 
 
 def test_a_history_that_is_overwritten_before_it_is_handed_over_is_not_taken_for_a_short_one() -> None:
-    """As DDS does at 5 kHz at times."""
+    """DDS does so at 5 kHz at times."""
     with virtual_loop() as loop:
         world = World(loop, 1)
         world.wait(1)
@@ -481,7 +481,7 @@ def test_a_topic_stays_in_the_graph_if_its_first_message_is_too_much() -> None:
 
 
 def test_messages_that_waited_do_not_overrun_a_subscriber() -> None:
-    """A new depth needs a new publisher, which nobody has discovered yet: what comes meanwhile waits."""
+    """A new depth needs a new publisher, which nobody has discovered yet: messages wait meanwhile."""
     count, depth = 2500, 500
     with virtual_loop() as loop:
         far = FarDds(loop)

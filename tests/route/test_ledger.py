@@ -236,7 +236,7 @@ def test_a_receiver_tells_what_it_counted_only_to_the_process_that_sent_it(
     route = half_of(IncomingRoute, make_context(role="server", ros=OnePublisher()), topic, peer, here=False)
 
     def counted_before(number: int) -> ReceivedReport | None:
-        """Open the route anew; return what it then tells of the opening before."""
+        """Open the route again; return its report of the opening before."""
         if route.id:
             route.close("the link was lost")
         route.open(number)

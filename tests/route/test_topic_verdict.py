@@ -378,7 +378,7 @@ def test_both_sides_show_the_same_and_never_less_than_either_says(one: Verdict, 
     sender.receive(record_of(other), NOW)
     receiver.receive(record_of(one), NOW)
     shown = [sender.shown(one), receiver.shown(other)]
-    own = {Cause.LINK_DOWN, Cause.REFUSED, Cause.PAUSED, Cause.DISARMED}
+    own = {Cause.LINK_DOWN, Cause.AWAITS_LINK, Cause.REFUSED, Cause.PAUSED, Cause.DISARMED}
     if not own & {one.cause, other.cause}:
         assert len({(each.verdict.state, each.verdict.cause) for each in shown}) == 1
         for each in shown:
@@ -497,7 +497,7 @@ def test_no_remedy_makes_an_overload_worse(known: dict[str, Any], datagrams: int
 
 
 def test_tcp_is_no_remedy_for_commands() -> None:
-    """It would hold up what has to be young."""
+    """It would hold up messages that have to be young."""
     assert USE_TCP in verdict_on(SENDER, loss=LOST, datagrams=1).text
     assert USE_TCP not in verdict_on(SENDER, loss=LOST, datagrams=1, armed=True).text
 

@@ -1,4 +1,4 @@
-"""Invariants of actions, in addition to those of all calls (`tests.simulation.call_invariants`)."""
+"""Invariants of actions, besides the invariants of all calls (`tests.simulation.call_invariants`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Invariants of calls; `tests.simulation.invariants` has those of topics and links."""
+"""Invariants of calls. For topics and links, see `tests.simulation.invariants`."""
 
 from __future__ import annotations
 

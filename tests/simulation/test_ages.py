@@ -112,7 +112,7 @@ def test_each_rule_is_needed(what: str, changes: Any, doing: Any) -> None:
 
 
 def test_nothing_is_sent_that_is_old_when_it_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Messages that wait in the sender's queue or are taken late expire there, whatever the receiver does."""
+    """Messages that wait in the sender's queue or are taken late expire there, for any receiver."""
     replaced.WHY_OLD.set(monkeypatch, _any_age)
     world, flow = aging_world(3)
     flow.max_age = float("inf")

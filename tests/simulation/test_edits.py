@@ -193,7 +193,7 @@ async def test_what_the_listing_side_edits_since_stays(lister: str, edits: Edits
 @LISTERS
 @pytest.mark.parametrize("again", [("robot", "server"), ("lister",)], ids=["both", "that lists it"])
 async def test_the_side_that_lists_it_is_started_again(lister: str, again: tuple[str, ...], edits: Edits) -> None:
-    """The client's entry takes precedence, whoever lists it; nothing else has been saved."""
+    """The client's entry takes precedence; nothing else has been saved."""
     await edits.edit(edits.other, qos=EDITED)
     await edits.both(EDITED)
     await edits.restart(*(lister if each == "lister" else each for each in again))

@@ -74,7 +74,7 @@ class Motors(Drivers):
                 self.world.wrong("the robot moves though its bridge has ended the arming")
 
     def _is_armed(self, now: float) -> bool:
-        """Whether the robot's bridge is armed, or was so when it published what comes now."""
+        """Whether the robot's bridge is armed, or was so when it published the present message."""
         route = self._route(self.robot)
         if route is not None and route.arming.armed:
             self._armed_at = now

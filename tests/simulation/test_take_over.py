@@ -297,7 +297,7 @@ _FROM_THE_ROBOT_S_SIDE = partial(goes_over, first=2, second=0)
 
 @pytest.mark.parametrize("life", [_BESIDE_EACH_OTHER, _FROM_THE_ROBOT_S_SIDE], ids=["beside", "from the robot's side"])
 def test_it_goes_over_through_a_rest(life: Any) -> None:
-    """With any QoS, and whichever publisher the robot's own topic has meanwhile."""
+    """With any QoS, and any publisher that the robot's own topic has meanwhile."""
     drivers = Drivers(1, "tcp")
     drivers.play(life)
     assert drivers.changes == 1
@@ -306,7 +306,7 @@ def test_it_goes_over_through_a_rest(life: Any) -> None:
 @pytest.mark.parametrize("gives", [True, False], ids=["gives", "keeps"])
 @pytest.mark.parametrize("asker", [1, 2], ids=["beside", "from the robot's side"])
 def test_the_holder_decides(asker: int, gives: bool) -> None:
-    """Who does not hold it disarms nothing by leaving a drive screen, and drives nothing."""
+    """An operator without the topic disarms nothing by leaving a drive screen, and drives nothing."""
     drivers = Drivers(1, "tcp")
     anna, other = drivers.drivers[0], drivers.drivers[asker]
 

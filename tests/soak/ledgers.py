@@ -45,7 +45,7 @@ class Book:
 
 
 def parts(row: Row) -> Counter[str]:
-    """Return a ledger's counts, with those of drops by cause."""
+    """Return a ledger's counts, and its drops by cause."""
     counts: Counter[str] = Counter({name: row[name] for name in ("offered", "lost_in_dds", *_PARTS)})
     counts.update({f"dropped: {cause}": count for cause, count in row["dropped"].items()})
     return counts

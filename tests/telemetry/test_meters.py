@@ -106,7 +106,7 @@ def test_a_tick_right_after_another_makes_no_rate() -> None:
 
 @pytest.mark.parametrize(("rate", "seconds"), [(2, 8), (1, 8), (0.2, 40)])
 def test_a_rate_falls_from_the_last_message_on_and_is_zero_in_the_end(rate: float, seconds: int) -> None:
-    """There is no usual rate yet, so only silence shows the end."""
+    """Without a usual rate yet, only silence shows the end."""
     meter = RateMeter(0.0)
     for second in range(1, seconds + 1):
         if second % max(1, round(1 / rate)) == 0:

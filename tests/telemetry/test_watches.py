@@ -147,7 +147,7 @@ def test_after_a_pause_only_a_longer_one_counts_unless_another_publisher_paused(
 def test_a_new_publisher_has_time_for_its_first_message() -> None:
     watch = StopWatch()
     watch.tick(10.0, 20.0, 10.0, A)
-    watch.tick(10.0, 20.0, 11.5, A | B)  # DDS lists a dead publisher beside its successor
+    watch.tick(10.0, 20.0, 11.5, A | B)  # DDS lists a dead publisher and its successor
     watch.tick(10.0, 20.0, 13.4, A | B)
     assert (watch.since, watch.quiet, watch.new) == (None, False, B)
     watch.tick(10.0, 20.0, 13.6, A | B)

@@ -49,7 +49,7 @@ print(json.dumps(held | {
 
 @pytest.fixture
 def tried(tmp_path: Path) -> dict[str, Any]:
-    """What a confined process was refused."""
+    """The requests that a confined process was refused."""
     secret = tmp_path / "robot1.key"
     secret.write_text("secret")
     with socket.create_server(("127.0.0.1", 0)) as server:

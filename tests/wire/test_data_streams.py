@@ -36,7 +36,7 @@ def test_a_data_stream_is_attached(suite: CipherSuite) -> None:
     assert (attach.link_id, attach.name) == (WELCOME.link_id, _NAME)
     server_keys.check_attach_proof(attach.header, attach.name.number, attach.proof)
 
-    # The server may send at once: what comes with the ACCEPT is for the link's routes.
+    # The server may send at once: bytes behind the ACCEPT are for the link's routes.
     first = DataWriter(server_keys.route_sealer(5, "server"), 5).write(b"x" * 10_000, 7)
     stream = server.accept_attach() + first
     assert data.receive_data(stream[:20]) == [Accepted()]

@@ -75,7 +75,7 @@ PLACES: tuple[Place, ...] = ("direct", "behind-tmux")
 
 
 class Result(NamedTuple):
-    """What late keys did.
+    """The effect of late keys.
 
     Attributes:
         moving: messages with a velocity that the robot got.
