@@ -97,7 +97,7 @@ def test_how_long_a_ping_takes(loop: VirtualLoop, context: Context) -> None:
     assert keepalive.round_trip is None
     ping = keepalive.tick()
     wait(loop, 0.3)
-    keepalive.answered(Pong(n=ping.n, sent=ping.sent, answered=ping.sent))
+    keepalive.answered(Pong(n=ping.n, sent=ping.sent, received=ping.sent, answered=ping.sent))
     assert keepalive.round_trip == pytest.approx(0.3, abs=0.01)
     for _ in range(3):
         keepalive.tick()

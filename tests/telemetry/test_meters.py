@@ -25,8 +25,8 @@ def test_a_latency_that_only_a_set_clock_explains_is_none(absurd: float) -> None
 def exchange(clock: ClockOffset, offset: float, there: float = 0.001, back: float = 0.001) -> None:
     """One ping and pong: seconds that they take, and the peer's clock minus ours."""
     sent = 10**18
-    answered = sent + int((there + offset) * 1e9)
-    clock.add(sent, answered, sent + int((there + back) * 1e9))
+    received = sent + int((there + offset) * 1e9)
+    clock.add(sent, received, received, sent + int((there + back) * 1e9))
 
 
 def test_the_clock_offset_is_that_of_the_shortest_round_trip() -> None:
@@ -54,7 +54,7 @@ def test_an_exchange_during_which_a_clock_is_set_misleads_only_until_the_next() 
     clock = ClockOffset()
     exchange(clock, offset=0.0)
     sent = 10**18
-    clock.add(sent, sent + 1_000_000, sent - 10 * 10**9)  # ours was set back by 10 s meanwhile
+    clock.add(sent, sent + 1_000_000, sent + 1_000_000, sent - 10 * 10**9)  # ours was set back by 10 s meanwhile
     exchange(clock, offset=10.0)
     assert clock.offset == pytest.approx(10.0)
     assert clock.rtt == pytest.approx(0.002)
@@ -136,9 +136,9 @@ def test_pings_that_are_held_up_one_way_for_long_do_not_move_the_clock() -> None
     """A tunnel holds everything up for 12 s on the way there."""
     clock = ClockOffset()
     second = 10**9
-    clock.add(0, second, second // 500)  # the peer's clock is 0.999 s ahead
+    clock.add(0, second, second, second // 500)  # the peer's clock is 0.999 s ahead
     for now in range(20, 60):
-        clock.add(now * second, (now + 13) * second, (now + 12) * second)
+        clock.add(now * second, (now + 13) * second, (now + 13) * second, (now + 12) * second)
     assert clock.offset == pytest.approx(0.999)
     assert clock.uncertainty is not None
     assert clock.uncertainty < 0.02

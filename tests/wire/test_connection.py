@@ -62,7 +62,7 @@ def test_messages_cross_both_ways(suite: CipherSuite) -> None:
     client, server, _, _ = established(suite)
     for n in range(3):
         assert server.receive_data(client.send(Ping(n, 1))) == [MessageReceived(Ping(n, 1))]
-        assert client.receive_data(server.send(Pong(n, 1, 2))) == [MessageReceived(Pong(n, 1, 2))]
+        assert client.receive_data(server.send(Pong(n, 1, 2, 3))) == [MessageReceived(Pong(n, 1, 2, 3))]
 
 
 @SUITES

@@ -154,13 +154,14 @@ class Keepalive:
             self.ping_delay = min(max(0.0, delay), _LONGEST_PING)
         if not self._answers.take(1, self._context.now()):
             return None
+        now = self._context.wall_ns()
         self._context.stamps.compare()
-        return Pong(ping.n, ping.sent, answered=self._context.wall_ns(), shift=self._context.stamps.shift)
+        return Pong(n=ping.n, sent=ping.sent, received=now, answered=now, shift=self._context.stamps.shift)
 
     def answered(self, pong: Pong) -> None:
         """Record the peer's answer to a ping."""
         self.answered_pings = max(self.answered_pings, min(pong.n, self._pings))  # a peer may name any number
-        self.clock.add(pong.sent, pong.answered, self._context.wall_ns())
+        self.clock.add(pong.sent, pong.received, pong.answered, self._context.wall_ns())
         # The ping has the time on the wall clock, which may be set; that on the clock of stamps was kept here.
         if (sent := self._sent_at.pop(pong.n, None)) is not None:
-            self.stamps.add(sent, pong.answered + pong.shift, self._context.stamps.now())
+            self.stamps.add(sent, pong.received + pong.shift, pong.answered + pong.shift, self._context.stamps.now())

@@ -284,7 +284,7 @@ class LatencyMeter:
 
 
 class ClockOffset:
-    """The peer's clock minus ours, from pings (RFC 5905, section 8, with an answer at once).
+    """The peer's clock minus ours, from pings (RFC 5905 section 8: offset and delay from four timestamps).
 
     Attributes:
         rtt: s, of the last exchange, or None before the first.
@@ -303,11 +303,11 @@ class ClockOffset:
         self.offset: float | None = None
         self.uncertainty: float | None = None
 
-    def add(self, sent: int, answered: int, back: int) -> None:
-        """Take one exchange. All in ns: sent and back on our clock, answered on the peer's."""
+    def add(self, sent: int, received: int, answered: int, back: int) -> None:
+        """Take one exchange. All in ns: sent and back on our clock, received and answered on the peer's."""
         # It is negative where a clock was set meanwhile, and would be the shortest of all.
-        self.rtt = max(0, back - sent) / 1e9
-        offset = ((answered - sent) + (answered - back)) / 2e9
+        self.rtt = max(0, (back - sent) - (answered - received)) / 1e9
+        offset = ((received - sent) + (answered - back)) / 2e9
         if self._stepped(offset, self.rtt / 2):
             self._samples.clear()
             self._best = None

@@ -300,16 +300,18 @@ class Ping(ControlMessageBase, frozen=True):
 
 
 class Pong(ControlMessageBase, frozen=True):
-    """The answer to a `Ping`, at once.
+    """The answer to a `Ping`: the first three of an exchange's four times (RFC 5905, section 8).
 
     Attributes:
+        received: ns since the epoch on the answerer's clock, when the ping came.
         answered: ns since the epoch on the answerer's clock, when this was sent.
-        shift: ns to add to that. The sum follows a clock that is never set, as do the stamps of the answerer's
+        shift: ns to add to the answerer's times. The sums follow a clock that is never set, as do the stamps of its
             messages.
     """
 
     n: Count
     sent: Nanoseconds
+    received: Nanoseconds
     answered: Nanoseconds
     shift: Shift = 0
 
