@@ -59,7 +59,7 @@ def test_pictures_show_this_version() -> None:
     assert shown["main.svg"]
     assert shown["fleet.svg"]
     for name, versions in shown.items():
-        current = {VERSION} if UNRELEASED else {NUMBER, f"{NUMBER}.dev0"}  # a release keeps the entries of the days before it
+        current = {VERSION} if UNRELEASED else {NUMBER, f"{NUMBER}.dev0"}  # a release keeps its earlier entries
         assert set(versions) <= current, f"{name}: make screenshots"
 
 

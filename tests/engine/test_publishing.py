@@ -321,7 +321,7 @@ def driven(bridge: Bridge, pc: Domain, consoles: Consoles) -> tuple[Engine, Engi
 def test_a_topic_is_driven_whose_type_only_the_robot_knows(
     bridge: Bridge, robot: Domain, consoles: Consoles, type_name: str
 ) -> None:
-    """The documented entry: ``{topic: /cmd_vel, direction: receive, arm: true}``, and no publisher on the control PC."""
+    """Documented: ``{topic: /cmd_vel, direction: receive, arm: true}``, and no publisher on the control PC."""
     motors = robot.listener("/cmd", Twist)
     server, _ = bridge.both(replace(DRIVEN, type=type_name))
     eventually(lambda: route(server, "/cmd").arming is not None)
