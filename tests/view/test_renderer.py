@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import Vector3
@@ -35,13 +34,6 @@ def test_a_view_never_gets_the_picture_of_one_that_ended_while_it_was_drawn(rend
         return (await renderer.draw(tree(2))).messages, (await renderer.draw(tree(3))).messages
 
     assert asyncio.run(run()) == (2, 3)
-
-
-def test_its_process_gets_no_signal_of_the_terminal_and_is_scheduled_beside_the_bridge(renderer: Renderer) -> None:
-    assert not asyncio.run(renderer.draw(tree(1))).problem
-    assert renderer.pid is not None
-    assert os.getpgid(renderer.pid) == renderer.pid
-    assert os.getsid(renderer.pid) == os.getsid(0), "niceness counts within a session alone: sched(7), autogroups"
 
 
 def test_a_hung_process_is_replaced(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:

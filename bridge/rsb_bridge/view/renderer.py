@@ -169,9 +169,7 @@ class Renderer:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                # A Ctrl-C in the terminal is for this program, which ends it. A session of its own would do, too, but
-                # Linux gives each an autogroup (sched(7)), and niceness has no effect between those.
-                process_group=0,
+                start_new_session=True,  # a Ctrl-C in the terminal is for this program, which ends it
             )
         except OSError as error:
             raise _StoppedError(NoPicture.NOT_STARTED(error=error)) from None
