@@ -166,9 +166,9 @@ class GuardedConfirmScreen(GuardedScreen, ConfirmScreen):
 
     def _is_drawn(self) -> None:
         self.drawn_at = time.monotonic()
-        self._waiting = self.set_interval(_LOOK_EVERY, self._take_keys_if_idle)
+        self._waiting = self.set_interval(_LOOK_EVERY, self._name_keys_once_they_count)
 
-    def _take_keys_if_idle(self) -> None:
+    def _name_keys_once_they_count(self) -> None:
         if InputGate.of(self.app).takes_keys(self):
             self._waiting.stop()
             self._takes_keys = True
