@@ -60,7 +60,7 @@ class Bed(NamedTuple):
     between: list[Process]
 
     def run(self, load: Load) -> tuple[Outcome, float]:
-        """Return what became of the calls, and the CPU time (s) of what is between."""
+        """Return the calls' outcomes, and the CPU time (s) of the processes between both ends."""
         before = self._cpu()
         outcome = self.near.call(self.service, quiet=QUIET, **load.how)
         check(load.what, self.service, outcome)

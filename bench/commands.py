@@ -1,6 +1,6 @@
 """Measures the gaps in the commands of an armed topic on a link that loses packets: ``python -m bench.commands``.
 
-A node on a control PC publishes commands, and a node on a robot hears them. Both stand in network namespaces of
+A node on a control PC publishes commands, and a node on a robot hears them. Both live in network namespaces of
 their own, with our bridge between them, on a cable that loses some of the packets both ways. A topic that disarms is
 armed again at once, which the table counts. It needs root, iproute2 and nftables.
 """

@@ -4,8 +4,8 @@ Node loggers publish on /rosout (latched, lifespan 10 s), or with ``--topic`` pl
 lifespan. A subscriber of depth 500 listens behind a bridge between two domains. A line has the messages sent and heard,
 the messages out of order, the time from the first publication to the first message heard, and to the first that a
 subscriber on the near side hears (DDS finds a new publisher late on a busy machine), latencies, how many messages
-a late joiner on the far side misses of those that one on the near side gets, how many it gets beyond these, and the
-sender's ledger.
+a late joiner on the far side misses of the messages that one on the near side gets, how many it gets beyond these,
+and the sender's ledger.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ DEPTH = 500
 _KEPT = 1000
 """Depth of the publishers, as rcl's own for /rosout."""
 _SETTLES = 2.5
-"""s for what is on its way, and for late joiners to get histories."""
+"""s for messages in transit, and for late joiners to get histories."""
 
 
 def main() -> None:

@@ -1,8 +1,8 @@
-"""Prints how fast the console answers keys beside a view: ``python -m bench.look_keys``, 1.5 min.
+"""Prints how fast the console answers keys while a view is open: ``python -m bench.look_keys``, 1.5 min.
 
 The console runs the demo in a terminal of 120×36 and shows the camera of its robot (10 Hz) as pictures at the printed
 rate. Keys that zoom come 30 times a second, as a keyboard repeats them. Every half second another key holds the picture
-or goes on, and the time until the title says so is taken. The first line is of the main screen, cursor and help.
+or goes on, and the time until the title shows it is taken. The first line is of the main screen, cursor and help.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Prints the bytes that the radio carries for a message, next to those of the thesis's Fernet and pickle.
+"""Prints the bytes that the radio carries for a message, next to the thesis's Fernet and pickle.
 
 ``python -m bench.overhead`` computes the sizes in docs/bluetooth.md, without a radio.
 """

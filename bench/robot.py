@@ -1,6 +1,6 @@
 """Measures what a robot's topics have of a thin link: ``python -m bench.robot`` prints a table for each link.
 
-A robot with nav2 and an operator's PC stand in network namespaces of their own. Between them is a Wi-Fi of 20
+A robot with nav2 and an operator's PC have network namespaces of their own. Between them is a Wi-Fi of 20
 Mbit/s that delays by 20 ± 15 ms, loses 2 % of the packets and all for 3 s of every 30 s, or a tunnel of 5 kB/s that
 keeps 4.4 MB (`wifi.c`). Plain nodes publish on the robot and listen on the PC, and our bridge is between them. In the
 column ``dds`` nothing is, and the nodes find each other by address: what a user would have without a bridge. In the
@@ -68,7 +68,7 @@ class Spoken(NamedTuple):
 
     Attributes:
         transport: that it always uses, or an empty string for the column's.
-        robot: whose bridge sends it. All robots stand at one end of the link.
+        robot: whose bridge sends it. All robots are at one end of the link.
         to_robot: whether the PC publishes it, for the robot.
     """
 
@@ -83,7 +83,7 @@ class Spoken(NamedTuple):
 
     @property
     def row(self) -> str:
-        """What is measured of it: topics that differ in their number only are one."""
+        """The figures' name: topics that differ in their number only are one."""
         return self.name.rstrip("0123456789")
 
     @property
@@ -143,12 +143,12 @@ class Link(NamedTuple):
 
     @property
     def robots(self) -> Sequence[str]:
-        """Whose bridges it carries."""
+        """The owners of the bridges that it carries."""
         return list(dict.fromkeys(each.robot for each in self.topics))
 
     @property
     def rows(self) -> dict[str, str]:
-        """What is measured, in words, by its name."""
+        """The figures in words, by their names."""
         topics = {each.row: f"{each.row} {each.rate:g} Hz × {each.size:,}" for each in self.topics}
         return topics | {row: f"{row} {each.rate:g} Hz × {each.size:,}" for each in self.calls for row in each.rows}
 
@@ -268,7 +268,7 @@ class Run:
         delays = sorted(
             (heard - made) / 1e6
             for made, heard in self.heard.get(topic, ())
-            # A message that was under way when a gap began belongs to the gap.
+            # A message that was in transit when a gap began belongs to the gap.
             if not any(begins - 0.5 < made / 1e9 < ends + _AFTER_GAP for begins, ends in self.gaps)
         ) or [float("nan")]
         part = len({made for made, _ in self.heard.get(topic, ())}) / max(1, len(self.made.get(topic, ())))

@@ -1,6 +1,6 @@
 """Prints the bridge's figures next to no bridge, a relay, and the thesis's pipeline: ``make bench``.
 
-``python -m bench.run [ROUNDS] [--beds relay,tcp] [--only small|large|rates|calls]``. All beds stand at once, each in a
+``python -m bench.run [ROUNDS] [--beds relay,tcp] [--only small|large|rates|calls]``. All beds run at once, each in a
 pair of ROS domains of its own, and take turns in bursts of one or two seconds. What else the machine does meets all
 of them, so the ratios hold where the figures don't. Figures are medians of the rounds with the lowest and the highest;
 ratios and differences are of bursts of the same round.

@@ -21,7 +21,7 @@ def main() -> None:
     tally: Tally = Counter()
     threading.Thread(target=_attack, args=(name, target, tally), daemon=True).start()
     deadline = time.monotonic() + 10
-    # The attack has begun when this process says so: no measured second is without it.
+    # The attack begins before this line is printed: no measured second is without it.
     while not tally and time.monotonic() < deadline:
         time.sleep(0.01)
     print("begun", flush=True)

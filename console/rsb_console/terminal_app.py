@@ -149,7 +149,7 @@ class TerminalApp(App[ReturnType]):
         return super().check_action(action, parameters)
 
     def key_question_mark(self) -> None:
-        """Show the keys. Textual calls this if no binding has the key: those of dialogs leave out the app's."""
+        """Show the keys. Textual calls this if no binding has the key: dialogs' bindings leave out the app's."""
         from rsb_console.screens.help import HelpScreen  # noqa: PLC0415 -- keeps the start short
 
         if not isinstance(self.screen, HelpScreen | SystemModalScreen):

@@ -106,7 +106,7 @@ def decode(
         payload: the message with its encapsulation header, or the beginning of it.
         items: elements of an array that are kept.
         steps: values that are read at most.
-        raw: give arrays of primitive elements as bytes (`Items.raw`): they count as one value, whatever their length.
+        raw: give arrays of primitive elements as bytes (`Items.raw`): they count as one value each.
     """
     message: Message = {}
     try:

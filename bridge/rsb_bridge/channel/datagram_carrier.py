@@ -190,7 +190,7 @@ class DatagramCarrier:
         self._timer: asyncio.TimerHandle | None = None
         self._now = self._loop.time()
         self._datagrams = 0  # sent so far
-        self._counted = self._missing = 0  # datagrams that are not in transit, and those of them that have not come
+        self._counted = self._missing = 0  # datagrams that are no longer in transit, and how many of them have not come
         self._proven = self._tried = False
         self._began: float | None = None
         self._heard = False
@@ -289,7 +289,7 @@ class DatagramCarrier:
         self._channel.written_off()
 
     def tick(self) -> None:
-        """Write off what no receipt has told of. Called once a second."""
+        """Write off bytes that no receipt has covered. Called once a second."""
         if self.in_transit and self._loop.time() - self.moved_at > self._scheduler.stalls_after:
             self._give_up()
 

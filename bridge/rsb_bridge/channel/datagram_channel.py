@@ -71,7 +71,7 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         self._loop = asyncio.get_running_loop()
         self._cut: Cut | None = None  # of a message that takes several turns
         self._at = 0  # pieces of it that are sent
-        self._counted = self._missing = 0  # datagrams that are not in transit, and those of them that have not come
+        self._counted = self._missing = 0  # datagrams that are no longer in transit, and how many of them have not come
         self._receipted = (-1, 0)  # the newest datagram of the last receipt, and how many had arrived
         self._receipted_at = float("-inf")
         self._arrivals: deque[tuple[float, int]] = deque(maxlen=_MOST_RECEIPTS)  # time (s), arrivals by then
@@ -172,7 +172,7 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         self._repeating = self._loop.call_at(self._repeat_at, self._repeat)
 
     def _pass(self, datagrams: Sequence[bytes], times: int = 1) -> int:
-        self._repeats = 0  # what was sent before must not come after these
+        self._repeats = 0  # an earlier frame must not come after these
         size = times * sum(map(len, datagrams))
         self.via.send(datagrams, size, times)
         return size

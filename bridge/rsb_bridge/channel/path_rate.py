@@ -3,7 +3,7 @@
 Nothing repairs datagrams, so their arrivals in a span of time are the rate of the path. Loss and delay tell less: a
 radio loses packets at any pace, and a short queue overflows before the link's window takes a byte for late. At 20
 Mbit/s, with a queue of 0.16 s and 2 % lost, messages of 4 kB arrived to 58 % while the window alone limited them
-(`bench.robot`). The idea and its gains are those of Cardwell et al. 2016, "BBR: Congestion-Based Congestion Control".
+(`bench.robot`). The idea and its gains are from Cardwell et al. 2016, "BBR: Congestion-Based Congestion Control".
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ the ages that the window tells apart (0.1 s and more)."""
 
 
 class ReceiptBook:
-    """Collects a link's receipts, and sends them together: if one is due, those of all other streams go with it.
+    """Collects a link's receipts, and sends them together: if one is due, all other streams' receipts go with it.
 
     The window cannot tell bytes that nobody has acknowledged yet from bytes that wait on the way. On a slow link, a
     stream with few bytes would keep them unacknowledged for a second.

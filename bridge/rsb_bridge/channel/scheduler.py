@@ -10,7 +10,7 @@ A route is asked for its messages when its turn comes, and not before. What wait
 depth and age count, and newer messages replace older ones.
 
 The window (`rsb_bridge.channel.window`) bounds what is in transit on all streams of the link together. With a window
-for each stream or route, the one with the most data would have the most in transit, whatever its priority. A stream on
+for each stream or route, the one with the most data would have the most in transit, with any priority. A stream on
 which nothing gets through any more would keep the window full, so its bytes are written off.
 """
 

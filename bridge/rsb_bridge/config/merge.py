@@ -155,7 +155,7 @@ class _Merger:
 
         Args:
             changes: the new values by key; `_GONE` where the key goes.
-            order: of the keys, for those that are added.
+            order: of the keys, for new ones.
         """
         pairs: list[Pair] = node.value
         at = {key.value: index for index, (key, _) in enumerate(pairs)}

@@ -486,7 +486,7 @@ class Listing(NamedTuple):
     Attributes:
         peer: as in `RightsRow`.
         moves: the patterns of `MOVES_A_ROBOT` that it may publish.
-        acts: the names that it may call, without those of `ONLY_READ`.
+        acts: the names that it may call, except for `ONLY_READ`.
     """
 
     peer: str

@@ -169,7 +169,7 @@ def _is_best_effort(topic: Topic) -> bool:
 
 
 def entry_problems(topic: Topic, session: Session | None = None, *, client: str | None = None) -> list[Problem]:
-    """Return all problems of a topic by itself whose values are of the right kinds, as those of a peer's are.
+    """Return all problems of a topic by itself whose values are of the right kinds, as in a peer's proposal.
 
     Args:
         session: the topic's session, or None if it is not known yet. It tells what the link can carry.

@@ -500,7 +500,7 @@ class _OperatorConnection(asyncio.Protocol):
             self._reader.feed_eof()
 
     def _end(self, reason: str) -> None:
-        """End the connection, and fail whoever waits for it."""
+        """End the connection, and fail all who wait for it."""
         error = ControlError(reason)
         self._ended = True
         self._reader.set_exception(error)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class TicketClock:
-    """Issues the tickets of one connection. Those of another connection are void.
+    """Issues the tickets of one connection. Another connection's tickets are void.
 
     Args:
         steady: gives s on a clock that is never set.

@@ -235,7 +235,7 @@ def _shared_memory(folder: Path) -> Iterator[Finding]:
 
 
 def _is_locked(path: Path) -> bool | None:
-    """Whether the process runs that made a lock file of Fast DDS's, or None if that can't be told."""
+    """Whether the process runs that made a lock file of Fast DDS's, or None if that can't be found out."""
     try:
         with path.open() as lock:
             if time.time() - path.stat().st_ctime < _LOCKED_WITHIN:
@@ -385,7 +385,7 @@ def _firewall() -> Iterator[Finding]:
 def dropping_chains(listed: list[dict[str, Any]]) -> list[str]:
     """Return the chains that packets to this machine come through and that drop some: ``ip filter INPUT``.
 
-    Docker's drops stand in chains of the hook ``forward``, which such packets do not come through.
+    Docker's drops are in chains of the hook ``forward``, which such packets do not come through.
     """
     verdicts: dict[_Chain, set[str]] = {}
     reached: list[_Chain] = []

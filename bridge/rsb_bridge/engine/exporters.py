@@ -235,7 +235,7 @@ class DriverExporter:
             self._topic.publish({"data": text})
 
     def _clashes(self, snapshot: Snapshot) -> bool:
-        """Whether the topic is not this bridge's alone. Then nothing is published, and that is said once."""
+        """Whether the topic is not this bridge's alone. Then nothing is published, and one warning is logged."""
         before, self._clash = self._clash, self._bridged(snapshot) or self._other_types()
         if self._clash and self._clash != before:
             self._topic.failed(self._clash)

@@ -72,9 +72,9 @@ _LAST_WITHIN = 1.0
 _DEPTH = 10
 """Messages: ROS's default."""
 AT_ONCE = 4
-"""Messages of one operator on one topic that may wait for their turn, before those of others."""
+"""Messages of one operator on one topic that may wait for their turn, before other operators' messages."""
 _LONG = 4_096
-"""Characters of fields that take 20 ms to read. Such messages are read one at a time, beside the short ones."""
+"""Characters of fields that take 20 ms to read. Such messages are read one at a time, while short ones go on."""
 _REST_CROSSES = 0.1
 """s in which the message that ends a motion gets on its way, before its topic is disarmed or the bridge stops.
 A round figure: if it gets lost, the robot's side publishes a rest by itself."""
@@ -129,7 +129,7 @@ class _Publication:
 
     Attributes:
         turn: held while a message is published.
-        commands: how many are under way, by operator.
+        commands: how many are being published, by operator.
         count: messages so far.
         operators: who publish, and when each did last.
         rest: the message that ends the motion, or None if nobody drives.
@@ -209,7 +209,7 @@ class Publishing:
             async with publication.turn:
                 return await self._publish(publication, command)
         finally:
-            publication.commands -= Counter((who,))  # without those that have none left
+            publication.commands -= Counter((who,))  # without operators that have none left
             publication.used_at = self._context.now()
             # Commands that fail must not take up the places for topics.
             if publication.publisher is None and not publication.commands:
@@ -304,7 +304,7 @@ class Publishing:
     def _check_armed(
         self, topic: str, type_name: str, routes: Sequence[TopicRoute[DataChannel]], *, driven: bool
     ) -> list[TopicRoute[DataChannel]]:
-        """Return the routes that are armed, or an empty list if the topic need not be.
+        """Return the routes that are armed, or an empty list if the topic needs no arming.
 
         Args:
             driven: whether the topic has to be one on which robots may be driven.

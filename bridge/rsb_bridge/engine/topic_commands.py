@@ -241,7 +241,7 @@ class TopicCommands:
             link.patterns.replace(entry.identity, msgspec.structs.replace(entry, paused=paused))
         else:
             old, name = pause_word(paused=route.paused), route.local_topic
-        for each in named.routes():  # those of the pattern as it is now
+        for each in named.routes():  # the pattern's routes as it is now
             link.table.pause(each, paused=paused)
         word = pause_word(paused=paused)
         self._log.add(code, "paused" if paused else "resumed", topic=name, link=link.name, old=old, new=word)

@@ -148,7 +148,7 @@ class Viewing:
         """Return the link to the side that publishes a topic, or None if this side does.
 
         Raises:
-            LinkError: no side is known to publish it.
+            LinkError: neither side publishes it, as far as this one knows.
         """
         links = self._links()
         if link_name:

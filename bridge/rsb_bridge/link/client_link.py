@@ -386,7 +386,7 @@ class ClientLink(Link):
         assert self.control is not None
         if descriptors.scarce():  # again: the handshake of the first stream may have taken seconds
             return Failure(descriptors.scarcity_message("client"))
-        # Channel 11 is not port 11: the link's own streams are those of its own transport only.
+        # Channel 11 is not port 11: the link's own streams are on its own transport only.
         own = 0 if transport is self.transport and port == self.shared_port() else port
         name = self.channels.next_name(own, large=large)
         connection = DataConnection(self.keys, name)

@@ -42,7 +42,7 @@ class InternalRoutes(Generic[SourceT, DrainT]):
         self._ends.serve(link.name, source, drain)
 
     def proposed(self, *, here: bool) -> list[Route]:
-        """Return the routes that this side has proposed, or those that the peer has."""
+        """Return the routes that this side has proposed, or the peer's."""
         routes = self._link.routes.values()
         return [each for each in routes if each.proposed_here == here and each.purpose is self._purpose]
 

@@ -133,7 +133,7 @@ class Keepalive:
             if isinstance(each, Stream):
                 if self._patience is not None:  # each second, as streams come and go; a repetition costs nothing
                     each.give_up_after(self._patience + _KERNELS)
-                if self.clock.rtt is not None:  # of an answered ping: not of one that waits for the network
+                if self.clock.rtt is not None:  # of an answered ping: an open one may wait for the network
                     each.round_trip_is(self.clock.rtt)
         return self.ping()
 

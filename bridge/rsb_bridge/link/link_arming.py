@@ -292,7 +292,7 @@ class LinkArming:
         return self.demand_on(route, self._context.demands) or NO_DEMAND
 
     def _say_who_demands(self, route: Route) -> None:
-        """Name the lines that demand arming, and those that limit what a hand may ask, for operators."""
+        """Name the lines that demand arming, and the limits of messages by hand, for operators."""
         arming, origin = route.arming, self._context.demands.origin
         own = tuple(map(origin, arming.own.sources))
         arming.demanded_by = own or ((PEER_DEMANDS,) if arming.required else ())
@@ -433,7 +433,7 @@ class LinkArming:
                 self._peer.send(Arm(route.id, route.arming.by))
 
     def _end_overdue(self) -> None:
-        """Disarm overdue routes, and those that will be so before the next beat of the lease, when they are."""
+        """Disarm overdue routes; if a route becomes so before the lease's next beat, then at that time."""
         now = self._context.now()
         for route in self._routes():
             if (why := route.arming.overdue(now)) is not None:

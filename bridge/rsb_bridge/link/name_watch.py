@@ -112,7 +112,7 @@ class NameWatch:
     def _search(self) -> list[_Found]:
         """Return what matches. Runs on another thread."""
         ros, session = self._context.ros, self._context.session
-        before, self._known = self._known, {}  # which names match; those that are gone are forgotten
+        before, self._known = self._known, {}  # which names match; names that are gone are forgotten
         own = session.own_topics
         topics = ros.topics() if "topic" in self._patterns else ()
         found = [

@@ -37,7 +37,7 @@ _RESOLVE_EVERY = 2.0
 _LATCHED_AGAIN_AFTER = 10.0
 """s after which kept messages may be asked for once more: one of them may be what ends the process that draws."""
 _SLOWEST = 0.05
-"""Hz of pictures at the least, whatever is wished."""
+"""Hz of pictures at the least, also where less is wished."""
 
 
 class ViewProblem(Wording):
@@ -161,7 +161,7 @@ class TopicView:
         self._starts = 0
         """Of the renderer, with the last picture."""
         self._lacks_latched = False
-        """Whether a view that is drawn anew lacks the messages that publishers keep, since they come only once."""
+        """Whether a view that is drawn again lacks the messages that publishers keep, since they come only once."""
         self._latched_at = -math.inf
 
     def change(self, topics: tuple[str, ...], wish: Wish) -> None:

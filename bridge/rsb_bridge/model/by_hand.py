@@ -27,7 +27,7 @@ class Draft(msgspec.Struct, frozen=True, omit_defaults=True):
     Attributes:
         type_name: ``pkg/msg/Name``.
         fields: of the message, as YAML.
-        is_last: whether they are those of a message that has just passed, and not the type's defaults.
+        is_last: whether they are from a message that has just passed, and not the type's defaults.
     """
 
     type_name: str
@@ -54,7 +54,7 @@ class Published(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Held(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What a console holds.
+    """The arming and the limits of a console's operator.
 
     Attributes:
         keys: of the routes that it has armed.

@@ -362,7 +362,7 @@ class Publish(Command[Published], frozen=True, tag="publish"):
 
     Attributes:
         topic: its name on this side.
-        fields: of the message, as YAML; those that are missing have their defaults.
+        fields: of the message, as YAML; missing ones have their defaults.
         type_name: its type, or an empty string if the topic has one already.
         ticket: from the answer before, or 0.
         rest: fields of a message that is published unless the next one comes in time, or an empty string for none:

@@ -74,7 +74,7 @@ _NOTHING_COMES = frozenset(
 )  # fmt: skip
 """The same: causes of the state `DOWN`."""
 _NO_NEWS = frozenset({Cause.NO_MESSAGE, Cause.SILENT, Cause.AWAITS_LINK})
-"""Causes of a topic that waits which say less than those of its fault."""
+"""Causes of a topic that waits which say less than the causes of its fault."""
 
 LASTS = 2.0
 """Seconds that a fault must last before it is reported, and be gone before its end is reported."""
@@ -264,7 +264,7 @@ def _is_wrong(subject: Faulty) -> bool:
 
 
 def _is_of_messages(kind: _Kind) -> bool:
-    """Whether a fault is one of messages or calls, and not of what has to be in order before any can cross."""
+    """Whether a fault is one of messages or calls, and not of a condition for any to cross."""
     state, cause = kind
     return state in _OF_MESSAGES or (state == State.DOWN and cause in _NOTHING_COMES)
 

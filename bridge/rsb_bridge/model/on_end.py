@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 ZERO: Final = "zero"
 NONE: Final = "none"
-"""Nothing is published; the robot goes on as it was told last."""
+"""Nothing is published; the robot goes on with its last command."""
 CANCEL: Final = "cancel"
 """The goals of the link's callers are cancelled."""
 LONGEST: Final = 200

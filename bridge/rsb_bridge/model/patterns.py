@@ -87,7 +87,7 @@ def _expression(segments: list[str]) -> str:
     """Return a regular expression with a group for each wildcard.
 
     Everything up to the next ``**`` is found at the first place where it matches, and no other is tried: what follows
-    can take up whatever is left. That is what keeps the time in bounds, as in `fnmatch.translate`.
+    can take up all the rest. That is what keeps the time in bounds, as in `fnmatch.translate`.
     """
     runs: list[list[str]] = [[]]
     for segment in segments:

@@ -162,7 +162,7 @@ class Curve(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Picture(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A picture of messages, or the reason why there is none.
+    """A picture of messages, or the reason why it is missing.
 
     Attributes:
         content: the picture, or None before the first message, or with a problem.

@@ -22,11 +22,11 @@ class Purpose:
         name: the purpose in proposals, and the first part of its routes' names.
         in_graph: whether ROS nodes have its names. Only then, the rules of topics hold: of their names, prefixes and
             types, of rights by pattern, of demands to arm, of loops, and of sessions.
-        right: the peer's right that a proposal needs, as a session calls it, or an empty string for those of topics.
+        right: the peer's right that a proposal needs, as a session calls it, or an empty string for topics.
         peer_sends: whether the peer may propose to send.
         is_shown: whether operators see its routes as rows, in the history and in the log.
         fills_link: whether it fills the link on purpose, which then does not count as full.
-        type_name: the type of its messages, which is installed nowhere, or an empty string for those of topics.
+        type_name: the type of its messages, which is installed nowhere, or an empty string for topics.
     """
 
     name: str

@@ -1,6 +1,6 @@
 """Quality of service, as session files, the wire and ROS share it.
 
-Values are those of the ROS 2 middleware interface (rmw/types.h, Jazzy); the named profiles are rmw/qos_profiles.h.
+Values are as in the ROS 2 middleware interface (rmw/types.h, Jazzy); the named profiles are rmw/qos_profiles.h.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def qos_problem(qos: Qos, *, depth_known: bool = True) -> str:
     """Return the values of a QoS that are out of range, or an empty string.
 
     Args:
-        depth_known: False allows 0, which stands for the depth of somebody else's endpoint: ROS does not tell it.
+        depth_known: False allows 0: the depth of somebody else's endpoint, which ROS does not tell.
     """
     if qos.depth not in DEPTH and (depth_known or qos.depth):
         return QosProblem.DEPTH_OUT_OF_RANGE(depth=qos.depth, range=DEPTH)

@@ -29,7 +29,7 @@ def is_mac(address: str) -> bool:
 
 
 class Ages(NamedTuple):
-    """How old (s) the oldest unacknowledged byte of a link may be beyond the shortest round trip.
+    """s that the oldest unacknowledged byte of a link may be older than the shortest round trip.
 
     Attributes:
         fresh: the window of the link grows below it,

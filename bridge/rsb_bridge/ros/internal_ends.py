@@ -186,7 +186,7 @@ class PictureSource:
         """Send a picture. This may block, so not on the I/O thread.
 
         Args:
-            stamp: ns since the epoch, from which its way over the link counts.
+            stamp: ns since the epoch, when it came to the link.
         """
         if not self.closed:
             self._number += 1
@@ -227,7 +227,7 @@ class InternalEnds(Generic[SourceT, DrainT]):
 
     Attributes:
         sources: make the messages of the internal routes that this side sends on, by internal route and link.
-        drains: take those of the internal routes that this side receives on, by internal route and link.
+        drains: take the messages of the internal routes that this side receives on, by internal route and link.
     """
 
     def __init__(self, purpose: Purpose) -> None:

@@ -46,7 +46,7 @@ _CIRCLE, _TURNS = 2.0, 0.2
 _MARGIN = 0.35
 """m: the robot's radius."""
 _COMMAND_LASTS, _WAITS = 0.5, 10.0
-"""s for which a velocity counts, and after which the robot goes back to its way."""
+"""s for which a velocity counts, and after which the robot goes back to its course."""
 _CALL_EVERY = 2.0  # s
 _SPEED, _TOP_SPEED = 0.2, 1.0  # m/s
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -147,7 +147,7 @@ class Motion:
         self._heading = math.remainder(self._heading + turn * elapsed, math.tau)
         x = self._x + forward * elapsed * math.cos(self._heading)
         y = self._y + forward * elapsed * math.sin(self._heading)
-        for place in ((x, y), (x, self._y), (self._x, y)):  # it slides along what is in its way
+        for place in ((x, y), (x, self._y), (self._x, y)):  # it slides along an obstacle
             if simulated_room.is_free(*place, _MARGIN):
                 self._x, self._y = place
                 break

@@ -81,7 +81,7 @@ class Reader:
         self._made_at = time.monotonic()
 
     def take(self, limit: int, skip: Collection[bytes]) -> list[RawMessage]:
-        """Take up to `limit` messages, without those that tell a publisher in `skip` (`Writer.told`).
+        """Take up to `limit` messages, except for the messages of publishers in `skip` (`Writer.told`).
 
         Stop after `_ENOUGH` bytes.
 

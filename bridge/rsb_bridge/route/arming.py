@@ -201,7 +201,7 @@ class Arming:
 
     @property
     def limits(self) -> VelocityLimits | None:
-        """What a hand may ask by both sides' sessions, armed or not, or None for any velocity."""
+        """The limits of messages by hand in both sides' sessions, armed or not, or None for any velocity."""
         return smallest((self.own.limits, self.peer_limits))
 
     # --- state

@@ -105,7 +105,7 @@ def worst(status: RouteStatus, verdicts: Iterable[Verdict | None]) -> tuple[Verd
 def explained(status: RouteStatus, verdict: Verdict) -> Verdict:
     """Return a verdict with the fault of the path as its cause, if that explains it.
 
-    While the link is silent, nothing is known of its topics: they wait.
+    A silent link says nothing of its topics: they wait.
     """
     cause = None if status.path is None else status.path.of_topic(verdict.cause)
     if status.path is None or cause is None:
@@ -214,7 +214,7 @@ def _refused(status: RouteStatus) -> Verdict | None:
         return None
     if DATA_CONNECTION not in status.refusal:
         return Verdict(State.DOWN, Cause.REFUSED, status.refusal)
-    # Nobody has refused it. If the path is at fault, the link knows that after seconds, and says so for all topics.
+    # Nobody has refused it. If the path is at fault, the link finds out within seconds, and shows it for all topics.
     if status.reopens and status.path is None:
         why = status.refusal.partition(DATA_CONNECTION)[2]
         return Verdict(State.WAITING, Cause.AWAITS_LINK, f"the link opens its data connection again ({why})")

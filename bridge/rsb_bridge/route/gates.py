@@ -1,6 +1,6 @@
 """The gates of messages and calls: nothing old and nothing unarmed gets through (`Gate`, `Sieve`).
 
-Each direction has a function that lists its gates in the order in which they are asked, without those that are off:
+Each direction has a function that lists its gates in the order in which they are asked, except for gates that are off:
 `sending_gates`, `incoming_gates`, `calling_gates`, `providing_gates`, `armed_gates`. They ask ages and leases twice:
 when a sample comes, before it costs anything, and right before it is handed on, because queues, unpacking, checks and
 requests to DDS take long.
@@ -456,7 +456,7 @@ def incoming_gates(route: Route) -> IncomingGates:
     return IncomingGates(batch=armed_gates(route), arriving=(*leased, *slow), leaving=(*leased, *young))
 
 
-# --- calls; those of lanes that stop or watch a robot are not `limited`
+# --- calls; lanes that stop or watch a robot are not `limited`
 
 
 class CallingGates(NamedTuple):

@@ -4,7 +4,7 @@ DDS does not announce the depth of a publisher's history, but a new subscription
 it begins with message 6 and the newest is 10, the publisher keeps five. If it begins with message 1, the publisher
 keeps at least as many as have come. So a short-lived second subscription (a probe) shows the depth.
 
-A publisher that never pauses publishes while it is probed, so its depth is known only within bounds. No live message
+A publisher that never pauses publishes while it is probed, so only bounds of its depth are found. No live message
 waits for that: each is sent with the most that its publisher may keep, and the peer drops what is too much as soon as
 it gets the depth. Only a history waits for a moment, because with a known depth it costs the peer one publisher.
 """
@@ -245,12 +245,12 @@ class Histories:
     # --- depths
 
     def _work(self) -> None:
-        """Settle complete histories, release what was held, start a probe if one is needed, and set the timer."""
+        """Settle complete histories, release held messages, start a probe if one is needed, and set the timer."""
         now = self._loop.time()
         due: list[float] = []
         wanted: dict[bytes, int] = {}
         for gid, publisher in self._publishers.items():
-            # Without numbers, or with a given depth, there is nothing to find out.
+            # Without numbers, or with a given depth, a probe has no question.
             if not publisher.first or self._depth:
                 continue
             releases_at = publisher.began + _HELD_FOR

@@ -78,7 +78,7 @@ def _with_latencies(
 
 
 class _NotPublishedError(Exception):
-    """A message that arrived is not published, and operators need not know. Its text is the cause in the ledger."""
+    """A message that arrived is not published, and no operator has to know. Its text is the cause in the ledger."""
 
 
 _FAILURES: dict[type[Exception], tuple[str, EventCode]] = {

@@ -321,7 +321,7 @@ class LatchedTopic:
         """Whether those who have discovered the other publishers have discovered an output's, or had time to."""
         if now - output.made_at >= _MATCHED_WITHIN:
             return True
-        # Those that were just retired may be the only others: once a depth is known, all older ones go at once.
+        # The messages just retired may be the only others: once a depth is found, all older ones go at once.
         others = chain(islice(self._outputs(), _ASKED), islice((each for _, each in self._retired), _ASKED))
         return output.publisher.subscriber_count >= max(each.publisher.subscriber_count for each in others)
 

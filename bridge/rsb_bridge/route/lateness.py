@@ -181,7 +181,7 @@ class Unreported:
 
 
 class SendersDelay:
-    """What the sending half knows of how long messages take in one opening.
+    """The sending half's knowledge of how long messages take in one opening.
 
     Attributes:
         reported: s that they took by the receiver's last report, or None before the first.
@@ -228,7 +228,7 @@ class SendersDelay:
             uncertainty: s by which reported delays may be too long.
 
         Returns:
-            What was reported lately, or None.
+            The latest report, or None.
         """
         measured = self.reported if now - self._reported_at <= REPORTED_LATELY else None
         if measured is None:

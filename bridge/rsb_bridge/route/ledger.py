@@ -204,7 +204,7 @@ class RouteLedger:
         """End the opening."""
         # An opening without messages does not close the account of the one before, whose counts may still come.
         if self._opening.sent:
-            # If an earlier one still waits for its counts, they will not come: a receiver keeps those of one opening.
+            # If an earlier one still waits for its counts, they will not come: a receiver keeps one opening's counts.
             self.settle(None, "")
             self._unsettled = self._opening
         self._opening = _Opening()

@@ -129,7 +129,7 @@ class Reopening:
         self.retry_at = now + self._backoff.next()
 
     def tick(self, *, connected: bool, flowing: bool) -> None:
-        """Begin the pauses anew once messages flow: acceptance alone is not enough, as a refusal may follow."""
+        """Begin again with the shortest pause once messages flow: acceptance is not enough, as a refusal may follow."""
         if connected:
             self._broke_at = None
         if flowing:

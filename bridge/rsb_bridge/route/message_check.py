@@ -87,10 +87,10 @@ class ExpansionBudget:
         self.over_time = TokenBucket(EXPANSION_AT_ONCE, EXPANSION_A_SECOND, now)
         self._this_turn = 0
         self._waiting: deque[Callable[[], None]] = deque()
-        self._expansions: deque[_Expansion] = deque()  # the first one is under way
+        self._expansions: deque[_Expansion] = deque()  # the first one is being unpacked
 
     def expand(self, expansion: _Expansion, loop: asyncio.AbstractEventLoop) -> None:
-        """Unpack a message on another thread, after those that are to be unpacked already."""
+        """Unpack a message on another thread, after all messages that already wait for it."""
         self._expansions.append(expansion)
         if len(self._expansions) == 1:
             self._expand_next(loop)

@@ -446,7 +446,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         return TypeVersion(self.type_name, self.type_hash) if self.type_name else self._resolver.hint
 
     def takes(self, gid: bytes) -> bool:
-        """Whether messages of a publisher here are taken now, or held until it is known where they come from."""
+        """Whether messages of a publisher here are taken now, or held until their origin is found out."""
         return self._subscription.receives and not self._loop_filter.table.left_out(gid)
 
     @property

@@ -85,7 +85,7 @@ class Route:
         endpoints: others' publishers of the topic on the sending side, their subscriptions on the receiving side; of
             calls, the clients and the servers.
         rank: rank of its priority; calls rank above topics.
-        idle: whether it needs no tick now, as nothing has happened: then it is neither reported nor shown anew.
+        idle: whether it needs no tick now, as nothing has happened: then it is neither reported nor shown again.
         peer_report: type of the reports that the other side's half sends.
     """
 
@@ -208,7 +208,7 @@ class Route:
 
     @property
     def on_end(self) -> str:
-        """What the receiving side publishes once an arming ends, or an empty string where it is not known."""
+        """The message that the receiving side publishes once an arming ends, or an empty string before it has said."""
         return ""
 
     @property
@@ -218,7 +218,7 @@ class Route:
 
     @property
     def message_types(self) -> tuple[TypeVersion, ...]:
-        """The types of its messages; of calls, those of their requests and responses, too."""
+        """The types of its messages; of calls, also the types of their requests and responses."""
         return (TypeVersion(self.type_name, self.type_hash),)
 
     # --- opening and closing

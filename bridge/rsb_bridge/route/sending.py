@@ -312,7 +312,7 @@ class OutgoingPath:
 
     Attributes:
         histories: of a latched topic's publishers in the present opening, or None for a volatile topic.
-        gates: those that are on.
+        gates: all that are on.
     """
 
     def __init__(

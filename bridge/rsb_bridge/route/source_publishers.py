@@ -455,7 +455,7 @@ class SourcePublishers:
         return any(topic.has_kept for topic in self._latched())
 
     def present(self, publishers: Mapping[bytes, int]) -> None:
-        """Take the publishers that the sending side has now, and the depths of those that are known."""
+        """Take the publishers that the sending side has now, and their depths as far as it has found them."""
         for topic in self._latched():
             topic.present(publishers)
 

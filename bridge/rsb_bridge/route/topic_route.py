@@ -175,7 +175,7 @@ class TopicRoute(Route, Generic[ChannelT]):
 
     @property
     def on_end(self) -> str:
-        """What the receiving side publishes once an arming ends, or an empty string if that is not known."""
+        """The message that the receiving side publishes once an arming ends, or an empty string before it has said."""
         return self.on_end_of(self.type_name)
 
     def on_end_of(self, type_name: str) -> str:

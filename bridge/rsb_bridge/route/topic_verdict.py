@@ -66,7 +66,7 @@ LOSS_CAUSES = frozenset({Cause.LOSSY, *(cause for cause, _ in _LOSSES.values())}
 
 
 class TopicProgress(NamedTuple):
-    """How far a topic's messages get, as one half knows it.
+    """The progress of a topic's messages, as one half knows it.
 
     Attributes:
         endpoints: the topic's publishers on the sending side, its subscriptions on the receiving side.
@@ -128,7 +128,7 @@ class Facts(NamedTuple):
         lost_in_dds: messages that DDS lost in the last `LATELY` s before they could be taken.
         loss: between the two sides, or None if it is negligible.
         datagrams: about how many a message takes, or 0 if its transport has none.
-        armed: whether it has to be armed: then TCP would lose more of it, since it holds up what has to be young.
+        armed: whether it has to be armed: then TCP would lose more of it, since late messages are dropped.
         expired: the messages that were dropped lately because they were too old, or None if they are few.
         full: the rates of the link if it is full, or None.
         loss_unexplained: whether it is not known yet if `loss` is due to a full link.

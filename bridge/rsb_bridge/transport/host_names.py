@@ -28,7 +28,7 @@ async def look_up(
     Args:
         host: a name or an address.
         within: s until the lookup is given up.
-        flags: those of `socket.getaddrinfo`.
+        flags: as in `socket.getaddrinfo`.
 
     Raises:
         OSError: the name is not known, or no name server answers.

@@ -50,7 +50,7 @@ _ROUND_TRIPS, _MOST_RETRIED_AFTER = 4, 8
 
 
 def retry_after(sock: socket.socket | None, seconds: int) -> None:
-    """Have the kernel wait for so long at most between retransmissions, if it is TCP and can be told."""
+    """Have the kernel wait for so long at most between retransmissions, if it is TCP and allows that."""
     with contextlib.suppress(OSError, AttributeError):
         sock.setsockopt(socket.IPPROTO_TCP, TCP_RTO_MAX_MS, seconds * 1000)  # type: ignore[union-attr]
 
@@ -136,7 +136,7 @@ class Stream(asyncio.Protocol):
         high_water: bytes that may wait for the kernel before the stream counts as congested.
         congested: whether more than `high_water` bytes wait for the kernel, so that writers should pause.
         received_at: time (s, on the loop's clock) of the last bytes, or of the connection.
-        sent_bytes: so far, including those that still wait.
+        sent_bytes: so far, including bytes that still wait.
         address: of the other end.
         own_address: host or adapter of this end, or empty if unknown.
     """

@@ -1,4 +1,4 @@
-"""The views of types: this program's, and those of other installed packages.
+"""The views of types: this program's, and other installed packages'.
 
 A package adds a view by an entry point of the group `GROUP`, whose name is the type::
 

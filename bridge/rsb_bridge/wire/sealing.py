@@ -180,7 +180,7 @@ class Sealer(_StreamState):
             The sealed content, `CipherSuite.tag_length` bytes longer.
         """
         sequence = self.sequence
-        self.sequence = sequence + 1  # used up, whatever happens
+        self.sequence = sequence + 1  # used up, also if sealing fails
         if sequence >> EPOCH_BITS != self._epoch:
             self._enter_epoch(sequence >> EPOCH_BITS)
         return self._current.encrypt(self._nonce(sequence), content, associated)

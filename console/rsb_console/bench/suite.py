@@ -192,7 +192,7 @@ class Suite:
         """Send at the plan's rates as far as they are carried, and as time remains."""
         runs = []
         for rate in self._plan.paced:
-            # A rate that loses messages has no percentiles: they would be of those that came.
+            # A rate that loses messages has no percentiles: they would leave out the lost ones.
             if rate > min(highest, _FIRST_BYTES / size) or self._clock() >= min(self._share_ends, self._ends_at):
                 break
             self._say(f"{what}, latency at {rate:,} msg/s")

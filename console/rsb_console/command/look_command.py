@@ -116,7 +116,7 @@ def _one(engine: RemoteEngine, viewer: str, arguments: Namespace) -> int:
 
 
 def _first(engine: RemoteEngine, viewer: str, arguments: Namespace, wish: Wish, seconds: float) -> Viewed | None:
-    """Return the first picture, or the reason why there is none.
+    """Return the first picture, or the reason why it is missing.
 
     Several topics come one after another: of them, return the last picture of some time, and wait for what they add,
     such as the transforms of `/tf`, before there is a picture.

@@ -483,7 +483,7 @@ def _topic(values: dict[str, str], keys: list[str], engine: RemoteEngine, replac
 
 
 def _standard_input() -> int:
-    """Return the descriptor of standard input, or one that is at its end where there is none."""
+    """Return the descriptor of standard input, or one that is at its end if it is closed."""
     try:
         return sys.stdin.fileno()
     except (AttributeError, OSError):  # a closed one, as of some services
@@ -534,9 +534,9 @@ def _hold(engine: RemoteEngine, route: RouteSnapshot, keys: TypedKeys) -> tuple[
     while True:
         pressed = keys.wait(ASKED_EVERY)
         holds = route.key in result(engine.keep_armed(pressed=pressed)).keys
-        # From the first answer that says so: a bridge that stood still shows for a moment what was before.
+        # From the first answer that has it: a bridge that hung shows its old state for a moment.
         lost_at = math.inf if holds else min(lost_at, time.monotonic())
-        if pressed and asked_by:  # whoever presses Enter drives
+        if pressed and asked_by:  # pressing Enter means driving
             with contextlib.suppress(EngineError):  # it is over
                 result(engine.answer_asker(route.key, gives=False))
         now = next((each for each in engine.snapshot().routes if each.key == route.key), None)

@@ -148,7 +148,7 @@ class BridgeOperations:
         if engine is None or route is None or route.arming is None:
             return
         if route.arming.armed:
-            # This key stops a robot: it asks nobody, whoever holds the topic.
+            # This key stops a robot: it asks nobody, even if another operator holds the topic.
             await self._disarm(engine, route)
         elif route.state is State.PAUSED:
             text = f"{route.topic} cannot be armed: it is paused; resume it first"

@@ -127,7 +127,7 @@ class SessionOperations:
                 return
             if await self._run(chosen.session, chosen.path):
                 return
-            # After a no, the dialog comes back with what was chosen.
+            # After a no, the dialog comes back with the choices made.
             path = str(chosen.path)
 
     async def _open(self, path: Path) -> None:

@@ -78,7 +78,7 @@ _WAYS = {
 """Forward and turn, counterclockwise, of each key, with the letters of teleop_twist_keyboard."""
 _STOPS = {"k", "space"}
 _LANDING_LASTS = 10.0
-"""s without a report after which the count of what has landed begins anew."""
+"""s without a report after which the count of landed messages starts again at 0."""
 _NAMED = 4
 """Robots in one line."""
 _KEYS = "↑↓←→ uiojlm,. drive · space stop · +- speed · A arm · esc leave"
@@ -158,7 +158,7 @@ def in_hand(route: RouteSnapshot, snapshot: Snapshot) -> str:
 
 
 def limits_on(route: RouteSnapshot, snapshot: Snapshot) -> tuple[VelocityLimits | None, list[str]]:
-    """Return what a hand may ask of all robots on a route's topic, and the lines that say so."""
+    """Return the limits of messages by hand for all robots on a route's topic, and the lines that set them."""
     routes = [each for each in snapshot.routes if each.topic == route.topic and each.calls is None]
     limits = smallest(each.limits for each in routes)
     found = (each.limited_by for each in routes if limits and each.limits and each.limits.are_in(limits))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 _AROUND = 11
-"""Lines that are not the form's: the frame, help and buttons, and below the dialog those of a toast."""
+"""Lines that are not the form's: the frame, help and buttons, and below the dialog a toast."""
 _DRAWN_AFTER = 0.1  # s from a refusal until it is drawn, which takes two or three refreshes
 
 

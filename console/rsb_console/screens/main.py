@@ -71,7 +71,7 @@ class Explanations:
         return self._console.key_labels(BY_ID[action])[0]
 
     def bar(self, snapshot: Snapshot, frozen_since: float | None) -> BarState:
-        """Return what the status bar shows beside the snapshot."""
+        """Return what the status bar shows in addition to the snapshot."""
         console, engine = self._console, self._console.engine
         session = "" if console.path is None else console.path.stem
         way_on = "" if snapshot.running or engine is None else self._way_on()

@@ -371,7 +371,7 @@ def suggestions_for(
     """Return what can be bridged from both graphs: topics, then services, actions and parameters, each by name.
 
     A publisher makes a topic flow away from its side; where there are only subscriptions it is to flow towards them.
-    What has both, one on each side, is told by its publisher. So it is with the servers and clients of a service.
+    If a name has both, one on each side, the publisher decides. So it is with the servers and clients of a service.
 
     Args:
         bridged: the link's routes; neither end of one is offered the same way again.

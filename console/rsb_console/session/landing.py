@@ -1,4 +1,4 @@
-"""What has happened to messages and calls by hand, as the other sides of their routes report it."""
+"""Reports of messages and calls by hand, from the other sides of their routes."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ class InputGate:
         return self.is_on and self._clock() - heard_before(event) >= FRESH_FOR
 
     def refuses(self, event: Message, screen: Screen[Any]) -> bool:
-        """Whether a screen must not get an event; the operator is told why not."""
+        """Whether a screen must not get an event; the operator gets the reason."""
         if self.pulse is None or not _is_pressed(event):
             return False
         # A form that splits a paste makes events of its own: these are as young as the paste.

@@ -78,7 +78,7 @@ class Order(Generic[R]):
 
 
 class SortedTable(SelectableList, Generic[R]):
-    """A heading, and a line for each row; or a text while there are none.
+    """A heading, and a line for each row; or a text while it is empty.
 
     The cursor stays on its row when the order changes.
 
@@ -101,7 +101,7 @@ class SortedTable(SelectableList, Generic[R]):
         raise NotImplementedError
 
     def relist(self) -> None:
-        """List the rows anew, in their order."""
+        """List the rows again, in their order."""
         raise NotImplementedError
 
     def row_line(self, key: str, *, cursor: bool) -> Line:

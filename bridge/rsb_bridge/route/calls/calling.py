@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.records import CallsReport, LaneEntry
 
 _UNKNOWN = Provide(route=0)
-"""Before the other side has told what it provides."""
+"""Before the other side has sent what it provides."""
 
 
 class LaneMessages:
@@ -152,7 +152,7 @@ class CallerCalls(PendingCalls[CallerCall]):
 
 
 class LandedText(Wording):
-    """How far a call without an answer got on the other side."""
+    """The progress of a call without an answer on the other side."""
 
     GIVEN = "it was given to DDS there, so the node may have acted on it"
     UNREPORTED = "not reported whether it was given to DDS there: the node may have acted on it"
@@ -385,7 +385,7 @@ class CallingRoute(CallsRoute):
         self.failures.refused(why)
 
     def _remember(self, call: CallerCall, payload: bytes, stamp: int) -> None:
-        """Note what has to be known later of a caller's call, which is about to be sent."""
+        """Note, of a caller's call that is about to be sent, what later steps need."""
 
     def _too_late(self, lane: int, requests: Sequence[Request]) -> None:
         """Count requests that were on their way from ROS when the offer ended."""

@@ -29,7 +29,7 @@ class Trouble(NamedTuple):
 
 
 class CallsProgress(NamedTuple):
-    """How far calls get, as one half knows it.
+    """The progress of calls, as one half knows it.
 
     Attributes:
         served: whether nodes answer, or None if it is unknown.

@@ -30,7 +30,7 @@ class LaneTypes:
 
     Attributes:
         names: by lane, as last known.
-        messages: of their requests, responses and messages, likewise.
+        messages: of their requests, responses and messages, in the same order.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class LaneTypes:
             check.set()
 
     def check(self, lane: int, part: str, content: bytes) -> None:
-        """Check the content of a frame, if the session wants that and the type is known.
+        """Check the content of a frame, if the session wants that, and the type's description is here.
 
         Args:
             part: the suffix of the lane's type: ``_Request``, ``_Response`` or nothing.
@@ -136,5 +136,5 @@ class TypeComparison:
             self._found()
 
     def forget(self) -> None:
-        """Forget what was compared, as the opening has ended."""
+        """Forget the comparison, as the opening has ended."""
         self._compared = None

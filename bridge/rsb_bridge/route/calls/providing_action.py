@@ -91,7 +91,7 @@ class ProvidingActionRoute(ProvidingRoute):
     # --- setting up
 
     def advance(self) -> None:
-        """Tell the other side, and note what becomes of the server."""
+        """Tell the other side, and note the server's state."""
         had_server, opened = bool(self._provision.entries), dict(self._clients.types)
         super().advance()
         if not self.life.accepted:
