@@ -409,3 +409,11 @@ def test_what_deny_would_refuse_and_crosses_all_the_same_is_warned_of() -> None:
     server = Session(**SERVER, clients=(Client("robot1", **given),), domain_id=3)
     (problem,) = [each for each in advise(server, None) if says(each.message, Advice.CROSSES_ALTHOUGH_DENIED)]
     assert (problem.location, problem.place) == ("clients[0].services[0]", "service /dock")
+
+
+@pytest.mark.parametrize("denied", ["/a", "/robot1/a", "/cam", "/b"])
+def test_the_servers_own_names_are_denied_as_well(denied: str) -> None:
+    topics = (Topic("/a", "transmit"), Topic("/b", "receive", remote_topic="/cam"))
+    server = Session(**SERVER, use_name=True, clients=(Client("robot1", topics=topics, deny=(denied,)),), domain_id=3)
+    (problem,) = [each for each in advise(server, None) if says(each.message, Advice.CROSSES_ALTHOUGH_DENIED)]
+    assert problem.place == ("topic /a" if denied.endswith("/a") else "topic /b")

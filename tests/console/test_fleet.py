@@ -32,6 +32,7 @@ from rsb_console.actions import FLEET_ACTIONS, Group
 from rsb_console.fleet.rolling import Bridged
 from rsb_console.fleet.server_source import ServerFleet
 from rsb_console.fleet_app import FleetApp, RobotApp
+from rsb_console.screens.dialog import GuardedConfirmScreen
 from rsb_console.screens.rollout import ChangeField, RolloutPhase, RolloutScreen, _key_line
 from rsb_console.screens.rollout import _now as present_values
 from rsb_console.widgets.bars import state_counts
@@ -476,6 +477,23 @@ def test_a_robot_that_does_not_answer_is_named() -> None:
         await bed.shown("no answer from robot1")
 
     bed.run(steps)
+
+
+@on_fleet(lambda: with_cameras("robot1", "robot2"))
+async def test_a_key_that_may_be_old_changes_no_robot_without_a_question(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A change may resume topics, or end a demand; a line that hung delivers the y of somebody who has gone on."""
+    screen = await planned_for_the_worse(bed, monkeypatch)
+    bed.app.input_gate.is_young = False
+    for answer in ("n", "y"):
+        assert not any(engine.commands for engine in bed.source.engines.values())
+        await bed.press("y")
+        await bed.until(lambda: isinstance(bed.app.screen, GuardedConfirmScreen), "a question")
+        assert screen.phase is RolloutPhase.ASKING
+        await bed.press(answer)
+        await bed.until(lambda: bed.app.screen is screen, "an answer")
+    await bed.until(lambda: screen.phase is RolloutPhase.ENDED, "the end")
 
 
 @on_fleet(lambda: with_cameras("robot1", "robot2"))

@@ -38,7 +38,10 @@ from textual.pilot import Pilot
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.control.protocol import RequestProblem
+from rsb_bridge.model.by_hand import Draft
 from rsb_bridge.model.pictures import MOST_RATE, Cells, Curve, Picture, Pixels, Scale, Series, Viewed, Wish
+from rsb_bridge.model.qos import AUTO
+from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
@@ -47,7 +50,7 @@ from rsb_console.screens.drive_screen import DriveScreen
 from rsb_console.screens.message_screen import MessageScreen
 from rsb_console.screens.publish_screen import PublishScreen
 from rsb_console.screens.view_screen import PicturePane, ViewScreen, ViewText
-from rsb_console.session.manual_messages import POSE, Goal
+from rsb_console.session.manual_messages import POSE, TWIST, Goal
 
 SCAN = "/robot2/scan"
 IMAGE = Pixels(2, 2, b"\xff\0\0\0\xff\0\0\0\xff\xff\xff\xff")
@@ -401,6 +404,11 @@ async def test_the_form_has_the_goals_pose(app: ConsoleApp, pilot: Pilot[None]) 
     assert placing(app) is None
 
 
+def replace_type(of: RouteSnapshot, type_name: str) -> Topic:
+    """Return a route's entry with another type."""
+    return msgspec.structs.replace(of.spec, type=type_name)
+
+
 SIDES: list[tuple[tuple[RouteSnapshot, ...], str]] = [
     ((), "/goal_pose"),
     ((POSES,), "/robot1/goal_pose"),
@@ -409,6 +417,9 @@ SIDES: list[tuple[tuple[RouteSnapshot, ...], str]] = [
     ((replace(POSES, topic="/robot2/goal_pose", key="2", link="robot2"), POSES), "/robot1/goal_pose"),
     ((replace(POSES, topic="/robot2/goal_pose", key="2", link="robot2"),), "/robot2/goal_pose"),
     ((replace(POSES, topic="/start_pose", key="2"), POSES), "/robot1/goal_pose"),
+    ((replace(POSES, type_name="", spec=replace_type(POSES, "PoseStamped")),), "/robot1/goal_pose"),
+    ((replace(POSES, type_name="", spec=replace_type(POSES, AUTO)),), "/robot1/goal_pose"),
+    ((replace(POSES, type_name="", spec=replace_type(POSES, "String")),), "/goal_pose"),
 ]
 
 
@@ -480,6 +491,7 @@ DRIVES: list[tuple[tuple[RouteSnapshot, ...], str | ViewText]] = [
     ((ELSEWHERE,), "/robot2/cmd_vel"),
     ((ELSEWHERE, DRIVEN), "/cmd_vel"),
     ((DRIVEN, ARMED), "/robot3/cmd_vel"),
+    ((replace(DRIVEN, type_name="", spec=replace_type(DRIVEN, AUTO)),), "/cmd_vel"),
     ((), ViewText.NOT_DRIVEN),
     ((replace(DRIVEN, max_age=0.0),), ViewText.NOT_DRIVEN),
     ((DRIVEN, replace(DRIVEN, key="4")), ViewText.SEVERAL_DRIVEN),
@@ -488,6 +500,7 @@ DRIVES: list[tuple[tuple[RouteSnapshot, ...], str | ViewText]] = [
 
 @looking()
 async def test_the_robot_of_the_picture_is_driven(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine_of(app).drafts["/cmd_vel"] = Draft(TWIST, "")
     for routes, topic in DRIVES:
         await comes(pilot, viewed())
         put(app, route(SCAN), *routes)

@@ -182,6 +182,17 @@ def test_what_cannot_change_while_it_runs_is_said_and_the_rest_is_done(bridge: B
     assert file.reload().left == reloaded.left, "it is shown as long as it lasts"
 
 
+def test_ports_and_shared_keys_are_shown_before_they_count(bridge: Bridge, tmp_path: Path) -> None:
+    """A console that shows no difference reloads nothing."""
+    server, _ = bridge.both()
+    file = Edited(server, tmp_path / "pc.yaml")
+    for key, value in (("ports", (bridge.port + 1,)), ("shared_keys", True)):
+        shown = file.reload(dry_run=True, **{key: value}).changed
+        assert [each.partition(" ")[0] for each in shown] == [key]
+        assert file.reload().changed == shown
+        assert getattr(server.session, key) == value
+
+
 def test_clients_are_added_changed_and_removed_without_the_others_noticing(
     bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path
 ) -> None:

@@ -16,7 +16,7 @@ from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_se
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of, host_and_port, is_loopback
 from rsb_bridge.model import transports
-from rsb_bridge.model.demands import Demands, demand_on_entry, sources_of
+from rsb_bridge.model.demands import Demands, demand_on_entry, local_name, sources_of
 from rsb_bridge.model.limits import (
     KEPT_DEPTH,
     LATCHED_DEPTH,
@@ -116,7 +116,7 @@ def advise(session: Session, domain_variable: str | None, middleware: str = "") 
     for at, client in enumerate(session.listed_clients):
         where = join("clients", at)
         yield from _topics(client.topics, where, session)
-        yield from _denied(client.topics, where, rights_of_client(client, session.name), session)
+        yield from _denied(client.topics, where, rights_of_client(client, session.name), session, client)
 
 
 def missing_transports(session: Session) -> Iterator[Problem]:
@@ -190,13 +190,21 @@ def _topics(topics: Sequence[Topic], where: str, session: Session) -> Iterator[P
             yield Problem(join(location, "qos"), message, place=f"{place}, qos")
 
 
-def _denied(topics: Sequence[Topic], where: str, rights: Rights, session: Session) -> Iterator[Problem]:
+def _denied(
+    topics: Sequence[Topic], where: str, rights: Rights, session: Session, client: Client | None = None
+) -> Iterator[Problem]:
     """`deny` says what the other side may not ask for, and not what this side proposes to it."""
     rights = dataclasses.replace(rights, allow=())  # an entry of this side is permission enough
     sends = "receive" if session.role == "client" else "transmit"
     for topic, here in zip(topics, locations(topics), strict=True):
         may = uses(topic.kind)[topic.direction != sends]
-        if refusal := rights.refusal(Use(topic.topic, may, transport_of(topic, session).name, topic.kind)):
+        names = [topic.topic]
+        if client is not None:  # `deny` may have the name on either side
+            use_name = session.use_name if client.use_name is None else client.use_name
+            names.append(local_name(topic, client.name, on_server=True, use_name=use_name))
+        transport = transport_of(topic, session).name
+        refusals = (rights.refusal(Use(name, may, transport, topic.kind)) for name in names)
+        if refusal := next(filter(None, refusals), None):
             message = Advice.CROSSES_ALTHOUGH_DENIED(reason=refusal.reason)
             yield Problem(join(where, here), message, place=_place(topic))
 

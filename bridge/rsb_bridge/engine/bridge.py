@@ -469,7 +469,7 @@ class Bridge:
         in_place = (
             (("stale_after", "stale_warnings", "late_after"), self._set_stale_after),
             (("check_messages",), self._set_check),
-            (("group",), lambda: None),  # consoles read it in the session
+            (("group", "ports", "shared_keys"), lambda: None),  # which are read in the session when they are needed
             (("armed",), self.context.demands.changed),
             (("shutdown_topic",), self._change_shutdown_topic),
             *self._exporters.by_key,

@@ -32,7 +32,7 @@ _UNKNOWN = math.nan
 UP = (State.OK, State.UNHEARD)
 """Messages cross as they should; that nobody hears them is no outage."""
 CROSSES = (*UP, State.LATE)
-"""States in which messages cross. A late topic has trouble, but no outage."""
+"""States in which messages cross. The times in which a topic is late are listed, but count as up."""
 FINE = (*UP, State.PAUSED, State.DISARMED, State.DISARMING)
 """A pause is wanted, and so is what nobody has armed; it counts neither as up nor as out."""
 OUTAGES_OF_ONE = 100

@@ -312,7 +312,7 @@ class BridgeOperations:
 
     async def reload(self) -> None:
         """Have the session file read again, after showing what differs."""
-        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import GuardedConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
         engine = self._console.engine
         if engine is None:
@@ -330,7 +330,7 @@ class BridgeOperations:
             lines = [*differs.changed, *differs.left]
             more = [f"… and {len(lines) - _LINES_SHOWN} more"] if len(lines) > _LINES_SHOWN else []
             message = "\n".join(lines[:_LINES_SHOWN] + more)
-            agreed = await self._console.ask(ConfirmScreen(OperationText.RELOAD(), message, "Reload"))
+            agreed = await self._console.ask(GuardedConfirmScreen(OperationText.RELOAD(), message, "Reload"))
             path = self._console.path
             if agreed and await self._console.command(engine.reload(drop_arm=True), "reloaded") and path is not None:
                 self._console.saved_to(engine.session, path)

@@ -270,7 +270,8 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         Binding("y", "answer(True)", show=False),
         Binding("n", "answer(False)", show=False),
     ]
-    SAFE_KEYS = frozenset({*_STOPS, "escape", "q", "A", "ctrl+c"})  # A disarms, or opens a question that is guarded
+    # A disarms, or opens a question that is guarded; n keeps what this console holds.
+    SAFE_KEYS = frozenset({*_STOPS, "escape", "q", "A", "n", "ctrl+c"})
 
     def __init__(self, console: Console, route: RouteSnapshot, type_name: str) -> None:
         super().__init__()

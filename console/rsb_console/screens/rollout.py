@@ -22,9 +22,10 @@ from rsb_bridge.model.text import join_first, plural
 from rsb_console.fleet.rolling import Rollout, bridged_by, report, said, way_back
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED, UNDER_WAY
-from rsb_console.screens.dialog import Dialog
+from rsb_console.screens.dialog import Dialog, GuardedConfirmScreen
 from rsb_console.screens.topic_form import fields_by_kind, padded
 from rsb_console.session.draft import SWITCHES, Ends, TypedError, typed_topic, values_of
+from rsb_console.terminal.input_gate import InputGate
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.form_inputs import FieldInput
 from rsb_console.widgets.lines import Line, ScrolledLines, clip
@@ -407,18 +408,22 @@ class RolloutScreen(ModalScreen[None]):
         else:
             self._enter(RolloutPhase.TYPING)
 
+    def action_apply(self) -> None:
+        """Change one robot after the other, after a question if the key may be an old one: a change may end demands."""
+        if self.phase is RolloutPhase.ASKING and self._rollout is not None:
+            self._apply(self._rollout, is_sure=InputGate.of(self.app).is_young)
+
     @work(exclusive=True, exit_on_error=False)
-    async def action_apply(self) -> None:
-        """Change one robot after the other."""
-        if self.phase is not RolloutPhase.ASKING or self._rollout is None:
+    async def _apply(self, rollout: Rollout, *, is_sure: bool) -> None:
+        title = f"Change {formats.counted(len(self._robots), 'robot')}?"
+        if not is_sure and not await self.console.ask(GuardedConfirmScreen(title, self._change.value, "Change")):
             return
         self._enter(RolloutPhase.RUNNING)
-        self.outcome = await asyncio.to_thread(self._rollout.run, self.steps, self._tell)
-        outcome = self.outcome
+        outcome = self.outcome = await asyncio.to_thread(rollout.run, self.steps, self._tell)
         if outcome.failed is not None:
             self._marks[outcome.failed.robot.key] = "failed"
         if outcome.failed is not None or outcome.left:
-            self._below = [*report(self._rollout, outcome), *way_back(self._rollout, outcome)]
+            self._below = [*report(rollout, outcome), *way_back(rollout, outcome)]
         else:
             self._below = [f"done on {formats.counted(len(outcome.done), 'robot')}"]
         self._enter(RolloutPhase.ENDED)

@@ -40,10 +40,10 @@ from rsb_console.look.picture_rows import (
 )
 from rsb_console.look.plot_lines import AXIS
 from rsb_console.screens.dialog import FullScreen
-from rsb_console.screens.drive_screen import drive, why_not_driven
+from rsb_console.screens.drive_screen import drive, full_type, why_not_driven
 from rsb_console.screens.look_screen import is_map
 from rsb_console.screens.publish_screen import Message, PublishScreen
-from rsb_console.session.manual_messages import POSE, Goal
+from rsb_console.session.manual_messages import POSE, TWIST, Goal
 from rsb_console.session.picture_files import formats_of, picture_file
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.lines import LOOK_CLASSES, yield_gil
@@ -447,7 +447,7 @@ class ViewScreen(FullScreen[bool]):
         routes = [
             each
             for each in self.console.snapshot().routes
-            if each.outgoing and POSE in (each.type_name, each.spec.type)
+            if each.outgoing and full_type(each) in (POSE, "")  # unknown until somebody publishes
         ]
         chosen = [each for each in routes if each.link == where] or routes
         return next((each.topic for each in chosen if each.topic.endswith(_GOAL_TOPIC)), _GOAL_TOPIC)
@@ -458,7 +458,8 @@ class ViewScreen(FullScreen[bool]):
         if self.console.readonly:
             return
         where = self._subject.link or (self._viewed.where if self._viewed is not None else "")
-        driven = [each for each in self.console.snapshot().routes if not why_not_driven(each)]
+        # `drive` asks for a type that nobody has published yet.
+        driven = [each for each in self.console.snapshot().routes if not why_not_driven(each, TWIST)]
         driven = [each for each in driven if each.link == where] or driven
         armed = [each for each in driven if each.arming is not None and each.arming.armed]
         if len(only := armed or driven) == 1:
