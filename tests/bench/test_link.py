@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import msgspec
 import pytest
 import zstandard
+from tests.support import constants
 from tests.support.inside import inside
 from tests.support.ports import free_port
 from tests.support.rogue import Rogue
@@ -115,6 +116,14 @@ def pair(tmp_path: Path) -> Iterator[Callable[..., Pair]]:
         engine.stop()
 
 
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a run wait for its last message: a process that stands still for 0.7 s would end it before."""
+    constants.BENCH_QUIET.set(monkeypatch, 30.0)
+    constants.BENCH_LATE.set(monkeypatch, 30.0)
+
+
+@pytest.mark.usefixtures("patient")
 def test_messages_cross_both_ways_and_are_counted(pair: Callable[..., Pair]) -> None:
     """One after another, while the topics of all are still there: the ways do not close a loop."""
     both = pair(to_client=LEAVE)
@@ -168,6 +177,7 @@ def test_both_sides_do_not_measure_at_once(pair: Callable[..., Pair]) -> None:
     assert "measuring the link" in both.refused(both.server)
 
 
+@pytest.mark.usefixtures("patient")
 def test_a_server_measures_its_client_with_leave(pair: Callable[..., Pair]) -> None:
     both = pair(to_server=LEAVE)
     assert both.run(both.server, link="robot1").received == 40
@@ -180,6 +190,7 @@ def test_without_leave_it_is_refused_in_a_plain_sentence(pair: Callable[..., Pai
         assert "measure this link: add bench: {}" in both.refused(engine)
 
 
+@pytest.mark.usefixtures("patient")
 def test_two_clients_that_measure_at_once_have_their_own_figures(tmp_path: Path) -> None:
     """Their routes have one name on the server."""
     port, names = free_port(), ("robot1", "robot2")

@@ -181,6 +181,7 @@ def callers_bridge_killed(scene: Scene, seconds: float) -> Came:
     ended = time.monotonic()
     scene.hears_again()
     feedback = time.monotonic() - ended
+    eventually(lambda: scene.client.ready, what="the services, which are discovered one by one")
     assert scene.over.ask().result() == ("succeeded", fibonacci(3))
     result = time.monotonic() - ended
     cancelled = scene.unwanted.cancel()

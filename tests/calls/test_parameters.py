@@ -139,6 +139,12 @@ def test_the_events_of_that_node_alone_come_under_its_name_there(
         client_of(program, node)
     crosses(camera, listener, "/robot1/camera")
     crosses(lidar, listener, "/robot1/front/lidar")
+
+    def is_told() -> bool:
+        camera.node.set_parameters([Parameter("rate", value=1000)])
+        return bool(told)
+
+    eventually(is_told, what="the handler, which is discovered on its own, hears it, too")
     for number in range(10, 20):
         for each in (other, camera, lidar):
             each.node.set_parameters([Parameter("rate", value=number)])

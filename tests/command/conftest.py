@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import constants
 from tests.support.commands import Ran
 from tests.support.locks import alone
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 def here(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have commands look for bridges in this test's folder of control sockets."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    constants.BRIDGES_ASKED_FOR.set(monkeypatch, 60.0)  # the bridges are threads of this process, and may stand still
 
 
 @pytest.fixture

@@ -52,6 +52,7 @@ def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], 
     folder = tmp_path / "folder"
     folder.mkdir()
     monkeypatch.chdir(folder)
+    constants.COMPLETION_WAITS.set(monkeypatch, 60.0)  # the server's thread is this process's, and may stand still
     monkeypatch.setattr(threading, "excepthook", threading.excepthook)  # completion replaces it
     monkeypatch.setattr(CompletionFinder, "_init_debug_stream", lambda _: None)  # it takes descriptor 9
 

@@ -77,10 +77,13 @@ def test_a_listener_hears_the_robots_and_a_muted_topic_stops(tmp_path: Path) -> 
         eventually(lambda: listener.received.get("/battery_state"), WITHIN)
         assert listener.received["/pose"] == 0
         robot.mute("/scan")
-        later(robot, 2)
-        scans = robot.published["/scan"]
-        later(robot, 2)
-        assert robot.published["/scan"] == scans
+
+        def stands_still() -> bool:
+            scans = robot.published["/scan"]
+            later(robot, 2)
+            return robot.published["/scan"] == scans
+
+        eventually(stands_still, WITHIN)  # reports from before may still come
     finally:
         robot.stop()
         listener.stop()
@@ -127,7 +130,10 @@ def test_the_screen_opens_leads_to_a_robot_and_back_and_ends_all(tmp_path: Path,
         tmux.wait_for("client robot2", WITHIN)
         tmux("send-keys", "q")
         tmux.wait_for("1 of 3", WITHIN)
-        tmux("send-keys", "q", "y")
+        tmux("send-keys", "q")
+        tmux.wait_for("Quit?")
+        tmux.wait_for("y yes")  # its keys count
+        tmux("send-keys", "y")
         eventually(lambda: not running(started), WITHIN, "the end of all processes")
     assert [*temporary.iterdir()] == []
 

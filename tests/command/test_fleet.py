@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import pytest
 from tests.console.scripted import NOW, ScriptedEngine, call_route
-from tests.support import surroundings
+from tests.support import replaced, surroundings
 from tests.support.fleet import ServerEngine
+from tests.support.inside import state_of
+from tests.support.waiting import eventually
 
 from rsb_bridge.model.by_hand import Published
 from rsb_bridge.model.robot_summary import RobotState
@@ -26,6 +28,9 @@ if TYPE_CHECKING:
 
     from tests.support.commands import Ran
     from tests.support.control import Machine
+
+    from rsb_bridge.model.robot_summary import RobotSummary
+    from rsb_console.fleet.server_source import ServerFleet
 
 Fleet: TypeAlias = "Callable[..., Ran]"
 QUICK = ("--seconds", "0.1")
@@ -40,7 +45,17 @@ def engine(machine: Machine) -> ServerEngine:
 
 
 @pytest.fixture
-def fleet(ran: Fleet, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Fleet:
+def fleet(ran: Fleet, machine: Machine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Fleet:
+    robots: Callable[[ServerFleet], list[RobotSummary]] = replaced.FLEET_ROBOTS.value
+
+    def newest(source: ServerFleet) -> list[RobotSummary]:
+        """Look once the last edit shows, up to 0.25 s later: to the program, which waits for 10 s, that is nothing."""
+        edited = [each for each in machine.engines if isinstance(each, ServerEngine)]
+        if edited and not source.problem:
+            eventually(lambda: state_of(source).time == edited[-1].now.time)
+        return robots(source)
+
+    replaced.FLEET_ROBOTS.set(monkeypatch, newest)
     monkeypatch.setenv("RSB_CONSOLE_ISOLATED", "1")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     return partial(ran, "fleet")

@@ -63,6 +63,7 @@ def protocol(answer: bytes, terminals: list[Terminal], monkeypatch: pytest.Monke
     with open(terminal.slave, "r+b", buffering=0, closefd=False) as stream:
         surroundings.set_stdin(monkeypatch, stream)
         monkeypatch.setattr("sys.stdout", stream)
+        constants.TERMINAL_ANSWERS_WITHIN.set(monkeypatch, 60.0)  # the answer comes from a thread of this process
         try:
             return protocol_of_terminal()
         finally:

@@ -9,10 +9,15 @@ import pytest
 from textual.cache import LRUCache
 from textual.css.model import RuleSet
 from textual.css.stylesheet import Stylesheet
+from textual.notifications import Notification
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+_TOASTS_STAY = 60.0
+"""s."""
+now = time.time  # which tests replace
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -51,6 +56,12 @@ def _same_everywhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("TZ", "UTC")
     time.tzset()
+
+
+@pytest.fixture(autouse=True)
+def _toasts_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A notification lasts 3 to 5 s, which a process that stands still for so long would miss."""
+    monkeypatch.setattr(Notification, "time_left", property(lambda each: each.raised_at + _TOASTS_STAY - now()))
 
 
 @pytest.fixture

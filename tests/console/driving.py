@@ -23,6 +23,7 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.terminal.input_queue import _is_idle
+from rsb_console.terminal_app import TerminalApp
 from rsb_console.widgets.form import Form
 
 E = TypeVar("E", bound=ScriptedEngine)
@@ -178,7 +179,7 @@ class Operator(Pilot[None]):
     Textual's pilot goes on when the process rests, and so it does on a busy machine that lets it rest too early.
     """
 
-    def __init__(self, app: ConsoleApp) -> None:
+    def __init__(self, app: TerminalApp[Any]) -> None:
         super().__init__(app)
         self._console = app
 

@@ -178,7 +178,7 @@ ROWS = (
     ),
     Row(
         "messages that take too long",
-        Topic("/chat", "transmit", port=free_port()),
+        Topic("/chat", "transmit"),
         (Spec("talker", "/chat", 1),),
         (Spec("listener", "/chat"),),
         State.LATE,
@@ -203,8 +203,10 @@ class World:
     """
 
     def __init__(self, folder: Path, domains: tuple[int, int], nodes: contextlib.ExitStack) -> None:
-        pair = Pair(folder, *(row.topic for row in ROWS), domains=domains, stale_after=120.0)
-        ports = {pair.client.server_port, *(row.topic.port for row in ROWS if row.topic.port is not None)}
+        self._ports = {row.name: free_port() for row in ROWS if row.held}
+        topics = (msgspec.structs.replace(row.topic, port=self._ports.get(row.name)) for row in ROWS)
+        pair = Pair(folder, *topics, domains=domains, stale_after=120.0)
+        ports = {pair.client.server_port, *self._ports.values()}
         self._relays = {port: nodes.enter_context(Relay(("127.0.0.1", port), _RELAYED, port)) for port in ports}
         save(msgspec.structs.replace(pair.client, server_ip=_RELAYED), pair.client_path)
         self._starts: dict[str, Callable[[], Forked]] = {}
@@ -267,9 +269,8 @@ class World:
         if row.leaves:
             self._end(row, fine)
         if row.held:
-            assert row.topic.port is not None
             self.routes(fine)
-            self._relays[row.topic.port].delay = lambda: row.held
+            self._relays[self._ports[row.name]].delay = lambda: row.held
 
     def _end(self, row: Row, fine: Row) -> None:
         before = self.routes(fine)
@@ -333,6 +334,7 @@ def test_the_first_screen_counts_what_is_wrong(world: World) -> None:
 
 
 def test_every_line_names_its_link(world: World) -> None:
-    for events in world.events():
+    for side in world.sides:
+        events = every_so_often(side.events, "its log")
         check_lines(events)
         assert {"link", "route"} <= {event["source"] for event in events}

@@ -14,7 +14,20 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.console.driving import NARROW, NOWHERE, WIDE, Decorator, as_test, ended, notices, settled, shown, text, until
+from tests.console.driving import (
+    NARROW,
+    NOWHERE,
+    WIDE,
+    Decorator,
+    Operator,
+    as_test,
+    ended,
+    notices,
+    settled,
+    shown,
+    text,
+    until,
+)
 from tests.console.scripted import NOW, SESSION, ScriptedEngine
 from tests.console.tmux import Tmux
 from tests.model.test_robot_summary import a, on_server
@@ -74,7 +87,7 @@ class Bed:
         self.fleet = fleet_of(self.source)
         self.view = view or FleetView()
         self.app = FleetApp(self.fleet, self.view, **{"config": NOWHERE, "theme": "dark", **options})
-        self.pilot: Pilot[Any] = Pilot(self.app)
+        self.pilot: Pilot[Any] = Operator(self.app)
 
     @property
     def listed(self) -> list[str]:
@@ -566,7 +579,7 @@ def test_the_console_on_a_robot_shows_that_one_and_leaves_with_escape(machine: M
 
     async def run() -> None:
         async with app.run_test(size=NARROW):
-            pilot = Pilot(app)
+            pilot = Operator(app)
             await shown(pilot, "/robot2/scan")
             await shown(pilot, "robot2 at control")
             assert "/robot1/scan" not in text(app)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from tests.console.driving import NOWHERE, gone, shown, until
 from tests.console.live import Pair, console, flows, talker, watch
+from tests.support import constants
 from tests.support.locks import alone
 from textual.pilot import Pilot
 
@@ -19,7 +20,8 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 CHATTER = f"/dialogs_{os.getpid()}/chatter"
 
 
-def test_a_restart_shows_its_steps_and_then_all_flows_again(tmp_path: Path) -> None:
+def test_a_restart_shows_its_steps_and_then_all_flows_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    constants.RESTART_WITHIN.set(monkeypatch, 60.0)
     pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
     app = console(pair.client_path)
 

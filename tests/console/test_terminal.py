@@ -20,7 +20,9 @@ from tests.console.tmux import Tmux
 from tests.support.commands import rsb_console
 from tests.support.forker import Forked
 from tests.support.long import long
+from tests.support.waiting import eventually
 
+from rsb_bridge.history.state_folder import EVENTS
 from rsb_bridge.model.session import Topic
 from rsb_console.terminal.driver import prefers_ascii
 
@@ -172,10 +174,15 @@ def new_modes() -> list[Any]:
         os.close(there)
 
 
-def test_stopped_and_continued_it_draws_again_and_leaves_nothing_behind(pair: Pair) -> None:
+def test_stopped_and_continued_it_draws_again_and_leaves_nothing_behind(pair: Pair, tmp_path: Path) -> None:
     """SIGSTOP tells it nothing; a shell's own terminal modes may be set when it goes on."""
-    with console(pair) as terminal:
-        terminal.wait_for("retry")  # the engine has all its threads
+    state = tmp_path / "state"
+    with console(pair, XDG_STATE_HOME=str(state)) as terminal:
+        terminal.wait_for("retry")
+        deadline = time.monotonic() + 60
+        while not [*state.rglob(f"*{EVENTS}")]:  # the engine's last thread opens it
+            assert time.monotonic() < deadline, "no file of events"
+            terminal.read(0.05)
         threads = terminal.threads
         for _ in range(3):
             terminal.kill(signal.SIGSTOP)
@@ -270,7 +277,7 @@ def test_what_is_done_in_a_bridges_own_console_is_done_by_its_user_on_its_termin
         while not did:
             assert time.monotonic() < deadline
             told = rsb_console("events", "--control", control, "--json").stdout.splitlines()
-            did = [event for event in map(json.loads, told) if event["code"] == "operator.retried"]
+            did = [event for event in map(json.loads, told) if event.get("code") == "operator.retried"]
         name = str(Path(f"/proc/{terminal.pid}/fd/0").readlink()).removeprefix("/dev/")
         assert f" on {name}" in did[0]["who"]
 
@@ -341,7 +348,8 @@ def test_keys_resizing_detaching_and_attaching_in_tmux(pair: Pair, tmp_path: Pat
         assert "┌─ /console_" in tmux.wait_for("◇ UNHEARD")
 
         tmux("send-keys", "y")
-        tmux.wait_for("copied to tmux")
+        # A toast of 3 s may be missed. Without `tmux load-buffer` there would be no buffer.
+        eventually(lambda: CHATTER in tmux("list-buffers", "-F", "#{buffer_sample}").splitlines(), what="tmux's buffer")
         assert tmux("show-buffer") == CHATTER
 
         tmux("send-keys", "/", "nothing")

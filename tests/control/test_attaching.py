@@ -398,6 +398,7 @@ def test_a_connection_that_comes_while_the_server_closes_is_closed(machine: Mach
         served = machine.serve()
         control_sockets.connect(machine.folder / "robot1.sock", 5.0).close()
         served.close()
+        eventually(lambda: not [*machine.folder.iterdir()])  # else the next one finds a bridge there
     gc.collect(1)
 
 

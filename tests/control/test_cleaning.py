@@ -188,7 +188,10 @@ def test_an_answer_of_another_kind_is_no_answer(reachable: Reachable) -> None:
     remote.retry().result(60)
 
 
-def test_a_rogue_operator_asks_for_what_never_was_and_looks_all_the_time(reachable: Reachable) -> None:
+def test_a_rogue_operator_asks_for_what_never_was_and_looks_all_the_time(
+    reachable: Reachable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    constants.CONSOLE_ANSWERED_WITHIN.set(monkeypatch, 600.0)  # then an old state is sent again
     with Stranger(reachable.port, "bob", BOB) as rogue:
         rogue.attach()
         for _ in range(1000):

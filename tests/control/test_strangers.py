@@ -302,7 +302,9 @@ def test_who_comes_when_the_bridge_has_ended_is_closed(reachable: Reachable) -> 
     remote = reachable.attach()
     reachable.close()
     reachable.server.close("the bridge was stopped")
-    eventually(lambda: remote.unreachable == "the bridge was stopped")
+    # `unreachable` says so only until the next attempt to attach.
+    lost = eventually(lambda: next((e for e in remote.events() if e.code == EventCode.ATTACH_LOST), None))
+    assert "the bridge was stopped" in lost.text
 
 
 @pytest.mark.usefixtures("no_collector")

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from contextlib import closing
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support import constants
+from tests.support import constants, replaced
 from tests.support.long import long
 from tests.support.operators import ANNA, BOB, granted
 from tests.support.waiting import eventually
 from tests.support.wording import pattern, says
-from tests.support.zenoh_attacker import Attacker
+from tests.support.zenoh_attacker import TAG, Attacker
 from tests.support.zenoh_fleet import Fleet, announced
 from tests.support.zenoh_router import stranger
 
@@ -25,7 +26,9 @@ from rsb_bridge.control.zenoh_fleet import EngineChoice, FleetConnector
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.robot_summary import RobotState, decode
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.transport.trials import Trials
 from rsb_bridge.transport.zenoh.network import Unreachable
+from rsb_bridge.transport.zenoh.sample import Header
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,7 +39,8 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture
-def fleet(tmp_path: Path) -> Iterator[Fleet]:
+def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
+    constants.ZENOH_ASKED_WITHIN.set(monkeypatch, 60.0)  # of a busy router; one that is there answers sooner
     fleet = Fleet(tmp_path)
     yield fleet
     fleet.close()
@@ -70,12 +74,13 @@ def test_how_long_it_has_been_so_is_by_the_engines_own_clock(fleet: Fleet) -> No
     own = decode(SummaryBuilder(fleet.engines["robot1"], "0.1.0")())
     assert own.seen is not None
     assert own.seen - own.since > 1
+    began = time.time()
     seen = fleet.seen_by()
     eventually(lambda: has_spoken(seen, "robot1"))
     found = robot(seen, "robot1")
     assert found is not None
     assert found.seen is not None
-    assert found.seen < own.seen  # its clock is ahead
+    assert began <= found.seen <= time.time()  # by this clock, whatever the engine's is
     assert found.seen - found.since == pytest.approx(own.seen - own.since, abs=1e-3)
 
 
@@ -111,7 +116,8 @@ def test_a_wrong_key_is_said_on_the_robots_line(fleet: Fleet) -> None:
     assert found.seen is None
 
 
-def test_two_engines_of_a_name_are_two_lines_until_one_goes(fleet: Fleet) -> None:
+def test_two_engines_of_a_name_are_two_lines_until_one_goes(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    constants.TRIALS_OTHERS.set(monkeypatch, 60.0)  # one may prove the key much later than the other
     seen = seen_with(fleet, "robot1")
     first = fleet.servers["robot1"]
     fleet.add("robot1", host="another")
@@ -200,7 +206,13 @@ def test_robots_that_come_and_go_under_new_names_have_a_budget(fleet: Fleet, mon
 
 
 @pytest.mark.parametrize("count", [30, *long(300)])
-def test_many_engines_of_a_name_without_a_key_keep_no_operator_out(fleet: Fleet, count: int) -> None:
+def test_many_engines_of_a_name_without_a_key_keep_no_operator_out(
+    fleet: Fleet, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To wait for one of them would take longer than any machine needs for the others."""
+    constants.ANSWERS_WITHIN.set(monkeypatch, 120.0)
+    replaced.FLEET_TRIALS.set(monkeypatch, functools.partial(Trials, patience=120.0))
+    constants.SUMMARY_ANSWERS_WITHIN.set(monkeypatch, 600.0)
     with stranger(fleet.router) as somebody, stranger(fleet.router) as another:
         live = somebody.liveliness()
         key = "rsb_console/lab/here/engine/{:016x}/client%200.1%20robot1"
@@ -211,13 +223,13 @@ def test_many_engines_of_a_name_without_a_key_keep_no_operator_out(fleet: Fleet,
         began = time.monotonic()
         engine = RemoteEngine(way)
         engine.start()
-        assert time.monotonic() - began < 3.0 + count / 100
+        assert time.monotonic() - began < 60.0
         engine.retry().result(60)
         engine.stop()
         assert fleet.engines["robot1"].commands == [("retry", "")]
         assert way.unproven == count
         seen = fleet.seen_by()
-        eventually(lambda: any(has_spoken(seen, each.name) for each in seen.robots()), within=15.0)
+        eventually(lambda: any(has_spoken(seen, each.name) for each in seen.robots()))
         del tokens
 
 
@@ -233,36 +245,66 @@ def test_an_engine_that_is_called_like_others_is_named_where_none_proves_the_key
         del tokens
 
 
+def is_forged(sample: Any) -> bool:
+    """Whether an attacker sent it: nobody else deletes, or has this tag or text."""
+    if sample.attachment is None:
+        return True
+    header = Header.unpack(sample.attachment.to_bytes())
+    return header is None or header.tag == TAG or b"forged" in sample.payload.to_bytes()
+
+
+def forged_for(somebody: Any) -> list[Any]:
+    """The samples of an attacker that somebody in the network hears from now on."""
+    heard: list[Any] = []
+
+    def hear(sample: Any) -> None:
+        if is_forged(sample):
+            heard.append(sample)
+
+    somebody.declare_subscriber("rsb_console/lab/**", hear)
+    return heard
+
+
 def test_an_operator_attaches_though_a_stranger_answers_each_stream(fleet: Fleet) -> None:
     fleet.add("robot1")
-    with closing(Attacker(fleet.router.endpoint, "answers", fleet="lab")) as attacker:
-        fleet.attach("robot1").retry().result(60)
-        assert attacker.stop()["samples"] > 0
-    assert fleet.engines["robot1"].commands == [("retry", "")]
+    attached: list[RemoteEngine] = []
+    with stranger(fleet.router) as somebody, closing(Attacker(fleet.router.endpoint, "answers", fleet="lab")):
+        forged = forged_for(somebody)
+
+        def is_attacked() -> bool:  # not at first, if the router knows the attacker late
+            attached.append(fleet.attach("robot1"))
+            attached[-1].retry().result(60)
+            attached[-1].stop()
+            return bool(forged)
+
+        eventually(is_attacked, what="an attack")
+    assert fleet.engines["robot1"].commands == [("retry", "")] * len(attached)
 
 
 @pytest.mark.parametrize("attack", ["ends", *long("windows", "following", "deletes")])
 def test_an_operator_stays_attached_under_forged_samples(fleet: Fleet, attack: str) -> None:
     fleet.add("robot1")
     remote = fleet.attach("robot1")
-    with closing(Attacker(fleet.router.endpoint, attack, fleet="lab")) as attacker:
-        until = time.monotonic() + 3.0
-        while time.monotonic() < until:
-            remote.retry().result(10)
+    with stranger(fleet.router) as somebody, closing(Attacker(fleet.router.endpoint, attack, fleet="lab")):
+        forged, until = forged_for(somebody), time.monotonic() + 3.0
+
+        def stands_all() -> bool:
+            remote.retry().result(60)
             assert not remote.unreachable
-            time.sleep(0.05)
-        assert sum(attacker.stop().values()) > 50
+            return time.monotonic() > until and len(forged) > 50
+
+        eventually(stands_all, what="3 s of the attack, and enough of it")
 
 
 def test_what_an_operator_has_armed_is_disarmed_by_a_doubt(fleet: Fleet) -> None:
     """The doubt is wrong here: the console stays attached, and may arm again."""
     fleet.add("robot1")
     remote = fleet.attach("robot1")
-    remote.arm("key").result(10)
+    remote.arm("key").result(60)
     commands = fleet.engines["robot1"].commands
     with closing(Attacker(fleet.router.endpoint, "ends", fleet="lab")) as attacker:
         eventually(lambda: ("release",) in commands)
-        remote.retry().result(10)
+        remote.retry().result(60)
         assert not remote.unreachable
         attacker.stop()
 

@@ -39,6 +39,16 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def long_lease(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is armed stays armed, and tickets stay valid, while a busy machine stands still for more than a second."""
+    # Not more than 5 s: a disarm waits for so long where the other side does not answer.
+    constants.LEASE_LASTS.set(monkeypatch, 5.0)
+    constants.LEASE_SLOW.set(monkeypatch, 5.0)
+    constants.LEASE_GIVEN_UP_AFTER.set(monkeypatch, 15.0)
+    constants.PUBLISHING_TICKET_LIFE.set(monkeypatch, 60.0)
+
+
+@pytest.fixture
 def threads_change_often() -> Iterator[None]:
     """At nearly every bytecode."""
     before = sys.getswitchinterval()

@@ -54,7 +54,7 @@ def disarmings(engine: Engine) -> int:
 
 def published(engine: Engine) -> int:
     """How many messages it has published of the opening that was armed, which is over."""
-    (found,) = [each for link in inside(engine).links() for each in link.routes.values()]
+    (found,) = [each for link in inside(engine).links() for each in tuple(link.routes.values())]
     assert isinstance(found, IncomingRoute)
     before = found._before
     return before[1].delivered if before else 0
@@ -78,6 +78,7 @@ def publish_until_heard(out: Publisher, words: str, listener: Listener) -> None:
     publish_for(out, words, lambda: words in listener.texts(100))
 
 
+@pytest.mark.usefixtures("long_lease")
 @pytest.mark.parametrize(
     ("protocol", "operator"), [("tcp", "server"), ("udp", "client"), *long_cases(("tcp", "client"), ("udp", "server"))]
 )
@@ -109,6 +110,7 @@ def test_nothing_crosses_until_it_is_armed_nor_after(
     assert balance(ledger) == ledger.offered
 
 
+@pytest.mark.usefixtures("long_lease")
 @pytest.mark.parametrize(
     ("protocol", "compression"), [("tcp", "none"), ("udp", "zstd"), *long_cases(("tcp", "zstd"), ("udp", "none"))]
 )
@@ -126,9 +128,12 @@ def test_what_is_armed_crosses_unchanged(
 
 
 def test_what_was_on_its_way_when_it_disarms_reaches_no_robot_after_it_is_armed_again(
-    bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles: Consoles
+    bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The network holds the commands back, and releases them when both sides are armed again."""
+    # The lease does not end while they are held, however long that takes.
+    constants.LEASE_GIVEN_UP_AFTER.set(monkeypatch, 60.0)
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)
     motors, joystick = robot.listener("/cmd"), pc.publisher("/cmd")
     server, client = bridge.both(COMMANDS)
     eventually(lambda: is_set_up(server, client))
@@ -153,6 +158,7 @@ def test_what_was_on_its_way_when_it_disarms_reaches_no_robot_after_it_is_armed_
     assert balance(ledger) == ledger.offered
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_the_history_of_a_latched_topic_does_not_cross_on_arming(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:
@@ -187,13 +193,13 @@ def test_a_command_that_disarms_ends_once_nothing_is_published_any_more(
     """The network holds back the sent messages and the disarming."""
     server, _ = both_armed
     key = route(server, "/cmd").key
-    relay.stall()
     (link,) = inside(server).links()
     half, lease = link.routes[key], link.table.arming.lease.state
+    relay.stall()
+    began = time.monotonic()  # first: this thread may stand still before it looks
     may_be_published = lease.left
-    began = time.monotonic()
     (server.pause(key, True) if what == "pause" else server.remove_topic(key)).result(30)
-    assert 0.0 < may_be_published - 0.05 <= time.monotonic() - began
+    assert 0.0 < may_be_published <= time.monotonic() - began
     assert not half.settling.under_way
 
 
@@ -202,6 +208,7 @@ def test_while_the_other_side_is_not_heard_nobody_is_told_to_arm_what_is_armed(
 ) -> None:
     constants.LEASE_GIVEN_UP_AFTER.set(monkeypatch, 60.0)
     constants.DEAD_AFTER.set(monkeypatch, 60.0)
+    constants.PUBLISHING_TICKET_LIFE.set(monkeypatch, 60.0)
     server, client = both_armed
     relay.stall()
 
@@ -237,6 +244,7 @@ def test_what_is_armed_over_udp_does_not_wait_for_tcp(
     eventually(lambda: is_set_up(server, client))
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_a_restart_and_a_reload_disarm(both_armed: tuple[Engine, Engine], bridge: Bridge, consoles: Consoles) -> None:
     server, client = both_armed
     path = bridge.folder / "server.yaml"
@@ -260,7 +268,7 @@ def test_the_robot_publishes_nothing_of_its_own_marked_topic_that_its_peer_sends
     motors, joystick = robot.listener("/cmd"), pc.publisher("/cmd")
     server, client = bridge.both(COMMANDS)
     eventually(lambda: is_set_up(server, client))
-    (liar,) = [each for link in inside(server).links() for each in link.routes.values()]
+    (liar,) = [each for link in inside(server).links() for each in tuple(link.routes.values())]
     for question in ("stands", "passes"):
         lie = lambda arming, now: arming is liar.arming or not arming.required  # noqa: E731
         monkeypatch.setattr(type(liar.arming), question, lie)

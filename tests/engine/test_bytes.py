@@ -13,7 +13,7 @@ from tests.support.bridge import carries, happened, heard, link, protocol_of, ro
 from tests.support.domain import text
 from tests.support.filled import filled
 from tests.support.long import long, long_cases
-from tests.support.participants import KnownNode
+from tests.support.participants import KnownNode, agree
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
@@ -89,6 +89,9 @@ def test_a_type_that_neither_side_has_in_every_size(
     server, client = bridge.both(Topic("/blob", "transmit", protocol=protocol))
     eventually(lambda: publisher.subscriber_count)
     eventually(lambda: [s for s in route(server, "/blob").stages if s.name == "subscriber seen" and s.done])
+    eventually(
+        lambda: agree(bridge.robot.id, "/blob") and agree(bridge.pc.id, "/blob"), what="both ends know the other"
+    )
     assert route(server, "/blob").type_hash == MADE_UP_HASH
     source = random.Random(1)
     for count, size in enumerate(sizes(limit), 1):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import constants
 from tests.support.bridge import carries, find, happened, heard, link, linked, now
 from tests.support.domain import text
 from tests.support.waiting import eventually
@@ -30,7 +31,10 @@ CHAT, MAP = Topic("/chat", "transmit"), Topic("/map", "transmit")
 ROBOT2 = Client("robot2", "robot2.key", topics=(MAP,))
 
 
-def test_a_client_comes_and_goes_while_another_stays(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_a_client_comes_and_goes_while_another_stays(
+    bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)  # a busy machine that stands still loses no link
     there, out = pc.listener("/chat"), robot.publisher("/chat")
     server, first = bridge.both(CHAT)
     carries([out], server, ["/chat"])

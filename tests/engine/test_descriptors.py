@@ -8,12 +8,13 @@ import errno
 import os
 import resource
 import socket
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support import replaced
+from tests.support import constants, replaced
 from tests.support.bridge import happened, linked, now, route
 from tests.support.domain import text
 from tests.support.inside import inside
@@ -82,12 +83,14 @@ def test_connections_that_cannot_be_accepted_wait() -> None:
         with contextlib.ExitStack() as clients:
             waiting = [clients.enter_context(socket.socket()) for _ in range(3)]
             with none_left():
+                began = time.monotonic()
                 for client in waiting:
                     client.connect(("127.0.0.1", port))
                 await until(lambda: shortages)
                 for _ in range(100):
                     await asyncio.sleep(0)
-                assert len(shortages) == 1
+                # It tries again after a while, for which this thread may stand still.
+                assert len(shortages) <= 1 + (time.monotonic() - began) / constants.LISTEN_SHORT_FOR.value
                 assert connected == []
             await until(lambda: len(connected) == len(waiting))
             for stream in connected:
@@ -99,7 +102,7 @@ def test_connections_that_cannot_be_accepted_wait() -> None:
     assert shortages[0] == StreamProblem.NO_DESCRIPTORS(error=os.strerror(errno.EMFILE), remedy=MORE_DESCRIPTORS)
 
 
-async def until(condition: Callable[[], object], within: float = 20.0) -> None:
+async def until(condition: Callable[[], object], within: float = 180.0) -> None:
     """Wait for a condition, like `eventually`, while the loop runs."""
     async with asyncio.timeout(within):
         while True:

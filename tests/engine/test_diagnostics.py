@@ -107,6 +107,7 @@ def _held(listener: Listener) -> list[dict[str, object]] | None:
     return found
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_nodes_hear_who_holds_which_topic_when_it_changes(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:

@@ -31,6 +31,7 @@ FIBONACCI = Topic(ACTION, "receive", kind="action")
 ARMED = msgspec.structs.replace(FIBONACCI, arm=True, deadman=0.0)
 
 
+@pytest.mark.usefixtures("long_lease")
 @pytest.mark.parametrize(("how", "who"), [("paused", 0), ("disarmed", 1), *long_cases(("paused", 1), ("disarmed", 0))])
 def test_goals_are_cancelled_and_end_while_no_new_one_may_begin(
     who: int, how: str, bridge: Bridge, server: FibonacciServer, client: FibonacciClient, consoles: Consoles
@@ -106,6 +107,7 @@ def test_a_goal_that_runs_is_cancelled_by_hand_where_nobody_was_ever_let_send_on
     local.close()
 
 
+@pytest.mark.usefixtures("long_lease")
 @pytest.mark.parametrize("how", ["paused", "disarmed"])
 def test_a_goal_that_waits_for_its_server_is_accepted(
     how: str, bridge: Bridge, client: FibonacciClient, robot: Domain, consoles: Consoles

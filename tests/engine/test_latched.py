@@ -187,9 +187,10 @@ def is_fine(shown: RouteSnapshot) -> bool:
 
 
 def test_a_second_bridge_has_what_the_first_one_brought(
-    bridge: Bridge, robot: Domain, pc: Domain, third: Domain
+    bridge: Bridge, robot: Domain, pc: Domain, third: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Either route is opened again, and nothing new is published."""
+    constants.EXPLAINED_WITHIN.set(monkeypatch, 60.0)  # a bridge's announcement may be late
     publish(robot.publisher("/map", qos=latched(1)), "map", range(1))
     engines: list[Engine] = []
     for name, here, there in (("robot1", robot, pc), ("robot2", pc, third)):
@@ -205,7 +206,7 @@ def test_a_second_bridge_has_what_the_first_one_brought(
     eventually(fine, what="fine at first")
     for engine in engines:
         engine.restart().result(60)
-        eventually(fine, 30.0, "fine again")
+        eventually(fine, what="fine again")
     holds(fine, 1.0)
     assert len(steady.payloads) == 1
 
@@ -234,9 +235,10 @@ def test_a_message_that_comes_together_with_the_proof_of_its_datagrams_address(
     "how", ["client restarts", "server's process", *long("cut", "server restarts", "client's process")]
 )
 def test_a_newest_message_that_the_far_side_has_is_fine_after_a_reconnect(
-    how: str, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain
+    how: str, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its publisher has published nothing new, so nothing crosses in the new opening."""
+    constants.EXPLAINED_WITHIN.set(monkeypatch, 60.0)
     topics = "/tcp", "/udp", "/back"
     outs = [(pc if topic == "/back" else robot).publisher(topic, qos=latched(1)) for topic in topics]
     for out in outs:
@@ -267,7 +269,7 @@ def test_a_newest_message_that_the_far_side_has_is_fine_after_a_reconnect(
     if "process" not in how:
         eventually(lambda: [connections(engine) for engine in (client, server)] >= again, what="connected again")
     eventually(lambda: linked(client) and linked(server), what="linked again")
-    eventually(fine, 20.0, "fine again")
+    eventually(fine, what="fine again")
     holds(fine, 1.0)
     for engine, ages in before.items():
         if engine in (client, server):  # present listeners have heard them before

@@ -69,6 +69,7 @@ def test_all_topics_open_on_two_streams(bridge: Bridge) -> None:
     assert len(link_of(client).carriers()) == 1 + STREAMS
 
 
+@pytest.mark.usefixtures("patience")
 def test_streams_go_where_the_control_connection_went(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     """The server's name is looked up once for a link, not for each stream."""
     asked: list[str] = []

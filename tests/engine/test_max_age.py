@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
@@ -11,6 +11,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from tests.engine.test_latched import JOINS_LATE, latched
+from tests.support import constants
 from tests.support.bridge import linked, opened, route
 from tests.support.domain import text
 from tests.support.inside import inside
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 MAX_AGE = 0.5
 TOLERANCE = 0.15
-"""s that it takes on a busy machine from publishing until DDS stamps the reception."""
+"""s that it takes on a busy machine from the last look at a message's age until it is published."""
 HELD = 3.0
 EXPIRED = {(State.LATE, Cause.LINK_SLOW), (State.LATE, Cause.CLOCK_UNKNOWN)}
 
@@ -48,16 +49,33 @@ def holding(bridge: Bridge) -> Iterator[Relay]:
         yield relay
 
 
-def stamping(publisher: Publisher) -> Steady:
-    """Publish the time, 20 times a second."""
-    return Steady(publisher, 20.0, lambda _: text(str(time.time_ns())))
+class Noting:
+    """Publishes numbers, and notes when each had been published; before that, a busy machine may hold it up.
+
+    Attributes:
+        at: ns since the epoch, by number.
+    """
+
+    def __init__(self, publisher: Publisher) -> None:
+        self._publisher = publisher
+        self.at: list[int] = []
+
+    def publish(self, message: bytes = b"") -> None:
+        """Publish the next number, whatever the message."""
+        self._publisher.publish(text(str(len(self.at))))
+        self.at.append(time.time_ns())
 
 
-def ages(listener: Listener) -> list[float]:
-    """Return the age (s) of each message when it was received."""
+def publishing(out: Any) -> Steady:
+    """Publish 20 times a second."""
+    return Steady(out, 20.0, lambda _: b"")
+
+
+def ages(listener: Listener, out: Noting) -> list[float]:
+    """Return the age (s) of each message when the bridge published it."""
     return [
-        (received - int(deserialize_message(payload, String).data)) / 1e9
-        for payload, received in zip(listener.payloads, listener.received, strict=True)
+        (published - out.at[int(deserialize_message(payload, String).data)]) / 1e9
+        for payload, published in zip(listener.payloads, listener.published, strict=True)
     ]
 
 
@@ -69,10 +87,17 @@ def clocks_known(*engines: Engine) -> bool:
     ("side", "protocol"), [("sender", "udp"), ("receiver", "tcp"), *long_cases(("sender", "tcp"), ("receiver", "udp"))]
 )
 def test_nothing_old_comes_out_of_a_network_that_held_everything(
-    protocol: Protocol, side: str, bridge: Bridge, holding: Relay, robot: Domain, pc: Domain
+    protocol: Protocol,
+    side: str,
+    bridge: Bridge,
+    holding: Relay,
+    robot: Domain,
+    pc: Domain,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Either side may have the `max_age`: the robot that publishes, or the server of a topic that the robot lists."""
-    out, heard = robot.publisher("/cmd"), pc.listener("/cmd")
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)  # the silence loses no link
+    out, heard = Noting(robot.publisher("/cmd")), pc.listener("/cmd")
     topic = Topic("/cmd", "transmit", protocol=protocol, max_age=MAX_AGE if side == "sender" else None)
     theirs = msgspec.structs.replace(topic, max_age=MAX_AGE)
     clients = None if side == "sender" else (Client("robot1", topics=(theirs,)),)
@@ -81,15 +106,15 @@ def test_nothing_old_comes_out_of_a_network_that_held_everything(
     eventually(lambda: linked(client) and linked(server) and clocks_known(client, server), what="linked")
     eventually(lambda: "/cmd" in opened(server), what="open")
     both = (client, server)
-    with stamping(out) as published:
+    with publishing(out) as published:
         eventually(lambda: len(heard.payloads) > 10, what="messages")
         holding.delay = lambda: HELD
         began = time.monotonic()
-        eventually(lambda: time.monotonic() - began > HELD, HELD + 2)
+        eventually(lambda: time.monotonic() - began > HELD)
         holding.delay = lambda: 0.0
         before = len(heard.payloads)
-        eventually(lambda: all(_shown(each, "/cmd") in EXPIRED for each in both), 15, what="late on both sides")
-        eventually(lambda: len(heard.payloads) > before + 40, 20, what="fresh messages again")
+        eventually(lambda: all(_shown(each, "/cmd") in EXPIRED for each in both), what="late on both sides")
+        eventually(lambda: len(heard.payloads) > before + 40, what="fresh messages again")
         eventually(lambda: all(_shown(each, "/cmd")[0] is State.OK for each in both))
 
     def agreed() -> Ledger | None:
@@ -98,8 +123,8 @@ def test_nothing_old_comes_out_of_a_network_that_held_everything(
         same = ledger == there and not ledger.in_flight and ledger.delivered == len(heard.payloads)
         return ledger if same else None
 
-    ledger = eventually(agreed, 15)
-    assert max(ages(heard)) <= MAX_AGE + TOLERANCE
+    ledger = eventually(agreed)
+    assert max(ages(heard, out)) <= MAX_AGE + TOLERANCE
     assert ledger.expired >= 20
     assert ledger.offered == ledger.delivered + ledger.expired + ledger.dropped_total
     assert ledger.offered <= published.count
@@ -111,8 +136,8 @@ def _shown(engine: Engine, topic: str) -> tuple[State, str]:
 
 
 def test_a_latched_message_is_too_old_for_whoever_joins_late(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    out = robot.publisher("/mode", qos=latched(1))
-    out.publish(text(str(time.time_ns())))
+    out = Noting(robot.publisher("/mode", qos=latched(1)))
+    out.publish()
     began = time.monotonic()
     eventually(lambda: time.monotonic() - began > 2 * MAX_AGE)
     server, client = bridge.both(Topic("/mode", "transmit", max_age=MAX_AGE))
@@ -120,13 +145,21 @@ def test_a_latched_message_is_too_old_for_whoever_joins_late(bridge: Bridge, rob
     eventually(lambda: route(client, "/mode").ledger.expired == 1)
     eventually(lambda: clocks_known(client, server))
     holds(lambda: not heard.payloads, 1.0)
-    out.publish(text(str(time.time_ns())))
-    eventually(lambda: len(heard.payloads) == 1)
-    assert max(ages(heard)) <= MAX_AGE + TOLERANCE
-    assert route(server, "/mode").ledger.expired == 1
+    eventually(lambda: route(server, "/mode").ledger.expired == 1)
+
+    def is_heard() -> bool:
+        """Publish once more: a busy machine may take so long that one is too old, too."""
+        out.publish()
+        return bool(heard.payloads)
+
+    eventually(is_heard)
+    assert max(ages(heard, out)) <= MAX_AGE + TOLERANCE
 
 
-def test_a_request_that_is_too_old_reaches_no_server(bridge: Bridge, holding: Relay, robot: Domain, pc: Domain) -> None:
+def test_a_request_that_is_too_old_reaches_no_server(
+    bridge: Bridge, holding: Relay, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)
     asked: list[float] = []
 
     def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -141,14 +174,25 @@ def test_a_request_that_is_too_old_reaches_no_server(bridge: Bridge, holding: Re
         server = bridge.server()
         client = bridge.client(service, server_ip="127.0.0.1", server_port=holding.port)
         eventually(lambda: linked(client) and linked(server) and clocks_known(client, server), what="linked")
-        eventually(caller.service_is_ready, 20, what="offered")
-        caller.call_async(Trigger.Request())
-        eventually(lambda: len(asked) == 1, 15, what="a request in time")
+        eventually(caller.service_is_ready, what="offered")
+
+        def arrives() -> bool:
+            """Ask once, until that arrives or is refused; a busy machine may hold it up before the network does."""
+            before, refused = len(asked), _too_old(client, "/start")
+            caller.call_async(Trigger.Request())
+            eventually(lambda: len(asked) > before or _too_old(client, "/start") > refused)
+            return len(asked) > before
+
+        eventually(arrives, what="a request in time")
+        before, old = len(asked), _too_old(server, "/start")
         holding.delay = lambda: 1.5
-        caller.call_async(Trigger.Request())
-        eventually(lambda: _too_old(client, "/start") == 1)
-        assert len(asked) == 1
-        assert _too_old(server, "/start") == 1
+
+        def is_refused_there() -> bool:
+            assert not arrives()
+            return _too_old(server, "/start") > old
+
+        eventually(is_refused_there)
+        assert len(asked) == before
     finally:
         there.close()
         here.close()

@@ -28,8 +28,7 @@ from tests.support.wording import pattern, says
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.config.topic_rules import TopicMistake
-from rsb_bridge.engine.publishing import AT_ONCE, ENDS_AFTER, TOPICS, PublishProblem
-from rsb_bridge.model.by_hand import TICKET_LIFE
+from rsb_bridge.engine.publishing import AT_ONCE, TOPICS, PublishProblem
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting, on_console
 from rsb_bridge.model.commands import PauseTopics, Publish, ReleaseArmed, RemoveTopic, Restart, ShutDownLinks
@@ -89,7 +88,12 @@ def test_nodes_of_this_side_get_it(bridge: Bridge, robot: Domain) -> None:
     for topic, listener in heard.items():
         published = publish(client, "data: here", topic)
         assert (published.type_name, published.nodes, published.links) == (STRING, 1, ())
-        eventually(lambda listener=listener: listener.texts(10) == ["here"])
+        if listeners[topic] is BEST_EFFORT:  # it misses what comes before it has heard of the publisher
+            eventually(lambda listener=listener: listener.matched)
+            publish(client, "data: again", topic)
+            eventually(lambda listener=listener: listener.texts(10) in (["here", "again"], ["again"]))
+        else:
+            eventually(lambda listener=listener: listener.texts(10) == ["here"])
 
 
 @pytest.mark.usefixtures("patient")
@@ -152,12 +156,13 @@ def test_many_come_in_order_and_each_operator_is_recorded_once(bridge: Bridge, p
 
 
 def test_a_publisher_that_is_not_used_is_closed(bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
-    constants.PUBLISHING_ENDS_AFTER.set(monkeypatch, ENDS_AFTER / 5)
+    constants.PUBLISHING_ENDS_AFTER.set(monkeypatch, 100.0)
     listener = robot.listener("/text")
     client = bridge.client()
     publish(client, "data: a", "/text")
     publish(client, "data: b", "/text")
     eventually(lambda: listener.matched == 1)
+    constants.PUBLISHING_ENDS_AFTER.set(monkeypatch, 0.1)
     eventually(lambda: listener.matched == 0)
     eventually(lambda: [new for *_, new in of(client, EventCode.OPERATOR_PUBLISH_ENDED)] == ["2"])
 
@@ -211,6 +216,7 @@ def test_a_topic_of_two_types(bridge: Bridge, robot: Domain) -> None:
 # --- arming
 
 
+@pytest.mark.usefixtures("long_lease")
 @pytest.mark.parametrize("side", ["client", "server"])
 def test_nothing_is_published_unless_it_is_armed(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles, side: str
@@ -235,8 +241,13 @@ def test_nothing_is_published_unless_it_is_armed(
     holds(lambda: {*motors.texts(10), *near.texts(10)} <= {"armed"}, 0.5)
 
 
-def test_an_old_command_is_not_carried_out(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
+@pytest.mark.usefixtures("long_lease")
+def test_an_old_command_is_not_carried_out(
+    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A command without a ticket, or with one that is old, of another time or another engine, only gets a new one."""
+    life = 30.0
+    constants.PUBLISHING_TICKET_LIFE.set(monkeypatch, life)
     motors = robot.listener("/cmd")
     pc.publisher("/cmd")
     server, client = bridge.both(DRIVEN)
@@ -245,7 +256,7 @@ def test_an_old_command_is_not_carried_out(bridge: Bridge, robot: Domain, pc: Do
     ticket = publish(server, "data: first").ticket
     assert server.publish("/cmd", "data: second", ticket=ticket).result(30).is_done
     another = publish(client, "", "/text", type_name=STRING).ticket
-    for old in (0, ticket - int((TICKET_LIFE + 0.2) * 1000), ticket + 60_000, another):
+    for old in (0, ticket - int((life + 0.2) * 1000), ticket + 60_000, another):
         published = server.publish("/cmd", "data: old", ticket=old).result(30)
         assert not published.is_done
     publish(server, "data: new", ticket=published.ticket)
@@ -256,6 +267,7 @@ def test_an_old_command_is_not_carried_out(bridge: Bridge, robot: Domain, pc: Do
 # --- driving
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_a_silent_console_ends_a_motion(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
     motors = robot.listener("/cmd", Twist)
     server, client = bridge.both(replace(DRIVEN, type=TWIST))
@@ -277,6 +289,7 @@ def test_a_silent_console_ends_a_motion(bridge: Bridge, robot: Domain, pc: Domai
     holds(lambda: [each for each in speeds() if each] == moving and speeds()[-1] == 0.0, 0.5)
 
 
+@pytest.mark.usefixtures("long_lease")
 @pytest.mark.parametrize("topic", [Topic("/cmd", "receive"), Topic("/cmd", "receive", arm=True, max_age=0.0)])
 def test_only_an_armed_topic_with_young_messages_is_driven(
     bridge: Bridge, pc: Domain, robot: Domain, consoles: Consoles, topic: Topic
@@ -317,6 +330,7 @@ def driven(bridge: Bridge, pc: Domain, consoles: Consoles) -> tuple[Engine, Engi
     return server, client
 
 
+@pytest.mark.usefixtures("long_lease")
 @pytest.mark.parametrize("type_name", ["auto", "Twist"])
 def test_a_topic_is_driven_whose_type_only_the_robot_knows(
     bridge: Bridge, robot: Domain, consoles: Consoles, type_name: str
@@ -332,6 +346,7 @@ def test_a_topic_is_driven_whose_type_only_the_robot_knows(
     eventually(lambda: speeds(motors)[-1] == 0.0)
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_a_motion_that_nobody_goes_on_with_ends_with_a_new_stamp(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:
@@ -354,6 +369,7 @@ def test_a_motion_that_nobody_goes_on_with_ends_with_a_new_stamp(
     assert between.nanoseconds / 1e9 >= 0.45
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_a_rest_does_not_outlive_its_arming(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
     """The motion ends when the topic is disarmed, and does not continue when it is armed again."""
     motors = robot.listener("/cmd", Twist)
@@ -368,24 +384,32 @@ def test_a_rest_does_not_outlive_its_arming(bridge: Bridge, robot: Domain, pc: D
     holds(lambda: speeds(motors) == [0.1, 0.0], 2.5)
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_another_operators_message_leaves_the_rest(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:
     """A driven robot stops, even if others publish. The report of what has landed has the robot's counts."""
     motors = robot.listener("/cmd", Twist)
     server, _ = driven(bridge, pc, consoles)
-    landing = Landing("/cmd", now(server))
-    links = drive(server, 0.1, rest_after=1.0).links
-    assert links == ("robot1",)
-    publish(server, "linear: {x: 0.2}")
-    eventually(lambda: speeds(motors)[-1:] == [0.0])
-    assert changes(motors)[-2:] == [0.2, 0.0]
+    landing, links = Landing("/cmd", now(server)), ("robot1",)
+
+    def passes_during_the_motion() -> bool:
+        """A machine that stands still for a second has ended the motion before the other message comes."""
+        assert drive(server, 0.1, rest_after=1.0).links == links
+        publish(server, "linear: {x: 0.2}")
+        with contextlib.suppress(AssertionError):
+            return eventually(lambda: (0.1, 0.2) in itertools.pairwise(changes(motors)), 2.0)
+        return False
+
+    eventually(passes_during_the_motion)
+    eventually(lambda: changes(motors)[-3:] == [0.1, 0.2, 0.0])
     eventually(lambda: landing.is_known(now(server), links) and route(server, "/cmd").subscribers)
     ((landed, report),) = landing.reports(now(server), links)
     assert landed
     assert says(report, LandingText.DELIVERED)
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_a_message_without_ticket_leaves_the_rest(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -434,6 +458,7 @@ def test_whatever_disarms_ends_the_motion_first(bridge: Bridge, robot: Domain, p
     ends_by(lambda _: server.do(ShutDownLinks()))
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_only_the_holder_drives(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
     """Two people who drive at the same time would send the robot to and fro."""
     motors = robot.listener("/cmd", Twist)
@@ -453,6 +478,7 @@ def test_only_the_holder_drives(bridge: Bridge, robot: Domain, pc: Domain, conso
     assert set(speeds(motors)) == {0.1, 0.0}
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_an_arming_by_a_shell_is_for_the_commands_of_its_operator(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:
@@ -473,6 +499,7 @@ def test_an_arming_by_a_shell_is_for_the_commands_of_its_operator(
     eventually(lambda: speeds(motors)[:1] == [0.1])
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_a_bridge_that_stops_ends_a_motion(bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles) -> None:
     near = pc.listener("/cmd", Twist)
     server, _ = driven(bridge, pc, consoles)
@@ -481,6 +508,7 @@ def test_a_bridge_that_stops_ends_a_motion(bridge: Bridge, robot: Domain, pc: Do
     eventually(lambda: speeds(near) == [0.1, 0.0])
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_a_scrape_does_not_delay_the_end_of_a_motion(
     bridge: Bridge, pc: Domain, consoles: Consoles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -511,6 +539,7 @@ def test_a_scrape_does_not_delay_the_end_of_a_motion(
         stopping.result(60)
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_all_robots_of_a_name_have_to_be_driven(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """A robot that gets messages without arming, and of any age, might not stop."""
     others = robot.listener("/other", Twist)

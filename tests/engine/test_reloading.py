@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.support import replaced
+from tests.support import constants, replaced
 from tests.support.bridge import carries, find, happened, heard, link, linked, route
 from tests.support.domain import text
 from tests.support.waiting import eventually, holds
@@ -54,7 +54,10 @@ def codes(engine: Engine, code: EventCode) -> list[str]:
     return [event.text for event in engine.events() if event.code == code]
 
 
-def test_only_the_topics_that_differ_change(bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path) -> None:
+def test_only_the_topics_that_differ_change(
+    bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)  # a busy machine that stands still loses no link
     kept_there, kept = pc.listener("/kept"), robot.publisher("/kept")
     robot.publisher("/gone")
     added_there, added = pc.listener("/added"), robot.publisher("/added")
@@ -95,8 +98,9 @@ def test_only_the_topics_that_differ_change(bridge: Bridge, robot: Domain, pc: D
 
 
 def test_another_rate_limit_keeps_the_counts_and_the_link(
-    bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path
+    bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)  # a busy machine that stands still loses no link
     there, out = pc.listener("/chat"), robot.publisher("/chat")
     server, client = bridge.both(Topic("/chat", "transmit"))
     carries([out], server, ["/chat"])
@@ -194,8 +198,9 @@ def test_ports_and_shared_keys_are_shown_before_they_count(bridge: Bridge, tmp_p
 
 
 def test_clients_are_added_changed_and_removed_without_the_others_noticing(
-    bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path
+    bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)  # a busy machine that stands still loses no link
     for name in ("robot2", "robot3", "new"):
         bridge.make_key(name)
     clients = (Client("robot1", key_file="robot1.key"), Client("robot2", key_file="robot2.key"))
@@ -241,7 +246,10 @@ def test_clients_are_added_changed_and_removed_without_the_others_noticing(
     assert link(first).since == since
 
 
-def test_topics_that_a_server_proposes_follow_its_file(bridge: Bridge, pc: Domain, tmp_path: Path) -> None:
+def test_topics_that_a_server_proposes_follow_its_file(
+    bridge: Bridge, pc: Domain, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    constants.DEAD_AFTER.set(monkeypatch, 60.0)  # a busy machine that stands still loses no link
     pc.publisher("/goal")
     robot1 = Client("robot1", key_file="robot1.key", topics=(Topic("/goal", "receive"), Topic("/old", "receive")))
     server = bridge.server(clients=(robot1,))

@@ -40,6 +40,7 @@ def drive(engine: Engine, fields: str) -> None:
     publish(engine, fields, rest="{}", rest_after=2.0, reduce=True)
 
 
+@pytest.mark.usefixtures("long_lease")
 @pytest.mark.parametrize("whose", ["robot", "pc"])
 def test_a_hand_is_held_to_the_limits_of_either_side(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles, whose: str
@@ -76,6 +77,7 @@ def test_a_hand_on_the_robots_side_is_held_to_them_too(bridge: Bridge, robot: Do
     eventually(lambda: twists(motors) == [(0.3, 0.0)])
 
 
+@pytest.mark.usefixtures("long_lease")
 def test_what_follows_a_message_is_held_to_them_too(
     bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
 ) -> None:

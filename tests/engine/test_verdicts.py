@@ -70,8 +70,12 @@ def test_half_of_the_messages_lost_on_the_way(bridge: Bridge, relay: Relay, robo
         eventually(lambda: both_show(State.OK, ""))
         relay.to_server = lose_one_of_every_other
         # a remedy is named once it is clear that the link is not full
-        eventually(lambda: both_show(State.SLOW, Cause.LOSSY, "datagrams", USE_TCP))
-        assert route(server, "/scan").reason.startswith("robot1: ")
+        eventually(
+            lambda: (
+                both_show(State.SLOW, Cause.LOSSY, "datagrams", USE_TCP)
+                and route(server, "/scan").reason.startswith("robot1: ")
+            )
+        )
         eventually(lambda: (event := happened(server, EventCode.ROUTE_FAULT)) and event.cause == Cause.LOSSY)
         relay.to_server = lambda datagram: [datagram]
         eventually(lambda: {route(engine, "/scan").state for engine in (client, server)} == {State.OK})

@@ -27,10 +27,12 @@ from tests.support.bridge import (
     heard,
     link,
     linked,
+    outgoing,
     route,
     settled,
 )
 from tests.support.domain import LATCHED, text
+from tests.support.inside import ledger_of
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 from tests.support.zenoh_router import Router, stranger
@@ -222,6 +224,7 @@ def test_datagrams_that_the_network_drops_are_in_the_ledger(
         out.publish(text(f"{number}" + " " * 800))
         eventually(lambda number=number: count[0] > number)  # one datagram each, so that the loss can be computed
     ledger = settled(client, "/drop", 301)
+    eventually(lambda: len(there.payloads) >= ledger.delivered)  # DDS may bring the last ones a moment later
     assert ledger.delivered == len(there.payloads) == 301 - 60
     assert ledger.dropped_total == 60
     assert balance(ledger) == 301
@@ -238,7 +241,9 @@ def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
     lost: list[str] = []
 
     def lossy(self: endpoints.ZenohEndpoint, sender: str, stream: str, attachment: bytes, payload: bytes) -> None:
-        if not lost and self._service == "server" and len(payload) >= LEAST_CHUNK:  # of a large message
+        of_a_message = self._service == "server" and len(payload) >= LEAST_CHUNK  # a large one
+        # Not before the last is offered: the route may close before a busy machine has published it.
+        if of_a_message and not lost and ledger_of(outgoing(client, "/odom")).offered == 3:
             lost.append(stream)
             return
         take(self, sender, stream, attachment, payload)
@@ -246,7 +251,6 @@ def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
     replaced.ZENOH_RECEIVE.set(monkeypatch, lossy)
     for number in range(3):
         out.publish(text(str(number) * 60_000))
-    eventually(lambda: lost)
     one_or_more = (PipeProblem.SAMPLE_LOST, PipeProblem.SAMPLES_LOST)  # Zenoh drops some itself on a busy machine
     event = eventually(
         lambda: next(filter(None, (happened(server, EventCode.ROUTE_CHANNEL_LOST, each) for each in one_or_more)), None)

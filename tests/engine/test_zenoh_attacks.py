@@ -90,7 +90,7 @@ def test_false_servers_cost_seconds_and_no_link(bridge: Bridge, router: Router, 
     tokens = [stranger.declare(f"{ROOT}/fleet/here/server/{number:016x}/fake") for number in range(count)]
     try:
         server = bridge.server(**over(router))
-        eventually(lambda: happened(server, EventCode.ENGINE_LISTENING), within=30.0)
+        eventually(lambda: happened(server, EventCode.ENGINE_LISTENING))
         with router_session(router) as another:
             eventually(lambda: len(list(another.liveliness().get(f"{ROOT}/fleet/here/server/*/*"))) == count + 1)
         client = bridge.client(**over(router))
@@ -110,11 +110,15 @@ def test_false_servers_cost_seconds_and_no_link(bridge: Bridge, router: Router, 
 
 def test_tokens_that_come_and_go_all_the_time_keep_no_client_out(bridge: Bridge, router: Router) -> None:
     server = bridge.server(**over(router))
-    with closing(Attacker(router.endpoint, "churn", hz=100.0)) as attacker:
+    with (
+        closing(Stranger(router.endpoint, "fleet")) as witness,
+        closing(Attacker(router.endpoint, "churn", hz=100.0)) as attacker,
+    ):
         eventually(lambda: happened(server, EventCode.ENGINE_OTHER_SERVERS))
         client = bridge.client(**over(router))
-        eventually(lambda: linked(client), within=15.0, what="linked")
+        eventually(lambda: linked(client), within=60.0, what="linked")  # one after another, it would take far longer
         time.sleep(SECONDS)
+        eventually(lambda: len(witness.tokens) > 600)  # a busy machine leaves less time to the attacker, too
         assert attacker.stop()["tokens"] > 500
     assert linked(client)
     for engine in (server, client):

@@ -57,7 +57,7 @@ def test_an_outage_of_a_real_link_is_remembered_and_kept(
         assert heard
     finally:
         client.stop()
-    assert "rsb-disk" not in [thread.name for thread in threading.enumerate()]
+    eventually(lambda: "rsb-disk" not in [thread.name for thread in threading.enumerate()], what="its end")
     codes = [json.loads(line)["code"] for line in (state / "robot1.jsonl").read_text().splitlines()]
     assert codes[-1] == "engine.stopped"
     assert "link.up" in codes

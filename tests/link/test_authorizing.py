@@ -179,7 +179,10 @@ def test_a_side_lets_no_more_cross_than_it_allows(
     assert heard(listener, 2) == [text("0"), text("free")]
 
 
-def test_a_peer_that_sends_faster_all_the_same_is_throttled_here(bridge: Bridge) -> None:
+def test_a_peer_that_sends_faster_all_the_same_is_throttled_here(
+    bridge: Bridge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    constants.DEAD_AFTER.set(monkeypatch, 600.0)  # the rogue says nothing while it waits
     slow = Client("robot1", allow=(Grant("/chat", may="publish", max_rate=0.01),))
     server = bridge.server(clients=(slow,))
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:

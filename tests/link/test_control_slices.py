@@ -250,7 +250,8 @@ def test_all_other_lists_in_control_messages_are_short() -> None:
     assert found == {"Report.sent", "Report.received", "Report.calls", "TopicList.topics"}
 
 
-def test_a_real_link_takes_the_whole_of_a_long_report(bridge: Bridge) -> None:
+def test_a_real_link_takes_the_whole_of_a_long_report(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+    constants.DEAD_AFTER.set(monkeypatch, 600.0)  # the rogue may say nothing for a while
     server = bridge.server()
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:
         route = rogue.route("/long", "tcp", Qos())

@@ -98,9 +98,9 @@ def test_a_web_server_that_waits_for_the_end_of_a_line(bridge: Bridge) -> None:
         thread.start()
         try:
             client = bridge.client()
-            eventually(lambda: link(client).attempts)
-            assert link(client).cause == LinkCause.NOT_A_BRIDGE
-            assert "HTTP" in link(client).reason
+            # A busy web server may answer a later attempt only.
+            found = eventually(lambda: seen if (seen := link(client)).cause == LinkCause.NOT_A_BRIDGE else None)
+            assert "HTTP" in found.reason
         finally:
             web.shutdown()
             thread.join()
@@ -143,7 +143,7 @@ def test_another_program_that_connects_to_the_server(
     sent: bytes, cause: LinkCause, text: str, bridge: Bridge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One line reports it, however often it connects."""
-    constants.SERVER_HANDSHAKE_WITHIN.set(monkeypatch, 0.3)
+    constants.SERVER_HANDSHAKE_WITHIN.set(monkeypatch, 60.0 if sent else 0.3)  # who speaks may do so late
     server = bridge.server()
     for _ in range(4):
         with socket.create_connection(("127.0.0.1", bridge.port), timeout=60) as stranger:

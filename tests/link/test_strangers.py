@@ -12,7 +12,7 @@ import weakref
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support import replaced
+from tests.support import constants, replaced
 from tests.support.bridge import happened, link, linked
 from tests.support.inside import inside
 from tests.support.ports import free_port
@@ -183,6 +183,7 @@ def test_a_spent_budget_closes_the_oldest_and_keeps_no_client_out(
     bridge: Bridge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     replaced.STRANGERS.set(monkeypatch, functools.partial(Strangers, 5 * CONNECTION))
+    constants.SERVER_HANDSHAKE_WITHIN.set(monkeypatch, 600.0)  # none goes by itself meanwhile
     server = bridge.server()
     with contextlib.ExitStack() as silent:
         first = silent.enter_context(socket.create_connection(("127.0.0.1", bridge.port)))
@@ -201,7 +202,8 @@ def test_a_spent_budget_closes_the_oldest_and_keeps_no_client_out(
     assert link(server).cause == LinkCause.NONE
 
 
-def test_a_client_that_is_linked_is_no_stranger(bridge: Bridge) -> None:
+def test_a_client_that_is_linked_is_no_stranger(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+    constants.SERVER_HANDSHAKE_WITHIN.set(monkeypatch, 600.0)  # nor is one that was given up
     server, _ = bridge.both()
     eventually(lambda: strangers_of(server).used == 0)
     secret = read_key(bridge.folder / bridge.key_file).secret

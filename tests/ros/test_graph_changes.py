@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -90,23 +89,16 @@ def test_the_last_change_comes_after_what_it_is_about(open_node: Callable[..., R
 def test_messages_are_no_changes(open_node: Callable[..., RosNode], rclpy_node: Node) -> None:
     node = open_node()
     watcher = Watcher(node)
-    taken = threading.Event()
     received: list[object] = []
-
-    def sink(batch: Any) -> None:
-        received.extend(batch)
-        if len(received) >= 50:
-            taken.set()
-
-    node.subscribe("/news", "std_msgs/msg/String", "", Qos(depth=100), sink, "link")
+    node.subscribe("/news", "std_msgs/msg/String", "", Qos(depth=100), received.extend, "link")
     out = rclpy_node.create_publisher(String, "/news", 100)
     eventually(lambda: out.get_subscription_count() == 1)
     eventually(lambda: [each.node for each in node.publishers("/news")] == ["/stock"])
     before = watcher.settle()
-    for _ in range(50):
+    for number in range(50):  # one by one: were they changes, there would be 50
         out.publish(String(data="x"))
-    assert taken.wait(60)
-    assert watcher.changes == before
+        eventually(lambda number=number: len(received) > number)
+    assert watcher.changes - before < 25  # a late one of the graph's own may be among them
 
 
 def test_a_thread_that_ends_by_itself_says_so(

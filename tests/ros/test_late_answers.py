@@ -185,6 +185,7 @@ def test_a_server_that_goes_takes_its_late_answers_with_it(open_node: Callable[.
         return False
 
     eventually(freed)
+    eventually(lambda: not rclpy_node.count_services("/set"))  # else the client may call the old one
     again = ours.serve("/set", SET, "", requests.extend)
     client = rclpy_node.create_client(SetBool, "/set")
     assert client.wait_for_service(60)

@@ -11,6 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from tests.ros.domains import ANOTHER
 from tests.support import constants
+from tests.support.participants import KnownNode
 from tests.support.resources import resources
 from tests.support.waiting import eventually
 
@@ -326,7 +327,7 @@ def test_fifty_nodes_and_endpoints_leave_nothing_behind() -> None:
 @pytest.mark.usefixtures("start_one")
 def test_stop_returns_within_a_second_though_a_sink_blocks() -> None:
     before = resources().threads
-    node, other = RosNode(ANOTHER, "robot1"), RosNode(ANOTHER, "other")
+    node, other = KnownNode(ANOTHER, "robot1"), KnownNode(ANOTHER, "other")
     node.start()
     other.start()
     received = Received()

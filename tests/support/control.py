@@ -24,6 +24,7 @@ class Machine:
         environ: says where it is.
         stopped: how often a console has asked for the end of a process.
         served: all servers so far.
+        engines: what they serve.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -31,6 +32,7 @@ class Machine:
         self.folder = folder / "rsb-console"
         self.stopped = 0
         self.served: list[ControlServer] = []
+        self.engines: list[Any] = []
         self._resources = contextlib.ExitStack()
 
     def serve(self, engine: Any = None, **changes: Any) -> ControlServer:
@@ -39,6 +41,7 @@ class Machine:
         given = {"file": None, "control": None, "on_stop": self._stop, "environ": self.environ}
         server = bridges.serve(engine, engine.session, **(given | changes))
         self.served.append(server)
+        self.engines.append(engine)
         self._resources.callback(server.close)
         return server
 

@@ -71,6 +71,7 @@ class Listener:
         self._kind = kind
         self._payloads: list[bytes] = []
         self._received: list[int] = []
+        self._published: list[int] = []
         self.subscription = node.create_subscription(kind, topic, lambda _: None, qos, raw=True)
 
     @property
@@ -95,10 +96,17 @@ class Listener:
         self._take()
         return self._received
 
+    @property
+    def published(self) -> list[int]:
+        """When their publisher published each of them: ns since the epoch."""
+        self._take()
+        return self._published
+
     def forget(self) -> None:
         """Forget what has been taken."""
         self._payloads.clear()
         self._received.clear()
+        self._published.clear()
 
     def _take(self) -> None:
         handle = self.subscription.handle
@@ -106,6 +114,7 @@ class Listener:
             payload, info = taken
             self._payloads.append(payload)
             self._received.append(info["received_timestamp"])
+            self._published.append(info["source_timestamp"])
 
 
 def text(words: str) -> bytes:

@@ -7,6 +7,7 @@ once in 700 starts on a core shared by eight). Every other file is a lane of its
 
 from __future__ import annotations
 
+import contextlib
 import os
 from typing import TYPE_CHECKING
 
@@ -18,12 +19,15 @@ if TYPE_CHECKING:
 COMPUTING = {"simulation": "simulation", "checks": "checks"} | dict.fromkeys(
     ("cdr", "channel", "config", "fleet", "fuzz", "history", "model", "route", "wire"), "pure"
 )
+WITH_DDS = {"tests/history/test_engine.py"}
+"""Files of these folders that do not only compute."""
 ALONE = {"bluetooth", "network", "release"}
 """Folders whose tests share machines, hosts or builds."""
 SHARED = {"calls": 3}
 """Folders that start processes for all their tests, and so run in a few lanes."""
 FIRST = ("simulation", "checks", "pure", *ALONE, "soak", "calls", "tests/system/test_torture.py")
 """What takes the longest: begun late, it has one worker wait at the end while the others have nothing to do."""
+_USUAL = os.getpriority(os.PRIO_PROCESS, 0)
 
 
 def folder_of(nodeid: str) -> str:
@@ -32,7 +36,7 @@ def folder_of(nodeid: str) -> str:
 
 def lane_of(nodeid: str) -> str:
     folder, file = folder_of(nodeid), nodeid.split("::", 1)[0]
-    if folder in COMPUTING:
+    if folder in COMPUTING and file not in WITH_DDS:
         return COMPUTING[folder]
     if folder in ALONE:
         return folder
@@ -59,9 +63,11 @@ def sort_by_lane(items: list[pytest.Item]) -> None:
 
 
 def give_way(item: pytest.Item) -> None:
-    """Lower this worker's priority from the first test on that only computes."""
-    if folder_of(item.nodeid) in COMPUTING:
-        os.setpriority(os.PRIO_PROCESS, 0, max(5, os.getpriority(os.PRIO_PROCESS, 0)))
+    """Lower this worker's priority for tests that only compute; who is not root cannot raise it again."""
+    wanted = max(5, _USUAL) if lane_of(item.nodeid) in COMPUTING.values() else _USUAL
+    if os.getpriority(os.PRIO_PROCESS, 0) != wanted:
+        with contextlib.suppress(PermissionError):
+            os.setpriority(os.PRIO_PROCESS, 0, wanted)
 
 
 class Lanes(LoadScopeScheduling):  # type: ignore[misc]

@@ -146,7 +146,7 @@ def test_the_keys_differ(sides: Sides, bridge: Bridge) -> None:
         (event,) = program.events(code)
         assert words in event["text"]
         assert event["link"] == "robot1"
-        assert "✗ robot1: " in program.screen(words)
+        program.screen("✗ robot1: ", words)
     assert (event["state"], event["cause"]) == ("down", "wrong_key")
     assert event["since"] <= event["time"]
     assert "127.0.0.1" in server.link()["reason"]
@@ -164,7 +164,7 @@ def test_the_versions_differ(sides: Sides, there: int, older: str, newer: str) -
         code = RefusalText.THIS_SIDE_OLDER if role == older else RefusalText.PEER_OLDER
         words = code(ours=versions[role], theirs=versions[other])
         assert words in shown["reason"]
-        assert "✗ robot1: " in programs[role].screen(words)
+        programs[role].screen("✗ robot1: ", words)
     assert len(server.events(EventCode.LINK_REJECTED)) == len(client.events(EventCode.LINK_REFUSED)) == 1
 
 

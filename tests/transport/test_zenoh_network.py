@@ -59,10 +59,14 @@ def router(_router: Router) -> Router:
 
 @contextlib.asynccontextmanager
 async def in_network(
-    router: Router, service: str = "server", *watched: str, strangers: Strangers | None = None
+    router: Router,
+    service: str = "server",
+    *watched: str,
+    strangers: Strangers | None = None,
+    fleet: str = "fleet",
 ) -> AsyncIterator[ZenohEndpoint]:
     """An endpoint of a network of its own, perhaps with a budget for strangers."""
-    network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
+    network = Network(ZenohSettings(connect=(router.endpoint,), fleet=fleet), Path())
     network.strangers = strangers or network.strangers
     made = await network.endpoint(service, "a label", watched)
     while made.address not in {each.address for each in await made.ask(service)}:  # noqa: ASYNC110 (no event of ours)
@@ -161,10 +165,11 @@ def _kept(asked: list[str], what: str) -> End:
 
 
 async def test_endpoints_see_one_another_come_and_go(router: Router) -> None:
-    async with in_network(router, "server", "client") as server:
+    fleet = "visits"  # of its own: the router may still know endpoints of another test
+    async with in_network(router, "server", "client", fleet=fleet) as server:
         seen: list[tuple[str, bool]] = []
         server.on_seen = lambda who, comes: seen.append((who.address, comes))
-        async with in_network(router, "client") as client:
+        async with in_network(router, "client", fleet=fleet) as client:
             await until(lambda: client.address in server.seen)
             assert server.seen[client.address].label == "a label"
             assert [each.address for each in await client.ask("server")] == [server.address]
@@ -284,7 +289,7 @@ async def test_what_strangers_send_takes_no_room_from_peers(router: Router) -> N
             other.put(bytes(1000), sender=f"{number:016x}")
         other.put(bytes(1_000_000))
         eventually(lambda: waiting_bytes(server))  # the loop has had no turn
-        await until(lambda: peer.came)
+        await until(lambda: peer.came and not of_strangers(server))  # their turns are more than the peer's one
         assert budget.used == 0
         assert len(asked) == 100_000 // (1000 + constants.ZENOH_OVERHEAD.value)
         assert budget.turned_away == 500 - len(asked)
@@ -437,7 +442,8 @@ async def test_who_leaves_while_an_endpoint_is_made_is_forgotten(
         client = await network.endpoint("client", "", ["server"])
         assert ghost.address in client.seen
         await until(lambda: ghost.address not in client.seen)
-        assert server.address in client.seen
+        # Zenoh may report it late, but once only: one that is forgotten all the same stays so.
+        await until(lambda: server.address in client.seen)
         client.close()
         network.close()
 
@@ -554,7 +560,8 @@ def test_without_the_package_it_is_said_how_to_get_it(tmp_path: Path, monkeypatc
     usual = builtins.__import__
 
     def without(name: str, *args: Any) -> Any:
-        if name == "zenoh":
+        # A network of an earlier test may still be closing.
+        if name == "zenoh" and threading.current_thread().name != "zenoh-close":
             raise ImportError(name)
         return usual(name, *args)
 
@@ -645,6 +652,7 @@ async def test_who_listens_opens_no_other_port_and_who_connects_none(router: Rou
             await network.open()
             assert {each.partition(":")[2] for each in opened_ports() - before} == opens
             network.close()
+            await until(lambda: not opened_ports() - before)  # the next one listens there, too
 
 
 async def test_a_port_that_is_taken_is_an_error_in_words(tmp_path: Path) -> None:
@@ -657,7 +665,8 @@ async def test_a_port_that_is_taken_is_an_error_in_words(tmp_path: Path) -> None
 
 async def test_a_server_is_told_of_others_by_name_and_not_of_itself(router: Router, tmp_path: Path) -> None:
     """Its own announcement comes again when the router does; another's may have no name."""
-    network = Network(ZenohSettings(connect=(router.endpoint,)), tmp_path)
+    # A fleet of its own: the router may still know the server of another test.
+    network = Network(ZenohSettings(connect=(router.endpoint,), fleet="told"), tmp_path)
     links, told = Links(network, "pc"), list[str]()
     transport = Zenoh(links)
     await transport.listen("zenoh", 0, Acceptor(StreamHandler, lambda *_: None, lambda _: None, others=told.append))
@@ -670,4 +679,4 @@ async def test_a_server_is_told_of_others_by_name_and_not_of_itself(router: Rout
     finally:
         transport.close()
     (text,) = told
-    assert says(text, FleetText.OTHER_SERVER, fleet="fleet", names=f"endpoint {NOBODY}")
+    assert says(text, FleetText.OTHER_SERVER, fleet="told", names=f"endpoint {NOBODY}")

@@ -8,6 +8,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import constants
 from tests.support.certificates import Authority
 from tests.support.wording import says
 
@@ -26,6 +27,12 @@ if TYPE_CHECKING:
     Start = Callable[..., Router]
 
 EXPIRED = datetime.timedelta(days=-1)
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """How soon a router on a busy machine answers is not what is tested."""
+    constants.ZENOH_LOOK_WITHIN.set(monkeypatch, 60.0)
 
 
 @pytest.fixture
@@ -124,7 +131,8 @@ def test_a_file_that_is_missing(tmp_path: Path, start: Start) -> None:
     assert "No such file" in said
 
 
-def test_a_router_that_speaks_no_tls(tmp_path: Path) -> None:
+def test_a_router_that_speaks_no_tls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    constants.ZENOH_LOOK_WITHIN.set(monkeypatch, 2.0)  # it may wait for more of what it takes for Zenoh
     plain = Router()
     try:
         authority = Authority(tmp_path)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from geometry_msgs.msg import Vector3
 from sensor_msgs.msg import CompressedImage
+from tests.support import constants
 from tests.view.samples import task
 
 from rsb_bridge.model.pictures import Wish
@@ -72,8 +73,9 @@ def test_what_draws_reaches_nothing(tried: dict[str, Any]) -> None:
         assert [tried[each] for each in ("connects", "listens")] == [True] * 2
 
 
-def test_the_drawing_process_is_confined_and_draws(renderer: Renderer) -> None:
-    """Also what imports Pillow and numpy only then."""
+def test_the_drawing_process_is_confined_and_draws(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also what imports Pillow and numpy only then, which may take over 3 s at low priority."""
+    constants.DRAWING_WITHIN.set(monkeypatch, 60.0)
     image = pytest.importorskip("PIL.Image")
     encoded = io.BytesIO()
     image.new("RGB", (8, 8), "red").save(encoded, "png")

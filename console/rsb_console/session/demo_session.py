@@ -59,6 +59,7 @@ class SimulatedPart:
     process: subprocess.Popen[str]
     published: dict[str, int] = field(default_factory=dict)
     received: dict[str, int] = field(default_factory=dict)
+    _reader: threading.Thread = field(init=False, repr=False)
 
     @classmethod
     def start(cls, part: str, domain: int, folder: Path, *topics: str) -> SimulatedPart:
@@ -74,7 +75,8 @@ class SimulatedPart:
                 process_group=0,
             )
         self = cls(process)
-        threading.Thread(target=self._read, name=f"demo-{part}", daemon=True).start()
+        self._reader = threading.Thread(target=self._read, name=f"demo-{part}", daemon=True)
+        self._reader.start()
         return self
 
     def _read(self) -> None:
@@ -99,6 +101,7 @@ class SimulatedPart:
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
+        self._reader.join(5)  # its last line has the last counts
 
 
 @dataclass(slots=True)
