@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, get_args
 import pytest
 from tests.support import constants, replaced
 from tests.support.operators import ANNA, BOB, Reachable, Stranger, granted
-from tests.support.waiting import eventually
+from tests.support.waiting import eventually, holds
 from tests.wire.links import make_client
 
 from rsb_bridge.config.keys import Key
@@ -302,9 +302,9 @@ def test_who_comes_when_the_bridge_has_ended_is_closed(reachable: Reachable) -> 
     remote = reachable.attach()
     reachable.close()
     reachable.server.close("the bridge was stopped")
-    # `unreachable` says so only until the next attempt to attach.
     lost = eventually(lambda: next((e for e in remote.events() if e.code == EventCode.ATTACH_LOST), None))
     assert "the bridge was stopped" in lost.text
+    holds(lambda: remote.unreachable == "the bridge was stopped", 1.2)  # and two refused connections later
 
 
 @pytest.mark.usefixtures("no_collector")

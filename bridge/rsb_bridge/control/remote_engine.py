@@ -99,6 +99,7 @@ class RemoteEngine(EngineApi):
         self._session: Session
         self._waits_for_operator = False
         self._lost = ""
+        self._goodbye = ""  # the reason, until the next state comes
         self._lost_at = 0.0
         self._receiver: StateReceiver | None = None
         self._started: Future[None] = Future()
@@ -157,9 +158,9 @@ class RemoteEngine(EngineApi):
         delay = since - _COMES_BEFORE_USE if since < _USED_REGULARLY else 0.0
         with contextlib.suppress(RuntimeError):  # detached already
             self._loop.call_soon_threadsafe(self._poll_soon, delay)
-        if self._silent_for > ANSWERS_WITHIN:
+        if (silent := self._silent_for) > ANSWERS_WITHIN:
             wall = self._clock.time_ns() / 1e9
-            return out_of_reach(self._shown, AttachProblem.SILENT(), since=wall - self._silent_for, now=wall)
+            return out_of_reach(self._shown, AttachProblem.SILENT(), since=wall - silent, now=wall)
         return self._shown
 
     def events(self, after: int = 0) -> list[Event]:
@@ -220,7 +221,8 @@ class RemoteEngine(EngineApi):
             except TimeoutError:
                 reason = AttachProblem.ON_SOCKET(where=self._way.text, problem=AttachProblem.SILENT())
             except OSError as error:
-                reason = AttachProblem.ON_SOCKET(where=self._way.text, problem=error.strerror or error)
+                # Where a bridge has said goodbye, its machine refuses the next connection, which says less.
+                reason = self._goodbye or AttachProblem.ON_SOCKET(where=self._way.text, problem=error.strerror or error)
             except Exception as error:  # the last resort: a console would show the last state for ever
                 reason = f"internal error, please report it: {error}"
                 if reason != self._lost:  # not twice a second
@@ -250,6 +252,7 @@ class RemoteEngine(EngineApi):
                     if self._untrusted is not None:
                         message = self._untrusted(message, time.monotonic())  # noqa: PLW2901 -- the same one, cleaned
                     if isinstance(message, (protocol.Goodbye, protocol.HelloRefused)):
+                        self._goodbye = message.reason if isinstance(message, protocol.Goodbye) else ""
                         return message.reason
                     complete = self._handle(message) or complete
         finally:
@@ -307,7 +310,7 @@ class RemoteEngine(EngineApi):
         # Events have other numbers here: this side adds its own.
         self._shown = replace(received.snapshot, last_event=self._log.last)
         self._asked_at = None
-        self._lost = ""
+        self._lost = self._goodbye = ""
         if not self._started.done():
             self._events_before = received.snapshot.last_event
             self._started.set_result(None)
