@@ -263,23 +263,33 @@ class Bed:
         self.await_rest()
 
     def late(self, case: Case, hang: float) -> Result:
-        """Type keys while the line hangs; return what they did."""
-        self.to_list()
-        if case.armed:
-            self.arm_and_drive()
-        began = time.monotonic()
-        with self.terminal.hung():
-            self.terminal.type(case.keys)
-            time.sleep(hang)
-        if case.armed and not self.armed:
+        """Type keys while the line hangs; return what they did.
+
+        A bridge that stands still for a second on a busy machine ends an arming. Then the keys are typed once more, and
+        what the first ones did counts, too.
+        """
+        heard: list[tuple[float, float, float]] = []
+        for _ in range(6):
+            self.to_list()
+            if case.armed:
+                self.arm_and_drive()
+            began = time.monotonic()
+            with self.terminal.hung():
+                self.terminal.type(case.keys)
+                time.sleep(hang)
+            lost = case.armed and not self.armed
+            armed = False
+            for _ in range(80):
+                armed |= self.armed
+                time.sleep(0.05)
+            # An arming that has ended brings the robot to rest.
+            heard += [each for each in self.heard(began) if not lost or each[1] or each[2]]
+            if not lost or armed:
+                break
+        else:
             return Result(0, 0, armed=False, removed=False, problem="disarmed meanwhile")
-        armed = False
-        for _ in range(80):
-            armed |= self.armed
-            time.sleep(0.05)
-        heard = self.heard(began)
         moving = sum(bool(forward or turn) for _, forward, turn in heard)
-        armed, removed = armed and not case.armed, self.route() is None
+        armed, removed = armed and (lost or not case.armed), self.route() is None
         self.to_list()
         return Result(moving, len(heard), armed, removed)
 

@@ -300,10 +300,21 @@ class Stage:
         return window
 
     def arm_and_flow(self, count: int = 20, by: Bridge | None = None) -> Window:
-        """Arm the topic, and wait until messages cross."""
-        window = self.arm(by)
-        self.await_flow(window, count)
-        return window
+        """Arm the topic, and wait until messages cross.
+
+        A side that stands still for a second refuses to be armed, or is disarmed. That has a window of its own.
+        """
+        deadline = time.monotonic() + _FLOWS_WITHIN
+        while True:
+            try:
+                window = self.arm(by)
+            except EngineError:
+                if time.monotonic() > deadline:
+                    raise
+            else:
+                if self._flows(window, count, deadline):
+                    return window
+            self.await_disarmed()
 
     def begin_window(self) -> Window:
         """Note that an operator is about to arm the topic by other means."""
@@ -315,10 +326,16 @@ class Stage:
 
     def await_flow(self, window: Window, count: int = 20) -> None:
         """Wait until messages cross that were published since then."""
-        deadline = time.monotonic() + _FLOWS_WITHIN
+        assert self._flows(window, count, time.monotonic() + _FLOWS_WITHIN), "it was disarmed before"
+
+    def _flows(self, window: Window, count: int, deadline: float) -> bool:
+        """Wait until messages cross that were published since then; whether they did before it was disarmed."""
         while sum(each.published > window.asked for each in self.heard()) <= count:
+            if window.shown is not None:
+                return False
             assert time.monotonic() < deadline, f"no messages cross: {self.describe()}"
             time.sleep(0.05)
+        return True
 
     def disarm(self, bridge: Bridge | None = None) -> Command:
         """Begin the operator's command on the control PC."""
