@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
+from tests.console.terminal import TAKE_TERMINAL
 from tests.support.commands import Ran
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -83,11 +84,6 @@ def systemd(tmp_path: Path) -> Iterator[Systemd]:
     made = Systemd(tmp_path)
     yield made
     made.close()
-
-
-TAKE_TERMINAL = (
-    "import fcntl, os, sys, termios; fcntl.ioctl({}, termios.TIOCSCTTY, 0); os.execvp(sys.argv[1], sys.argv[1:])"
-)
 
 
 def start(

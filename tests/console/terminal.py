@@ -2,10 +2,10 @@
 
 import fcntl
 import os
-import pty
 import select
 import signal
 import struct
+import subprocess
 import sys
 import termios
 import time
@@ -16,6 +16,10 @@ from tests.support.forker import Forked
 from tests.support.waiting import pauses
 
 COMMAND = Path(sys.executable).with_name("rsb-console")
+TAKE_TERMINAL = (
+    "import fcntl, os, sys, termios; fcntl.ioctl({}, termios.TIOCSCTTY, 0); os.execvp(sys.argv[1], sys.argv[1:])"
+)
+"""The program of a process that makes a descriptor its controlling terminal (ioctl_tty(2)) and becomes a command."""
 
 
 def _resize(terminal: int, columns: int, lines: int) -> None:
@@ -37,19 +41,20 @@ class Terminal:
     ) -> None:
         self.started = time.monotonic()
         settings = {"TERM": "xterm-256color", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **environ}
-        self._forked: Forked | None = None
+        self.fd, line = os.openpty()
+        _resize(line, *size)
+        self._process: Forked | subprocess.Popen[bytes]
         if forked:
-            self.fd, line = pty.openpty()
-            _resize(line, *size)
-            self._forked = Forked(*command, environ=settings, terminal=True, stdin=line, stdout=line, stderr=line)
-            self.pid = self._forked.pid
-            os.close(line)
+            self._process = Forked(*command, environ=settings, terminal=True, stdin=line, stdout=line, stderr=line)
         else:
-            self.pid, self.fd = pty.fork()
-            if self.pid == 0:
-                _resize(0, *size)
-                # execve, for readline, which pytest loads, has put COLUMNS and LINES where os.environ does not see them
-                os.execve(command[0], command, os.environ | settings)
+            # Not pty.fork: this process has threads, and a fork of it may stand still before it runs the command.
+            take = [sys.executable, "-c", TAKE_TERMINAL.format(0), *command]
+            environment = os.environ | settings
+            self._process = subprocess.Popen(
+                take, stdin=line, stdout=line, stderr=line, start_new_session=True, env=environment
+            )
+        self.pid = self._process.pid
+        os.close(line)
         self.output = b""
         self.status: int | None = None
         self.hung_up = False
@@ -91,10 +96,7 @@ class Terminal:
         self.hung_up = True
 
     def kill(self, number: signal.Signals) -> None:
-        if self._forked is not None:
-            self._forked.send_signal(number)
-        else:
-            os.kill(self.pid, number)
+        self._process.send_signal(number)
 
     @property
     def threads(self) -> int:
@@ -103,11 +105,7 @@ class Terminal:
     @property
     def alive(self) -> bool:
         """Whether the command still runs."""
-        if self._forked is not None:
-            self.status = self._forked.poll()
-        elif self.status is None:
-            pid, status = os.waitpid(self.pid, os.WNOHANG)
-            self.status = os.waitstatus_to_exitcode(status) if pid else None
+        self.status = self._process.poll()
         return self.status is None
 
     def exit_code(self, seconds: float = 120.0, *, read: bool = True) -> int:
