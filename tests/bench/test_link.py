@@ -148,7 +148,7 @@ def test_a_run_whose_topic_is_opened_again_has_no_figures(
     """
     both = pair(to_client=LEAVE)
     both.run(both.client)
-    running = both.client.bench(BenchmarkStep("run", "", "tcp", "transmit", 2500, 50.0, 100))
+    running = both.client.bench(BenchmarkStep("run", "", "tcp", "transmit", 2500, 50.0, 1000))  # it ends long before
 
     async def open_anew(bridge: Bridge) -> bool:
         (link,) = bridge.links()

@@ -618,6 +618,7 @@ def test_picture(snap_compare: Callable[..., bool], size: tuple[int, int], theme
         await shown(pilot, "✗ MISSING")
         await pilot.press("B", "j", "j", "space")
         await shown(pilot, "1 marked")
+        await settled(pilot)  # the cursor and the details come behind it
 
     assert snap_compare(bed.app, terminal_size=size, run_before=steps)
 
