@@ -26,6 +26,9 @@ ELSEWHERE = domains_of("programs")
 COMMAND = Path(sys.executable).with_name("rsb-console")
 
 
+PROGRAM = "rsb_console"
+
+
 class Pair:
     """Two session files with one key: a client's, for the console under test, and a server's."""
 
@@ -45,12 +48,12 @@ class Pair:
         save(self.client, self.client_path)
         save(Session(role="server", domain_id=there, **common), self.server_path)
 
-    def server(self) -> AbstractContextManager[Forked]:
-        return bridging(self.server_path)
+    def server(self, program: str = PROGRAM) -> AbstractContextManager[Forked]:
+        return bridging(self.server_path, program=program)
 
 
-def bridging(path: Path, *options: str) -> AbstractContextManager[Forked]:
-    return running("rsb_console", "run", "--no-ui", str(path), *options)
+def bridging(path: Path, *options: str, program: str = PROGRAM) -> AbstractContextManager[Forked]:
+    return running(program, "run", "--no-ui", str(path), *options)
 
 
 def talker(topic: str, rate: float = 20.0, domain: int = HERE) -> AbstractContextManager[Forked]:

@@ -230,6 +230,8 @@ async def test_what_need_not_be_armed_has_no_key(app: ConsoleApp, pilot: Pilot[N
 
 # --- with real processes
 
+PATIENT = "tests.console.patient_bridge"
+
 
 def armed_pair(folder: Path, domain: int) -> Pair:
     pytest.importorskip("rclpy", reason="needs ROS 2")
@@ -282,10 +284,13 @@ class Robot:
     def begin(self) -> None:
         """Wait until the topic is disarmed, and leave out the events of earlier tests."""
         self.is_set_up()
-        self._events_before = len(self.ask("events"))
+        self._events_before = len(every_so_often(self._all_events, "its events"))
+
+    def _all_events(self) -> list[dict[str, Any]]:
+        return [event for event in self.ask("events") if "code" in event]  # and no refusal
 
     def events(self, code: str) -> list[dict[str, Any]]:
-        return [event for event in self.ask("events")[self._events_before :] if event["code"] == code]
+        return [event for event in self._all_events()[self._events_before :] if event["code"] == code]
 
     def is_set_up(self) -> None:
         every_so_often(lambda: self.topic()["state"] == "disarmed", "disarmed")
@@ -307,9 +312,9 @@ def _robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(folder))
         with (
-            pair.server(),
+            pair.server(PATIENT),
             talker(CHATTER),
-            bridging(pair.client_path, *made.control),
+            bridging(pair.client_path, *made.control, program=PATIENT),
         ):
             yield made
 
