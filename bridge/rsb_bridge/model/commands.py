@@ -87,6 +87,10 @@ class EditTopic(Command[str], frozen=True, tag="edit"):
     topic: Topic
     drop_arm: bool = False
 
+    @property
+    def expires(self) -> bool:
+        return not self.topic.paused  # it may resume
+
 
 class RemoveTopic(Command[None], frozen=True, tag="remove"):
     """Stop bridging a topic on both sides, or following a pattern.
