@@ -24,6 +24,8 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.control.bridges import SessionRuns, running_bridges
+from rsb_bridge.control.protocol import RequestProblem
+from rsb_bridge.model.by_hand import OLD_AFTER
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.commands import AskHolder, KeepArmed
 from rsb_bridge.model.session import Session, Topic
@@ -283,6 +285,15 @@ def test_a_topic_that_goes_both_ways_has_to_be_named_with_its_direction(ran: Any
     assert engine.commands == []
     assert ran("pause", "/scan", "--direction", "receive").code == 0
     assert engine.commands == [("pause", "back", True)]
+
+
+@pytest.mark.parametrize("command", [("resume", "/scan"), ("edit", "/scan", "paused=")], ids=lambda words: words[0])
+def test_a_command_that_began_long_ago_resumes_nothing(
+    ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+) -> None:
+    replaced.GIVEN_AT.set(monkeypatch, lambda _: Clock.steady() - OLD_AFTER - 0.1)
+    assert says(ran(*command).err, RequestProblem.TOO_LATE)
+    assert engine.commands == []
 
 
 @pytest.mark.parametrize(

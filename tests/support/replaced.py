@@ -70,6 +70,7 @@ ZENOH_WITHIN_BUDGET = Place("rsb_bridge.transport.zenoh.endpoint", "ZenohEndpoin
 ZENOH_ASK = Place("rsb_bridge.transport.zenoh.endpoint", "ZenohEndpoint.ask")
 DRAW = Place("rsb_bridge.view.renderer", "Renderer.draw")
 FLEET_ROBOTS = Place("rsb_console.fleet.server_source", "ServerFleet.robots")
+GIVEN_AT = Place("rsb_console.command.target", "given_at")
 UNEXPECTED = Place("rsb_console.cli", "_unexpected")
 CHECK_SESSION = Place("rsb_console.command.arguments", "check_session")
 BENCH_MEASURE = Place("rsb_console.command.bench_command", "_measure")

@@ -418,7 +418,7 @@ def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: st
 
 def _edit(arguments: Namespace) -> int:
     """Change a bridged topic or service. Return the exit code."""
-    with attached(arguments) as engine:
+    with attached(arguments, expires=True) as engine:
         route = chosen(engine, arguments)
         if not arguments.keys:
             raise UsageError(RemoteProblem.NOTHING_TO_CHANGE(topic=arguments.topic))
