@@ -1,15 +1,14 @@
-"""The program, whose armings outlast a process that a busy machine lets stand still for more than a second.
-
-As the fixture `long_lease` of tests/engine, for bridges that are processes of their own.
-"""
+"""The program with the long lease of tests/engine/conftest.py, for bridges that are processes of their own."""
 
 from __future__ import annotations
 
 import sys
 
+from tests.support.long_lease import TIMES
+
 from rsb_bridge.route import lease
 from rsb_console.cli import main
 
-lease.LASTS = lease.SLOW = 5.0
-lease.GIVEN_UP_AFTER = 15.0
+for name, seconds in TIMES.items():
+    setattr(lease, name, seconds)
 sys.exit(main())

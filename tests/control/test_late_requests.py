@@ -18,16 +18,7 @@ from rsb_bridge.control.tickets import TicketClock
 from rsb_bridge.model import commands
 from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
 from rsb_bridge.model.clock import Clock
-from rsb_bridge.model.commands import (
-    AnswerAsker,
-    ArmTopic,
-    AskHolder,
-    Call,
-    EditTopic,
-    PauseTopics,
-    Publish,
-    TakeArming,
-)
+from rsb_bridge.model.commands import AnswerAsker, ArmTopic, AskHolder, Call, PauseTopics, Publish, TakeArming
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
@@ -42,7 +33,7 @@ MOVING: list[Command[Any]] = [
     TakeArming("/scan"),
     AnswerAsker("/scan", gives=True),
     PauseTopics("/scan", paused=False),
-    EditTopic("/scan", Topic("/scan", "transmit")),
+    commands.EditTopic("/scan", Topic("/scan", "transmit")),
     Publish("/scan", "{}"),
     Call("/scan", "{}"),
 ]
@@ -61,7 +52,7 @@ def test_a_ticket_has_an_age() -> None:
 def test_what_moves_a_robot_expires() -> None:
     assert all(each.expires for each in MOVING)
     assert not PauseTopics("/scan", paused=True).expires
-    assert not EditTopic("/scan", Topic("/scan", "transmit", paused=True)).expires
+    assert not commands.EditTopic("/scan", Topic("/scan", "transmit", paused=True)).expires
     kinds = [kind for kind in typing.get_args(commands.AnyCommand) if inspect.isclass(kind)]
     assert {kind.__name__ for kind in kinds if "expires" in vars(kind)} == {type(each).__name__ for each in MOVING}
 

@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support import constants
+from tests.support.long_lease import TIMES
 from tests.support.offline import loop, make_context
+
+from rsb_bridge.route import lease
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,10 +44,8 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def long_lease(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is armed stays armed, and tickets stay valid, while a busy machine stands still for more than a second."""
-    # Not more than 5 s: a disarm waits for so long where the other side does not answer.
-    constants.LEASE_LASTS.set(monkeypatch, 5.0)
-    constants.LEASE_SLOW.set(monkeypatch, 5.0)
-    constants.LEASE_GIVEN_UP_AFTER.set(monkeypatch, 15.0)
+    for name, seconds in TIMES.items():
+        monkeypatch.setattr(lease, name, seconds)
     constants.PUBLISHING_TICKET_LIFE.set(monkeypatch, 60.0)
 
 

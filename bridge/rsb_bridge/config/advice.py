@@ -200,8 +200,7 @@ def _denied(
         may = uses(topic.kind)[topic.direction != sends]
         names = [topic.topic]
         if client is not None:  # `deny` may have the name on either side
-            use_name = session.use_name if client.use_name is None else client.use_name
-            names.append(local_name(topic, client.name, on_server=True, use_name=use_name))
+            names.append(local_name(topic, client.name, on_server=True, use_name=client.is_prefixed(session)))
         transport = transport_of(topic, session).name
         refusals = (rights.refusal(Use(name, may, transport, topic.kind)) for name in names)
         if refusal := next(filter(None, refusals), None):

@@ -502,7 +502,7 @@ def listings(session: Session) -> Iterator[Listing]:
         yield _listing(rights_of_server(session), carried, "all", "")
         return
     for client in session.accepted_clients:
-        prefixed = session.use_name if client.use_name is None else client.use_name
+        prefixed = client.is_prefixed(session)
         within = f"/{client.name}/*" if prefixed else "all"
         listing = _listing(rights_of_client(client, session.name), carried, within, _ports(session))
         # Behind its prefix, it reaches no name by which the server's own nodes move or act.

@@ -576,7 +576,7 @@ def _clients(session: Session) -> Iterator[Problem]:
         location = join("clients", at)
         yield from benchmark_limit_problems(client.bench, join(location, "bench"))
         yield from _group(client.group, join(location, "group"))
-        use_name = session.use_name if client.use_name is None else client.use_name
+        use_name = client.is_prefixed(session)
         yield from _name(client.name, join(location, "name"), use_name=use_name)
         first = names.setdefault(client.name, at)
         if first != at:

@@ -114,7 +114,7 @@ def _entries(session: Session, keys: Keys) -> list[ClientEntry]:
         ClientEntry(
             client,
             keys[client.name],
-            session.use_name if client.use_name is None else client.use_name,
+            client.is_prefixed(session),
             rights_of_client(client, session.name),
         )
         for client in session.accepted_clients

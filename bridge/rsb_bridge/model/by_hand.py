@@ -54,7 +54,7 @@ class Published(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Held(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The arming and the limits of a console's operator.
+    """The topics and services that a console holds.
 
     Attributes:
         keys: of the routes that it has armed.

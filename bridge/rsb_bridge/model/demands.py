@@ -175,7 +175,7 @@ def sources_of(session: Session) -> Iterator[DemandSource]:
         yield from sources_of_entries(session.topics, session.name, on_server=False, use_name=False)
         return
     for client in session.accepted_clients:
-        use_name = session.use_name if client.use_name is None else client.use_name
+        use_name = client.is_prefixed(session)
         yield from sources_of_entries(client.topics, client.name, on_server=True, use_name=use_name)
 
 
@@ -263,7 +263,7 @@ def demand_on_entry(demands: Demands, session: Session, client: Client | None, t
         client: on a server, the client whose entry it is, or None.
     """
     owner = "" if client is None else client.name
-    use_name = session.use_name if client is None or client.use_name is None else client.use_name
+    use_name = client is not None and client.is_prefixed(session)
     name = local_name(topic, owner, on_server=client is not None, use_name=use_name)
     return demands.of(topic.kind, name, topic.type, client=owner, client_name=topic.topic) or NO_DEMAND
 

@@ -229,6 +229,10 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     bench: BenchmarkLimits | None = None
     group: str | None = None
 
+    def is_prefixed(self, session: Session) -> bool:
+        """Whether its topics have its name before them on the server of a session."""
+        return session.use_name if self.use_name is None else self.use_name
+
 
 class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """The Zenoh network of a session.

@@ -45,7 +45,7 @@ class SubscriptionSpec(NamedTuple):
 
 
 class TopicSubscription:
-    """A route's subscription, which each opening makes again. It hands all messages to `OutgoingPath`, on the I/O loop.
+    """A route's subscription, begun again with each opening. It hands all messages to `OutgoingPath`, on the I/O loop.
 
     With ``qos: auto`` the depth on a volatile topic follows the topic's rate. On a latched topic messages come with
     what their publishers keep for late joiners, and none that the peer has.

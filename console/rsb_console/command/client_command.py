@@ -289,7 +289,7 @@ def _list(arguments: Namespace) -> int:
         key, problem = client_files.fingerprint_or_problem(key_at)
         places = client_files.key_places(file, client)
         following, of_following = client_files.fingerprint_or_problem(places[1] if places[1:] else None)
-        use_name = file.session.use_name if client.use_name is None else client.use_name
+        use_name = client.is_prefixed(file.session)
         rows.append(
             {
                 "name": client.name,

@@ -30,7 +30,7 @@ class LaneTypes:
 
     Attributes:
         names: by lane, as last known.
-        messages: of their requests, responses and messages, in the same order.
+        messages: the types of their requests, responses and messages, as last known.
     """
 
     def __init__(
