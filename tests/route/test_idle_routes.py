@@ -107,6 +107,23 @@ def test_whatever_happens_has_it_ticked_each_second_again(
     assert len(world.ticks) == 60
 
 
+@pytest.mark.parametrize(
+    ("fields", "state"),
+    [({"expected_rate": 1.0}, State.STOPPED), ({"stale_after": 20.0}, State.STALE), ({}, State.WAITING)],
+    ids=lambda value: " ".join(value) if isinstance(value, dict) else "",
+)
+def test_a_publisher_that_does_not_come_is_a_fault_where_the_entry_says_so(
+    fields: dict[str, float], state: State, loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    """Without one, type and QoS are unknown, so that nothing is described and there is no channel."""
+    world = World(loop, make_context(), **fields)
+    world.route.channel = None
+    world.wait(3)
+    assert world.route.verdict().state is State.WAITING
+    world.wait(20)
+    assert (world.route.verdict().state, world.route.verdict().cause) == (state, Cause.NO_PUBLISHER)
+
+
 def test_silence_that_becomes_too_long_is_noticed_in_time(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:

@@ -55,15 +55,15 @@ class Flow(NamedTuple):
     """The figures of a route's messages that `Health` watches.
 
     Attributes:
-        flowing: whether messages could cross now.
-        last: time (s) of the last message, or when messages could first cross.
+        awaited: whether messages are missing if none come.
+        last: time (s) of the last message, or when the first one was missing.
         given_rate: Hz that an operator expects, or 0 for none.
         usual_rate: Hz, learned, or None if unknown.
         limit: Hz that may cross, or 0 for any.
         publishers: ids of the topic's publishers.
     """
 
-    flowing: bool
+    awaited: bool
     last: float
     rate: float
     given_rate: float
@@ -96,7 +96,7 @@ class Health:
         if expected and flow.limit:
             expected = min(expected, flow.limit)
         self.expected_rate = expected
-        if expected is None or not flow.flowing:
+        if expected is None or not flow.awaited:
             self._stop.reset()
             self._slow.reset()
             return
@@ -336,7 +336,7 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         # Before `super().tick`, whose verdict needs it.
         self._health.tick(
             Flow(
-                self.flowing and self._subscription.receives,
+                self._subscription.receives if self.flowing else self.awaited,
                 self.silence.quiet_since,
                 self.meter.rate,
                 self.spec.expected_rate or 0.0,
@@ -453,6 +453,15 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
     def has_kept(self) -> bool:
         """Whether the peer keeps messages of a publisher that still exists."""
         return bool(self._kept_there) and any(publisher_id(each.gid) in self._kept_there for each in self.endpoints)
+
+    @property
+    def awaited(self) -> bool:
+        """Whether messages are missing now if none come, be it that they would cross once somebody published."""
+        if self.flowing:
+            return True
+        # Type and QoS are a publisher's, so that without one nothing is described, and nothing flows.
+        unpublished = self._resolver.unresolved is not None and not self.endpoints
+        return unpublished and self.life.accepted and self.may_cross
 
     @property
     def silence_counts(self) -> bool:

@@ -409,7 +409,12 @@ class Route:
     @property
     def flowing(self) -> bool:
         """Whether messages could cross now."""
-        return self.connected and not self.paused and not self.notices.loop and self.arming.stands(self.context.now())
+        return self.connected and self.may_cross
+
+    @property
+    def may_cross(self) -> bool:
+        """Whether messages are allowed to cross: it is neither paused nor disarmed, and would not loop."""
+        return not self.paused and not self.notices.loop and self.arming.stands(self.context.now())
 
     # --- verdict
 

@@ -269,7 +269,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         """Return when (s) time alone changes the verdict: `now` while it may at any moment, or infinite for never."""
         if shown.state not in _CALM or self.arming.required or self.lateness.since is not None:
             return now
-        return self.silence.due if self.flowing and self.silence_counts else math.inf
+        return self.silence.due if self.awaited and self.silence_counts else math.inf
 
     def tick(self) -> None:
         """Update histories, stale warnings and the verdict. Called once a second while the route is not idle."""
@@ -281,7 +281,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         # The verdict needs the ticks above; the lines below need the verdict.
         super().tick()
         self.limit.set_profile_rate(self._profile_rate())
-        if not self.flowing:
+        if not self.awaited:
             self.silence.rearm(self.context.now())
         shown = self.judged.shown(self.verdict()).verdict
         now = self.context.now()
@@ -324,6 +324,11 @@ class TopicRoute(Route, Generic[ChannelT]):
         raise NotImplementedError
 
     @property
+    def awaited(self) -> bool:
+        """Whether messages are missing now if none come."""
+        return self.flowing
+
+    @property
     def silence_counts(self) -> bool:
         """Whether this half judges silence by `stale_after`.
 
@@ -345,7 +350,7 @@ class TopicRoute(Route, Generic[ChannelT]):
         )
 
     def _stale_since(self) -> float | None:
-        if not self.flowing or not self.silence_counts:
+        if not self.awaited or not self.silence_counts:
             return None
         return self.silence.stale_since(self.context.now())
 
