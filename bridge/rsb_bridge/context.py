@@ -160,6 +160,14 @@ class Context:
         """Return the seconds since the epoch on the wall clock, which may be set at any time."""
         return self.wall_ns() / 1e9
 
+    def wall_of(self, steady: float) -> float:
+        """Return when something was (s since the epoch) by its time on the steady clock.
+
+        So the date of a robot that has none until it is linked becomes right with its clock. A tenth of a second is as
+        exact as two clocks can be read, and does not differ each time that somebody asks.
+        """
+        return round(self.wall() - (self.clock.steady() - steady), 1)
+
     def wall_ns(self) -> int:
         """Nanoseconds since the epoch on the wall clock."""
         return self.clock.time_ns()

@@ -53,7 +53,7 @@ def test_the_one_that_came_last_is_named_and_the_others_are_counted() -> None:
 def test_the_linked_client_says_little_of_many(loop: VirtualLoop, context: Context) -> None:
     link = ClientRole(context, {"robot1": ()}).links()[0]
     link.control = SimpleNamespace()  # type: ignore[assignment]
-    link.status.up(context.wall())
+    link.status.up(context.clock.steady())
 
     def lines() -> int:
         return sum(event.code == EventCode.LINK_NAME_TAKEN for event in context.events.after(0))

@@ -129,7 +129,7 @@ def test_a_smaller_figure_has_a_smaller_text() -> None:
 def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, context: Context) -> None:
     link = ClientRole(context, {"robot1": ()}).links()[0]
     link.control = SimpleNamespace()  # type: ignore[assignment]
-    link.status.up(link.context.wall())
+    link.status.up(context.clock.steady())
     up = link.context.wall()
     loop.jump(100.0)
     assert (link.snapshot().warning_since, link.snapshot().fault_since) == (None, up)
@@ -149,7 +149,7 @@ def test_a_warning_begins_when_the_link_becomes_full(loop: VirtualLoop, context:
 def test_clocks_that_differ_are_a_warning(seconds: int, words: str, context: Context) -> None:
     link = ClientRole(context, {"robot1": ()}).links()[0]
     link.control = SimpleNamespace()  # type: ignore[assignment]
-    link.status.up(link.context.wall())
+    link.status.up(context.clock.steady())
     there = seconds * 10**9
     link.clock.add(0, there + 10**6, there + 10**6, 2 * 10**6)
     assert words in link.fault.warning

@@ -5,10 +5,16 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+from tests.support.virtual_time import VirtualClock
+
 from rsb_bridge.link.refused_clients import FORGOTTEN_AFTER, MOST, MOST_OF_ONE_HOST, RefusedClients
+from rsb_bridge.link.roles import ClientRole, ServerRole
+from rsb_bridge.link.server_link import ServerLink
 from rsb_bridge.model.verdict import LinkCause
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
@@ -41,3 +47,33 @@ def test_it_is_listed_until_it_tries_no_more(loop: VirtualLoop, context: Context
     loop.jump(FORGOTTEN_AFTER)
     refused.tick()
     assert not refused.shown()
+
+
+def test_who_is_refused_hides_for_a_while_only_why_the_robot_is_missing(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    """Anybody who knows its name may have tried."""
+    link = ServerRole(make_context(role="server"), {"robot1": ()}).links()[0]
+    assert isinstance(link, ServerLink)
+    link.status.down(LinkCause.SILENT, "the peer is silent")
+    missing_since = link.snapshot().since
+    loop.jump(3600.0)
+    for _ in range(5):
+        link.refused(at("10.0.0.9"), LinkCause.WRONG_KEY, "the keys differ")
+        loop.jump(12.0)
+        link.tick()
+        assert (link.snapshot().cause, link.snapshot().since) == (LinkCause.WRONG_KEY, missing_since)
+    loop.jump(FORGOTTEN_AFTER)
+    link.tick()
+    now = link.snapshot()
+    assert (now.cause, now.reason, now.since) == (LinkCause.SILENT, "the peer is silent", missing_since)
+
+
+def test_the_time_of_a_link_follows_a_clock_that_is_set(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    context = make_context()
+    assert isinstance(context.clock, VirtualClock)
+    link = ClientRole(context, {"robot1": ()}).links()[0]
+    began = link.snapshot().since
+    loop.jump(9.0)
+    context.clock.epoch += 1e8  # a robot without a battery learns the time from the network
+    assert link.snapshot().since == began + 1e8

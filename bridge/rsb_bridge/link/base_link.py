@@ -133,7 +133,10 @@ class RouteIds:
         return 0 < route_id <= newest and route_id not in self._by_id
 
 
-_NO_GOODBYE = "the other side closed the connection without a goodbye: check whether its process or machine has died"
+_NO_GOODBYE = (
+    "the other side closed the connection without a goodbye: check whether its process or machine has died, "
+    "or hears nothing from this side"
+)
 _CAUSES = {EventCode.LINK_LOST: LinkCause.LOST, EventCode.LINK_SHUT_DOWN: LinkCause.SHUT_DOWN}
 """Causes by the code of a connection's end; with any other code, `LinkCause.CLOSED`."""
 
@@ -176,7 +179,7 @@ class BaseLink(ABC):
         self.instance = ""
         self.encrypted = encrypted
         self._is_silent = False
-        self.status = LinkStatus(context.wall())
+        self.status = LinkStatus(context.clock.steady())
         self.connections = 0
         self.linked_at = 0.0
         self.bridges: tuple[str, ...] = ()
@@ -326,7 +329,7 @@ class BaseLink(ABC):
         self.keepalive = self.keepalive.next(self.profile.patience)
         self.clock, self.stamps = self.keepalive.clock, self.keepalive.stamps
         self.keepalive.watch(partial(self._silent, control))
-        self.status.up(self.context.wall())
+        self.status.up(self.context.clock.steady())
         encryption = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
         linked = (
             f"linked with {self._peer_role} at {control.stream.peer}, {encryption}, rsb-console {peer.version} there"
@@ -339,7 +342,7 @@ class BaseLink(ABC):
     def _silent(self, control: ControlChannel) -> None:
         self._is_silent = True
         text = f"the peer is silent: nothing came for {self.keepalive.quiet:.0f} s"
-        control.abort(f"{text}: check that it is on, its cable or Wi-Fi, and firewalls")
+        control.abort(f"{text}: check that it is on and does not hang, its cable or Wi-Fi, and firewalls")
 
     def lost(self, reason: str, code: EventCode) -> None:
         """End the connection."""
@@ -356,7 +359,7 @@ class BaseLink(ABC):
             reason = _NO_GOODBYE
         self.status.down(cause, reason)
         # `down` leaves the time as it is: each failed attempt calls it, but the link is down since now.
-        self.status.since = self.context.wall()
+        self.status.since = self.context.clock.steady()
         for each in reversed(self._extensions):
             each.disconnected()
         self.channels.disconnected()
@@ -473,5 +476,6 @@ class BaseLink(ABC):
         """Add an event about this link; `link_status` means that it tells whether the link is up."""
         about: About = {"link": self.name, "topic": topic}
         if link_status:
-            about |= {"state": self.status.state, "since": self.status.since, "cause": self.fault.cause}
+            since = self.context.wall_of(self.status.since)
+            about |= {"state": self.status.state, "since": since, "cause": self.fault.cause}
         self.context.log(level, code, text, link_status=link_status, **about)

@@ -142,7 +142,7 @@ class Link(BaseLink):
             peer=self.address,
             state=self.status.state,
             reason=self.down_reason,
-            since=self.status.since,
+            since=self.context.wall_of(self.status.since),
             retry_in=self.status.retry_in(now),
             attempts=self.status.attempts,
             encrypted=self.encrypted,

@@ -27,7 +27,7 @@ class LinkStatus:
     """Whether a link is up, since when, and why not.
 
     Attributes:
-        since: time of the last change, in s since the epoch.
+        since: since when it is up or down, in s of the steady clock.
         cause: cause of its being down, or `LinkCause.NONE`.
         reason: the same in words, for an operator.
         attempts: failed attempts to connect since it was last up.
@@ -39,15 +39,28 @@ class LinkStatus:
     reason: str = _NOT_YET
     attempts: int = 0
     retry_at: float | None = None
+    _lasting: tuple[LinkCause, str] | None = None
+    """Cause and reason that another one hides for now."""
 
-    def up(self, wall: float) -> None:
-        """Record that the link is up since `wall`, in s since the epoch."""
-        self.since, self.cause = wall, LinkCause.NONE
+    def up(self, since: float) -> None:
+        """Record that the link is up, in s of the steady clock."""
+        self.since, self.cause, self._lasting = since, LinkCause.NONE, None
         self.attempts, self.retry_at = 0, None
 
     def down(self, cause: LinkCause, reason: str) -> None:
         """Record why the link is down."""
-        self.cause, self.reason = cause, reason
+        self.cause, self.reason, self._lasting = cause, reason, None
+
+    def down_for_now(self, cause: LinkCause, reason: str) -> None:
+        """Record a reason that says less about the link than the one before, which `recall` shows again."""
+        lasting = self._lasting or (self.cause, self.reason)
+        self.down(cause, reason)
+        self._lasting = lasting
+
+    def recall(self) -> None:
+        """Show the lasting reason again."""
+        if self._lasting is not None:
+            self.down(*self._lasting)
 
     def retry_in(self, now: float) -> float | None:
         """Return the seconds from `now` to the next attempt, or None if none is planned."""
@@ -99,9 +112,11 @@ class LinkFault(Extension):
             return []
         path, clock = self._path.fault, self._clock()
         found = (
+            # Before a second machine of the name, which operators acknowledge for weeks: the topics suffer from this one.
+            (path.cause, path.text) if path else (LinkCause.NONE, ""),
             (LinkCause.NAME_TAKEN, self.duplicates.warning(self._context.now(), self._context.wall())),
             # A path that loses packets carries less, too: its loss explains that.
-            (path.cause, path.text) if path else (LinkCause.FULL, self._fullness.warning(self._peer_name)),
+            (LinkCause.FULL, "" if path else self._fullness.warning(self._peer_name)),
             (LinkCause.UNPROVEN_SERVERS, unproven_servers(self.unproven) if self.unproven else ""),
             (LinkCause.CLOCKS_DIFFER, clocks_differ(self._peer_name, clock.offset, clock.uncertainty)),
         )
@@ -121,5 +136,5 @@ class LinkFault(Extension):
         """Return when the present warning began, in s since the epoch, or None without one. Called once a second."""
         cause = next((cause for cause, _ in self._found()), LinkCause.NONE)
         if cause != self._warned[0]:
-            self._warned = cause, self._context.wall()
-        return self._warned[1] if cause else None
+            self._warned = cause, self._context.clock.steady()
+        return self._context.wall_of(self._warned[1]) if cause else None

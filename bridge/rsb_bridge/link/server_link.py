@@ -12,7 +12,7 @@ import msgspec
 from rsb_bridge.channel.udp_channel import ServerUdpChannel
 from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.refused_clients import ASKED_EVERY, LinkShutdown, name_taken
+from rsb_bridge.link.refused_clients import ASKED_EVERY, FORGOTTEN_AFTER, LinkShutdown, name_taken
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.fingerprints import format_fingerprint
 from rsb_bridge.model.limits import PORTS_PER_CLIENT, dds_ports, discovery_domain
@@ -240,6 +240,7 @@ class ServerLink(Link):
         self._seen_at = ""
         self._seen_host = ""
         self._seen_key = ""
+        self._refused_at: float | None = None  # s
         self._told = Duplicate()  # on the present connection
         self.shut_down_by: LinkShutdown | None = None
         self.handlers |= {Duplicate: self._on_duplicate, Shutdown: self._on_shutdown}
@@ -279,9 +280,9 @@ class ServerLink(Link):
         """Record the refusal of a client by this name, while the link is down."""
         if self.shut_down_by is not None:  # the operator's shutdown stays the reason
             return
-        if self.status.cause is not cause:
-            self.status.since = self.context.wall()
-        self.status.down(cause, f"refused {stream.host}: {message}")
+        # For now: anybody who knows the name may have asked, and the client that is missing stays missing.
+        self.status.down_for_now(cause, f"refused {stream.host}: {message}")
+        self._refused_at = self.context.now()
 
     # --- shut down by an operator
 
@@ -293,7 +294,7 @@ class ServerLink(Link):
             self._awaits_question()
         # After the link's end, which sets a reason of its own.
         self.status.down(LinkCause.SHUT_DOWN, self.shut_down_by.reason(self.name))
-        self.status.since = self.shut_down_by.since
+        self.status.since = self.context.clock.steady()
 
     def asked(self, stream: Stream) -> None:
         """Record that the client has asked for a link, and was refused."""
@@ -321,7 +322,7 @@ class ServerLink(Link):
     def name_taken(self) -> str:
         """Return the text on a second client, for both sides."""
         first = self.peer.host if isinstance(self.peer, Hello) else ""
-        return name_taken(self.name, self.address, first, self.status.since)
+        return name_taken(self.name, self.address, first, self.context.wall_of(self.status.since))
 
     def duplicate_tried(self, address: str, host: str) -> None:
         """Record that a second client with a valid key was refused, unless the first one has gone meanwhile."""
@@ -332,14 +333,19 @@ class ServerLink(Link):
         """Show the link as down while its Zenoh router is lost."""
         problem, cause = self.transport.problem, self.status.cause
         if problem and cause is not LinkCause.SHUT_DOWN:
-            self.status.down(LinkCause.ROUTER_LOST, problem)
+            self.status.down_for_now(LinkCause.ROUTER_LOST, problem)
         elif not problem and cause is LinkCause.ROUTER_LOST:
-            self.status.down(LinkCause.LOST, "the Zenoh router is back; waiting for the client")
+            self.status.recall()
+            if self.status.cause is LinkCause.ROUTER_LOST:  # it was the router that the link was lost with
+                self.status.down(LinkCause.LOST, "the Zenoh router is back; waiting for the client")
 
     def tick(self) -> None:
         super().tick()
         if not self.linked:
             self._look_at_network()
+            if self._refused_at is not None and self.context.now() - self._refused_at > FORGOTTEN_AFTER:
+                self._refused_at = None
+                self.status.recall()
         if self.status.retry_at is not None and self.context.now() > self.status.retry_at + ASKED_EVERY:
             self.status.retry_at = None  # it does not ask any more
         news = self.fault.duplicates.news(self.context.now())
