@@ -59,9 +59,11 @@ def test_a_fault_is_reported_when_it_has_lasted_and_when_it_is_over() -> None:
     assert watched.watch.ongoing == 0
 
 
-def test_a_fault_that_flaps_is_not_reported() -> None:
+def test_a_fault_that_flaps_is_reported_once_and_one_that_comes_seldom_is_not() -> None:
     watched = Watched()
-    assert [watched.sees(SLOW) + watched.sees(FINE) for _ in range(20)] == [[]] * 20
+    assert kinds([change for _ in range(20) for change in watched.sees(SLOW) + watched.sees(FINE, seconds=3)]) == []
+    flaps = [change for _ in range(20) for change in watched.sees(SLOW) + watched.sees(FINE)]
+    assert kinds(flaps) == [(ChangeKind.BEGUN, SCAN, State.SLOW, ("ok", ""))]
 
 
 def test_a_fault_that_was_reported_and_flaps_is_not_over() -> None:

@@ -232,6 +232,11 @@ def test_what_comes_and_goes_is_said_once_a_minute_at_the_most() -> None:
     assert len(heard) <= 2 * len(faults)
 
 
+def test_a_fault_whose_cause_changes_each_second_is_said() -> None:
+    late = Verdict(State.LATE, Cause.LATE, "2 s late")
+    assert [code for _, code, _ in said(Announcer(), [FINE] * 5 + [SLOW, late] * 20)] == [EventCode.ROUTE_FAULT]
+
+
 def test_a_topic_that_turns_unheard_is_said_and_one_that_nobody_has_heard_yet_is_not() -> None:
     assert said(Announcer(), [UNHEARD] * 100) == []
     assert [code for _, code, _ in said(Announcer(), [FINE] * 5 + [UNHEARD] * 5)] == [EventCode.ROUTE_FAULT]

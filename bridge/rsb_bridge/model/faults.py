@@ -125,6 +125,7 @@ class _Watched:
         next: the state and cause to report next, or None for the fault's end; used after the first report.
         before: the state before the fault began.
         owes: whether a fault of a topic's messages was reported, so that only a message proves its end.
+        well_since: s, before the first report: since when nothing is wrong, or None.
     """
 
     subject: Faulty
@@ -134,6 +135,7 @@ class _Watched:
     reported: _Kind | None = None
     next: _Kind | None = None
     owes: bool = False
+    well_since: float | None = None
 
     def report(self, kind: _Kind) -> None:
         """Take note that a state and a cause are reported."""
@@ -211,11 +213,16 @@ class FaultWatch:
             return
         watched.subject = subject
         kind = None if removed else watched.present()
-        # Until the first report, another cause does not restart the time: a fault whose cause flaps is one, too.
+        # Until the first report, neither another cause nor a moment without a fault restarts the time: what flaps is a
+        # fault, too.
         if watched.reported is None:
             if kind is None:
-                del self._watched[key]
-            elif now - watched.since >= self._lasts:
+                watched.well_since = now if watched.well_since is None else watched.well_since
+                if removed or now - watched.well_since >= self._lasts:
+                    del self._watched[key]
+                return
+            watched.well_since = None
+            if now - watched.since >= self._lasts:
                 watched.report(kind)
                 yield FaultChange(ChangeKind.BEGUN, subject, before=watched.before, seen=watched.seen)
             return

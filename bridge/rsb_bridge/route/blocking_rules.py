@@ -110,6 +110,8 @@ def explained(status: RouteStatus, verdict: Verdict) -> Verdict:
     cause = None if status.path is None else status.path.of_topic(verdict.cause)
     if status.path is None or cause is None:
         return verdict
+    if verdict.cause is Cause.UNANSWERED and not status.sends:
+        return verdict  # the calls came, and it is a node of this side that has not answered them
     state = State.WAITING if cause is Cause.AWAITS_LINK else verdict.state
     return replace(verdict, state=state, cause=cause, text=status.path.text)
 

@@ -105,7 +105,11 @@ class CombinedVerdict:
         if own.cause in _SAME_ON_BOTH or (same and own.cause in _ENOUGH_SAID_HERE):
             return Shown(own, from_peer=False)
         # In the same order on both sides, so that both show the same one of two that are equally bad.
-        verdict, from_sender = worse(*((own, self.peer) if self._sends else (self.peer, own)))
+        sender, receiver = (own, self.peer) if self._sends else (self.peer, own)
+        verdict, from_sender = worse(sender, receiver)
+        # The calling side cannot tell a lossy path from a node that does not answer; the other side can.
+        if verdict.cause == Cause.LOSSY and (receiver.state, receiver.cause) == (verdict.state, Cause.UNANSWERED):
+            verdict, from_sender = receiver, False
         if from_sender == self._sends:
             return Shown(verdict, from_peer=False)
         text = f"{self._peer_name}: {verdict.text}" if verdict.text else ""
@@ -184,6 +188,7 @@ class Announcer:
     def __init__(self) -> None:
         self._candidate = FINE
         self._since = float("-inf")
+        self._bad_since: float | None = None
         self._said = FINE
         self._said_as: tuple[EventCode, str] | None = None
         self._said_at: dict[tuple[EventCode, str], float] = {}
@@ -194,7 +199,13 @@ class Announcer:
         if (verdict.state, verdict.cause) != (self._candidate.state, self._candidate.cause):
             self._since = now
         self._candidate = verdict
-        if now - self._since < (_LOSS_LASTS if verdict.cause == Cause.LOSSY else _LASTS):
+        if verdict.state not in _ANNOUNCED:
+            self._bad_since = None
+        elif self._bad_since is None:
+            self._bad_since = now
+        # What changes its cause again and again lasts, too.
+        flaps = self._said_as is None and self._bad_since is not None and now - self._bad_since >= _LOSS_LASTS
+        if now - self._since < (_LOSS_LASTS if verdict.cause == Cause.LOSSY else _LASTS) and not flaps:
             return None
         if verdict.state is State.OK:
             self._heard = True

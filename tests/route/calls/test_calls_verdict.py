@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 
 from rsb_bridge.model.calls import Refused
+from rsb_bridge.model.path_fault import PathFault
 from rsb_bridge.model.snapshot import Stage, State
-from rsb_bridge.model.verdict import Cause, Verdict
+from rsb_bridge.model.verdict import Cause, LinkCause, Verdict
 from rsb_bridge.route.blocking_rules import RouteStatus
 from rsb_bridge.route.calls.calls_ledger import REMEDIES
 from rsb_bridge.route.calls.calls_verdict import CallsFacts, CallsProgress, Trouble, calls_stages, judge_calls
@@ -105,6 +106,19 @@ def test_what_is_refused_most_is_named() -> None:
     text = judge_calls(FINE._replace(refused=refused, failing_since=0.0)).said(20.0)
     assert "31" in text
     assert REMEDIES[Refused.CALLS_UNDER_WAY] in text
+
+
+def test_a_node_that_does_not_answer_is_not_excused_by_a_lossy_path() -> None:
+    lossy = PathFault(LinkCause.LOSSY, "6 % of packets are lost")
+    far, near = (
+        judge_calls(FINE._replace(status=FINE.status._replace(sends=sends, path=lossy), expired=3, failing_since=0.0))
+        for sends in (False, True)
+    )
+    assert (near.cause, far.cause) == (Cause.LOSSY, Cause.UNANSWERED)
+    for sends, own, others in ((True, near, far), (False, far, near)):
+        both = CombinedVerdict(sends=sends, peer_name="the other")
+        both.receive(record_of(others), 0.0)
+        assert both.shown(own).verdict.cause == Cause.UNANSWERED
 
 
 @pytest.mark.parametrize(("trouble", "state"), [(NOBODY, State.WAITING), (GONE, State.DOWN)])
