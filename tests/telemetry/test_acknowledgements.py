@@ -161,3 +161,7 @@ def test_the_end_of_an_acknowledgement_is_an_event() -> None:
     publisher.refresh_now(bridge)
     (event,) = events.after(0)
     assert (event.code, event.topic, event.link) == (EventCode.OPERATOR_ACKNOWLEDGEMENT_ENDED, SCAN.topic, SCAN.link)
+    assert publisher.newest() is publisher.latest
+    clock.moved += 11.0  # the I/O thread stands still
+    (shown_link,) = publisher.newest().links
+    assert (shown_link.state, "hangs" in shown_link.reason) == (State.DOWN, True)

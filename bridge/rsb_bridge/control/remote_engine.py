@@ -27,7 +27,7 @@ from rsb_bridge.control.protocol import (
     RestartStep,
     UnexpectedMessage,
 )
-from rsb_bridge.control.states import StateReceiver, out_of_reach
+from rsb_bridge.control.states import StateReceiver
 from rsb_bridge.model.by_hand import OLD_AFTER, TICKET_LIFE
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
@@ -36,6 +36,7 @@ from rsb_bridge.model.commands import Publish, R
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.telemetry.event_log import EventLog
+from rsb_bridge.telemetry.snapshot_publisher import out_of_reach
 
 if TYPE_CHECKING:
     from collections.abc import Callable

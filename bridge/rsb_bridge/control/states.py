@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rsb_bridge.control.cleaning import check_length, check_routes, clean
@@ -16,7 +15,6 @@ from rsb_bridge.control.protocol import (
 )
 from rsb_bridge.model import snapshot as model
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
-from rsb_bridge.model.verdict import Cause, LinkCause
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -158,36 +156,6 @@ class StateReceiver:
             refused=state.refused,
         )
         return True
-
-
-def out_of_reach(shown: Snapshot, reason: str, *, since: float, now: float) -> Snapshot:
-    """Return the snapshot to show of a bridge that is out of reach: everything is down.
-
-    Args:
-        reason: the reason that the bridge is out of reach.
-        since: s since the epoch of the last contact.
-        now: s since the epoch.
-    """
-    return replace(
-        shown,
-        time=now,
-        running=False,
-        refused=(),
-        links=tuple(
-            replace(
-                link, state=model.State.DOWN, cause=LinkCause.UNREACHABLE, reason=reason, warning="", since=since,
-                retry_in=None, rtt=None, loss_out=None, loss_in=None, rx_bytes_per_second=0.0, tx_bytes_per_second=0.0,
-            )
-            for link in shown.links
-        ),
-        routes=tuple(
-            replace(
-                route, state=model.State.DOWN, cause=Cause.LINK_DOWN, reason=reason, from_peer=False, since=since,
-                rate=0.0, bytes_per_second=0.0,
-            )
-            for route in shown.routes
-        ),
-    )  # fmt: skip
 
 
 def _keys(snapshot: Snapshot) -> tuple[str, ...]:

@@ -9,7 +9,8 @@ from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot
+from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, State
+from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.telemetry.acknowledgements import Acknowledgements
 
@@ -31,6 +32,8 @@ _SELDOM = 1.5
 """Hz; somebody who looks no more often, as a log does once a second, is content with one renewal a second."""
 _EVERY, _EVERY_LOOKED_AT = 1.0, 0.25
 """s from one renewal to the next."""
+_HANGS_AFTER = 10.0
+"""s without a renewal. A round figure: on a busy machine, threads were seen to stand still for 3 s."""
 _EARLY = 0.01
 """s that a timer may come early. Without it, such a turn would be counted as the one before, and done twice."""
 
@@ -92,6 +95,7 @@ class SnapshotPublisher:
         self._looks = 0
         self._looks_at: deque[tuple[float, int]] = deque()
         self._turn = 0
+        self._published_at = clock.steady()
         self._is_looked_at = True  # the first refresh renews all
 
     def _acknowledgement_ended(self, faulty: AnyFaulty) -> None:
@@ -106,9 +110,18 @@ class SnapshotPublisher:
         self._events.add(Level.INFO, code, f"{topic}: {text}" if topic else text, link=link, topic=topic)
 
     def newest(self) -> Snapshot:
-        """Return the newest snapshot; called on any thread."""
+        """Return the newest snapshot; called on any thread.
+
+        If it is old, the I/O thread hangs, in the middleware, say. Nothing else of an engine would show that.
+        """
         self._looks += 1
-        return self.latest
+        latest = self.latest
+        silent = self._clock.steady() - self._published_at
+        if not latest.running or silent < _HANGS_AFTER:
+            return latest
+        reason = f"this bridge hangs: it has done nothing for {silent:.0f} s; restart it"
+        hangs = out_of_reach(latest, reason, since=latest.time, now=latest.time + silent)
+        return dataclasses.replace(hangs, running=True)
 
     def looked_at(self, now: float) -> bool:
         """Whether somebody looks more often than once a second, as far as the calls of this show.
@@ -166,7 +179,7 @@ class SnapshotPublisher:
         """Publish the renewed links and routes that still exist; new ones follow in the next refresh."""
         # Between the slices of a refresh, links and routes come and go.
         self._links = {link: self._links[link] for link in bridge.links() if link in self._links}
-        now = self._clock.time_ns() / 1e9
+        now, self._published_at = self._clock.time_ns() / 1e9, self._clock.steady()
         shown = [self._routes[route] for route in _routes_of(bridge) if route in self._routes]
         links, routes = self.acknowledged.mark(self._links.values(), shown, now)
         self.latest = dataclasses.replace(
@@ -182,3 +195,33 @@ class SnapshotPublisher:
 
 def _routes_of(bridge: ShownBridge) -> list[ShownRoute]:
     return [route for link in bridge.links() for route in link.routes.values() if route.purpose.is_shown]
+
+
+def out_of_reach(shown: Snapshot, reason: str, *, since: float, now: float) -> Snapshot:
+    """Return the snapshot to show of a bridge that is out of reach: everything is down.
+
+    Args:
+        reason: the reason that the bridge is out of reach.
+        since: s since the epoch of the last contact.
+        now: s since the epoch.
+    """
+    return dataclasses.replace(
+        shown,
+        time=now,
+        running=False,
+        refused=(),
+        links=tuple(
+            dataclasses.replace(
+                link, state=State.DOWN, cause=LinkCause.UNREACHABLE, reason=reason, warning="", since=since,
+                retry_in=None, rtt=None, loss_out=None, loss_in=None, rx_bytes_per_second=0.0, tx_bytes_per_second=0.0,
+            )
+            for link in shown.links
+        ),
+        routes=tuple(
+            dataclasses.replace(
+                route, state=State.DOWN, cause=Cause.LINK_DOWN, reason=reason, from_peer=False, since=since,
+                rate=0.0, bytes_per_second=0.0,
+            )
+            for route in shown.routes
+        ),
+    )  # fmt: skip
