@@ -12,6 +12,7 @@ import shutil
 import socket
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
+from unittest.mock import Mock
 
 import pytest
 from tests.support import constants, replaced, surroundings
@@ -209,6 +210,9 @@ def test_a_full_disk_and_a_foreign_folder(tmp_path: Path, monkeypatch: pytest.Mo
     surroundings.forbid_access(monkeypatch)
     (finding,) = found("disk", tmp_path)
     assert (finding.grade, str(tmp_path) in finding.remedy) == (Grade.WARNING, True)
+    monkeypatch.setattr(os, "statvfs", lambda _: Mock(f_flag=os.ST_RDONLY))
+    (finding,) = found("disk", tmp_path)
+    assert "read-only" in finding.text
 
 
 def test_no_remedy_takes_a_folder_above_the_missing_one_from_its_owner(

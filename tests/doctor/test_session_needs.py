@@ -65,6 +65,10 @@ def test_the_clocks_of_a_running_bridges_peers(offset: float, grade: Grade, tmp_
     (finding,) = found("clock", session(), tmp_path, machine.environ)
     assert (finding.grade, finding.facts["offset"]) == (grade, offset)
     assert "the server" in finding.text  # a client's link has the client's own name
+    domains = {**machine.environ, "ROS_DOMAIN_ID": "77"}
+    (other,) = found("ros_domain", session(), tmp_path, domains)
+    assert (other.grade, other.facts["running"]) == (Grade.WARNING, engine.now.domain_id)
+    assert found("ros_domain", session(domain_id=engine.now.domain_id), tmp_path, domains) == []
     assert found("clock", session(), tmp_path / "of a bridge that does not run", machine.environ) == []
 
 

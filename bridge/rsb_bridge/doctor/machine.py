@@ -7,6 +7,7 @@ that hosts do not report to routers (RFC 3376, section 5). To join DDS's own sen
 from __future__ import annotations
 
 import ctypes
+import errno
 import fcntl
 import importlib.util
 import json
@@ -28,6 +29,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rsb_bridge.doctor.finding import Check, Finding, Grade
 from rsb_bridge.history.state_folder import state_folder
+from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.tcp import BBR, congestion_control, prefer_bbr
@@ -442,7 +444,12 @@ def _disk(folder: Path) -> Iterator[Finding]:
     free = shutil.disk_usage(existing).free
     facts = {"folder": str(folder), "free": free}
     megabytes = free // _MEGABYTE
-    if not os.access(existing, os.W_OK):
+    found = os.statvfs(existing)
+    lacks = errno.EROFS if found.f_flag & os.ST_RDONLY else errno.ENOSPC if found.f_files and not found.f_favail else 0
+    if lacks:
+        text = why_not_written(OSError(lacks, os.strerror(lacks)), existing)
+        yield Finding("disk", Grade.WARNING, "disk", text, facts=facts)
+    elif not os.access(existing, os.W_OK):
         text = MachineText.FOLDER_NOT_WRITABLE(folder=existing)
         # Not the nearest folder that exists, which may be /: the remedy gives the folder to the user.
         remedy = MachineText.FOLDER_REMEDY(folder=quote(str(folder)))

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from rsb_bridge.config.keys import Key
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.session import Session
+    from rsb_bridge.model.snapshot import Snapshot
 
 _BASE_TIMEOUTS = (sys.executable, "-P", "-m", "rsb_bridge.ros.base_timeouts")
 """-P: no module of the working folder runs."""
@@ -63,6 +64,8 @@ class NeedText(Wording):
     BASE_ABSENT = "no node subscribes to {topic} in domain {domain}: start the base to learn whether it stops by itself"
     BASE_NOT_ASKED = "what {topics} drives could not be asked whether it stops by itself"
     CLOCKS_AGREE = "the clock of {peer} differs from this machine's by {seconds:.3f} s"
+    OTHER_DOMAIN = "this session's bridge runs in domain {running}, and this shell is in domain {domain}"
+    OTHER_DOMAIN_REMEDY = "look at its topics with ROS_DOMAIN_ID={running}; set domain_id if that is the wrong one"
     NO_ZENOH = "the session uses Zenoh, and the package eclipse-zenoh is not installed"
 
 
@@ -84,19 +87,21 @@ def checks(
         Check("keys", "keys", partial(_keys, session, path)),
         Check("session", "session", partial(_transports, session, root)),
         Check("session", "session", partial(_advice, session, environ)),
+        Check("ros_domain", "ROS domain", partial(_domain, session, path, environ)),
         Check("clock", "clock", partial(_peers_clocks, path, environ)),
-        Check("base", "base", partial(_base, session, environ, base_timeouts)),
+        Check("base", "base", partial(_base, session, path, environ, base_timeouts)),
     )
 
 
-def _base(session: Session, environ: Mapping[str, str], command: Sequence[str]) -> Iterator[Finding]:
+def _base(session: Session, path: Path, environ: Mapping[str, str], command: Sequence[str]) -> Iterator[Finding]:
     """Find out whether what this bridge lets move stops by itself: the bridge cannot stop it if it is killed."""
     names = tuple(dict.fromkeys(guarded_here_alone(session)))
     if not names:
         return
     finding = partial(Finding, "base", subject="base")
     try:
-        domain = domain_of(session, environ.get("ROS_DOMAIN_ID"))
+        running = _running(path, environ)
+        domain = domain_of(session, environ.get("ROS_DOMAIN_ID")) if running is None else running.domain_id
         ran = subprocess.run(  # noqa: S603 -- own program
             [*command, str(domain), *names], capture_output=True, text=True, timeout=_ASKED_FOR, check=True
         )
@@ -122,21 +127,35 @@ def _base(session: Session, environ: Mapping[str, str], command: Sequence[str]) 
                 yield finding(grade=Grade.WARNING, text=text, remedy=remedy, facts=facts)
 
 
-def _peers_clocks(path: Path, environ: Mapping[str, str]) -> Iterator[Finding]:
-    """Compare this machine's clock with the peers', as the session's bridge has measured them if it runs."""
+def _running(path: Path, environ: Mapping[str, str]) -> Snapshot | None:
+    """Return what the bridge that runs this session file shows, or None if none does."""
     bridge = _own_bridge(path, environ)
     if bridge is None:
-        return
+        return None
     engine = RemoteEngine(bridge.path, read_only=True)
     engine.start()
     try:
-        links = engine.snapshot().links
+        return engine.snapshot()
     finally:
         engine.stop()
-    for link in links:
-        if link.clock_offset is None:
+
+
+def _domain(session: Session, path: Path, environ: Mapping[str, str]) -> Iterator[Finding]:
+    """Tell of a bridge in another domain than this shell: a service has the domain of its own environment."""
+    running, here = _running(path, environ), environ.get("ROS_DOMAIN_ID")
+    if running is not None and (domain := domain_of(session, here)) != running.domain_id:
+        text = NeedText.OTHER_DOMAIN(running=running.domain_id, domain=domain)
+        remedy = NeedText.OTHER_DOMAIN_REMEDY(running=running.domain_id)
+        yield Finding("ros_domain", Grade.WARNING, "ROS domain", text, remedy, {"running": running.domain_id})
+
+
+def _peers_clocks(path: Path, environ: Mapping[str, str]) -> Iterator[Finding]:
+    """Compare this machine's clock with the peers', as the session's bridge has measured them if it runs."""
+    running = _running(path, environ)
+    for link in () if running is None else running.links:
+        if link.clock_offset is None or running is None:
             continue
-        peer = link.name if bridge.info is None else other_side(bridge.info.role, link.name)
+        peer = other_side(running.role, link.name)
         facts = {"link": link.name, "offset": link.clock_offset, "uncertainty": link.clock_uncertainty}
         finding = partial(Finding, "clock", subject="clock", facts=facts)
         if warning := clocks_differ(peer, link.clock_offset, link.clock_uncertainty):
