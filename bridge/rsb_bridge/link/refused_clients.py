@@ -72,6 +72,8 @@ def with_remedy(code: RefusalCode, message: str, *, name: str, has_key: bool) ->
             return f"{message}: run {add} on the server, or correct name in this side's session"
         case RefusalCode.ENCRYPTION_REQUIRED:
             return f"{message}: set use_encryption and key_file"
+        case RefusalCode.ENCRYPTION_NOT_POSSIBLE:
+            return f"{message}: give the server the key, or set use_encryption: false here"
         case _:
             return message
 

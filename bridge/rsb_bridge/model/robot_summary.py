@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from rsb_bridge.model.session import Session
-    from rsb_bridge.model.snapshot import Ledger, LinkSnapshot, RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
 
 WHY_LENGTH = 200
 """Characters of a reason: a line of a screen. The robot's own screen has the rest."""
@@ -40,8 +40,6 @@ SUMMARY_BYTES = 4096
 LOSS_SPAN = 60.0
 """The most s that a loss is computed over."""
 
-_MEANT = frozenset({"already published", "would loop", "paused", "disarmed"})
-"""Causes of drops that an operator or the bridge wants: no loss."""
 _CLIENT_NAMES = 1500
 """Characters for all names in `wrong_clients`, so that a summary stays within `SUMMARY_BYTES`."""
 _NAMED = 3
@@ -190,7 +188,7 @@ class LossWindow:
             if route.calls is None:
                 self._marks[route.key] = marks.get(route.key) or deque()
                 first = self._first_mark(route, now)
-                total = _lost(route.ledger)
+                total = route.ledger.lost
                 lost[route.link] += max(0, total - first.lost)
                 settled[route.link] += total + route.ledger.delivered - first.settled
                 since[route.link] = min(first.time, since.get(route.link, now))
@@ -198,7 +196,7 @@ class LossWindow:
 
     def _first_mark(self, route: RouteSnapshot, now: float) -> _Mark:
         """Return the counts of a route at the beginning of the window."""
-        marks, lost = self._marks[route.key], _lost(route.ledger)
+        marks, lost = self._marks[route.key], route.ledger.lost
         settled = lost + route.ledger.delivered
         if marks and (settled < marks[-1].settled or now < marks[-1].time):
             marks.clear()  # the counts have begun again
@@ -207,10 +205,6 @@ class LossWindow:
         while len(marks) > 1 and now - marks[1].time >= LOSS_SPAN:
             marks.popleft()
         return marks[0]
-
-
-def _lost(ledger: Ledger) -> int:
-    return ledger.expired + sum(count for cause, count in ledger.dropped.items() if cause not in _MEANT)
 
 
 def of_clients(

@@ -132,6 +132,9 @@ class Stage(msgspec.Struct, frozen=True, array_like=True, gc=False):
     detail: str = ""
 
 
+_MEANT = frozenset({"already published", "would loop", "paused", "disarmed"})
+
+
 @dataclass(frozen=True, slots=True)
 class Ledger:
     """The balance of a route's messages: ``offered = delivered + throttled + dropped + expired + unknown + in_flight``.
@@ -165,6 +168,11 @@ class Ledger:
     def dropped_total(self) -> int:
         """Messages dropped, for all causes."""
         return sum(self.dropped.values())
+
+    @property
+    def lost(self) -> int:
+        """Messages that were too old or dropped, except for those that an operator or the bridge wants to drop."""
+        return self.expired + sum(count for cause, count in self.dropped.items() if cause not in _MEANT)
 
 
 @dataclass(frozen=True, slots=True)

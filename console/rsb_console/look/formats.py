@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 KIND_NOUN: dict[Kind, str] = {"topic": "topic", "service": "service", "action": "action", "parameters": "parameters"}
 KIND_SHORT: dict[Kind, str] = {"topic": "msg", "service": "srv", "action": "act", "parameters": "par"}
 """Kinds as they fit into a narrow column; the first three are ROS's own names for the types."""
+_DAY = 86_400.0
 
 
 def thousands(count: int) -> str:
@@ -158,6 +159,11 @@ def counted(count: int, what: str) -> str:
 def time_of_day(epoch: float) -> str:
     """Format a time (s since the epoch) as local time of day: ``02:31:07``."""
     return time.strftime("%H:%M:%S", time.localtime(epoch))
+
+
+def minute(epoch: float) -> str:
+    """Format a time (s since the epoch) as ``02:31``, or as ``2026-11-24 02:31`` if it was more than a day ago."""
+    return time.strftime("%H:%M" if time.time() - epoch < _DAY else "%Y-%m-%d %H:%M", time.localtime(epoch))
 
 
 def qos_parts(qos: Qos, *, depth_known: bool = True) -> list[str]:

@@ -97,10 +97,10 @@ class StatusBar(LiveLines):
         known = acknowledged_count(snapshot.routes)
         self._signs = (*topics, *armed, *state_counts(snapshot.routes, State), *known)
         # Calls have counts of their own: a call that fails is no lost message.
-        drops = sum(route.ledger.dropped_total for route in snapshot.routes if route.calls is None)
+        lost = sum(route.ledger.lost for route in snapshot.routes if route.calls is None)
         groups: list[Line] = [
             (*topics, *armed, *state_counts(snapshot.routes, State, words=True), *known),
-            ((f"drops {formats.thousands(drops)}", "stale" if drops else ""),),
+            ((f"drops {formats.thousands(lost)}", "stale" if lost else ""),),
         ]
         groups += calls_group(snapshot.routes)
         # Failed calls must not give way to the names of states.

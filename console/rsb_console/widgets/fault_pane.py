@@ -235,7 +235,7 @@ def _reason(row: Row) -> str:
 
 def link_fault(link: LinkSnapshot, *, server: bool) -> str:
     """Format the fault of a link; on a server, name the missing client."""
-    since = formats.time_of_day(link.since)[:5]
+    since = formats.minute(link.since)
     if link.state is State.OK:
         return link.warning
     if not server or link.cause not in (LinkCause.LOST, LinkCause.SILENT, LinkCause.CLOSED, LinkCause.NOT_YET):
