@@ -69,7 +69,9 @@ def test_who_is_refused_hides_for_a_while_only_why_the_robot_is_missing(
     assert (now.cause, now.reason, now.since) == (LinkCause.SILENT, "the peer is silent", missing_since)
 
 
-def test_the_time_of_a_link_follows_a_clock_that_is_set(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+def test_the_time_of_a_link_follows_a_clock_that_is_set(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
     context = make_context()
     assert isinstance(context.clock, VirtualClock)
     link = ClientRole(context, {"robot1": ()}).links()[0]

@@ -13,7 +13,6 @@ from rsb_bridge.control.protocol import (
     decode_route,
     encode_route,
 )
-from rsb_bridge.model import snapshot as model
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
 
 if TYPE_CHECKING:

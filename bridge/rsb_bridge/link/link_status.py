@@ -112,7 +112,7 @@ class LinkFault(Extension):
             return []
         path, clock = self._path.fault, self._clock()
         found = (
-            # Before a second machine of the name, which operators acknowledge for weeks: the topics suffer from this one.
+            # Before a second machine of the name, which operators acknowledge for weeks: topics suffer from the path.
             (path.cause, path.text) if path else (LinkCause.NONE, ""),
             (LinkCause.NAME_TAKEN, self.duplicates.warning(self._context.now(), self._context.wall())),
             # A path that loses packets carries less, too: its loss explains that.

@@ -44,7 +44,7 @@ _AHEAD = 0.05
 Ten times more would publish commands whose age is wrong by half a second."""
 _REMEDIES = {
     Cause.LINK_SLOW: "the link is too slow: set max_rate or priority",
-    Cause.CLOCK_UNKNOWN: "age unknown (clock set or slow link): wait 10 s, or set a larger max_age",
+    Cause.CLOCK_UNKNOWN: "age unknown: wait 10 s, or raise max_age",
     Cause.PUBLISHER_STAMPS_OLD: "stamps are old: check the publisher's clock",
 }
 
