@@ -24,6 +24,9 @@ _ID_END = HEADER_LENGTH + 16
 _CANCEL_END = _ID_END + 8
 _ALL = bytes(16)
 _RESPONSE_LENGTH = 12  # of send_goal: a bool, and a stamp aligned to four
+_CANCELED = {order: struct.Struct(f"{order}b3xI") for order in "<>"}  # code, and how many goals
+_REJECTED = 1
+"""Of action_msgs/srv/CancelGoal. A goal that is unknown (2) or over (3) moves no robot."""
 _COUNT_END = HEADER_LENGTH + 4
 _FIRST_STATUS, _NEXT_STATUS = struct.Struct("16s8xB"), struct.Struct("16s3x8xB")  # goal id, stamp, state
 _MOST_STATUSES = 10_000
@@ -77,6 +80,16 @@ def cancel_of(payload: bytes) -> Cancel | None:
 def cancel_request(goal: bytes) -> bytes:
     """Return a cancel_goal request for one goal."""
     return b"\x00\x01\x00\x00" + goal + bytes(8)
+
+
+def refuses_cancel(payload: bytes) -> bool:
+    """Return whether by a cancel_goal response, or one that cannot be read, a goal that runs goes on."""
+    order = _ORDERS.get(payload[:2], "")
+    if not order or len(payload) < HEADER_LENGTH + _CANCELED[order].size:
+        return True
+    code, goals = _CANCELED[order].unpack_from(payload, HEADER_LENGTH)
+    # rclpy's servers, which reject every cancel by default, say that there was no error and cancel none.
+    return bool(code == _REJECTED or (code == 0 and goals == 0))
 
 
 def accepted_by(payload: bytes) -> bool | None:

@@ -82,7 +82,7 @@ class ProvidingActionRoute(ProvidingRoute):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.action = ProviderAction(context)
-        self._cancels = GoalCancels(lambda: self._clients.clients, self.failures.say)
+        self._cancels = GoalCancels(lambda: self._clients.clients, self.failures.say, context.now)
 
     @property
     def on_end(self) -> str:
@@ -158,7 +158,7 @@ class ProvidingActionRoute(ProvidingRoute):
         return self.action.answers.has_answer(question_of(frame.lane, frame.content))
 
     def _take_response(self, lane: int, response: Response) -> None:
-        if not self._cancels.takes(lane, response.number) and not self._keep_answer(lane, response):
+        if not self._cancels.takes(lane, response) and not self._keep_answer(lane, response):
             super()._take_response(lane, response)
 
     def _ended(self, peers: int) -> None:
@@ -269,6 +269,7 @@ class ProvidingActionRoute(ProvidingRoute):
 
     def tick(self) -> None:
         """Forget old answers, and update counts; called once a second."""
+        self._cancels.tick()
         self._expire_answers()
         super().tick()
 
