@@ -140,6 +140,7 @@ class _Goal:
     crossed: bool = False  # sent by this route's callers, not by others of its server
     listed: bool = False  # by its server's last status message
     gone: bool = False  # with its server, or its server does not know it
+    ended: bool = False  # with the arming: it is cancelled, even if its server accepts it only later
 
 
 class Goals:
@@ -232,6 +233,18 @@ class Goals:
             for goal, known in self._goals.items()
             if known.crossed and known.state not in OVER and known.state != ASKED and not known.gone
         ]
+
+    def end(self) -> list[bytes]:
+        """End the goals of this route's callers with their arming, and return them; some may not have begun yet."""
+        ended = [goal for goal, known in self._goals.items() if known.crossed and known.state == ASKED]
+        ended += self.running()
+        for goal in ended:
+            self._goals[goal].ended = True
+        return ended
+
+    def has_ended(self, goal: bytes) -> bool:
+        """Return whether a goal's arming has ended."""
+        return goal in self._goals and self._goals[goal].ended
 
     def snapshot(self, awaited: AbstractSet[bytes]) -> tuple[GoalSnapshot, ...]:
         """Return all goals, unfinished ones first, and newer before older ones.

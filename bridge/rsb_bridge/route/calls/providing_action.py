@@ -134,7 +134,7 @@ class ProvidingActionRoute(ProvidingRoute):
         """Cancel the callers' goals, if a session wants that, and let nothing more cross."""
         # First: what follows may close the clients.
         if self.on_end == CANCEL:
-            self._cancels.cancel(self.action.goals.running())
+            self._cancels.cancel(self.action.goals.end())
         super().disarm(why, reason)
 
     # --- calls
@@ -246,7 +246,8 @@ class ProvidingActionRoute(ProvidingRoute):
             self._answer(call, payload)
         self.action.goals.response(lane, question.about, payload)
         if lane == SEND_GOAL and accepted_by(payload):
-            if self.arming.required and not self.arming.armed and self.on_end == CANCEL:  # it was sent while armed
+            # Again, because its server knew nothing of it when it got the first cancel.
+            if self.action.goals.has_ended(question.about):
                 self._cancels.cancel((question.about,))
             # The result is asked for at once, because the link may be lost at any time.
             result = CallIdentity(GET_RESULT, question.about)
