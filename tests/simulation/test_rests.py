@@ -184,6 +184,7 @@ class Heard(Drivers):
             node = Writer(self.server.domain, "/nav", _NAME, _TWIST, hash_of(_TWIST), Qos(depth=10))
             await asyncio.sleep(2.0)
             await self.do(self.drivers[0], lambda route: ArmTopic(route.key))
+            await asyncio.sleep(1.0)  # until the bridge's subscription has found it
             await life(node)
             staying.cancel()
 

@@ -67,9 +67,7 @@ class LastLater:
         send: takes the message.
     """
 
-    def __init__(
-        self, loop: asyncio.AbstractEventLoop, throttle: Throttle, send: Callable[[RawMessage], None]
-    ) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, throttle: Throttle, send: Callable[[RawMessage], None]) -> None:
         self._loop = loop
         self._throttle = throttle
         self._send = send
