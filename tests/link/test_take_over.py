@@ -200,12 +200,27 @@ def test_only_the_holders_side_answers(pair: Pair) -> None:
 
 
 @both
-def test_it_needs_no_answer_once_it_is_disarmed(at: int, pair: Pair) -> None:
+@pytest.mark.parametrize(
+    ("why", "goes_over"),
+    [
+        (Disarmed.DEADMAN, True),
+        (Disarmed.CONSOLE_GONE, True),
+        (Disarmed.OPERATOR, False),
+        (Disarmed.LEASE, False),
+        (Disarmed.RELOADED, False),
+    ],
+)
+def test_it_goes_over_without_an_answer_only_if_the_holder_is_gone(
+    why: Disarmed, goes_over: bool, at: int, pair: Pair
+) -> None:
     task = ask(pair[at])
-    pair[1].table.arming.disarm(route(pair[1]), Disarmed.DEADMAN)
+    pair[1].table.arming.disarm(route(pair[1]), why)
     hear_all(pair)
     turn(pair[0])
-    task.result()
+    if goes_over:
+        task.result()
+    else:
+        assert says(problem(task), TakeOverText.DISARMED)
 
 
 @both

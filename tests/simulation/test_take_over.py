@@ -338,6 +338,39 @@ def test_the_holder_decides(asker: int, gives: bool) -> None:
     drivers.play(lambda _: live())
 
 
+@pytest.mark.parametrize("asker", [1, 2], ids=["beside", "from the robot's side"])
+def test_a_disarm_lasts_though_somebody_asks_for_the_topic(asker: int) -> None:
+    """A node drives all the time: after the disarm its robot hears a rest, and no motion."""
+    drivers = Drivers(1, "tcp")
+    anna, other = drivers.drivers[0], drivers.drivers[asker]
+
+    async def plan(node: Writer) -> None:
+        while True:
+            node.publish(_written({"linear": {"x": str(anna.speed)}}))
+            await asyncio.sleep(1 / _RATE)
+
+    async def live() -> None:
+        works = [asyncio.ensure_future(drivers.stay(each)) for each in (anna, other)]
+        await asyncio.sleep(8.0)
+        name = drivers.local_name(drivers.server)
+        node = Writer(drivers.server.domain, "/nav", name, _TWIST, hash_of(_TWIST), Qos(depth=10))
+        works.append(asyncio.ensure_future(plan(node)))
+        await drivers.command(anna, ArmTopic)
+        asking = asyncio.ensure_future(drivers.command(other, AskHolder))
+        await until(lambda: drivers.is_asked(anna) and drivers.heard[anna.name] > 5, 2.0)
+        await drivers.command(anna, DisarmTopic)
+        await asking
+        await asyncio.sleep(0.5)
+        moved = drivers.heard[anna.name]
+        await asyncio.sleep(5.0)
+        assert drivers.heard[anna.name] == moved
+        assert drivers.heard[""]
+        for each in works:
+            each.cancel()
+
+    drivers.play(lambda _: live())
+
+
 # --- each rule is needed
 
 

@@ -13,7 +13,7 @@ from rsb_bridge.model.by_hand import ASKED_FOR
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.route.arming import Question
+from rsb_bridge.route.arming import Disarmed, Question
 from rsb_bridge.tasks import NOT_TOO_EARLY
 from rsb_bridge.wire.messages import AskEnded, AskForArming
 
@@ -38,6 +38,7 @@ class TakeOverText(Wording):
     """Reasons why an arming is not taken over."""
 
     KEPT = "{topic} stays with its holder ({who})"
+    DISARMED = "{topic} is armed no longer ({reason}): arm it if it is still wanted"
     HELD_HERE = "this console has armed {topic} already"
     ASKED_ALREADY = "{topic} is asked for already ({who}): wait for the answer"
     ASKER_SILENT = "this console stood still while it asked for {topic}: ask again"
@@ -55,6 +56,8 @@ class QuestionText(Wording):
     WITHDRAWN = "{asker} asks {holder} for it no longer, or stood still"
 
 
+_HOLDER_LEFT: Final = frozenset({Disarmed.DEADMAN, Disarmed.CONSOLE_GONE})
+"""Ends of an arming that are as good as no answer of its holder."""
 _BY_HOLDER: Final = {
     "kept": (EventCode.OPERATOR_KEPT, QuestionText.KEPT),
     "given": (EventCode.OPERATOR_GAVE, QuestionText.GIVEN),
@@ -92,7 +95,8 @@ class HolderQuestions:
         A holder who does not answer within `ASKED_FOR` gives it, at the console's next sign of life.
 
         Raises:
-            LinkError: the holder keeps it, or cannot be asked; or the console is silent.
+            LinkError: the holder keeps it, or cannot be asked; the console is silent; or the arming ended meanwhile
+                for another reason than the holder's absence.
         """
         arming, topic = route.arming, route.local_topic
         if not arming.held:
@@ -120,8 +124,11 @@ class HolderQuestions:
             raise LinkError(TakeOverText.ASKER_SILENT(topic=topic))
         if not answer.done():
             self._end(route, question, "unanswered")
-        elif answer.result() is False:  # None: the arming has ended otherwise, and the route can be armed
+        elif answer.result() is False:
             raise LinkError(TakeOverText.KEPT(who=holder, topic=topic))
+        # A disarm that somebody wanted, or a fault, must last until an operator arms it again.
+        elif answer.result() is None and arming.why not in _HOLDER_LEFT:
+            raise LinkError(TakeOverText.DISARMED(topic=topic, reason=arming.reason))
 
     def seen(self, console: Hashable) -> None:
         """Note a sign of life of a console of this side."""

@@ -10,6 +10,7 @@ from tests.support.goals import cancel_request, cancel_response, goal, goal_resp
 from tests.support.inside import clients_of
 
 from rsb_bridge.model.calls import CANCEL_GOAL, GET_RESULT, SEND_GOAL, STATUS
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.demands import Demands, sources_of_names
 from rsb_bridge.model.session import ArmedName
 from rsb_bridge.ros.ros_interface import RawMessage, Response, RosError
@@ -19,6 +20,8 @@ from rsb_bridge.route.calls.kept_calls import CallIdentity
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
     from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
@@ -84,17 +87,25 @@ def test_an_end_of_the_arming_cancels_this_links_goals(make_route: Callable[...,
     route = make_route()
     assert not cancels(route)
     route.disarm(Disarmed.DEADMAN)
-    assert cancels(route) == [cancel_request(goal(1))]
+    assert set(cancels(route)) == {cancel_request(goal(1)), cancel_request(goal(3))}
     late = route.calls.late
     respond(route, CANCEL_GOAL, cancel_response(goal(1)), 1)
     assert route.calls.late == late, "it is no answer to a call of the other side's"
 
 
-def test_a_goal_that_is_accepted_later_is_cancelled_then(make_route: Callable[..., ProvidingActionRoute]) -> None:
+@pytest.mark.parametrize("armed_again", [False, True])
+def test_a_goal_that_is_accepted_later_is_cancelled_then(
+    armed_again: bool, make_route: Callable[..., ProvidingActionRoute]
+) -> None:
+    """Nor does it run by the arming of the next operator."""
     route = make_route()
     route.disarm(Disarmed.OPERATOR)
+    if armed_again:
+        route.arming.opened(required=True, deadman=0.0)
+        route.arming.arm_for_peer("bert", route.context.now())
+    before = len(cancels(route))
     accept(route, 3)
-    assert cancels(route) == [cancel_request(goal(1)), cancel_request(goal(3))]
+    assert cancels(route)[before:] == [cancel_request(goal(3))]
 
 
 @pytest.mark.parametrize(
@@ -102,9 +113,9 @@ def test_a_goal_that_is_accepted_later_is_cancelled_then(make_route: Callable[..
     [
         (None, "", 0),
         ("none", "", 0),
-        ("none", "cancel", 1),
-        (None, "cancel", 1),
-        ("cancel", "none", 1),
+        ("none", "cancel", 2),
+        (None, "cancel", 2),
+        ("cancel", "none", 2),
         ("zero", "", 0),
     ],
 )
@@ -125,19 +136,52 @@ def test_a_line_of_every_kind_is_for_those_that_it_suits() -> None:
     }  # fmt: skip
 
 
+def reported(route: ProvidingActionRoute) -> int:
+    return sum(each.code == EventCode.ROUTE_CALL_FAILED for each in route.context.events.after(0))
+
+
+@pytest.mark.parametrize(
+    ("answer", "goes_on"),
+    [
+        (cancel_response(goal(1)), False),
+        (cancel_response(goal(1), order=">"), False),
+        (cancel_response(), True),
+        (cancel_response(order=">"), True),
+        (bytes((0, 1, *bytes(10))), True),  # of a server that rclpy makes: no error, and no goal
+        (bytes((0, 1, 0, 0, 2, *bytes(7))), False),  # an unknown goal
+        (bytes((0, 1, 0, 0, 3, *bytes(7))), False),  # one that is over
+        (b"", True),
+        (None, True),
+    ],
+)
+def test_a_goal_whose_server_does_not_cancel_it_is_reported(
+    answer: bytes | None, goes_on: bool, make_route: Callable[..., ProvidingActionRoute], loop: VirtualLoop
+) -> None:
+    route = make_route()
+    route.disarm(Disarmed.LINK_LOST)
+    for number, _ in enumerate(cancels(route), 1):
+        if answer is not None:
+            respond(route, CANCEL_GOAL, answer, number)
+    for _ in range(10):
+        loop.jump(1.0)
+        route.tick()
+    assert reported(route) == goes_on * len(cancels(route))
+
+
 def test_a_goal_that_cannot_be_cancelled_is_reported() -> None:
     client = Client()
     problems: list[str] = []
     clients: dict[int, Any] = {}
-    made = GoalCancels(lambda: clients, problems.append)
+    made = GoalCancels(lambda: clients, problems.append, lambda: 0.0)
     made.cancel([goal(1)])
     clients[CANCEL_GOAL], client.ready = client, False
     made.cancel([goal(2)])
     assert len(problems) == 2
     client.ready = True
     made.cancel([goal(3)])
-    assert made.takes(CANCEL_GOAL, 1)
-    assert not made.takes(CANCEL_GOAL, 1)
+    answers = [Response(cancel_response(goal(3)), number, 0) for number in (1, 2)]
+    assert made.takes(CANCEL_GOAL, answers[0])
+    assert not made.takes(CANCEL_GOAL, answers[0])
     made.cancel([goal(3)])
     clients[CANCEL_GOAL] = Client()
-    assert not made.takes(CANCEL_GOAL, 2), "another client's call"
+    assert not made.takes(CANCEL_GOAL, answers[1]), "another client's call"

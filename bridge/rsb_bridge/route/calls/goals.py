@@ -24,6 +24,9 @@ _ID_END = HEADER_LENGTH + 16
 _CANCEL_END = _ID_END + 8
 _ALL = bytes(16)
 _RESPONSE_LENGTH = 12  # of send_goal: a bool, and a stamp aligned to four
+_CANCELED = {order: struct.Struct(f"{order}b3xI") for order in "<>"}  # code, and how many goals
+_REJECTED = 1
+"""Of action_msgs/srv/CancelGoal. A goal that is unknown (2) or over (3) moves no robot."""
 _COUNT_END = HEADER_LENGTH + 4
 _FIRST_STATUS, _NEXT_STATUS = struct.Struct("16s8xB"), struct.Struct("16s3x8xB")  # goal id, stamp, state
 _MOST_STATUSES = 10_000
@@ -79,6 +82,16 @@ def cancel_request(goal: bytes) -> bytes:
     return b"\x00\x01\x00\x00" + goal + bytes(8)
 
 
+def refuses_cancel(payload: bytes) -> bool:
+    """Return whether by a cancel_goal response, or one that cannot be read, a goal that runs goes on."""
+    order = _ORDERS.get(payload[:2], "")
+    if not order or len(payload) < HEADER_LENGTH + _CANCELED[order].size:
+        return True
+    code, goals = _CANCELED[order].unpack_from(payload, HEADER_LENGTH)
+    # rclpy's servers, which reject every cancel by default, say that there was no error and cancel none.
+    return bool(code == _REJECTED or (code == 0 and goals == 0))
+
+
 def accepted_by(payload: bytes) -> bool | None:
     """Return whether a send_goal response accepts the goal."""
     if payload[:2] not in _ORDERS or len(payload) <= HEADER_LENGTH:
@@ -127,6 +140,7 @@ class _Goal:
     crossed: bool = False  # sent by this route's callers, not by others of its server
     listed: bool = False  # by its server's last status message
     gone: bool = False  # with its server, or its server does not know it
+    ended: bool = False  # with the arming: it is cancelled, even if its server accepts it only later
 
 
 class Goals:
@@ -219,6 +233,18 @@ class Goals:
             for goal, known in self._goals.items()
             if known.crossed and known.state not in OVER and known.state != ASKED and not known.gone
         ]
+
+    def end(self) -> list[bytes]:
+        """End the goals of this route's callers with their arming, and return them; some may not have begun yet."""
+        ended = [goal for goal, known in self._goals.items() if known.crossed and known.state == ASKED]
+        ended += self.running()
+        for goal in ended:
+            self._goals[goal].ended = True
+        return ended
+
+    def has_ended(self, goal: bytes) -> bool:
+        """Return whether a goal's arming has ended."""
+        return goal in self._goals and self._goals[goal].ended
 
     def snapshot(self, awaited: AbstractSet[bytes]) -> tuple[GoalSnapshot, ...]:
         """Return all goals, unfinished ones first, and newer before older ones.

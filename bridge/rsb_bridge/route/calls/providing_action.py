@@ -82,7 +82,7 @@ class ProvidingActionRoute(ProvidingRoute):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self.action = ProviderAction(context)
-        self._cancels = GoalCancels(lambda: self._clients.clients, self.failures.say)
+        self._cancels = GoalCancels(lambda: self._clients.clients, self.failures.say, context.now)
 
     @property
     def on_end(self) -> str:
@@ -134,7 +134,7 @@ class ProvidingActionRoute(ProvidingRoute):
         """Cancel the callers' goals, if a session wants that, and let nothing more cross."""
         # First: what follows may close the clients.
         if self.on_end == CANCEL:
-            self._cancels.cancel(self.action.goals.running())
+            self._cancels.cancel(self.action.goals.end())
         super().disarm(why, reason)
 
     # --- calls
@@ -158,7 +158,7 @@ class ProvidingActionRoute(ProvidingRoute):
         return self.action.answers.has_answer(question_of(frame.lane, frame.content))
 
     def _take_response(self, lane: int, response: Response) -> None:
-        if not self._cancels.takes(lane, response.number) and not self._keep_answer(lane, response):
+        if not self._cancels.takes(lane, response) and not self._keep_answer(lane, response):
             super()._take_response(lane, response)
 
     def _ended(self, peers: int) -> None:
@@ -246,7 +246,8 @@ class ProvidingActionRoute(ProvidingRoute):
             self._answer(call, payload)
         self.action.goals.response(lane, question.about, payload)
         if lane == SEND_GOAL and accepted_by(payload):
-            if self.arming.required and not self.arming.armed and self.on_end == CANCEL:  # it was sent while armed
+            # Again, because its server knew nothing of it when it got the first cancel.
+            if self.action.goals.has_ended(question.about):
                 self._cancels.cancel((question.about,))
             # The result is asked for at once, because the link may be lost at any time.
             result = CallIdentity(GET_RESULT, question.about)
@@ -269,6 +270,7 @@ class ProvidingActionRoute(ProvidingRoute):
 
     def tick(self) -> None:
         """Forget old answers, and update counts; called once a second."""
+        self._cancels.tick()
         self._expire_answers()
         super().tick()
 
