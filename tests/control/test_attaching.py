@@ -26,7 +26,7 @@ from rsb_bridge.control.control_sockets import AttachProblem
 from rsb_bridge.control.protocol import VersionProblem
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import AddTopic, Command, Peek, Publish, R, Retry
+from rsb_bridge.model.commands import AddTopic, AskHolder, Command, Peek, Publish, R, ReleaseArmed, Retry
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 
@@ -458,13 +458,17 @@ def test_a_stop_ends_a_start_that_waits_for_a_bridge_that_hangs(machine: Machine
         assert failed == [AttachProblem.DETACHED()]
 
 
-@pytest.mark.parametrize("command", [Peek("/scan"), Publish("/text", "data: x")])
-def test_who_leaves_while_looking_or_publishing_does_so_no_more(machine: Machine, command: Command[Any]) -> None:
+@pytest.mark.parametrize("leaves", [True, False], ids=["leaves", "gives up"])
+@pytest.mark.parametrize("command", [Peek("/scan"), Publish("/text", "data: x"), AskHolder("/scan")])
+def test_who_leaves_or_gives_up_looking_publishing_or_asking_does_so_no_more(
+    machine: Machine, command: Command[Any], leaves: bool
+) -> None:
     class Quiet(ScriptedEngine):
         asked: list[Future[Any]]
 
         def do(self, command: Command[R], step: Any = None) -> Future[R]:
-            assert isinstance(command, Peek | Publish)
+            if isinstance(command, ReleaseArmed):
+                return super().do(command)
             self.asked.append(Future())
             return self.asked[-1]
 
@@ -474,7 +478,12 @@ def test_who_leaves_while_looking_or_publishing_does_so_no_more(machine: Machine
     remote = machine.attach(read_only=isinstance(command, Peek))
     done = remote.do(command)
     eventually(lambda: engine.asked)
+    if not leaves:
+        done.cancel()
+        eventually(engine.asked[0].cancelled)
+        done = remote.do(command)
+        eventually(lambda: len(engine.asked) == 2)
     remote.stop()
-    eventually(engine.asked[0].cancelled)
+    eventually(engine.asked[-1].cancelled)
     with pytest.raises(EngineError, match="no answer"):
         done.result(60)

@@ -88,6 +88,23 @@ def test_a_command_that_was_given_long_ago_is_not_sent(machine: Machine, command
     assert [each[0] for each in engine.commands] == ["pause"]
 
 
+def test_a_refused_command_that_is_given_up_is_not_repeated(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = ScriptedEngine()
+    remote = machine.attach_to(engine)
+    again = remote._requests.again
+
+    def give_up(message: Any) -> Any:
+        waiting = again(message)
+        waiting.future.cancel()
+        return waiting
+
+    monkeypatch.setattr(remote._requests, "again", give_up)
+    slow_line(remote, monkeypatch, TICKET_LIFE + 0.5)
+    eventually(remote.do(ArmTopic("/scan")).cancelled)
+    remote.do(PauseTopics("/scan", paused=True)).result(60)
+    assert [each[0] for each in engine.commands] == ["pause"]
+
+
 @pytest.mark.parametrize("rest", ["", "{}"])
 def test_a_refused_command_is_repeated_only_while_it_may_be_wanted(
     machine: Machine, monkeypatch: pytest.MonkeyPatch, rest: str

@@ -10,6 +10,7 @@ import threading
 import time
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic
 
@@ -354,6 +355,8 @@ class RemoteEngine(EngineApi):
         if waiting.is_old:
             waiting.fail(EngineError(RequestProblem.TOO_LATE()))
             return
+        if waiting.future.cancelled():
+            return
         if self._connection is None:
             waiting.fail(EngineError(f"not attached: {self._lost}"))
             return
@@ -367,6 +370,13 @@ class RemoteEngine(EngineApi):
             self._requests.receive(CommandFailed(request.id, RequestProblem.TOO_LONG(length=size)))
         else:
             self._send(request)
+            waiting.future.add_done_callback(partial(self._given_up, request.id))
+
+    def _given_up(self, request: int, future: Future[Any]) -> None:
+        """Tell the bridge that nobody waits for a command any more. Called on any thread."""
+        if future.cancelled():
+            with contextlib.suppress(RuntimeError):  # detached already
+                self._loop.call_soon_threadsafe(self._send, protocol.Cancel(request))
 
 
 @dataclass(frozen=True, slots=True)
