@@ -103,6 +103,24 @@ class Refusing(ScriptedEngine):
         return refused(f"no such topic: {command.topic.topic}")
 
 
+class Failing(ScriptedEngine):
+    def do(self, command: Command[R], step: Any = None) -> Future[R]:
+        if not isinstance(command, Retry):
+            return super().do(command, step)
+        failed: Future[R] = Future()
+        failed.set_exception(ValueError("a mistake"))
+        return failed
+
+
+def test_an_internal_error_of_a_command_ends_no_attachment(machine: Machine) -> None:
+    engine = Failing()
+    remote = machine.attach_to(engine)
+    with pytest.raises(EngineError, match="internal error, please report it: a mistake"):
+        remote.retry().result(60)
+    remote.pause("k", True).result(60)
+    assert not any(event.code == EventCode.ATTACH_LOST for event in remote.events())
+
+
 def test_a_refusal_comes_back_in_words(machine: Machine) -> None:
     machine.serve(Refusing())
     with pytest.raises(EngineError, match="no such topic: /x"):

@@ -286,6 +286,9 @@ class AttachedConsole:
             reply = protocol.CommandFailed(request.id, str(error), isinstance(error, InvalidRequestError))
         except asyncio.CancelledError:
             reply = protocol.CommandFailed(request.id, RequestRefused.WITHDRAWN())
+        except Exception as error:  # the end of the connection would disarm what this console has armed
+            self._loop.call_exception_handler({"message": "a command failed", "exception": error})
+            reply = protocol.CommandFailed(request.id, f"internal error, please report it: {error}")
         if (
             request.command.right in (Right.CHANGE, Right.TAKE)
             and self._sender.sent is not None
