@@ -21,7 +21,7 @@ from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import bridges, control_sockets, protocol
-from rsb_bridge.control.attached_console import RequestRefused
+from rsb_bridge.control.attached_console import AttachedConsole, RequestRefused
 from rsb_bridge.control.control_sockets import AttachProblem
 from rsb_bridge.control.protocol import VersionProblem
 from rsb_bridge.control.remote_engine import RemoteEngine
@@ -303,6 +303,23 @@ def test_a_bridge_that_hangs_is_not_called_ok(machine: Machine, monkeypatch: pyt
     monkeypatch.undo()
     eventually(lambda: remote.snapshot().running and not remote.unreachable)
     eventually(lambda: State.OK in {each.state for each in remote.snapshot().routes})
+
+
+def test_a_bridge_whose_state_takes_long_is_not_called_silent(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Over a thin line, parts of it come all the time."""
+    engine = ScriptedEngine()
+    remote = machine.attach_to(engine)
+
+    async def still_on_its_way(_: AttachedConsole) -> None:
+        """Send nothing."""
+
+    monkeypatch.setattr(AttachedConsole, "_show", still_on_its_way)
+    constants.ANSWERS_WITHIN.set(monkeypatch, 0.5)
+    eventually(lambda: not remote.snapshot().running)
+    engine.happened.append(replace(EVENTS[-1], number=len(EVENTS) + 1))
+    eventually(lambda: remote.snapshot().running and not remote.unreachable)
 
 
 def test_many_attach_and_one_too_many_is_told_so(machine: Machine) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.console.scripted import ScriptedEngine
@@ -13,7 +14,9 @@ from tests.support.wording import pattern
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import save
 from rsb_bridge.control.attached_console import RequestRefused
+from rsb_bridge.control.sealed import SealedConsole
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.wire.operator_connection import RECORD_CONTENT
 from rsb_console.session.attaching import attach, attached
 
 if TYPE_CHECKING:
@@ -35,6 +38,16 @@ def test_an_operator_attaches_and_changes(reachable: Reachable) -> None:
     assert came.who.startswith("anna (operator key)")
     remote.stop()
     eventually(lambda: reachable.events(EventCode.ATTACH_OPERATOR_LEFT))
+
+
+def test_a_long_message_goes_record_by_record() -> None:
+    """Over Zenoh nothing of it would come before all of it: the console would call the bridge silent."""
+    written: list[bytes] = []
+    console: Any = SealedConsole.__new__(SealedConsole)
+    console._machine, console._transport = SimpleNamespace(send=bytes), SimpleNamespace(write=written.append)
+    console.write(content := bytes(range(256)) * 250)
+    assert b"".join(written) == content
+    assert max(map(len, written)) <= RECORD_CONTENT
 
 
 def test_only_who_may_take_takes_an_arming_without_asking(reachable: Reachable) -> None:

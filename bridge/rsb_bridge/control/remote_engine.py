@@ -112,6 +112,7 @@ class RemoteEngine(EngineApi):
         self._followed = 0
         self._events_before = 0
         self._asked_at: float | None = None
+        self._heard_at = float("-inf")
         self._used_at = float("-inf")
         self._poll_is_due = False
 
@@ -135,7 +136,8 @@ class RemoteEngine(EngineApi):
     @property
     def _silent_for(self) -> float:
         asked = self._asked_at
-        return 0.0 if asked is None else time.monotonic() - asked
+        # A state may take longer over a thin line, but then parts of it come.
+        return 0.0 if asked is None else time.monotonic() - max(asked, self._heard_at)
 
     def start(self) -> None:
         self._loop = asyncio.new_event_loop()
@@ -249,6 +251,7 @@ class RemoteEngine(EngineApi):
                     data = await connection.read()
                 if not data:
                     return AttachProblem.ENDED()
+                self._heard_at = time.monotonic()
                 for message in frames.feed(data):
                     if self._untrusted is not None:
                         message = self._untrusted(message, time.monotonic())  # noqa: PLW2901 -- the same one, cleaned
