@@ -38,6 +38,10 @@ class EngineError(Exception):
     """The engine cannot execute a command; the message tells the operator the reason and the remedy."""
 
 
+class NoAnswerError(EngineError):
+    """The answer to a command has not come: the engine may have executed it."""
+
+
 class InvalidRequestError(EngineError):
     """The request itself is wrong, for example a misspelt field: to repeat it does not help."""
 

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic
 
-from rsb_bridge.api import EngineApi, EngineError, InvalidRequestError
+from rsb_bridge.api import EngineApi, EngineError, InvalidRequestError, NoAnswerError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.cleaning import UntrustedMessages
 from rsb_bridge.control.connectors import UnixSocket
@@ -463,4 +463,4 @@ class _Requests:
         """Fail all commands, because no reply will come."""
         failed, self._waiting = self._waiting, {}
         for waiting in failed.values():
-            waiting.fail(EngineError(f"no answer: {reason}"))
+            waiting.fail(NoAnswerError(f"no answer: {reason}"))
