@@ -189,7 +189,9 @@ class LeaseHalf:
             self.over = Standstill.LOOP
         elif now - self._turns.at > LASTS:
             self.over = Standstill.ROS_THREAD
-        elif now - self._confirmed > GIVEN_UP_AFTER and (self._answered or now - self._began > _FIRST_WITHIN):
+        elif (self._answered and now - self._confirmed > GIVEN_UP_AFTER) or (
+            not self._begun and now - self._began > _FIRST_WITHIN
+        ):
             self.over = Standstill.PEER
         else:
             return
