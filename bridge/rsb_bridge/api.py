@@ -30,10 +30,16 @@ class Unable(Wording):
     STOPPED_BEFORE_START = "the engine was stopped before it had started"
     NOT_A_SERVER = "only a server has clients"
     NO_FILE = "this session has no file yet: save it first"
+    DISK_SILENT = "the session's files are not read within {seconds:g} s: look at their disk"
+    TOO_LATE = "not done: it waited too long behind another change; give it again"
 
 
 class EngineError(Exception):
     """The engine cannot execute a command; the message tells the operator the reason and the remedy."""
+
+
+class NoAnswerError(EngineError):
+    """The answer to a command has not come: the engine may have executed it."""
 
 
 class InvalidRequestError(EngineError):

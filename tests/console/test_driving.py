@@ -375,13 +375,16 @@ def arming(*, here: bool = True, by: str = "anna") -> ArmingSnapshot:
     return ArmingSnapshot(armed=True, by=by, here=here, deadman=60.0)
 
 
+@pytest.mark.parametrize("shown_as", [ARMED, DISARMED], ids=["armed", "under way"])
 @driven(DISARMED)
-async def test_leaving_the_screen_disarms_what_it_has_armed(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
+async def test_leaving_the_screen_disarms_what_it_has_armed(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock, shown_as: RouteSnapshot
+) -> None:
     await pilot.press("A")
     await shown(pilot, "Arm /cmd_vel of robot1?")
     await pilot.press("y")
     await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
-    put(app, ARMED)
+    put(app, shown_as)
     await pilot.press("escape")
     await until(pilot, lambda: engine_of(app).commands[1:] == [("disarm", "/cmd_vel", "own")], "disarmed")
 

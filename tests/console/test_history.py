@@ -1,6 +1,7 @@
 """The time line: what happened, how long, why and who; filtered, ordered, exported, attached and read-only."""
 
 import csv
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,9 +24,9 @@ from tests.support.control import Machine
 from tests.support.long import long
 from textual.pilot import Pilot
 
-from rsb_bridge.model.history import Gap
+from rsb_bridge.model.history import Gap, HistoryReport
 from rsb_console.app import ConsoleApp
-from rsb_console.screens.history_screen import HELP, HistoryText
+from rsb_console.screens.history_screen import HELP, HistoryScreen, HistoryText
 from rsb_console.session.history_report import ReportText
 
 
@@ -91,6 +92,32 @@ async def test_what_is_not_known_is_said(app: ConsoleApp, pilot: Pilot[None], mo
     monkeypatch.setattr(engine_of(app), "history", lambda _: refused("no bridge"))
     await pilot.press("h")
     await shown(pilot, HistoryText.NOT_KNOWN, error="no bridge")
+
+
+@on_main()
+async def test_a_report_that_takes_long_is_waited_for(
+    app: ConsoleApp, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another one is asked for before only if it is to be about another span."""
+    asked: list[Future[HistoryReport]] = []
+
+    def ask(_: float) -> Future[HistoryReport]:
+        asked.append(Future())
+        return asked[-1]
+
+    monkeypatch.setattr(engine_of(app), "history", ask)
+    await pilot.press("h")
+    await until(pilot, lambda: len(asked) == 1, "a question")
+    assert isinstance(app.screen, HistoryScreen)
+    app.screen.renew()
+    await pilot.pause()
+    assert len(asked) == 1
+    await pilot.press("h")
+    await until(pilot, lambda: len(asked) == 2, "a question about another span")
+    asked[-1].set_result(REMEMBERED)
+    await shown(pilot, "✗ DOWN")
+    app.screen.renew()
+    await until(pilot, lambda: len(asked) == 3, "a newer report")
 
 
 @on_main()

@@ -21,12 +21,12 @@ from tests.support.wording import pattern, says
 
 from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import bridges, control_sockets, protocol
-from rsb_bridge.control.attached_console import RequestRefused
+from rsb_bridge.control.attached_console import AttachedConsole, RequestRefused
 from rsb_bridge.control.control_sockets import AttachProblem
 from rsb_bridge.control.protocol import VersionProblem
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.commands import AddTopic, Command, Peek, Publish, R, Retry
+from rsb_bridge.model.commands import AddTopic, AskHolder, Command, Peek, Publish, R, ReleaseArmed, Retry
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 
@@ -101,6 +101,24 @@ class Refusing(ScriptedEngine):
     def do(self, command: Command[R], step: Any = None) -> Future[R]:
         assert isinstance(command, AddTopic)
         return refused(f"no such topic: {command.topic.topic}")
+
+
+class Failing(ScriptedEngine):
+    def do(self, command: Command[R], step: Any = None) -> Future[R]:
+        if not isinstance(command, Retry):
+            return super().do(command, step)
+        failed: Future[R] = Future()
+        failed.set_exception(ValueError("a mistake"))
+        return failed
+
+
+def test_an_internal_error_of_a_command_ends_no_attachment(machine: Machine) -> None:
+    engine = Failing()
+    remote = machine.attach_to(engine)
+    with pytest.raises(EngineError, match="internal error, please report it: a mistake"):
+        remote.retry().result(60)
+    remote.pause("k", True).result(60)
+    assert not any(event.code == EventCode.ATTACH_LOST for event in remote.events())
 
 
 def test_a_refusal_comes_back_in_words(machine: Machine) -> None:
@@ -287,6 +305,23 @@ def test_a_bridge_that_hangs_is_not_called_ok(machine: Machine, monkeypatch: pyt
     eventually(lambda: State.OK in {each.state for each in remote.snapshot().routes})
 
 
+def test_a_bridge_whose_state_takes_long_is_not_called_silent(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Over a thin line, parts of it come all the time."""
+    engine = ScriptedEngine()
+    remote = machine.attach_to(engine)
+
+    async def still_on_its_way(_: AttachedConsole) -> None:
+        """Send nothing."""
+
+    monkeypatch.setattr(AttachedConsole, "_show", still_on_its_way)
+    constants.ANSWERS_WITHIN.set(monkeypatch, 0.5)
+    eventually(lambda: not remote.snapshot().running)
+    engine.happened.append(replace(EVENTS[-1], number=len(EVENTS) + 1))
+    eventually(lambda: remote.snapshot().running and not remote.unreachable)
+
+
 def test_many_attach_and_one_too_many_is_told_so(machine: Machine) -> None:
     machine.serve()
     remotes = [machine.attach() for _ in range(protocol.CONSOLES)]
@@ -458,13 +493,17 @@ def test_a_stop_ends_a_start_that_waits_for_a_bridge_that_hangs(machine: Machine
         assert failed == [AttachProblem.DETACHED()]
 
 
-@pytest.mark.parametrize("command", [Peek("/scan"), Publish("/text", "data: x")])
-def test_who_leaves_while_looking_or_publishing_does_so_no_more(machine: Machine, command: Command[Any]) -> None:
+@pytest.mark.parametrize("leaves", [True, False], ids=["leaves", "gives up"])
+@pytest.mark.parametrize("command", [Peek("/scan"), Publish("/text", "data: x"), AskHolder("/scan")])
+def test_who_leaves_or_gives_up_looking_publishing_or_asking_does_so_no_more(
+    machine: Machine, command: Command[Any], leaves: bool
+) -> None:
     class Quiet(ScriptedEngine):
         asked: list[Future[Any]]
 
         def do(self, command: Command[R], step: Any = None) -> Future[R]:
-            assert isinstance(command, Peek | Publish)
+            if isinstance(command, ReleaseArmed):
+                return super().do(command)
             self.asked.append(Future())
             return self.asked[-1]
 
@@ -474,7 +513,12 @@ def test_who_leaves_while_looking_or_publishing_does_so_no_more(machine: Machine
     remote = machine.attach(read_only=isinstance(command, Peek))
     done = remote.do(command)
     eventually(lambda: engine.asked)
+    if not leaves:
+        done.cancel()
+        eventually(engine.asked[0].cancelled)
+        done = remote.do(command)
+        eventually(lambda: len(engine.asked) == 2)
     remote.stop()
-    eventually(engine.asked[0].cancelled)
+    eventually(engine.asked[-1].cancelled)
     with pytest.raises(EngineError, match="no answer"):
         done.result(60)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.console.scripted import ScriptedEngine
+from tests.console.scripted import ScriptedEngine, route
+from tests.support import replaced
 from tests.support.operators import ANNA, BOB, Reachable, granted
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
@@ -14,6 +15,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import save
 from rsb_bridge.control.attached_console import RequestRefused
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.wire.operator_connection import RECORD_CONTENT
 from rsb_console.session.attaching import attach, attached
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from tests.support.control import Machine
 
     from rsb_bridge.config.keys import Key
+    from rsb_bridge.control.sealed import SealedConsole
 
 
 def test_an_operator_attaches_and_changes(reachable: Reachable) -> None:
@@ -35,6 +38,22 @@ def test_an_operator_attaches_and_changes(reachable: Reachable) -> None:
     assert came.who.startswith("anna (operator key)")
     remote.stop()
     eventually(lambda: reachable.events(EventCode.ATTACH_OPERATOR_LEFT))
+
+
+def test_a_long_message_goes_record_by_record(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Over Zenoh nothing of it would come before all of it: the console would call the bridge silent."""
+    lengths: list[int] = []
+    connected = replaced.CONSOLE_CONNECTED.value
+
+    def measured(console: SealedConsole, transport: Any) -> None:
+        write = transport.write
+        transport.write = lambda data: (lengths.append(len(data)), write(data))
+        connected(console, transport)
+
+    replaced.CONSOLE_CONNECTED.set(monkeypatch, measured)
+    engine = ScriptedEngine(routes=tuple(route(f"/{number}") for number in range(50)))
+    Reachable(machine, engine).attach()
+    assert max(lengths) < 2 * RECORD_CONTENT < sum(lengths)
 
 
 def test_only_who_may_take_takes_an_arming_without_asking(reachable: Reachable) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -16,10 +17,12 @@ from tests.console.scripted import LINK, NOW, SESSION, route
 from tests.support import constants
 from tests.support.waiting import eventually
 
+from rsb_bridge.engine import fault_hook
 from rsb_bridge.engine.fault_hook import (
     EVERY,
     FOR_LINKS,
     OUTPUT,
+    RUNS_FOR,
     STARTS,
     STARTS_WITHIN,
     WAITING,
@@ -204,6 +207,23 @@ def test_one_that_takes_too_long_is_ended_with_its_children(hooked: Hooked, monk
     hooked.clock.skipped += 100.0
     eventually(hooked.warnings)
     eventually(lambda: not runs(hooked.folder / "parent") and not runs(hooked.folder / "child"))
+    hooked.sees(STOPPED, skip=EVERY + LASTS)
+    eventually(lambda: len(hooked.told) == 2, what="the next one runs")
+
+
+@pytest.mark.filterwarnings("ignore:subprocess .* is still running:ResourceWarning")
+def test_one_that_cannot_be_ended_holds_up_no_other(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that waits for a disk takes no signal."""
+    constants.FAULT_COMMAND_ENDS_WITHIN.set(monkeypatch, 0.1)
+    hooked.open("cat >> told; exec cat go")
+    os.mkfifo(hooked.folder / "go")
+    with monkeypatch.context() as patch:
+        patch.setattr(fault_hook, "_signal_group", lambda *_: None)
+        hooked.sees(SLOW)
+        eventually(lambda: hooked.told)
+        hooked.clock.skipped += RUNS_FOR
+        eventually(hooked.warnings)
+    (hooked.folder / "go").write_text("")
     hooked.sees(STOPPED, skip=EVERY + LASTS)
     eventually(lambda: len(hooked.told) == 2, what="the next one runs")
 

@@ -309,6 +309,31 @@ def test_other_changes_wait_for_a_reload_that_runs(
     assert file.session.topics != client.session.topics
 
 
+def test_a_disk_that_hangs_holds_up_other_changes_for_a_while_only(
+    bridge: Bridge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What would resume is not done so late."""
+    constants.ENGINE_READ_WITHIN.set(monkeypatch, 0.5)
+    constants.BRIDGE_OLD_AFTER.set(monkeypatch, 0.1)
+    client = bridge.client(Topic("/kept", "transmit"), Topic("/held", "transmit", paused=True))
+    file, answers = Edited(client, tmp_path / "robot1.yaml"), threading.Event()
+
+    def hangs(path: Path) -> Session:
+        answers.wait()
+        return load(path)
+
+    replaced.ENGINE_LOAD.set(monkeypatch, hangs)
+    reload = file.engine.reload()
+    pausing = client.pause(route(client, "/kept").key, True)
+    resuming = client.pause(route(client, "/held").key, False)
+    for each, problem in ((reload, Unable.DISK_SILENT), (resuming, Unable.TOO_LATE)):
+        with pytest.raises(EngineError, match=pattern(problem)):
+            each.result(60)
+    pausing.result(60)
+    answers.set()
+    assert all(topic.paused for topic in client.session.topics)
+
+
 def test_a_session_in_no_file_is_not_reloaded(bridge: Bridge) -> None:
     server = bridge.server()
     with pytest.raises(EngineError, match=pattern(Unable.NO_FILE)):

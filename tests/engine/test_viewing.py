@@ -6,6 +6,7 @@ import asyncio
 import itertools
 import os
 import signal
+import threading
 import time
 from collections import Counter
 from functools import partial
@@ -28,7 +29,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.rights import DeniedText
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.engine.viewing import LookProblem
-from rsb_bridge.link.link_views import VIEWS_OF_PEER, ViewRefused
+from rsb_bridge.link.link_views import VIEWS_OF_PEER, LinkViews, ViewRefused
 from rsb_bridge.link.topic_view import TopicView, ViewProblem
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import EndLook
@@ -302,6 +303,28 @@ def test_an_operator_names_topics_in_full_and_that_somebody_publishes(pair: tupl
             server.next_picture("me", (name,), WISH).result(30)
     with pytest.raises(EngineError, match=pattern(LookProblem.NOWHERE)):
         server.next_picture("me", ("/nothing",), WISH).result(30)
+
+
+@pytest.mark.parametrize("link", ["robot1", ""], ids=["there", "here"])
+def test_a_view_that_was_given_up_while_it_opened_is_opened_again(
+    pair: tuple[Engine, Engine], robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch, link: str
+) -> None:
+    """Its console has lost the bridge for a moment."""
+    talker, opens = Talker(robot if link else pc, "/pose"), threading.Event()
+    server, _ = pair
+    eventually(talker.is_known)
+
+    async def hang(*_: object) -> None:
+        opens.set()
+        await asyncio.Event().wait()
+
+    owner, name = (LinkViews, "open") if link else (TopicView, "check")
+    with monkeypatch.context() as patch:
+        patch.setattr(owner, name, hang)
+        given_up = server.next_picture("me", ("/pose",), WISH, link)
+        assert opens.wait(60)
+        given_up.cancel()
+    assert looked_while(talker, server, "/pose", link=link)
 
 
 def test_a_view_that_cannot_be_opened_leaves_no_route(

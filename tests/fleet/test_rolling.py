@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -9,13 +10,14 @@ import pytest
 from tests.console.scripted import ScriptedEngine, refused
 from tests.support.fleet import ScriptedSource, fleet_of, robot, topics
 
+from rsb_bridge.api import NoAnswerError
+from rsb_bridge.model.commands import EditTopic
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
 from rsb_console.fleet.rolling import PATIENCE, RobotChange, Rollout, RolloutOutcome, report, said, way_back
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from concurrent.futures import Future
 
     from rsb_bridge.model.commands import Command, R
 
@@ -26,6 +28,30 @@ class RefusingEngine(ScriptedEngine):
     def do(self, command: Command[R], step: Any = None) -> Future[R]:
         super().do(command, step)
         return refused("no leave")
+
+
+class LosingEngine(ScriptedEngine):
+    """Loses the connection before its answer.
+
+    Args:
+        bed: where it is.
+        then: what has become of the command.
+    """
+
+    def __init__(self, bed: Bed, then: str) -> None:
+        super().__init__(routes=bed.source.engines["robot1"].now.routes)
+        self.bed, self.then = bed, then
+
+    def do(self, command: Command[R], step: Any = None) -> Future[R]:
+        assert isinstance(command, EditTopic)
+        if self.then == "done":
+            changed = (replace(each, spec=command.topic) for each in self.now.routes if each.key == command.key)
+            self.now = replace(self.now, routes=tuple(changed))
+        elif self.then == "unknown":
+            del self.bed.source.engines["robot1"]
+        lost: Future[R] = Future()
+        lost.set_exception(NoAnswerError("no answer: the connection ended"))
+        return lost
 
 
 class Bed:
@@ -195,6 +221,16 @@ def test_a_refusal_stops_it() -> None:
     assert (outcome.failed is not None, outcome.was_changed, outcome.why) == (True, False, "no leave")
     assert (outcome.changed, names(outcome.left)) == ([], ["robot2"])
     assert [*way_back(rollout, outcome)] == []
+
+
+@pytest.mark.parametrize(("then", "was_changed"), [("done", True), ("unknown", None), ("not done", False)])
+def test_a_robot_whose_answer_was_lost_is_asked_for_its_topic(then: str, was_changed: bool | None) -> None:
+    """The rollout's undo must not leave it out."""
+    bed = Bed("robot1", "robot2")
+    bed.source.engines["robot1"] = LosingEngine(bed, then)
+    _, outcome = bed.run("/camera", "max_rate=5")
+    assert (outcome.failed is not None, outcome.was_changed) == (True, was_changed)
+    assert (names(outcome.changed), names(outcome.left)) == ([] if was_changed is False else ["robot1"], ["robot2"])
 
 
 def test_a_topic_that_is_gone_meanwhile_stops_it() -> None:

@@ -479,6 +479,11 @@ def test_actions_and_outages_are_clean_text() -> None:
     assert len(outage.cause) < 600
 
 
+def test_a_recorder_that_was_never_started_answers() -> None:
+    """Its engine could not start, and its console shows the history all the same."""
+    assert World("/scan").recorder.history(60.0).result(10).name == "robot1"
+
+
 def test_a_question_that_fails_costs_no_other() -> None:
     recorder = World("/scan").recorder
     recorder.start()

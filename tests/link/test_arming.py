@@ -18,7 +18,7 @@ from rsb_bridge.link.link_arming import ArmingProblem
 from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import acting, on_console
-from rsb_bridge.model.commands import ArmTopic, AskHolder, TakeArming
+from rsb_bridge.model.commands import ArmTopic, AskHolder, DisarmTopic, TakeArming
 from rsb_bridge.model.demands import DemandSource
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import ArmedName as ArmedEntry
@@ -145,8 +145,14 @@ def test_a_message_from_before_it_was_armed_is_not_published(at: int, pair: Pair
     assert gate.check(GatedMessage(0, lease.number), 0.0) is None
 
 
-def command(side: Side, *, take: bool = False, ask: bool = False) -> asyncio.Task[None]:
-    """Have the bridge arm as `rsb-console arm` does, for a console; the other side hears nothing of it yet."""
+def command(
+    side: Side, *, take: bool = False, ask: bool = False, disarm: bool = False, own: bool = False, by: str = CONSOLE
+) -> asyncio.Task[None]:
+    """Have the bridge arm as `rsb-console arm` does, for a console; the other side hears nothing of it yet.
+
+    Args:
+        disarm: disarm instead.
+    """
 
     async def no_motions(_: set[str]) -> None:
         """Nobody drives by hand."""
@@ -158,8 +164,10 @@ def command(side: Side, *, take: bool = False, ask: bool = False) -> asyncio.Tas
     key = route(side).key
 
     async def give() -> None:
-        with acting("anna"), on_console(CONSOLE):
-            if ask:
+        with acting("anna"), on_console(by):
+            if disarm:
+                await commands.disarm(DisarmTopic(key, own))
+            elif ask:
                 await commands.ask(AskHolder(key))
             else:
                 await (commands.take(TakeArming(key)) if take else commands.arm(ArmTopic(key)))
@@ -203,8 +211,23 @@ def test_a_console_that_is_gone_before_the_topic_opens_arms_nothing(pair: Pair) 
     task = command(pc)
     pc.table.arming.gone(CONSOLE)
     let_time_pass(pair, 1.0)
-    assert ArmingProblem.CONSOLE_GONE(topic="/cmd_vel") in str(task.exception())
+    assert ArmingProblem.WITHDRAWN(topic="/cmd_vel") in str(task.exception())
     assert stands(*pair) == [False, False]
+
+
+@pytest.mark.parametrize(
+    ("by", "own", "arms"), [(CONSOLE, True, False), ("ben's", False, False), ("ben's", True, True)]
+)
+def test_what_is_disarmed_before_it_opens_is_not_armed_then(by: str, own: bool, arms: bool, pair: Pair) -> None:
+    """An operator leaves the screen on which they have armed it, or another one disarms it."""
+    pc = pair[1]
+    arm(pc).result()
+    pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
+    task = command(pc)
+    command(pc, disarm=True, own=own, by=by)
+    let_time_pass(pair, 1.0)
+    assert (task.exception() is None) == arms
+    assert stands(*pair) == [arms, arms]
 
 
 def test_a_console_that_is_gone_before_the_type_is_loaded_arms_nothing(
@@ -216,7 +239,7 @@ def test_a_console_that_is_gone_before_the_type_is_loaded_arms_nothing(
     pc.table.arming.gone(CONSOLE)
     loaded.set_result(None)
     let_time_pass(pair, 1.0)
-    assert ArmingProblem.CONSOLE_GONE(topic="/cmd_vel") in str(task.exception())
+    assert ArmingProblem.WITHDRAWN(topic="/cmd_vel") in str(task.exception())
     assert stands(*pair) == [False, False]
 
 
@@ -228,7 +251,7 @@ def test_a_console_that_is_gone_before_the_robot_stands_arms_nothing(pair: Pair)
     assert not task.done()
     pc.table.arming.gone(CONSOLE)
     let_time_pass(pair, 1.0)
-    assert ArmingProblem.CONSOLE_GONE(topic="/cmd_vel") in str(task.exception())
+    assert ArmingProblem.WITHDRAWN(topic="/cmd_vel") in str(task.exception())
     assert stands(*pair) == [False, False]
 
 
@@ -240,7 +263,7 @@ def test_a_console_that_is_gone_before_the_holder_answers_leaves_it_to_the_holde
     pc.table.arming.gone(CONSOLE)
     pc.table.questions.answer(route(pc), "ben's", gives=True)
     let_time_pass(pair, 1.0)
-    assert ArmingProblem.CONSOLE_GONE(topic="/cmd_vel") in str(task.exception())
+    assert ArmingProblem.WITHDRAWN(topic="/cmd_vel") in str(task.exception())
     assert (stands(*pair), route(pc).arming.console) == ([True, True], "ben's")
 
 

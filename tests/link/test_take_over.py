@@ -185,16 +185,34 @@ def test_both_sides_record_who_asked_and_how_it_ended(end: str, at: int, pair: P
 def test_an_answer_is_no_answer_to_another_question(pair: Pair) -> None:
     """One of the holder's own side was given it; of the other side, the holder does not know yet."""
     task = ask(pair[0])
-    pair[0].table.handle(AskEnded(route(pair[0]).id, "given", own=True))
+    pair[0].table.handle(AskEnded(route(pair[0]).id, 1, "given", own=True))
     turn(pair[0])
     assert not task.done()
+
+
+def test_an_answer_is_none_to_the_question_that_follows(pair: Pair) -> None:
+    """The holder, who did not know yet that the first is withdrawn, has not seen the second."""
+    ask(pair[0]).cancel()
+    turn(pair[0])
+    pair[1].table.questions.answer(route(pair[1]), CONSOLE, gives=True)
+    task = ask(pair[0], "third")
+    assert not task.done()
+    assert shown(pair[1]).asked_by
+
+
+def test_the_holder_sees_the_time_in_which_an_answer_still_comes(pair: Pair) -> None:
+    lease = route(pair[1]).arming.lease
+    assert lease is not None
+    lease.round_trip = 0.5
+    ask(pair[0])
+    assert shown(pair[1]).goes_in == pytest.approx(ASKED_FOR - 0.5, abs=0.1)
 
 
 def test_only_the_holders_side_answers(pair: Pair) -> None:
     """A peer cannot give what an operator of this side holds."""
     task = ask(pair[1])
     for own in (False, True):
-        pair[1].table.handle(AskEnded(route(pair[1]).id, "given", own=own))
+        pair[1].table.handle(AskEnded(route(pair[1]).id, 1, "given", own=own))
         turn(pair[0])
     assert not task.done()
 

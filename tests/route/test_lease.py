@@ -6,7 +6,7 @@ import pytest
 
 from rsb_bridge.ros.ros_interface import RawMessage
 from rsb_bridge.ros.ros_thread import LONGEST_WAIT, RosTurns
-from rsb_bridge.route.lease import BEAT, GIVEN_UP_AFTER, LASTS, SLOW, LeaseHalf, Marker, Standstill
+from rsb_bridge.route.lease import _FIRST_WITHIN, BEAT, GIVEN_UP_AFTER, LASTS, SLOW, LeaseHalf, Marker, Standstill
 
 EPSILON = 1e-6
 
@@ -140,6 +140,20 @@ def test_a_silent_other_side_ends_it(pair: Pair) -> None:
     pair.clock.now += BEAT
     pair.here.beat()
     assert pair.here.over is Standstill.PEER
+
+
+def test_one_that_does_not_begin_ends() -> None:
+    """The link became slow after the first answer. Once it no longer is, nobody may want it any more."""
+    pair = Pair()
+    pair.exchange()
+    pair.exchange()
+    sent: list[int] = []
+    for turn in range(round(_FIRST_WITHIN / BEAT) + 1):
+        pair.clock.now += BEAT
+        sent.append(pair.here.beat()[0])
+        if turn >= 8:  # 2 s
+            pair.here.hear(turn, sent[turn - 8])
+    assert (pair.here.begun, pair.here.over) == (False, Standstill.PEER)
 
 
 def test_a_link_with_a_long_round_trip_is_slow(pair: Pair) -> None:

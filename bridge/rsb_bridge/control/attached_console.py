@@ -22,7 +22,6 @@ from rsb_bridge.tasks import Tasks
 if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
-    from rsb_bridge.model.commands import AnyCommand
 
 _TICK = 0.25
 """s between two looks for news: an engine renews its snapshot no more often."""
@@ -47,6 +46,7 @@ class RequestRefused(Wording):
     ASKS_FIRST = "{reason}: ask the holder"
     ATTACHED_READ_ONLY = "attached read-only"
     LATE = "the command came too late: its way to the bridge, or this program, was held up; give it again"
+    WITHDRAWN = "this console has withdrawn it"
     TOO_MANY_WAITING = "{count} requests already wait for an answer: try again later"
 
 
@@ -146,6 +146,8 @@ class AttachedConsole:
         self._welcomed = False
         self._tasks = Tasks(self._loop, self.abort)
         self._requests = 0
+        self._cancellable: dict[int, asyncio.Future[Any]] = {}
+        """The engine's answers to these commands that are still to come, by the requests' ids."""
         self._tickets = TicketClock()
         self._has_armed = False
         self._born = self._taken_at = self._loop.time()
@@ -164,8 +166,9 @@ class AttachedConsole:
 
     def gone(self) -> None:
         """Take the end of the connection."""
-        # First: a command that its task has not begun yet would arm something after `doubted`.
         self._tasks.cancel()
+        for done in self._cancellable.values():
+            done.cancel()
         self.doubted()
 
     def doubted(self) -> None:
@@ -217,6 +220,9 @@ class AttachedConsole:
         elif isinstance(message, protocol.Watch):
             self._watching = True
             self._send_summary()
+        elif isinstance(message, protocol.Cancel):
+            if (done := self._cancellable.get(message.id)) is not None:
+                done.cancel()
         else:
             self._request(message)
 
@@ -253,17 +259,36 @@ class AttachedConsole:
             self._requests += 1
             # Before it is carried out: the console may go meanwhile, and `gone` has to know.
             self._has_armed |= isinstance(request.command, ArmTopic | AskHolder | TakeArming)
-            self._tasks.spawn(self._answer(request))
+            self._tasks.spawn(self._answer(request, self._begin(request)))
 
-    async def _answer(self, request: protocol.CommandRequest) -> None:
+    def _begin(self, request: protocol.CommandRequest) -> asyncio.Future[Any]:
+        """Give a command to the engine; not in a task, so that a `Cancel` that comes with it finds it."""
+        with acting(self._operator), undoing(request.undo), on_console(self):
+            done = asyncio.wrap_future(self._engine.do(request.command, lambda text: self._step(request.id, text)))
+        if isinstance(request.command, Stop):
+            self._served.stop_process()
+        done.add_done_callback(_look_at_error)
+        if request.command.cancellable:
+            self._cancellable[request.id] = done
+            done.add_done_callback(lambda _: self._cancellable.pop(request.id, None))
+        return done
+
+    async def _answer(self, request: protocol.CommandRequest, done: asyncio.Future[Any]) -> None:
         try:
-            with acting(self._operator), undoing(request.undo), on_console(self):
-                result = await self._execute(request.id, request.command)
-            reply: protocol.Reply | protocol.CommandFailed = protocol.reply(request.id, result)
-        except EngineError as error:
-            reply = protocol.CommandFailed(request.id, str(error), isinstance(error, InvalidRequestError))
+            await asyncio.wait((done,))  # if this console goes, the engine finishes most commands all the same
+            await asyncio.sleep(0)  # steps that the engine's thread told before the result are sent before it, too
         finally:
             self._requests -= 1
+        reply: protocol.Reply | protocol.CommandFailed
+        try:
+            reply = protocol.reply(request.id, done.result())
+        except EngineError as error:
+            reply = protocol.CommandFailed(request.id, str(error), isinstance(error, InvalidRequestError))
+        except asyncio.CancelledError:
+            reply = protocol.CommandFailed(request.id, RequestRefused.WITHDRAWN())
+        except Exception as error:  # noqa: BLE001 -- the end of the connection would disarm what this console holds
+            self._loop.call_exception_handler({"message": "a command failed", "exception": error})
+            reply = protocol.CommandFailed(request.id, f"internal error, please report it: {error}")
         if (
             request.command.right in (Right.CHANGE, Right.TAKE)
             and self._sender.sent is not None
@@ -271,16 +296,6 @@ class AttachedConsole:
         ):
             await self._send_state()  # before the reply: the operator wants to see the effect
         self.send(msgspec.structs.replace(reply, ticket=self._tickets.issue()))
-
-    async def _execute(self, request: int, command: AnyCommand) -> object:
-        done = asyncio.wrap_future(self._engine.do(command, lambda text: self._step(request, text)))
-        if isinstance(command, Stop):
-            self._served.stop_process()
-        done.add_done_callback(_look_at_error)
-        # The engine finishes most commands even if nobody waits for the result any more.
-        result = await (done if command.cancellable else asyncio.shield(done))
-        await asyncio.sleep(0)  # steps that the engine's thread told before the result are sent before it, too
-        return result
 
     def _step(self, request: int, text: str) -> None:
         """Tell a step of a restart; called on the engine's thread."""

@@ -190,6 +190,16 @@ class CommandRequest(_Message, frozen=True, tag="request"):
     ticket: int = 0
 
 
+class Cancel(_Message, frozen=True, tag="cancel"):
+    """Ends the work on a command, if that is `cancellable`: nobody waits for it any more. It is answered all the same.
+
+    Attributes:
+        id: of the command's request.
+    """
+
+    id: int
+
+
 class PollState(_Message, frozen=True, tag="look"):
     """Asks for the state as soon as it differs from the one sent last; answered once."""
 
@@ -208,7 +218,7 @@ class Watch(_Message, frozen=True, tag="watch"):
     """Asks for a `Summary` now and whenever it is another, for as long as the connection lasts."""
 
 
-ToBridge: TypeAlias = ConsoleHello | CommandRequest | PollState | FollowEvents | Watch
+ToBridge: TypeAlias = ConsoleHello | CommandRequest | Cancel | PollState | FollowEvents | Watch
 
 
 # --- from a bridge

@@ -10,10 +10,11 @@ import threading
 import time
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic
 
-from rsb_bridge.api import EngineApi, EngineError, InvalidRequestError
+from rsb_bridge.api import EngineApi, EngineError, InvalidRequestError, NoAnswerError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.cleaning import UntrustedMessages
 from rsb_bridge.control.connectors import UnixSocket
@@ -112,6 +113,7 @@ class RemoteEngine(EngineApi):
         self._followed = 0
         self._events_before = 0
         self._asked_at: float | None = None
+        self._heard_at = float("-inf")
         self._used_at = float("-inf")
         self._poll_is_due = False
 
@@ -135,7 +137,8 @@ class RemoteEngine(EngineApi):
     @property
     def _silent_for(self) -> float:
         asked = self._asked_at
-        return 0.0 if asked is None else time.monotonic() - asked
+        # A state may take longer over a thin line, but then parts of it come.
+        return 0.0 if asked is None else time.monotonic() - max(asked, self._heard_at)
 
     def start(self) -> None:
         self._loop = asyncio.new_event_loop()
@@ -249,6 +252,7 @@ class RemoteEngine(EngineApi):
                     data = await connection.read()
                 if not data:
                     return AttachProblem.ENDED()
+                self._heard_at = time.monotonic()
                 for message in frames.feed(data):
                     if self._untrusted is not None:
                         message = self._untrusted(message, time.monotonic())  # noqa: PLW2901 -- the same one, cleaned
@@ -355,6 +359,8 @@ class RemoteEngine(EngineApi):
         if waiting.is_old:
             waiting.fail(EngineError(RequestProblem.TOO_LATE()))
             return
+        if waiting.future.cancelled():
+            return
         if self._connection is None:
             waiting.fail(EngineError(f"not attached: {self._lost}"))
             return
@@ -368,6 +374,13 @@ class RemoteEngine(EngineApi):
             self._requests.receive(CommandFailed(request.id, RequestProblem.TOO_LONG(length=size)))
         else:
             self._send(request)
+            waiting.future.add_done_callback(partial(self._given_up, request.id))
+
+    def _given_up(self, request: int, future: Future[Any]) -> None:
+        """Tell the bridge that nobody waits for a command any more. Called on any thread."""
+        if future.cancelled():
+            with contextlib.suppress(RuntimeError):  # detached already
+                self._loop.call_soon_threadsafe(self._send, protocol.Cancel(request))
 
 
 @dataclass(frozen=True, slots=True)
@@ -451,4 +464,4 @@ class _Requests:
         """Fail all commands, because no reply will come."""
         failed, self._waiting = self._waiting, {}
         for waiting in failed.values():
-            waiting.fail(EngineError(f"no answer: {reason}"))
+            waiting.fail(NoAnswerError(f"no answer: {reason}"))

@@ -30,7 +30,7 @@ from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.streams import OpenNetworkTransport
 from rsb_bridge.wire.events import Admitted, Failed, OperatorOpened, RefusalCode, StreamRefused
 from rsb_bridge.wire.handshake import ReplayCache
-from rsb_bridge.wire.operator_connection import OperatorConsole, OperatorEngine
+from rsb_bridge.wire.operator_connection import RECORD_CONTENT, OperatorConsole, OperatorEngine
 from rsb_bridge.wire.preamble import Refusal
 from rsb_bridge.wire.sealed_stream import Credential
 
@@ -332,8 +332,9 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         return self._detached or self._transport.is_closing()
 
     def write(self, data: bytes) -> None:
-        """Seal and send."""
-        self._transport.write(self._machine.send(data))
+        """Seal and send, record by record: over Zenoh, nothing of a write comes there before all of it."""
+        for at in range(0, len(data), RECORD_CONTENT):
+            self._transport.write(self._machine.send(data[at : at + RECORD_CONTENT]))
 
     def close(self) -> None:
         """Close once what waits is sent."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import msgspec
 
-from rsb_bridge.api import EngineError, InvalidRequestError
+from rsb_bridge.api import EngineError, InvalidRequestError, Unable
 from rsb_bridge.config.client_entries import client_named, with_changed_client, with_client, without_client
 from rsb_bridge.config.difference import changes
 from rsb_bridge.config.keys import shared_key_problem
@@ -34,6 +34,7 @@ from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.model import commands
 from rsb_bridge.model.benchmark import Outcome, Usage
 from rsb_bridge.model.budgets import Backoff
+from rsb_bridge.model.by_hand import OLD_AFTER
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.command_origin import operator
@@ -322,7 +323,10 @@ class Bridge:
         act: Handler = (
             partial(self._restart, step) if isinstance(command, commands.Restart) else self.handlers[type(command)]
         )
+        given_at = self.context.now()
         async with self._changing if command.one_at_a_time else contextlib.nullcontext():
+            if command.expires and self.context.now() - given_at > OLD_AFTER:
+                raise EngineError(Unable.TOO_LATE())
             try:
                 return cast("R", await act(command))
             except FieldError as error:

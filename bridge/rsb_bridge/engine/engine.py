@@ -35,6 +35,7 @@ from rsb_bridge.ros.ros_thread import RosToLoopQueue
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 from rsb_bridge.transport.registry import Transports, transports_of
+from rsb_bridge.transport.threads import in_thread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Mapping
@@ -153,8 +154,23 @@ _RECORDED_WITHIN = 0.5
 """s for the recorder, and for its files, even if a hanging I/O thread has used up all: else the history lacks the end.
 A round figure."""
 
+_READ_WITHIN = 10.0
+"""s in which the session's files have to be read: so much longer, other changes wait at most. A round figure."""
+
 _logger = logging.getLogger(__name__)
 T = TypeVar("T")
+
+
+async def _read(work: Callable[[], T]) -> T:
+    """Read files on a thread; not on the loop's own, as a network folder may never answer.
+
+    Raises:
+        EngineError: they are not read in time.
+    """
+    try:
+        return await in_thread("rsb-read", work, _READ_WITHIN)
+    except TimeoutError:
+        raise EngineError(Unable.DISK_SILENT(seconds=_READ_WITHIN)) from None
 
 
 class Engine(EngineApi):
@@ -404,7 +420,7 @@ class Engine(EngineApi):
             raise EngineError(Unable.NOT_A_SERVER())
         # Others' key files may have changed, or be gone: that is for a reload to find.
         alone = msgspec.structs.replace(self._session, clients=(client,), operators=())
-        keys, _ = await asyncio.to_thread(load_keys, alone, self._folder())
+        keys, _ = await _read(lambda: load_keys(alone, self._folder()))
         self.access.check_link(keys)
         self.access.warn_of(keys, {})
         await command(client, keys[client.name])
@@ -417,9 +433,9 @@ class Engine(EngineApi):
         dry_run, who = command.dry_run, operator()
         try:
             # All files are read before anything changes, and no link waits for the disk.
-            path, session, left = await asyncio.to_thread(self._read_again)
-            places = await asyncio.to_thread(demand_places, path)
-            keys, granted = await asyncio.to_thread(load_keys, session, path.parent)
+            path, session, left = await _read(self._read_again)
+            places = await _read(lambda: demand_places(path))
+            keys, granted = await _read(lambda: load_keys(session, path.parent))
         except EngineError as error:
             if not dry_run:
                 text = f"not reloaded, nothing is changed: {str(error).replace(chr(10), '; ')}"

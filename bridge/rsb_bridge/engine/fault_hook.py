@@ -339,11 +339,11 @@ class _Runner:
             )
         except OSError as error:
             return program_problem(self._command[0], self._base) or f"{error.strerror}: does it begin with #!/bin/sh?"
-        with process:
-            assert process.stdin is not None
+        assert process.stdin is not None
+        assert process.stdout is not None
+        with process.stdout:
             with contextlib.suppress(OSError), process.stdin:  # does not block: a pipe holds more
                 process.stdin.write(report)
-            assert process.stdout is not None
             output = _Output(process.stdout.fileno())
             began, was_late = self._clock.steady(), False
             while not _has_exited(process):
@@ -357,6 +357,10 @@ class _Runner:
                 self._wait(_LOOK_EVERY)
             _signal_group(process, signal.SIGKILL)  # the command's children
             output.read()
+        try:
+            process.wait(_ENDS_WITHIN)
+        except subprocess.TimeoutExpired:  # not even SIGKILL ends one that waits for a disk
+            return "cannot be ended: it waits for a disk or a network folder"
         if output.kept and not self._ends:
             self._events.add(Level.DEBUG, EventCode.ENGINE_ON_FAULT, f"on_fault: {output.text}")
         if self._ends:

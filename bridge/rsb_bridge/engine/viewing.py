@@ -62,7 +62,7 @@ class _View:
             self.link.views.close_view(self.peer_view)
         if self.own is not None:
             self.own.close()
-        self.task = self.link = self.peer_view = self.own = self.newest = None
+        self.place = self.task = self.link = self.peer_view = self.own = self.newest = None
         self.news.clear()
 
 
@@ -110,8 +110,8 @@ class Viewing:
         place = command.link, command.topics
         if view.place != place:
             view.close()
-            view.place = place
             await self._open(view, command)
+            view.place = place  # not before: its console may be gone while it is opened, and ask again
         if view.peer_view is not None:
             assert view.link is not None
             topics = tuple(_there(view.link, topic) for topic in command.topics)

@@ -110,7 +110,7 @@ class Recorder:
         self._observed = self._axis.now
         self._followed = 0
         self._work: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._ending = threading.Lock()
+        self._asking = threading.Lock()
         self._has_ended = False
         self._thread = threading.Thread(target=self._run, name="rsb-history", daemon=True)
 
@@ -118,7 +118,8 @@ class Recorder:
 
     def start(self) -> None:
         """Begin to watch."""
-        self._thread.start()
+        with self._asking:
+            self._thread.start()
 
     def stop(self, timeout: float) -> None:
         """Take note of how everything is at the end, and watch no more."""
@@ -131,7 +132,7 @@ class Recorder:
         return self.ask(lambda: self.report(min(seconds, KEPT_FOR)))
 
     def ask(self, question: Callable[[], T]) -> Future[T]:
-        """Have a method of this called on its thread; on the calling one, when that has ended.
+        """Have a method of this called on its thread; on the calling one, while that does not run.
 
         Args:
             question: the method; an exception of it becomes the future's.
@@ -149,11 +150,11 @@ class Recorder:
                 answer.set_result(result)
 
         # Without the lock, a question could come after the thread's last look at the queue, and never be answered.
-        with self._ending:
-            if not self._has_ended:
+        with self._asking:
+            if self._thread.ident is None or self._has_ended:
+                work()
+            else:
                 self._work.put(work)
-                return answer
-        work()
         return answer
 
     # --- on the thread
@@ -162,7 +163,7 @@ class Recorder:
         try:
             self._watch()
         finally:  # after an error of `_watch`, too: nobody may wait for an answer of a thread that has ended
-            with self._ending:
+            with self._asking:
                 while not self._work.empty():
                     if (work := self._work.get()) is not None:
                         work()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -88,6 +89,7 @@ class HolderQuestions:
         self._peer_operators = peer_operators
         self._budget = TokenBucket(_AT_ONCE, _A_SECOND, context.now())
         self._askers: list[_Asker] = []
+        self._numbers = itertools.count(1)
 
     async def ask(self, route: Route, console: Hashable) -> None:
         """Ask a route's holder for a console; return once this console may arm the route, after a disarm if need be.
@@ -107,9 +109,10 @@ class HolderQuestions:
             raise LinkError(TakeOverText.ASKED_ALREADY(who=before.who, topic=topic))
         holder = arming.by
         now, answer = self._context.now(), self._context.loop.create_future()
-        question, asker = Question(acting_operator(), now + ASKED_FOR, answer.set_result), _Asker(console, now)
+        question = Question(acting_operator(), next(self._numbers), now + ASKED_FOR, answer.set_result)
+        asker = _Asker(console, now)
         self._begin(route, question)
-        self._peer.send(AskForArming(route.id, question.who))
+        self._peer.send(AskForArming(route.id, question.number, question.who))
         self._askers.append(asker)
         try:
             await self._answered(answer, asker, question.until)
@@ -161,11 +164,13 @@ class HolderQuestions:
                     return  # it has just been disarmed, as that side will hear
                 if arming.question_at(now) is None and self._budget.take(1, now):
                     who = self._peer_operators.says(message.who)
-                    self._begin(route, Question(who, now + ASKED_FOR, _ignored, from_peer=True))
+                    # The asker's side counts from when it sent this to when it has the answer.
+                    until = now + ASKED_FOR - (arming.lease.round_trip if arming.lease is not None else 0.0)
+                    self._begin(route, Question(who, message.number, until, _ignored, from_peer=True))
                 elif is_here:  # the side of the holder answers, and the other one only shows the question
-                    self._peer.send(AskEnded(route.id, "kept"))
+                    self._peer.send(AskEnded(route.id, message.number, "kept"))
             case AskEnded():
-                if question is None or question.from_peer is not message.own:
+                if question is None or (question.from_peer, question.number) != (message.own, message.number):
                     return  # it has ended otherwise, or was not to be heard
                 # The peer answers for holders of its own only: it must not give away an arming of this side.
                 if message.how in _BY_HOLDER and not is_here:
@@ -193,7 +198,7 @@ class HolderQuestions:
         """End a question on both sides, as an operator of this side has it, if it is still open."""
         if route.arming.question is question:
             self._record_end(route, question, how)
-            self._peer.send(AskEnded(route.id, how, own=not question.from_peer))
+            self._peer.send(AskEnded(route.id, question.number, how, own=not question.from_peer))
 
     def _record_end(self, route: Route, question: Question, how: HowAsked) -> None:
         code, text = (_BY_HOLDER | _BY_ASKER)[how]

@@ -54,18 +54,18 @@ class ArmingProblem(Wording):
         f"the other side has not opened it within {ANSWERED_WITHIN:g} s: look at the link with `rsb-console status`, "
         "and try again"
     )
-    CONSOLE_GONE = "{topic} is not armed: the console that asked for it is gone"
+    WITHDRAWN = "{topic} is not armed: it was disarmed meanwhile, or the console that asked for it is gone"
 
 
 class WaitingCommand:
     """A console's command that takes a while before it arms a route.
 
     Attributes:
-        withdrawn: whether the console is gone: nobody would hold the arming.
+        withdrawn: whether it is to arm nothing: the console is gone, or the route was disarmed meanwhile.
     """
 
-    def __init__(self, console: Hashable) -> None:
-        self.console = console
+    def __init__(self, key: str, console: Hashable) -> None:
+        self.key, self.console = key, console
         self.withdrawn = False
 
 
@@ -326,19 +326,24 @@ class LinkArming:
 
     @contextmanager
     def waiting(self, route: Route, console: Hashable) -> Iterator[WaitingCommand]:
-        """Have a console's command, which is to arm a route, withdrawn if the console goes meanwhile.
+        """Have a console's command, which is to arm a route, withdrawn if the console goes meanwhile, or disarms it.
 
         Raises:
             LinkError: at the end, if it was withdrawn.
         """
-        command = WaitingCommand(console)
+        command = WaitingCommand(route.key, console)
         self._waiting.append(command)
         try:
             yield command
         finally:
             self._waiting.remove(command)
         if command.withdrawn:
-            raise LinkError(ArmingProblem.CONSOLE_GONE(topic=route.local_topic))
+            raise LinkError(ArmingProblem.WITHDRAWN(topic=route.local_topic))
+
+    def withdraw(self, route: Route, console: Hashable | None) -> None:
+        """Withdraw the waiting commands for a route, of one console or, with None, of all."""
+        for command in self._waiting:
+            command.withdrawn |= command.key == route.key and console in (None, command.console)
 
     async def until_open(self, route: Route, command: WaitingCommand) -> None:
         """Wait until a route is open that was disarmed, or is being set up, so that it can be armed; not for long."""

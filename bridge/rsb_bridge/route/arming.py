@@ -92,12 +92,14 @@ class Question:
 
     Attributes:
         who: asks, in words.
+        number: among those of the asker's side.
         until: s, when it goes over without an answer.
         answered: takes the answer, or None once the arming has ended otherwise.
         from_peer: whether an operator of the other side asks.
     """
 
     who: str
+    number: int
     until: float
     answered: Callable[[bool | None], None]
     from_peer: bool = False

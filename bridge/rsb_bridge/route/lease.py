@@ -60,6 +60,7 @@ class LeaseHalf:
     Attributes:
         number: the newest that this side has sent.
         over: place where nothing moved, or None; the lease stays dead until `begin`.
+        round_trip: s from the newest number that was answered to its answer.
     """
 
     def __init__(self, steady: Callable[[], float], turns: RosTurns, ended: Callable[[], None]) -> None:
@@ -76,7 +77,7 @@ class LeaseHalf:
         self._first_answer = 0  # the first number since `begin` that carried one of the other side's, or 0
         self._acknowledged = 0  # the newest number that the other side has heard
         self._confirmed = float("-inf")  # when that was sent
-        self._round_trip = 0.0
+        self.round_trip = 0.0
         self._heard: tuple[tuple[int, float], ...] = ()  # numbers of the other side, and when; replaced, never changed
 
     # --- on and off
@@ -129,8 +130,8 @@ class LeaseHalf:
             self._heard = (*self._heard[1 - _KEPT :], (number, now))
         sent = self._sent.get(echo)
         if sent is not None and echo > self._acknowledged:
-            self._acknowledged, self._confirmed, self._round_trip = echo, sent, now - sent
-            in_time = self._round_trip <= LASTS
+            self._acknowledged, self._confirmed, self.round_trip = echo, sent, now - sent
+            in_time = self.round_trip <= LASTS
             self._answered = self._answered or in_time
             self._begun = self._begun or (in_time and 0 < self._first_answer <= echo)
 
@@ -163,7 +164,7 @@ class LeaseHalf:
     @property
     def slow(self) -> bool:
         """Whether the last answer took too long for messages to arrive in time."""
-        return not self.alive or self._round_trip > SLOW
+        return not self.alive or self.round_trip > SLOW
 
     def passes(self, number: int) -> bool:
         """Whether a message with this number of this side may be published now."""
@@ -189,7 +190,9 @@ class LeaseHalf:
             self.over = Standstill.LOOP
         elif now - self._turns.at > LASTS:
             self.over = Standstill.ROS_THREAD
-        elif now - self._confirmed > GIVEN_UP_AFTER and (self._answered or now - self._began > _FIRST_WITHIN):
+        elif (self._answered and now - self._confirmed > GIVEN_UP_AFTER) or (
+            not self._begun and now - self._began > _FIRST_WITHIN
+        ):
             self.over = Standstill.PEER
         else:
             return

@@ -486,10 +486,12 @@ class AskForArming(ControlMessageBase, frozen=True):
     """Either side: an operator asks the holder, an operator of either side, for the arming of a route.
 
     Attributes:
+        number: of this question among its sender's.
         who: the operator who asks, in words.
     """
 
     route: RouteId
+    number: Count
     who: Name = ""
 
 
@@ -500,12 +502,14 @@ class AskEnded(ControlMessageBase, frozen=True):
     """Either side: a question for the arming of a route is over. The asker's side disarms it, then arms it.
 
     Attributes:
+        number: of the question.
         how: the holder keeps or gives it, as the holder's side says, or has not answered in time; or the operator who
             asked is gone, as that one's side says.
         own: whether an operator of the side that sends this had asked.
     """
 
     route: RouteId
+    number: Count
     how: HowAsked
     own: bool = False
 

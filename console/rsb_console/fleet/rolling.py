@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.api import EngineError, NoAnswerError
 from rsb_bridge.config.difference import changes
 from rsb_console.session.draft import TypedError, suggestion, typed_topic, values_of
 
@@ -90,20 +90,21 @@ class RolloutOutcome:
         done: robots that are changed and as well as before.
         failed: the robot at which it stopped, or None.
         why: reason why it stopped.
-        was_changed: whether that robot has the change.
+        was_changed: whether that robot has the change, or None if it may have it.
         left: robots that are not changed yet.
     """
 
     done: list[RobotChange] = field(default_factory=list)
     failed: RobotChange | None = None
     why: str = ""
-    was_changed: bool = False
+    was_changed: bool | None = False
     left: list[RobotChange] = field(default_factory=list)
 
     @property
     def changed(self) -> list[RobotChange]:
-        """The robots that have the change, the last one first."""
-        return [*([self.failed] if self.failed is not None and self.was_changed else []), *reversed(self.done)]
+        """The robots that have the change, or may have it, the last one first."""
+        failed = [self.failed] if self.failed is not None and self.was_changed is not False else []
+        return [*failed, *reversed(self.done)]
 
 
 class Rollout:
@@ -185,6 +186,8 @@ class Rollout:
                 self._apply(step, step.new)
             except (EngineError, TimeoutError) as error:
                 outcome.failed, outcome.why, outcome.left = step, str(error) or "the bridge does not answer", left
+                if isinstance(error, NoAnswerError | TimeoutError):
+                    outcome.was_changed = self._has_changed(step)
                 break
             tell(step, "settling")
             if why := self._worse(step, before):
@@ -194,6 +197,13 @@ class Rollout:
             outcome.done.append(step)
             tell(step, "done")
         return outcome
+
+    def _has_changed(self, step: RobotChange) -> bool | None:
+        """Return whether a robot has its change, or None if it does not answer."""
+        try:
+            return any(each.route.spec == step.new for each in bridged_by(step.robot))
+        except EngineError:
+            return None
 
     def undo(self, outcome: RolloutOutcome, tell: Callable[[RobotChange, str], None]) -> list[tuple[RobotChange, str]]:
         """Restore the previous settings, the last robot first. Return the robots that failed, with the reasons."""
@@ -269,8 +279,9 @@ def said(step: RobotChange) -> str:
 def report(rollout: Rollout, outcome: RolloutOutcome) -> Iterator[str]:
     """Report where and why a change stopped, and the robots with and without it."""
     if outcome.failed is not None:
-        has_it = f"it has {' '.join(rollout.keys)}" if outcome.was_changed else "it is as it was"
-        yield f"stopped at {outcome.failed.name}: {outcome.why} ({has_it})"
+        has_it = {True: "it has", None: "it may have"}.get(outcome.was_changed)
+        its_state = f"{has_it} {' '.join(rollout.keys)}" if has_it else "it is as it was"
+        yield f"stopped at {outcome.failed.name}: {outcome.why} ({its_state})"
     else:
         yield f"stopped: {outcome.why}"
     yield f"done: {names_of(outcome.done) or 'none'}"

@@ -428,12 +428,10 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         """Disarm what this screen has armed, and ask no longer: nobody watches it any more."""
         if self._asking is not None:
             self._asking.cancel()
-        route, engine = self._current(), self.console.engine
-        # A topic that A has armed on the list of topics stays armed.
-        if not self._has_armed or engine is None or route is None or route.arming is None:
-            return
-        if route.arming.here and route.arming.armed:
-            engine.disarm(route.key, own=True)
+        engine = self.console.engine
+        # Whatever is shown: the arming may be under way. A topic that A has armed on the list of topics stays armed.
+        if self._has_armed and engine is not None:
+            engine.disarm(self._route.key, own=True)
 
     # -- the picture --------------------------------------------------------------------------------------------------
 

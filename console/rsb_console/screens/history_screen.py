@@ -179,12 +179,17 @@ class HistoryScreen(ModalScreen[None]):
         yield Dialog("What happened", *widgets, keys=HELP, shape="-history")
 
     def on_mount(self) -> None:
-        self.set_interval(_RENEWED_EVERY, self._ask)
+        self.set_interval(_RENEWED_EVERY, self.renew)
         self._ask()
+
+    def renew(self) -> None:
+        """Ask again, unless the answer is still on its way, perhaps over a thin line."""
+        if self._fetching.is_finished:
+            self._ask()
 
     def _ask(self) -> None:
         # Exclusive: an answer about the span before must not come behind the one about the present span.
-        self.run_worker(self._fetch(), exclusive=True, group="history")
+        self._fetching = self.run_worker(self._fetch(), exclusive=True, group="history")
 
     async def _fetch(self) -> None:
         """Request the report from the engine, which may run in another process."""

@@ -12,6 +12,7 @@ from tests.fuzz.parser import Parser
 from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import (
     BridgeInfo,
+    Cancel,
     CommandFailed,
     CommandRequest,
     ConsoleHello,
@@ -77,6 +78,7 @@ _TO_BRIDGE = (
     CommandRequest(3, Restart()),
     CommandRequest(4, Topics()),
     CommandRequest(5, History(3600.0)),
+    Cancel(5),
     PollState(),
     FollowEvents(7),
     Watch(),
