@@ -149,11 +149,12 @@ def read_events(path: Path, since: float) -> Iterator[Event]:
 
 
 def last_key(events: Iterable[Event], link: str, fingerprints: Collection[str]) -> Event | None:
-    """Return the newest event about a client's use of a key with one of these fingerprints, or None."""
-    used = (
-        each for each in events if (each.code, each.link) == (EventCode.KEY_USED, link) and each.new in fingerprints
-    )
-    return max(used, key=lambda each: each.time, default=None)
+    """Return the last event of a log about a client's use of a key with one of these fingerprints, or None."""
+    last = None
+    for each in events:  # in their order, as a clock that is set back dates later events earlier
+        if (each.code, each.link) == (EventCode.KEY_USED, link) and each.new in fingerprints:
+            last = each
+    return last
 
 
 def _is_dated(event: Event) -> bool:

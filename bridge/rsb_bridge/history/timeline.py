@@ -156,7 +156,8 @@ class Timeline:
         for record in [each for each in self._records.values() if each.live and each.turn != self._turn]:
             self.changes += record.is_out
             record.cut(now, self._link_of(record), cut_off=False)
-        if now - self._tidied >= _TIDIED_EVERY:
+        # Before the clock was set back, it may have been years ahead.
+        if not 0.0 <= now - self._tidied < _TIDIED_EVERY:
             self._tidy(now)
 
     def _observe(
