@@ -118,6 +118,11 @@ class Saved(msgspec.Struct, frozen=True):
     actions: tuple[Event, ...]
 
 
+def is_from_the_future(saved: Saved, wall: float) -> bool:
+    """Whether a clock (s since the epoch) is days behind what was saved, so that one of the two was wrong."""
+    return saved.time - wall > KEPT_FOR
+
+
 class Timeline:
     """Remembers outages, rates and operators' actions. All times are on one `ClockAxis`.
 
