@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -215,26 +216,15 @@ def test_a_topic_cannot_be_called_nor_what_nobody_serves_nor_what_is_gone(bridge
 def test_a_call_of_a_type_that_is_not_installed_is_refused_in_words(
     bridge: Bridge, lamp: Lamp, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from rsb_bridge.ros.native import typesupport
-
     server, client = bridge.both(called("/set"))
     ready(client, "/set")
 
-    def forget() -> None:
-        for find in (typesupport.installed_class, typesupport.installed_service):
-            find.cache_clear()
-
-    try:
-        with monkeypatch.context() as patch:
-            replaced.IS_INTERFACE_PACKAGE.set(patch, lambda package: package != "std_srvs")
-            forget()  # only now: the engines' threads look types up, too
-            for engine in (server, client):
-                with pytest.raises(
-                    EngineError, match=r"std_srvs/srv/SetBool is not installed here.*ros-[a-z]+-std-srvs"
-                ):
-                    by_hand(engine, "/set", "data: true").result(60)
-    finally:
-        forget()
+    replaced.IS_INTERFACE_PACKAGE.set(monkeypatch, lambda package: package != "std_srvs")
+    replaced.LOOKS_FOR_TYPES.set(monkeypatch, SimpleNamespace(monotonic=lambda: -1.0))
+    replaced.FOUND_TYPES.set(monkeypatch, {})  # last: the engines' threads look types up, too
+    for engine in (server, client):
+        with pytest.raises(EngineError, match=r"std_srvs/srv/SetBool is not installed here.*ros-[a-z]+-std-srvs"):
+            by_hand(engine, "/set", "data: true").result(60)
     assert lamp.was == []
 
 

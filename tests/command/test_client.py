@@ -251,13 +251,13 @@ def test_a_finish_knows_from_the_servers_log_which_key_was_used_last(
     for number, key in enumerate(used):
         which, _, of = key.partition(" of ")
         event = Event(
-            number + 1, 1e9 + number, Level.INFO, EventCode.KEY_USED, "linked", of or "robot1", new=marks[which]
-        )
+            number + 1, 1e9 - number, Level.INFO, EventCode.KEY_USED, "linked", of or "robot1", new=marks[which]
+        )  # the clock is set back in between
         log.write([event])
     log.close()
     ran = run("rekey", "robot1", str(path), "--finish", "--json")
     assert (ran.code, path.read_text() == TEXT) == (code, code == 0)
-    assert says(ran.err, ClientEffect.USED, name="robot1", when=clock(1e9 + 1)) is (code == 0)
+    assert says(ran.err, ClientEffect.USED, name="robot1", when=clock(1e9 - 1)) is (code == 0)
 
 
 def test_a_finish_that_was_cut_off_is_done_again(path: Path, run: Run) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from typing import TYPE_CHECKING
 
 import pytest
 from tests.support import constants
 from tests.support.bridge import carries, find, happened, heard, link, linked, now
 from tests.support.domain import text
+from tests.support.inside import inside
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
@@ -135,11 +138,13 @@ def test_clients_that_share_a_key_are_refused_unless_it_is_meant(bridge: Bridge)
     bridge.server(clients=both, shared_keys=True)
 
 
-def test_the_log_says_who_came_and_went(bridge: Bridge) -> None:
+def test_the_log_says_who_came_and_went_and_nothing_else_is_kept_of_them(bridge: Bridge) -> None:
     server = bridge.server()
     bridge.make_key("robot2")
     server.add_client(ROBOT2).result(60)
+    kept = [weakref.ref(each) for each in inside(server).links() if each.name == "robot2"]
     server.remove_client("robot2").result(60)
+    eventually(lambda: gc.collect() >= 0 and [each() for each in kept] == [None])
     assert happened(server, EventCode.OPERATOR_CLIENTS, "client robot2: added")
     assert happened(server, EventCode.OPERATOR_CLIENTS, "client robot2: removed")
 

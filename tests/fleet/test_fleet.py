@@ -76,6 +76,22 @@ def test_memory_is_bounded_and_keeps_the_newest(tmp_path: Path) -> None:
     assert kept.get("control", "robot5") is not None
 
 
+def test_consoles_share_a_memory(tmp_path: Path) -> None:
+    first, second = (Memory(tmp_path / "fleet.json") for _ in range(2))
+    for number in range(3):
+        first.saw(Remembered("control", f"robot{number}", float(number)))
+    first.save()
+    second.save()
+    second.forget("control", "robot0")
+    second.forget("control", "robot2")
+    second.saw(Remembered("control", "robot3", 3.0))
+    second.save()
+    first.saw(Remembered("control", "robot2", 4.0))  # it is there all the same
+    first.save()
+    assert [each.name for each in first.all()] == ["robot1", "robot3", "robot2"]
+    assert Memory(tmp_path / "fleet.json").all() == first.all()
+
+
 @pytest.mark.parametrize("content", ["", "{", '{"a": 1}', '[{"source": "control"}]', "\udcff", "[" * 5000])
 def test_a_damaged_memory_is_empty(tmp_path: Path, content: str) -> None:
     path = tmp_path / "fleet.json"
@@ -144,6 +160,7 @@ def test_a_server_is_no_robot() -> None:
     assert [each.key for each in fleet.chosen(["control"])] == ["control/control"]
     source.given = []
     assert len(fleet.chosen([], everyone=True, gone=True)) == 2, "both are forgotten"
+    assert [each.is_server for each in fleet.robots()] == [True, False]
 
 
 def test_one_that_has_gone_is_meant_only_where_it_is_asked_for() -> None:

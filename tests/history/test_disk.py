@@ -259,6 +259,28 @@ def test_a_bad_file_is_set_aside_with_a_warning(tmp_path: Path, content: bytes, 
     assert history_files.read_history(path).name == "robot1", "a new one is there already"
 
 
+@pytest.mark.parametrize("within", [60, 6000])
+def test_a_clock_that_is_days_behind_at_the_start_is_waited_for(tmp_path: Path, within: int) -> None:
+    world = World("/scan")
+    world.put("/scan", State.DOWN, "no publisher")
+    world.go(100)
+    disk = disk_of(world, tmp_path)
+    disk.turn()
+    crash(disk)
+    world.clock.wall -= 1e8  # as on a machine without a battery
+    world = World("/scan", clock=world.clock)
+    disk = disk_of(world, tmp_path)
+    disk.turn()
+    world.go(within)
+    disk.turn()
+    world.clock.wall += 1e8
+    disk.turn()
+    world.go(10)
+    assert len(world.outages(within + 200)) == (within == 60)
+    assert (tmp_path / "robot1.history.bad").exists() == (within != 60)
+    assert codes(world).count(EventCode.ENGINE_CLOCK_SET) == 1
+
+
 def test_a_torn_file_is_noticed(tmp_path: Path) -> None:
     world = World("/scan")
     world.go(3000)

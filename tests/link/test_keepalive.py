@@ -91,12 +91,14 @@ def test_a_profile_s_patience(loop: VirtualLoop, context: Context) -> None:
     assert silent == [pytest.approx(began + 15.0)]
 
 
-def test_how_long_a_ping_takes(loop: VirtualLoop, context: Context) -> None:
-    """The last answer's time, or how long the oldest ping has waited for one."""
-    keepalive = Keepalive(context, list)
+@pytest.mark.parametrize("step", [0, -5])
+def test_how_long_a_ping_takes(step: int, loop: VirtualLoop, context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last answer's time, or how long the oldest ping has waited for one, though a clock is set meanwhile."""
+    keepalive, wall = Keepalive(context, list), context.clock.time_ns
     assert keepalive.round_trip is None
     ping = keepalive.tick()
     wait(loop, 0.3)
+    monkeypatch.setattr(context.clock, "time_ns", lambda: wall() + step * 10**9)
     keepalive.answered(Pong(n=ping.n, sent=ping.sent, received=ping.sent, answered=ping.sent))
     assert keepalive.round_trip == pytest.approx(0.3, abs=0.01)
     for _ in range(3):

@@ -133,6 +133,14 @@ def test_what_a_full_link_loses_is_not_the_path() -> None:
     assert set(path.told) == {None}
 
 
+def test_a_path_that_became_longer_shows_its_losses_again() -> None:
+    path = Path()
+    path.pass_(10)
+    path.pass_(4200, rate=0, ping=PING + 0.04)
+    path.pass_(30, loss=0.3, ping=PING + 0.04)
+    assert path.cause is LinkCause.LOSSY
+
+
 def test_a_lossy_path_that_fills_up_stays_lossy_for_a_while() -> None:
     path = Path()
     path.pass_(10, loss=0.3)

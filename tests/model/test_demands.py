@@ -306,6 +306,20 @@ def test_the_line_is_named() -> None:
     assert client(CMD).of("topic", "/cmd") == Demand(DEADMAN, 1.0, (one,))
 
 
+def test_who_added_an_entry_is_forgotten_with_its_demand() -> None:
+    running = Running()
+    with running.demands.changing("anna"):
+        running.edit(CMD)
+    (added,) = running.demands.sources
+    assert running.demands.origin(added) == OriginText.ADDED(who="anna")
+    with running.demands.changing("anna"):
+        running.drop("/cmd")
+        running.edit()
+    running.edit(CMD)
+    assert running.demands.sources == (added,)
+    assert running.demands.origin(added) == OriginText.THIS_SESSION()
+
+
 def test_a_change_costs_a_server_of_many_robots_little() -> None:
     """A server of 60 robots stood still for 0.9 s whenever a route went."""
     demands = RunningDemands(lambda: (), lambda _: None, lambda: None, lambda *_: None, lambda *_: None)

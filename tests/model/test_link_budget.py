@@ -135,6 +135,7 @@ def test_what_is_measured_gives_way_once_it_is_old() -> None:
     assert newer(full, more) is more
     assert newer(full, Capacity(5e5, CapacitySource.SEEN, 101.0 + LASTS)).source == CapacitySource.SEEN
     assert newer(more, full) is full
+    assert newer(Capacity(1e6, CapacitySource.FULL, 201.0 + LASTS), less) is less, "the clock was set back"
 
 
 def test_throughput() -> None:

@@ -5,12 +5,18 @@ from __future__ import annotations
 import importlib
 import subprocess
 import sys
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 import pytest
+from tests.support import replaced
 from tests.support.wording import pattern
 
 from rsb_bridge.model.names import SHORT_NAMES, TypeNameProblem, expand_type_name
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 COMMON_INTERFACES = [
     "actionlib_msgs",
@@ -81,6 +87,20 @@ def test_unknown_names_are_not_installed() -> None:
     assert installed_class("std_msgs/msg/NoSuch") is None
     assert installed_class("std_msgs/srv/String") is None
     assert installed_class("std_srvs/msg/Trigger") is None  # a package without messages
+
+
+def test_a_type_that_is_installed_later_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    replaced.LOOKS_FOR_TYPES.set(monkeypatch, SimpleNamespace(monotonic=lambda: now[0]))
+    assert installed_class("later_msgs/msg/Name") is None
+    folder = tmp_path / "later_msgs"
+    (folder / "msg").mkdir(parents=True)
+    (folder / "later_msgs_s__rosidl_typesupport_c.so").touch()
+    (folder / "msg" / "__init__.py").write_text("class Name:\n    get_fields_and_field_types = None\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert installed_class("later_msgs/msg/Name") is None, "not for each topic that waits for it"
+    now[0] = 20.0
+    assert installed_class("later_msgs/msg/Name") is not None
 
 
 def test_nothing_but_a_started_node_imports_rclpy_and_no_type_the_generator_of_its_code() -> None:

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.route.test_loop_filter import FIRST, world
+from tests.route.test_missed_while_down import reopen
 from tests.support.offline import FakePeer
 
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.ros.ros_interface import RawMessage
+from rsb_bridge.ros.ros_interface import RawMessage, Request
 from rsb_bridge.route.age import MessageAge
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from tests.route.test_loop_filter import World
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
 
+__all__ = ["world"]
 S = 1_000_000_000
 
 
@@ -100,6 +105,44 @@ def test_many_expired_messages_make_a_topic_late(make_context: Callable[..., Con
     for second in range(22, 33):
         age.tick(100 * second, float(second))
     assert age.late() is None
+
+
+@pytest.mark.parametrize("world", [{"max_age": 0.5}], indirect=True)
+def test_a_publisher_whose_clock_lags_is_known_again_after_this_one_was_set(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wall, step = world.context.clock.time_ns, 0
+    monkeypatch.setattr(world.context.clock, "time_ns", lambda: wall() + step)
+
+    def passes() -> bool:
+        world.wait(1.0)
+        before, now = len(world.sent), world.context.wall_ns()
+        world.path.offer([RawMessage(b"x", now, FIRST, source=now - 3 * S)])
+        world.route.tick()
+        return len(world.sent) > before
+
+    assert passes()
+    step = 60_000_000
+    for _ in range(30):
+        assert not passes()
+        if not world.route.id:
+            break
+    reopen(world)
+    assert passes()
+    assert passes()
+
+
+def test_a_request_from_before_the_clock_was_set_says_nothing_of_its_caller(
+    make_context: Callable[..., Context], loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context = make_context()
+    age, _ = age_of(context)
+    wall = context.clock.time_ns
+    before = wall()
+    monkeypatch.setattr(context.clock, "time_ns", lambda: wall() - 3600 * S)
+    assert age.aged(Request(b"", b"caller", context.wall_ns(), source=before)).stamp == 0
+    loop.run_until_complete(asyncio.sleep(11.0))
+    assert age.aged(Request(b"", b"caller", context.wall_ns(), source=context.wall_ns())).stamp > 0
 
 
 def test_no_stamp_is_below_0_whatever_a_clock_is_set_to(

@@ -217,3 +217,10 @@ def test_what_cannot_be_a_delay_is_no_report(mistake: float) -> None:
     assert delays.tick(0.0, 0.05, 2.0) == 0.2
     assert delays.least == pytest.approx(0.15)
     assert delays.longer == 0.0
+
+
+def test_a_path_that_became_longer_is_no_queue() -> None:
+    delays = SendersDelay()
+    for seconds, now, longer in ((0.2, 1.0, 0.0), (0.6, 2.0, 0.4), (0.6, 4000.0, 0.0)):
+        delays.receive(seconds, 0.0, now)
+        assert delays.longer == pytest.approx(longer)

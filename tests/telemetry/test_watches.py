@@ -142,6 +142,10 @@ def test_after_a_pause_only_a_longer_one_counts_unless_another_publisher_paused(
     watch.tick(100.0, 20.0, 100.0, B)
     watch.tick(100.0, 20.0, 103.0, B)
     assert watch.since == 100.0
+    resumed = 100.0 + 62 * 3600.0
+    watch.tick(resumed, 20.0, resumed, B)
+    watch.tick(resumed, 20.0, resumed + 1201.0, B)
+    assert watch.since == resumed, "a weekend without power is no pause to expect"
 
 
 def test_a_new_publisher_has_time_for_its_first_message() -> None:

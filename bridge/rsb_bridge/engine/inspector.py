@@ -123,7 +123,10 @@ class RouteInspector:
         installed = ros.installed_service_hash(entry.type)
         # The node would read the bytes as other fields.
         if installed is not None and installed != entry.type_hash:
-            raise LinkError(f"{entry.type} is installed here in another version than the node has: install that one")
+            raise LinkError(
+                f"{entry.type} is installed here in another version than the node has: install that one, and restart "
+                "this bridge"
+            )
         fields, note = read_fields(request), ""
         # By default, the ids of all goals are zeros, and a server refuses the second goal of an id.
         if _is_goal(route, lane) and isinstance(fields, dict) and "goal_id" not in fields:

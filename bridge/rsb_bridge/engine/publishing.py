@@ -90,7 +90,9 @@ class PublishProblem(Wording):
     NO_TYPE = "{topic} has no publisher and no subscription here, and no route knows its type: name the type"
     TYPES_DIFFER = "{topic} has several types here ({types}): name one"
     OTHER_TYPE = "{topic} has the type {actual}, not {wanted}"
-    OTHER_VERSION = "{type_name} is installed here in another version than {topic} has: install that one"
+    OTHER_VERSION = (
+        "{type_name} is installed here in another version than {topic} has: install that one, and restart this bridge"
+    )
     NOT_ARMED = "{topic} has to be armed{reason}: arm it first"
     NOT_HEARD = "{topic} is armed, but the other side has not answered for 1 s: nothing passes until it does"
     ENDING = "{topic} is about to be disarmed, or the bridge to stop: nothing more is published by hand"

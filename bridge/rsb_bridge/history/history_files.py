@@ -12,9 +12,8 @@ import zstandard
 
 from rsb_bridge.config.files import replace_file
 from rsb_bridge.history.state_folder import Claim, Files
-from rsb_bridge.history.timeline import FROM_THE_FUTURE, VERSION, Saved, Timeline
+from rsb_bridge.history.timeline import FROM_THE_FUTURE, VERSION, Saved, Timeline, is_from_the_future
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.history import KEPT_FOR
 from rsb_bridge.model.limits import TIME
 from rsb_bridge.model.names import file_stem
 from rsb_bridge.model.shortage import why_not_written
@@ -149,11 +148,12 @@ def read_events(path: Path, since: float) -> Iterator[Event]:
 
 
 def last_key(events: Iterable[Event], link: str, fingerprints: Collection[str]) -> Event | None:
-    """Return the newest event about a client's use of a key with one of these fingerprints, or None."""
-    used = (
-        each for each in events if (each.code, each.link) == (EventCode.KEY_USED, link) and each.new in fingerprints
-    )
-    return max(used, key=lambda each: each.time, default=None)
+    """Return the last event of a log about a client's use of a key with one of these fingerprints, or None."""
+    last = None
+    for each in events:  # in their order, as a clock that is set back dates later events earlier
+        if (each.code, each.link) == (EventCode.KEY_USED, link) and each.new in fingerprints:
+            last = each
+    return last
 
 
 def _is_dated(event: Event) -> bool:
@@ -228,7 +228,7 @@ def report(files: Files, now: float, seconds: float) -> HistoryReport:
         raise HistoryFileError(f"{files.history}: there is no such file") from None
     except (HistoryFileError, ValueError) as error:
         raise HistoryFileError(f"{files.history}: {error}") from None
-    if saved.time - now > KEPT_FOR:
+    if is_from_the_future(saved, now):
         raise HistoryFileError(f"{files.history}: {FROM_THE_FUTURE}")
     # The clock may have been set back since, up to a day.
     end = max(now, saved.time)
@@ -249,6 +249,9 @@ _SAVED_SOON = 5.0
 _ANSWERED_WITHIN = 10.0
 """s for an answer of the recorder's thread: at most 0.26 s in bench/README."""
 SET_ASIDE = ".bad"
+_SET_WITHIN = 600.0
+"""s in which the clock of a machine that starts without the time is set, by NTP over a network that has to come first.
+A round figure."""
 
 
 class Disk:
@@ -271,6 +274,8 @@ class Disk:
         self._file: EventFile | None = None
         self._written = 0
         self._is_restored = False
+        self._left: tuple[Saved, tuple[Event, ...]] | None = None  # by the last process, until it is restored
+        self._began = clock.steady()
         self._saved_at = self._tried_at = float("-inf")
         self._saved_changes = 0
         self._trouble = ""
@@ -296,10 +301,9 @@ class Disk:
             self.turn()
             if self._trouble or written != self._written:
                 self._ends.wait(_EVERY)  # a fixed pause, so that several events are written together
-            elif self._is_restored:
+            else:
                 pause = _EVERY if self._is_changed else _LOOKS_EVERY
                 self._events.wait(self._written, pause, self._ends.is_set)
-            # Else `_restore` has waited for the recorder already.
         # The last turn tries even if one has failed a moment ago.
         self._tried_at = float("-inf")
         self.turn(last=True)
@@ -347,8 +351,13 @@ class Disk:
             return
         path = self._files.history
         try:
-            saved = read_history(path)
-            events = tuple(read_events(self._files.events, saved.time))
+            if self._left is None:
+                saved = read_history(path)
+                self._left = saved, tuple(read_events(self._files.events, saved.time))  # before ours are among them
+            saved, events = self._left
+            now, wall = self._clock.steady(), self._clock.time_ns() / 1e9
+            if is_from_the_future(saved, wall) and now - self._began < _SET_WITHIN:
+                return
             self._recorder.ask(lambda: self._recorder.restore(saved, events)).result(_ANSWERED_WITHIN)
         except TimeoutError:  # of the recorder, but an OSError, which `turn` would take for the disk's
             return
@@ -360,7 +369,7 @@ class Disk:
                 path.replace(aside)
             text = f"{path}: {error}. It is set aside as {aside.name}, and a new time line begins"
             self._events.add(Level.WARNING, EventCode.LOG_HISTORY_SET_ASIDE, text)
-        self._is_restored = True
+        self._is_restored, self._left = True, None
 
     def _write_events(self) -> None:
         events = self._events.after(self._written)

@@ -7,7 +7,7 @@ import threading
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, TypeVar
 
-from rsb_bridge.history.timeline import FROM_THE_FUTURE, Timeline
+from rsb_bridge.history.timeline import FROM_THE_FUTURE, Timeline, is_from_the_future
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
 from rsb_bridge.model.snapshot import Level
@@ -195,8 +195,9 @@ class Recorder:
         Raises:
             ValueError: it contradicts itself, or the clock is days behind it.
         """
+        self.record()  # an axis that begins anew does not notice that the clock was set until now
         wall = self._clock.time_ns() / 1e9
-        if saved.time - wall > KEPT_FOR:
+        if is_from_the_future(saved, wall):
             raise ValueError(FROM_THE_FUTURE)
         self._timeline = Timeline.restore(saved, self._name, self._role)
         self._timeline.go_on(each for each in events if each.time - wall <= KEPT_FOR)

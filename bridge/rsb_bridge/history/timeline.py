@@ -118,6 +118,11 @@ class Saved(msgspec.Struct, frozen=True):
     actions: tuple[Event, ...]
 
 
+def is_from_the_future(saved: Saved, wall: float) -> bool:
+    """Whether a clock (s since the epoch) is days behind what was saved, so that one of the two was wrong."""
+    return saved.time - wall > KEPT_FOR
+
+
 class Timeline:
     """Remembers outages, rates and operators' actions. All times are on one `ClockAxis`.
 
@@ -156,7 +161,8 @@ class Timeline:
         for record in [each for each in self._records.values() if each.live and each.turn != self._turn]:
             self.changes += record.is_out
             record.cut(now, self._link_of(record), cut_off=False)
-        if now - self._tidied >= _TIDIED_EVERY:
+        # Before the clock was set back, it may have been years ahead.
+        if not 0.0 <= now - self._tidied < _TIDIED_EVERY:
             self._tidy(now)
 
     def _observe(

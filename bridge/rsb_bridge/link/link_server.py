@@ -148,6 +148,9 @@ class Server:
             link.control.shut_down(f"the server no longer accepts {name}", retry_after=0.0)
         self.context.demands.unregister(link)
         link.destroy()
+        for ends in self.context.internal.values():
+            ends.forget(name)
+        self.context.limited.forget(name)
 
     def change_client(self, entry: ClientEntry) -> None:
         """Use another entry of a client."""

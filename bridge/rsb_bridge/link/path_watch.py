@@ -17,6 +17,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.path_fault import PathFault, PathFaultText
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.telemetry.meters import Shortest
 from rsb_bridge.transport.streams import PacketCounts
 from rsb_bridge.wire.records import PathRecord
 
@@ -38,8 +39,8 @@ _FORGOTTEN_AFTER = 10.0
 """s without a link after which it may go another way."""
 _PINGS = 3
 _QUEUE, _QUEUE_PART = 0.015, 0.25
-"""s, and part of the shortest ping, by which all of the last pings take longer if a queue has built up on the path. If
-only packets are lost, some pings meet no loss."""
+"""s, and part of the shortest ping of an hour, by which all of the last pings take longer if a queue has built up on
+the path. If only packets are lost, some pings meet no loss."""
 _SILENT_AFTER = 2.5
 """s without a byte, while pings come once a second."""
 _STALLED = 2
@@ -141,7 +142,7 @@ class PathWatch:
         self._probe: tuple[int, int] | None = None  # answered pings and lost packets when the probe began
         self._counts: dict[object, PacketCounts] = {}  # of each carrier, when it last made progress
         self._pings: deque[float] = deque(maxlen=_PINGS)
-        self._shortest = float("inf")
+        self._shortest = Shortest()
         self._ticked_at = float("-inf")
         self._record = self._sent = PathRecord()
         self._logged = False
@@ -171,7 +172,7 @@ class PathWatch:
             self.loss.clear()
         self._ticked_at = now
         sent, lost, passed = self._gained(streams, senders)
-        queues = self._queues(pings.round_trip)
+        queues = self._queues(pings.round_trip, now)
         if queues or not passed:  # a full link, or a gap
             self.loss.skip()
         else:
@@ -209,13 +210,13 @@ class PathWatch:
             lost += max(0, now.lost - then.lost)
         return sent, lost, passed
 
-    def _queues(self, round_trip: float | None) -> bool:
+    def _queues(self, round_trip: float | None, now: float) -> bool:
         """Whether a queue has built up on the path, by the newest ping (s)."""
         if round_trip is None:
             return False
         self._pings.append(round_trip)
-        self._shortest = min(self._shortest, round_trip)
-        return min(self._pings) - self._shortest > max(_QUEUE, _QUEUE_PART * self._shortest)
+        shortest = self._shortest.add(round_trip, now)
+        return min(self._pings) - shortest > max(_QUEUE, _QUEUE_PART * shortest)
 
     def _probe_sizes(
         self,
@@ -293,7 +294,7 @@ class PathWatch:
         self._large, self._probe, self._stalled_at = False, None, float("-inf")
         self._counts.clear()
         self._pings.clear()
-        self._shortest = float("inf")
+        self._shortest = Shortest()
         self._record = self._sent = PathRecord()
         self._logged = False
 

@@ -47,7 +47,8 @@ def newer(known: Capacity | None, found: Capacity) -> Capacity:
     """Choose between two capacities: a recent one of a bench or a full link, otherwise the highest rate seen."""
     if known is None or found.source != CapacitySource.SEEN:
         return found
-    recent = found.at - known.at < LASTS
+    # After the clock was set back, the known one is from the future.
+    recent = abs(found.at - known.at) < LASTS
     return known if recent and known.bytes_per_second >= found.bytes_per_second else found
 
 

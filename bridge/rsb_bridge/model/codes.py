@@ -201,6 +201,7 @@ class EventCode(StrEnum):
     ROUTE_LOOP = "route.loop"
     ROUTE_LOOP_GONE = "route.loop_gone"
     ROUTE_SOURCES_CHANGED = "route.sources_changed"
+    ROUTE_CLOCK_SET = "route.clock_set"
     ROUTE_PORT_UNAVAILABLE = "route.port_unavailable"
     ROUTE_TYPE_CHANGED = "route.type_changed"
     """The publishers have another type than before, or some of them have."""

@@ -520,6 +520,8 @@ class RunningDemands:
                     self._changed_by = dict.fromkeys(new_keys, self._who) | self._changed_by
                 # Once more: keeping may have added to `armed`.
                 self._demands = Demands(self._present())
+                still = {source.key for source in self._demands.sources}
+                self._changed_by = {key: who for key, who in self._changed_by.items() if key in still}
             self._is_stale, self._given = False, self._armed()
         return self._demands
 

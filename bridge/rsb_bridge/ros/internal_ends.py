@@ -251,6 +251,10 @@ class InternalEnds(Generic[SourceT, DrainT]):
         """
         self._made[link] = source, drain
 
+    def forget(self, link: Hashable) -> None:
+        """Make no more ends of a link that was removed."""
+        self._made.pop(link, None)
+
     def publishers(self, topic: str) -> list[Endpoint]:
         """See `rsb_bridge.ros.ros_interface.RouteEnds`, also for the methods below."""
         return [self._endpoint] if self._purpose.has_name(topic) else []

@@ -51,7 +51,7 @@ class UnusableType(Wording):
 
     ANOTHER_VERSION = (
         "{type_name} is another {kind} here ({here}) than there ({there}): install the same version of {package} on "
-        "both sides"
+        "both sides, and restart the bridge that had another"
     )
     HASH_UNKNOWN = "{type_name} is not installed and no {source} tells its type hash: {remedy}"
     INVALID_HASH = "{type_hash!r} is not a type hash: {prefix} and 64 hex digits"

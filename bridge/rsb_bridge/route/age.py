@@ -188,9 +188,11 @@ class MessageAge:
     def aged(self, request: Request) -> Request:
         """Return a request with the time from which its age counts as its stamp, or 0 if it is too old."""
         clock, source = self._compared_clock(), request.source
+        if not clock.is_sure:  # nor is a stamp from before it was set compared with it
+            return request._replace(stamp=0)
         caller = request.caller[:_CALLER]
         stamp = self.publishers.born(source and source + clock.shift, request.stamp + clock.shift, caller)
-        return request._replace(stamp=stamp if clock.is_sure and self.is_young(stamp) else 0)
+        return request._replace(stamp=stamp if self.is_young(stamp) else 0)
 
     @property
     def oldest(self) -> int:

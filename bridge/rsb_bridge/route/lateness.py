@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
+from rsb_bridge.telemetry.meters import Shortest
 
 if TYPE_CHECKING:
     from rsb_bridge.model.capacity import Fullness
@@ -186,14 +187,14 @@ class SendersDelay:
     Attributes:
         reported: s that they took by the receiver's last report, or None before the first.
         least: s that they take at least now, or 0 while nothing flows.
-        longer: s that they take beyond the shortest time and their jitter, as reported.
+        longer: s that they take beyond the shortest time of an hour and their jitter, as reported.
     """
 
     def __init__(self) -> None:
         self.reported: float | None = None
         self.least = self.longer = 0.0
         self._reported_at = 0.0
-        self._shortest = float("inf")
+        self._shortest = Shortest()
         self._unreported = Unreported()
 
     def receive(self, seconds: float, jitter: float, now: float) -> None:
@@ -201,9 +202,8 @@ class SendersDelay:
         if not math.isfinite(seconds) or abs(seconds) > _LONGEST_DELAY:
             return
         self.reported, self._reported_at = seconds, now
-        self._shortest = min(self._shortest, seconds)
         # In a queue one message takes as long as the next; where they do not, the path is uneven, not full.
-        self.longer = max(0.0, seconds - self._shortest - _JITTERS * max(0.0, jitter))
+        self.longer = max(0.0, seconds - self._shortest.add(seconds, now) - _JITTERS * max(0.0, jitter))
 
     def with_report(self, report_delay: float) -> float:
         """Return the estimated s that a message and its report take together."""

@@ -14,6 +14,7 @@ import msgspec
 from rsb_bridge.channel.channel import SendingChannel
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.ros_interface import RosError
 from rsb_bridge.route.arming import without_history
 from rsb_bridge.route.combined_verdict import lasting, node_names, record_of
@@ -350,6 +351,15 @@ class OutgoingRoute(TopicRoute[SendingChannel]):
         self._tick_missed(now, latched=latched)
         super().tick()
         self._subscription.tick()
+        self._tick_clocks()
+
+    def _tick_clocks(self) -> None:
+        """Open the route again if messages seem old since this side's clock was set: their publisher's may lag."""
+        doubtful = self.age.publishers.since is None and not self.is_latched and self.flowing
+        late = self.age.late() if doubtful else None
+        # Only a new subscription has no message from before it, so that an earlier stamp proves a wrong clock.
+        if late is not None and late.cause is Cause.PUBLISHER_STAMPS_OLD:
+            self.request_reopen(EventCode.ROUTE_CLOCK_SET, "this side's clock was set, and publishers' stamps seem old")
 
     def _tick_missed(self, now: float, *, latched: bool) -> None:
         """Learn the rate at which messages cross, or estimate how many are missed now."""

@@ -27,7 +27,10 @@ class TypeClash(Wording):
     """The reasons why the type that the other side has can't be published or offered here."""
 
     NOT_AGREED = "the other side sends {there}, though {agreed} was agreed on: correct the type"
-    VERSIONS = "{type} differs between the two sides ({difference}): install the same version on both"
+    VERSIONS = (
+        "{type} differs between the two sides ({difference}): install the same version on both, and restart the bridge "
+        "that had another"
+    )
     HASHES = "{there} there, {here} here"
 
 

@@ -160,6 +160,12 @@ class RateLimitedEventLog:
             if quota.due(now):
                 self._report(link, link_status=link_status)
 
+    def forget(self, link: str) -> None:
+        """Forget a link that was removed, after a last report of what was left out."""
+        for link_status in (False, True):
+            self._report(link, link_status=link_status)
+            self._quotas.pop((link, link_status), None)
+
     def _report(self, link: str, *, link_status: bool) -> None:
         quota = self._quotas.get((link, link_status))
         if quota is None or not quota.left_out:

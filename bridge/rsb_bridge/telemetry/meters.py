@@ -25,6 +25,9 @@ _DRIFT_RATE = 1e-4
 """s a second by which two clocks drift apart, at 100 ppm."""
 _DRIFT = 2e-3
 """s: how far two clocks drift apart over as many pings, at 100 ppm."""
+_SHORTEST_COUNTS, _PART = 3600.0, 600.0
+"""s for which a shortest time counts, about, and of the parts that are forgotten at once. Round figures: a link may be
+full for many minutes, and a path that became longer must not seem full for days."""
 _LEAST = 1e-3
 """Per second; a smaller smoothed rate is 0, which halving alone would never reach."""
 _SAMPLES, _ENOUGH = 20, 15
@@ -329,6 +332,26 @@ class ClockOffset:
         if self.offset is None or self.uncertainty is None:
             return False
         return abs(offset - self.offset) > uncertainty + self.uncertainty + _DRIFT
+
+
+class Shortest:
+    """The shortest of the times that something took in the last hour, in which a path may become longer."""
+
+    __slots__ = ("_parts",)
+
+    def __init__(self) -> None:
+        self._parts: deque[tuple[float, float]] = deque()  # beginnings (s), and the shortest times since
+
+    def add(self, seconds: float, now: float) -> float:
+        """Take a time, and return the shortest one."""
+        parts = self._parts
+        if not parts or now - parts[-1][0] >= _PART:
+            parts.append((now, seconds))
+        elif seconds < parts[-1][1]:
+            parts[-1] = parts[-1][0], seconds
+        while now - parts[0][0] > _SHORTEST_COUNTS:
+            parts.popleft()
+        return min([shortest for _, shortest in parts])
 
 
 class StaleWatch:

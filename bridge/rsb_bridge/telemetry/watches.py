@@ -26,6 +26,8 @@ tests/telemetry/test_regularity.py has publishers at random and in bursts, none 
 """
 _PAUSES = 2.0
 """A topic may pause for so many times as long as it has paused before."""
+_LONGEST_LEARNED = 600.0
+"""s of a pause that count. An outage ends by itself, too, and would hide the next one for twice as long."""
 LATELY = 10
 """s over which losses are counted. Their causes are compared, so all of them are counted for as long."""
 LOSSY_ABOVE, _WHOLE_BELOW, _LEAST_LOST = 0.05, 0.02, 3
@@ -79,8 +81,8 @@ class SlowWatch:
 class StopWatch:
     """Watches whether a topic's publishers have stopped.
 
-    Publishers that have paused and resumed are expected to do so again, for up to twice as long. A new one has as long
-    for its first message as the others have for their next.
+    Publishers that have paused and resumed are expected to do so again, for up to twice as long, at most 20 min. A new
+    one has as long for its first message as the others have for their next.
 
     Attributes:
         since: s, when the last message came before they stopped, or None.
@@ -109,7 +111,7 @@ class StopWatch:
         """
         if self.since is not None and last > self.since:
             if publishers == self._publishers:  # else the publisher died, and was started again
-                self._longest_pause = max(self._longest_pause, last - self.since)
+                self._longest_pause = max(self._longest_pause, min(last - self.since, _LONGEST_LEARNED))
             self.since = None
         # Before `_publishers` is replaced: a new publisher is not in it.
         self._take_new(last, now, publishers)

@@ -222,12 +222,13 @@ def _ask_to_finish(arguments: Namespace, path: Path, name: str) -> None:
 
 
 def _last_key(server: str, name: str, fingerprints: set[str]) -> Event | None:
-    """Return the newest event on the server's disk about the use of these keys by a client, or None."""
+    """Return the last event on the server's disk about the use of these keys by a client, or None."""
     from rsb_bridge.history.history_files import last_key, read_events  # noqa: PLC0415 (only here)
     from rsb_bridge.history.state_folder import files_of  # noqa: PLC0415
 
-    kept = files_of(server, os.environ)
-    return last_key((event for files in kept for event in read_events(files.events, 0.0)), name, fingerprints)
+    logs = (read_events(files.events, 0.0) for files in files_of(server, os.environ))
+    used = (last_key(events, name, fingerprints) for events in logs)
+    return max(filter(None, used), key=lambda each: each.time, default=None)
 
 
 def _rotated(arguments: Namespace, changed: ChangedFile, told: str, what: str, steps: Sequence[str] = ()) -> int:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.clock import Clock
 
+LEFT = "it has left the Zenoh network"
 HISTORY = 12
 """Message rates that are kept of each robot, one every `_SAMPLED_EVERY` s: of a minute."""
 _SAVED_EVERY = 60.0  # s; a console that is killed forgets so much of when each robot was there. A round figure
@@ -160,7 +161,7 @@ class RobotFleet:
     def _of(self, source: FleetSource) -> list[Robot]:
         present = [self._with_memory(source, summary) for summary in source.robots()]
         names = {summary.name for summary in present}
-        gone = [_gone(each) for each in self._memory.of(source.name) if each.name not in names]
+        gone = [_gone(each, source) for each in self._memory.of(source.name) if each.name not in names]
         told = drop_repeated_faults([*present, *gone])
         return [Robot(source, summary, gone=number >= len(present)) for number, summary in enumerate(told)]
 
@@ -186,13 +187,20 @@ class RobotFleet:
         if sampled := now - self._sampled_at >= _SAMPLED_EVERY or now < self._sampled_at:
             self._sampled_at = now
             self._rates = {robot.key: self._rates.get(robot.key, deque(maxlen=HISTORY)) for robot in robots}
-        for robot in robots if sampled else ():
+        for robot in robots:
             summary = robot.summary
-            self._rates[robot.key].append(summary.messages_from_robot + summary.messages_to_robot)
+            if sampled:
+                self._rates[robot.key].append(summary.messages_from_robot + summary.messages_to_robot)
             if not robot.gone and summary.seen is not None:
                 self._memory.saw(
                     Remembered(
-                        robot.source.name, summary.name, summary.seen, summary.group, summary.host, summary.version
+                        robot.source.name,
+                        summary.name,
+                        summary.seen,
+                        summary.group,
+                        summary.host,
+                        summary.version,
+                        summary.role,
                     )
                 )
         known = {robot.key for robot in robots}
@@ -249,12 +257,13 @@ class RobotFleet:
         return sorted(found.values(), key=lambda robot: robot.order)
 
 
-def _gone(robot: Remembered) -> RobotSummary:
+def _gone(robot: Remembered, source: FleetSource) -> RobotSummary:
     return RobotSummary(
         name=robot.name,
         group=robot.group,
+        role=robot.role,
         state=RobotState.MISSING,
-        why=f"it is no longer a robot of {robot.source}",
+        why=f"it is no longer a robot of {source.name}" if source.kind == "server" else LEFT,
         since=robot.seen,
         seen=robot.seen,
         host=robot.host,
@@ -282,6 +291,7 @@ class Remembered(msgspec.Struct, frozen=True):
         group: its group at that time.
         host: its host at that time.
         version: its version at that time.
+        role: ``server`` of a server's own bridge.
     """
 
     source: str
@@ -291,6 +301,7 @@ class Remembered(msgspec.Struct, frozen=True):
     group: str = ""
     host: str = ""
     version: str = ""
+    role: str = ""
 
 
 def memory_path() -> Path:
@@ -298,7 +309,7 @@ def memory_path() -> Path:
 
 
 class Memory:
-    """The file of remembered robots.
+    """The file of remembered robots, which several consoles may have open.
 
     Args:
         path: path of the file, or None to keep nothing.
@@ -306,7 +317,8 @@ class Memory:
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
-        self._robots = {(robot.source, robot.name): robot for robot in _read(path)}
+        self._robots = _newest(_read(path))
+        self._changed: set[tuple[str, str]] = set()  # since the last save
 
     def get(self, source: str, name: str) -> Remembered | None:
         """Return a remembered robot, or None."""
@@ -321,18 +333,34 @@ class Memory:
     def saw(self, robot: Remembered) -> None:
         """Remember that a robot is there."""
         self._robots[robot.source, robot.name] = robot
+        self._changed.add((robot.source, robot.name))
         if len(self._robots) > LIMIT:
             del self._robots[min(self._robots, key=lambda key: self._robots[key].seen)]
 
     def forget(self, source: str, name: str) -> None:
         self._robots.pop((source, name), None)
+        self._changed.add((source, name))
 
     def save(self) -> None:
-        """Write the file; ignore errors, as only the next console's memory depends on it."""
-        if self._path is not None:
-            with contextlib.suppress(OSError):
-                self._path.parent.mkdir(parents=True, exist_ok=True)
-                replace_file(self._path, msgspec.json.encode(list(self._robots.values())))
+        """Write the file; ignore errors, as only the next console's memory depends on it.
+
+        Another console may have seen and dismissed others meanwhile, so only what has changed here is changed there.
+        """
+        if self._path is None:
+            return
+        with contextlib.suppress(OSError):
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            others = {key: robot for key, robot in _newest(_read(self._path)).items() if key not in self._changed}
+            own = {key: robot for key, robot in self._robots.items() if key in self._changed}
+            robots = _newest((others | own).values())
+            replace_file(self._path, msgspec.json.encode(list(robots.values())))
+            self._robots = robots
+            self._changed.clear()
+
+
+def _newest(robots: Iterable[Remembered]) -> dict[tuple[str, str], Remembered]:
+    """Return the latest robots by source and name, as many as may be remembered."""
+    return {(robot.source, robot.name): robot for robot in sorted(robots, key=lambda robot: robot.seen)[-LIMIT:]}
 
 
 def _read(path: Path | None) -> list[Remembered]:
@@ -344,7 +372,7 @@ def _read(path: Path | None) -> list[Remembered]:
             robots = msgspec.json.decode(file.read(_FILE_BYTES), type=list[Remembered])
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return []
-    return [_clean(robot) for robot in sorted(robots, key=lambda robot: robot.seen)[-LIMIT:]]
+    return [*map(_clean, robots)]
 
 
 def _clean(robot: Remembered) -> Remembered:

@@ -19,6 +19,7 @@ from rsb_bridge.control.zenoh_fleet import FleetConnector, FleetPresence
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.robot_summary import WHY_LENGTH, RobotState, RobotSummary, decode
 from rsb_bridge.model.text import sanitize_text
+from rsb_console.fleet.fleet import LEFT
 
 if TYPE_CHECKING:
     from rsb_bridge.config.fleet_file import FleetFile
@@ -30,7 +31,8 @@ _FIRST_HEARD_WITHIN = 10.0
 after 3 to 7 s (bench/README.md, A fleet); a shorter wait would leave the last ones out of a group."""
 MOST = 2000
 """Engines that are watched, and rows; anybody in the network may announce any number of engines."""
-_LEFT = "it has left the Zenoh network"
+_KEPT = 1.0
+"""s for which the row of an engine that left is kept: where the router is lost, Zenoh says first that all have left."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 30.0
 """s between attempts to watch an engine. Round figures: one that refuses for a while is asked again so late at most."""
 _AT_ONCE = 64
@@ -39,6 +41,8 @@ _AT_ONCE = 64
 
 class ZenohFleet:
     """Fulfils `rsb_console.fleet.fleet.FleetSource`: one robot for each engine that announces itself.
+
+    While the router is out of reach, those from before stay.
 
     Args:
         file: fleet file with the fleet and the operator.
@@ -129,13 +133,14 @@ class ZenohFleet:
             await self._news.wait()
 
     def _changed(self, member: Member, comes: bool) -> None:
+        self._loop.call_later(_KEPT, self._forget_left)
         if not comes:
             name = self._names.pop(member.address, None)
             self._has_spoken(member)  # or `wait` would wait for one that has gone
             if watch := self._watches.pop(member.address, None):
                 watch.cancel()
             if name is not None:
-                why = "out of reach: this console has lost its Zenoh router" if self.problem else _LEFT
+                why = "out of reach: this console has lost its Zenoh router" if self.problem else LEFT
                 self._gone(name, why, RobotState.MISSING)
                 if name == member.name:
                     self._hand_on(name)
@@ -160,6 +165,11 @@ class ZenohFleet:
             self._watches.pop(heir).cancel()
             del self._robots[row], self._called[row]
             self._changed(self._presence.members[heir], comes=True)
+
+    def _forget_left(self) -> None:
+        """Drop the rows of engines that have left: `RobotFleet` remembers them, and an operator may dismiss them."""
+        for name in () if self.problem else self._robots.keys() - self._names.values():
+            del self._robots[name], self._called[name]
 
     def _forget_one(self) -> None:
         """Make room for a row: drop one whose engine has left, preferably one that never reported a state."""

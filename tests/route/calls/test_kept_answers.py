@@ -149,6 +149,8 @@ def test_those_with_answers_are_forgotten_first(monkeypatch: pytest.MonkeyPatch)
     assert answers.decide(asks(SEND_GOAL), 1, again=True) is AnswerAction.LOSE, (
         "it may have been one of those forgotten"
     )
+    answers.expire(INTERRUPTION + 2 * SENT_KEPT + 1)
+    assert answers.decide(asks(SEND_GOAL), 1, again=True) is AnswerAction.REFUSE, "it is too new for that"
 
 
 def test_what_calls_wait_for_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ import importlib
 import importlib.util
 import sys
 import threading
+import time
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,10 @@ from rsb_bridge.model.names import split_type_name
 HASH_PREFIX = "RIHS01_"
 HASH_PATTERN = f"{HASH_PREFIX}[0-9a-f]{{64}}"
 _REMEMBERED = 4096
-"""Type names whose class, or lack of one, is remembered: a peer may name any type."""
+"""Names of types that are not installed which are remembered: a peer may name any type."""
+_LOOKED_FOR_EVERY = 10.0
+"""s, about, after which a type that was not installed is looked for again. A look takes some 0.1 ms for each folder of
+`sys.path`, and hundreds of topics may wait for their types. Not measured."""
 
 
 class TypeHash(ctypes.Structure):
@@ -151,9 +155,8 @@ def _hash_of(type_support: TypeSupport) -> str:
     return HASH_PREFIX + bytes(TypeHash.from_address(address).value).hex()
 
 
-@lru_cache(_REMEMBERED)
 def installed_class(type_name: str) -> type | None:
-    """Return the message class of a type that is installed here, else None.
+    """Return the message class of a type that is installed here, else None. No class changes until the process ends.
 
     Messages inside services and actions are found, too: ``pkg/srv/Name_Request``, ``pkg/action/Name_FeedbackMessage``.
 
@@ -164,7 +167,6 @@ def installed_class(type_name: str) -> type | None:
     return found if hasattr(found, "get_fields_and_field_types") else None
 
 
-@lru_cache(_REMEMBERED)
 def installed_service(type_name: str) -> type | None:
     """Return the class of a service that is installed here, else None.
 
@@ -175,7 +177,19 @@ def installed_service(type_name: str) -> type | None:
     return found if hasattr(found, "Request") and hasattr(found, "Response") else None
 
 
+_found: dict[str, type] = {}  # as many as are installed
+
+
 def _installed(type_name: str) -> type | None:
+    found = _found.get(type_name) or _look_for(type_name, time.monotonic() // _LOOKED_FOR_EVERY)
+    if found is not None:
+        _found[type_name] = found
+    return found
+
+
+@lru_cache(_REMEMBERED)
+def _look_for(type_name: str, _turn: float) -> type | None:
+    """Return a class that is installed, or None, for a while: an operator may install what a text of ours names."""
     package, kind, name = split_type_name(type_name)
     if not _is_interface_package(package):
         return None

@@ -186,7 +186,8 @@ class KeptAnswers:
         self._by_number: dict[tuple[int, int], CallIdentity] = {}
         self._waiting: dict[int, CallIdentity] = {}  # by call; each of these calls is in `Kept.calls`
         self._bytes = 0
-        self._has_forgotten = False  # a question, too early, because there was no room
+        self._looked = 0.0  # s, when it was looked for old questions
+        self._forgot_at = float("-inf")  # s, when a question was forgotten too early, because there was no room
 
     def __contains__(self, question: CallIdentity) -> bool:
         return question in self._kept
@@ -224,8 +225,9 @@ class KeptAnswers:
         """
         kept = self._kept.get(question)
         if kept is None and again and question.lane == SEND_GOAL:
-            # The question may have been among the forgotten ones.
-            return AnswerAction.LOSE if self._has_forgotten else AnswerAction.REFUSE
+            # The question may have been among those forgotten too early. It would have been kept for so long at most.
+            lately = self._looked - self._forgot_at <= INTERRUPTION + 2 * SENT_KEPT
+            return AnswerAction.LOSE if lately else AnswerAction.REFUSE
         if kept is None:
             return AnswerAction.ASK
         if not again and question.lane != GET_RESULT:
@@ -333,7 +335,8 @@ class KeptAnswers:
         ]
 
     def expire(self, now: float) -> None:
-        """Forget old questions."""
+        """Forget old questions. Called once a second."""
+        self._looked = now
         for question, kept in list(self._kept.items()):
             if kept.until is not None and kept.until <= now:
                 self._forget(question)
@@ -344,7 +347,7 @@ class KeptAnswers:
         idle = (each for each, kept in self._kept.items() if not kept.calls)
         oldest = next(answered, None) or next(idle, None)
         if oldest is not None:
-            self._has_forgotten = True
+            self._forgot_at = self._looked
             self._forget(oldest)
 
     def _forget(self, question: CallIdentity) -> None:
