@@ -86,6 +86,27 @@ async def test_an_armed_topic_is_marked_and_disarmed_at_once(app: ConsoleApp, pi
     await until(pilot, lambda: engine_of(app).commands == [("disarm", "/cmd_vel")], "disarmed")
 
 
+@on_main()
+async def test_the_key_that_armed_a_topic_disarms_it_wherever_it_and_the_cursor_are(
+    app: ConsoleApp, pilot: Pilot[None]
+) -> None:
+    camera = route("/camera")
+    put(app, DISARMED, camera)
+    await shown(pilot, "A arm")  # DISARMED stands on top
+    await pilot.press("A")
+    await shown(pilot, "Arm /cmd_vel of robot1?")
+    await pilot.press("y")
+    await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
+    put(app, ARMED, camera)  # and goes below
+    await shown(pilot, "◆ ARMED    /cmd_vel")
+    for keys in (["A"], ["k", "A"]):
+        await until(pilot, lambda: app.deadman.held, "an answer that this console holds it")
+        engine_of(app).commands.clear()
+        await pilot.press(*keys)
+        await until(pilot, lambda: engine_of(app).commands == [("disarm", "/cmd_vel")], "disarmed")
+    assert app.main.selected == camera
+
+
 def asked(seconds: float = 7.0) -> RouteSnapshot:
     assert ARMED.arming is not None
     return replace(ARMED, arming=replace(ARMED.arming, asked_by="bert on pts/2", goes_in=seconds))

@@ -55,6 +55,7 @@ class OperationText(Wording):
     RESUME = "Resume {topic}?"
     RESUME_MEANS = "The key may have come late, so it is asked for. Messages cross again at once{arming}."
     STILL_DISARMED = ", once it is armed"
+    SEVERAL_ARMED = "go to the topic to disarm: {topics}"
     RESTART_MEANS = "All links are closed on both sides and opened again. Nothing crosses for a few seconds."
 
 
@@ -141,13 +142,24 @@ class BridgeOperations:
             await self._console.command(engine.acknowledge(route.key, route.acknowledged is None))
 
     async def arm(self) -> None:
-        """Arm the topic under the cursor, after a question; disarm it at once, even if another operator armed it."""
+        """Arm the topic under the cursor, after a question; disarm it at once, even if another operator armed it.
+
+        On a topic that is never armed, disarm what this console holds, if that is one topic.
+        """
         from rsb_console.screens.dialog import ArmScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._route
-        if engine is None or route is None or route.arming is None:
+        if engine is None:
             return
-        if route.arming.armed:
+        if route is None or route.arming is None:
+            held = [each for each in self._console.snapshot().routes if each.key in self._console.deadman.held]
+            names = sorted({each.topic for each in held})
+            if len(names) == 1:
+                await self._disarm(engine, held[0])
+            elif names:
+                text = OperationText.SEVERAL_ARMED(topics=", ".join(names))
+                self._console.notify(text, title="Not done", severity="warning", markup=False)
+        elif route.arming.armed:
             # This key stops a robot: it asks nobody, even if another operator holds the topic.
             await self._disarm(engine, route)
         elif route.state is State.PAUSED:

@@ -81,9 +81,13 @@ class SelectableList(LiveLines, can_focus=True):
         if self.cursor_key != before:
             self.post_message(self.CursorMoved(self))
 
+    def hold(self) -> None:
+        """Keep the cursor on its item from now on, as the operator has chosen it."""
+        self._moved = True
+
     def move_to(self, position: int) -> None:
         """Put the cursor on item number `position`, or the nearest there is."""
-        self._moved = True
+        self.hold()
         position = max(0, min(len(self.keys) - 1, position))
         if position != self._cursor:
             self._place(position)
@@ -135,6 +139,7 @@ class SelectableList(LiveLines, can_focus=True):
             return
         position = self.index_at(at.y) - self.sticky
         if position == self._cursor:
+            self.hold()
             self.post_message(self.Chosen(self))
         elif position < len(self.keys):
             self.move_to(position)
