@@ -116,8 +116,8 @@ class EngineApi(ABC):
     def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
         return self.do(commands.AddTopic(topic, link))
 
-    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Future[str]:
-        return self.do(commands.EditTopic(key, topic, drop_arm))
+    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False, seen: Topic | None = None) -> Future[str]:
+        return self.do(commands.EditTopic(key, topic, drop_arm, seen))
 
     def remove_topic(self, key: str, *, drop_arm: bool = False) -> Future[None]:
         return self.do(commands.RemoveTopic(key, drop_arm))

@@ -252,6 +252,18 @@ async def test_what_somebody_changes_while_the_question_stands_is_left_alone(
 
 
 @on_scan()
+async def test_a_form_that_stood_open_takes_back_nothing_of_somebody_elses(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    await pilot.press("e")
+    await fill(pilot, max_rate="2.5")
+    engine.put("/scan", msgspec.structs.replace(SCAN, paused=True))
+    await pilot.press("enter")
+    await shown(pilot, "it was changed meanwhile")
+    assert engine.spec("/scan") == msgspec.structs.replace(SCAN, paused=True)
+
+
+@on_scan()
 async def test_what_is_bridged_again_is_not_added_twice(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:

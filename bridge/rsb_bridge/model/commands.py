@@ -80,12 +80,14 @@ class EditTopic(Command[str], frozen=True, tag="edit"):
         key: of the route or the pattern.
         drop_arm: whether an operator has agreed to end the demand to be armed. Without that, a change from
             ``arm: true`` to false is refused, and any other change keeps the demand.
+        seen: the entry that the operator has seen, or None. The command is refused if it is another one by now.
     """
 
     one_at_a_time = True
     key: str
     topic: Topic
     drop_arm: bool = False
+    seen: Topic | None = None
 
     @property
     def expires(self) -> bool:

@@ -423,7 +423,7 @@ def _edit(arguments: Namespace) -> int:
         if not arguments.keys:
             raise UsageError(RemoteProblem.NOTHING_TO_CHANGE(topic=arguments.topic))
         topic = _topic(values_of(route.spec), arguments.keys, engine, route.spec)
-        key = result(engine.edit_topic(route.key, topic, drop_arm=arguments.drop_arm))
+        key = result(engine.edit_topic(route.key, topic, drop_arm=arguments.drop_arm, seen=route.spec))
         return done_with(arguments, [route], f"changed ({', '.join(changes(route.spec, topic)) or 'nothing'})", key=key)
 
 

@@ -257,7 +257,7 @@ class BridgeOperations:
             drops = route.spec.arm and not new.arm
             if drops and not await self._console.ask(GuardedConfirmScreen(*_dropping(route), "Drop")):
                 raise EngineError("not changed: it still has to be armed")
-            key = await asyncio.wrap_future(engine.edit_topic(route.key, new, drop_arm=drops))
+            key = await asyncio.wrap_future(engine.edit_topic(route.key, new, drop_arm=drops, seen=route.spec))
             if new.topic != route.spec.topic and not new.is_pattern:
                 new = named_by_client(new, now, route.link)
             name = _name_here(engine, key, route.topic)
