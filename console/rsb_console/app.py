@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from textual import work
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.faults import ChangeKind, FaultWatch
 from rsb_bridge.model.snapshot import Snapshot, State
 from rsb_console.actions import Group
@@ -331,7 +332,7 @@ class ConsoleApp(TerminalApp[None]):
 
     @work(exclusive=True, group=DIALOG)
     async def action_quit(self) -> None:  # type: ignore[override]  # a worker, because it asks
-        if await self.sessions.confirm_end("Quit?", "Quit"):
+        if await self.sessions.confirm_end("Quit?", "Quit", Effect.HARMLESS):
             self.shut_down(ShutdownReason.QUIT)
 
     async def on_event(self, event: events.Event) -> None:

@@ -45,7 +45,7 @@ from rsb_console.actions import FLEET_ACTIONS, Group
 from rsb_console.fleet.rolling import Bridged
 from rsb_console.fleet.server_source import ServerFleet
 from rsb_console.fleet_app import FleetApp, RobotApp
-from rsb_console.screens.dialog import GuardedConfirmScreen
+from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.rollout import ChangeField, RolloutPhase, RolloutScreen, _key_line
 from rsb_console.screens.rollout import _now as present_values
 from rsb_console.widgets.bars import state_counts
@@ -502,7 +502,7 @@ async def test_a_key_that_may_be_old_changes_no_robot_without_a_question(
     for answer in ("n", "y"):
         assert not any(engine.commands for engine in bed.source.engines.values())
         await bed.press("y")
-        await bed.until(lambda: isinstance(bed.app.screen, GuardedConfirmScreen), "a question")
+        await bed.until(lambda: isinstance(bed.app.screen, ConfirmScreen), "a question")
         assert screen.phase is RolloutPhase.ASKING
         await bed.press(answer)
         await bed.until(lambda: bed.app.screen is screen, "an answer")

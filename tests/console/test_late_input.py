@@ -11,12 +11,13 @@ from tests.console.driving import engine_of, on_main, put, scripted_app, shown, 
 from tests.console.scripted import route
 from textual import events
 
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
-from rsb_console.screens.dialog import GuardedConfirmScreen
+from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.drive_screen import Steering
 from rsb_console.terminal.driver import KeyParser
-from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate
+from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate, is_guarded
 from rsb_console.terminal.pulse import ANSWERS_WITHIN, ASKED_EVERY, FRESH_FOR, WHO_ARE_YOU, Pulse, heard_before
 
 if TYPE_CHECKING:
@@ -299,7 +300,7 @@ def key(name: str, heard: float) -> events.Key:
 
 def test_a_guarded_screen_takes_young_keys_and_all_safe_ones() -> None:
     clock = Time()
-    gate, screen = gate_of(clock), GuardedConfirmScreen("Arm?", "", "Arm")
+    gate, screen = gate_of(clock), ConfirmScreen("Arm?", "", "Arm", Effect.MOVES)
     assert gate.refuses(key("y", 99.9), screen)  # not drawn
     assert not gate.refuses(key("n", 0.0), screen)
     screen.drawn_at = 100.0
@@ -316,7 +317,8 @@ def test_a_guarded_screen_takes_young_keys_and_all_safe_ones() -> None:
     paste = events.Paste("y")
     vars(paste)["heard"] = 101.9
     assert gate.refuses(paste, screen)
-    assert not gate.refuses(key("y", 0.0), GuardedScreen.__mro__[1]())
+    for harmless in (GuardedScreen.__mro__[1](), ConfirmScreen("Attach?", "", "Attach", Effect.HARMLESS)):
+        assert not gate.refuses(key("y", 0.0), harmless)
 
 
 @on_main()
@@ -325,7 +327,7 @@ async def test_the_pictures_of_a_question_say_when_its_keys_count(app: ConsoleAp
     app.input_gate.pulse = Pulse({}, clock)
     clock.now += ANSWERS_WITHIN + 0.1  # it gives none
     answers: list[Any] = []
-    question = GuardedConfirmScreen("Move the arm?", "It moves.", "Move")
+    question = ConfirmScreen("Move the arm?", "It moves.", "Move", Effect.MOVES)
     question.seen_after = 60.0
     app.push_screen(question, answers.append)
     await until(pilot, lambda: question.drawn_at is not None, "drawn")
@@ -337,6 +339,14 @@ async def test_the_pictures_of_a_question_say_when_its_keys_count(app: ConsoleAp
     await shown(pilot, "y yes")
     await pilot.press("y")
     await until(pilot, lambda: answers == [True], "the answer")
+
+
+@pytest.mark.parametrize("asks", ["q", "R", "f6", "d"])
+@on_main()
+async def test_questions_with_an_effect_take_no_late_keys(app: ConsoleApp, pilot: Pilot[None], asks: str) -> None:
+    await pilot.press(asks)
+    await until(pilot, lambda: isinstance(app.screen, ConfirmScreen), "the question")
+    assert is_guarded(app.screen)
 
 
 # -- resuming

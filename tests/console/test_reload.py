@@ -8,7 +8,7 @@ from tests.console.driving import engine_of, on_main, shown
 
 from rsb_bridge.model.snapshot import Reloaded
 from rsb_console.operations.bridge_operations import OperationText
-from rsb_console.screens.dialog import GuardedConfirmScreen
+from rsb_console.screens.dialog import ConfirmScreen
 
 if TYPE_CHECKING:
     from textual.pilot import Pilot
@@ -21,7 +21,8 @@ async def test_what_differs_is_shown_before_anything_changes(app: ConsoleApp, pi
     await pilot.press("f6")
     await shown(pilot, "/scan (transmit): max_rate none → 5.0")
     assert engine_of(app).commands == [("reload", True, "drop_arm")]
-    assert isinstance(app.screen, GuardedConfirmScreen)  # the file may end demands, and resume topics
+    assert isinstance(app.screen, ConfirmScreen)
+    assert app.screen.is_guarded  # the file may end demands, and resume topics
     await pilot.press("n")
     await pilot.press("f6")
     await shown(pilot, "/scan (transmit): max_rate none → 5.0")

@@ -9,6 +9,7 @@ from weakref import WeakSet
 from textual.events import Key
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.look.formats import PatternRow
@@ -128,11 +129,11 @@ class BridgeOperations:
 
     async def _still_wants(self, route: Row) -> bool:
         """Whether the operator resumes a topic, asked by a question that late keys do not answer."""
-        from rsb_console.screens.dialog import GuardedConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
         arming = "" if route.arming is None else OperationText.STILL_DISARMED()
         means = OperationText.RESUME_MEANS(arming=arming)
-        question = GuardedConfirmScreen(OperationText.RESUME(topic=route.topic), means, "Resume")
+        question = ConfirmScreen(OperationText.RESUME(topic=route.topic), means, "Resume", Effect.MOVES)
         return bool(await self._console.ask(question))
 
     async def acknowledge(self) -> None:
@@ -243,7 +244,7 @@ class BridgeOperations:
             self._console.pull()
 
     async def edit_topic(self) -> None:
-        from rsb_console.screens.dialog import GuardedConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
         from rsb_console.screens.topic_form import TopicScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
@@ -255,7 +256,7 @@ class BridgeOperations:
                 return
             now, since, new = engine.snapshot(), _last_event(engine), draft.topic
             drops = route.spec.arm and not new.arm
-            if drops and not await self._console.ask(GuardedConfirmScreen(*_dropping(route), "Drop")):
+            if drops and not await self._console.ask(ConfirmScreen(*_dropping(route), "Drop", Effect.MOVES)):
                 raise EngineError("not changed: it still has to be armed")
             key = await asyncio.wrap_future(engine.edit_topic(route.key, new, drop_arm=drops, seen=route.spec))
             if new.topic != route.spec.topic and not new.is_pattern:
@@ -270,7 +271,7 @@ class BridgeOperations:
 
     async def remove_topic(self) -> None:
         """Remove the topic under the cursor, after a question."""
-        from rsb_console.screens.dialog import GuardedConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
         if route is None or engine is None:
@@ -280,7 +281,8 @@ class BridgeOperations:
             message += " Its name still has to be armed (armed in the session)."
         if route.pattern:
             message += f" {route.pattern} leaves it out from then on (except)."
-        if not await self._console.ask(GuardedConfirmScreen(f"Remove {route.topic}?", message, "Remove")):
+        question = ConfirmScreen(f"Remove {route.topic}?", message, "Remove", Effect.LOSES)
+        if not await self._console.ask(question):
             return
         now, since = self._console.snapshot(), _last_event(engine)
         patterns = tuple((row.key, row.spec) for row in patterns_of(now, route.link, route.spec))
@@ -324,7 +326,7 @@ class BridgeOperations:
 
     async def reload(self) -> None:
         """Have the session file read again, after showing what differs."""
-        from rsb_console.screens.dialog import GuardedConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
         engine = self._console.engine
         if engine is None:
@@ -342,7 +344,8 @@ class BridgeOperations:
             lines = [*differs.changed, *differs.left]
             more = [f"… and {len(lines) - _LINES_SHOWN} more"] if len(lines) > _LINES_SHOWN else []
             message = "\n".join(lines[:_LINES_SHOWN] + more)
-            agreed = await self._console.ask(GuardedConfirmScreen(OperationText.RELOAD(), message, "Reload"))
+            effect = Effect.MOVES | Effect.LOSES
+            agreed = await self._console.ask(ConfirmScreen(OperationText.RELOAD(), message, "Reload", effect))
             path = self._console.path
             if agreed and await self._console.command(engine.reload(drop_arm=True), "reloaded") and path is not None:
                 self._console.saved_to(engine.session, path)
@@ -360,7 +363,9 @@ class BridgeOperations:
         if not self._console.snapshot().running:
             await self._console.start_again()
             return
-        if await self._console.ask(ConfirmScreen("Restart the bridge?", OperationText.RESTART_MEANS(), "Restart")):
+        effect = Effect.MOVES | Effect.LOSES  # also of armings; and clients that were shut down may come back
+        means = OperationText.RESTART_MEANS()
+        if await self._console.ask(ConfirmScreen("Restart the bridge?", means, "Restart", effect)):
             await self._console.ask(RestartScreen(engine))
 
 

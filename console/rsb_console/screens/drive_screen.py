@@ -22,11 +22,12 @@ from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.text import escape_text, join_first
 from rsb_bridge.model.velocity_limits import smallest
 from rsb_bridge.model.wording import Wording
-from rsb_console.screens.dialog import ArmScreen, GuardedConfirmScreen
+from rsb_console.screens.dialog import ArmScreen, ConfirmScreen
 from rsb_console.screens.take_over import AskHolderScreen
 from rsb_console.session.landing import Landing
 from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, velocity
@@ -181,7 +182,7 @@ async def drive(console: Console, route: RouteSnapshot) -> None:
     if len(robots) > 1:
         title = DriveText.SEVERAL(topic=route.topic, count=len(robots))
         means = DriveText.SEVERAL_MEANS(robots=join_first(robots, _NAMED))
-        if not await console.ask(GuardedConfirmScreen(title, means, "Drive")):
+        if not await console.ask(ConfirmScreen(title, means, "Drive", Effect.MOVES)):
             return
     await console.ask(DriveScreen(console, route, type_name))
 

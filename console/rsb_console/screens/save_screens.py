@@ -12,6 +12,7 @@ from textual.widgets import Button, Static
 from rsb_bridge.config.files import is_there
 from rsb_bridge.config.keys import KeyFileError, copy_key
 from rsb_bridge.config.session_file import SessionError, UneditableError, backup_path, edited_text, save
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.session.saving import difference, file_of, moved, rescued, text_of, unsaved
@@ -151,7 +152,7 @@ class DiffScreen(ConfirmScreen):
     SHAPE = "-wide"
 
     def __init__(self, title: str, message: str, yes: str, lines: Sequence[str]) -> None:
-        super().__init__(title, message, yes)
+        super().__init__(title, message, yes, Effect.LOSES)
         self._diff = DiffLines(lines)
 
     def compose_message(self) -> ComposeResult:

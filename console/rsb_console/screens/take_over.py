@@ -8,8 +8,9 @@ from textual.binding import Binding
 from textual.widgets import Button, Static
 
 from rsb_bridge.model.by_hand import ASKED_FOR
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.wording import Wording
-from rsb_console.screens.dialog import GuardedConfirmScreen
+from rsb_console.screens.dialog import ConfirmScreen
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -43,7 +44,7 @@ class HandOverText(Wording):
     YES = "Give"
 
 
-class AskHolderScreen(GuardedConfirmScreen):
+class AskHolderScreen(ConfirmScreen):
     """Asks how to get what another console holds.
 
     Attributes:
@@ -57,13 +58,13 @@ class AskHolderScreen(GuardedConfirmScreen):
         Binding("t", "choose('take')", show=False),
         Binding("A", "choose('disarm')", show=False),
     ]
-    SAFE_KEYS = GuardedConfirmScreen.SAFE_KEYS | {"A"}
+    SAFE_KEYS = ConfirmScreen.SAFE_KEYS | {"A"}
 
     def __init__(self, route: RouteSnapshot, *, may_take: bool) -> None:
         holder = "" if route.arming is None else route.arming.by
         title, takes = HandOverText.HELD(topic=route.topic), HandOverText.TAKES() if may_take else ""
         means = HandOverText.MEANS(holder=holder, seconds=ASKED_FOR, takes=takes)
-        super().__init__(title, means, HandOverText.ASK())
+        super().__init__(title, means, HandOverText.ASK(), Effect.MOVES)
         self.choice = "ask"
         self._may_take = may_take
         self.KEYS = HandOverText.KEYS(take=HandOverText.TAKE_KEY() if may_take else "")
@@ -90,11 +91,12 @@ class AskHolderScreen(GuardedConfirmScreen):
         self.dismiss(True)
 
 
-class HandOverScreen(GuardedConfirmScreen):
+class HandOverScreen(ConfirmScreen):
     """Asks the holder whether another operator gets it; it closes once the question is over."""
 
     def __init__(self, console: Console, route: RouteSnapshot) -> None:
-        super().__init__(HandOverText.GIVE(topic=route.topic, link=route.link), "", HandOverText.YES())
+        title = HandOverText.GIVE(topic=route.topic, link=route.link)
+        super().__init__(title, "", HandOverText.YES(), Effect.MOVES)
         self.console, self._key = console, route.key
         self._text = Static(_asks(route), markup=False)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeGuard, runtime_checkable
 
 from textual import events
 from textual.screen import Screen
@@ -32,14 +32,16 @@ class LateInput(Wording):
 
 
 class GuardedScreen(Screen[Any]):
-    """A screen that takes young input only.
+    """A screen that takes young input only, if it is guarded.
 
     Attributes:
         SAFE_KEYS: keys that are taken however late they come.
+        is_guarded: whether its keys have an effect that must not come late.
         seen_after: s from its first picture until other keys count.
     """
 
     SAFE_KEYS: ClassVar[frozenset[str]] = frozenset()
+    is_guarded = True
     seen_after = 0.0
     drawn_at: float | None = None
 
@@ -91,7 +93,7 @@ class InputGate:
         # A form that splits a paste makes events of its own: these are as young as the paste.
         if is_from_terminal(event):
             self.is_young = not (self.pulse.relayed or self.is_late(event))
-        if not isinstance(screen, GuardedScreen):
+        if not is_guarded(screen):
             return False
         if isinstance(event, events.Key) and event.key in screen.SAFE_KEYS:
             return False
@@ -114,6 +116,11 @@ class InputGate:
         drawn_at = screen.drawn_at
         # An answer to a question after the picture proves that the terminal has it.
         return drawn_at is not None and self._clock() - drawn_at >= screen.seen_after and heard >= drawn_at
+
+
+def is_guarded(screen: Screen[Any]) -> TypeGuard[GuardedScreen]:
+    """Whether a screen takes young input only."""
+    return isinstance(screen, GuardedScreen) and screen.is_guarded
 
 
 def _is_pressed(event: Message) -> bool:
