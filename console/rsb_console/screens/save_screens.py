@@ -87,11 +87,14 @@ async def save_asking(console: Console, session: Session, path: Path, *, opened:
         console.notify(f"nothing to save: {path} is up to date", markup=False, timeout=3)
         return True
     try:
-        if is_there(path):
-            question, opened = _question(session, path, opened)
+        edited, shown = opened, None
+        # Again if somebody has written the file while the question stood, whose change the difference does not show.
+        while is_there(path) and (present := text_of(path)) != shown:
+            shown = present
+            question, edited = _question(session, path, opened)
             if not await console.ask(question):
                 return False
-        save(session, path, opened)
+        save(session, path, edited)
     except SessionError as error:
         console.notify(str(error), title="Not saved", severity="error", markup=False, timeout=15)
         return False
