@@ -137,8 +137,8 @@ class EngineApi(ABC):
     def take_arming(self, key: str, *, shared: bool = False) -> Future[None]:
         return self.do(commands.TakeArming(key, shared))
 
-    def answer_asker(self, key: str, *, gives: bool) -> Future[None]:
-        return self.do(commands.AnswerAsker(key, gives))
+    def answer_asker(self, key: str, *, gives: bool, who: str = "") -> Future[None]:
+        return self.do(commands.AnswerAsker(key, gives, who))
 
     def disarm(self, key: str, *, own: bool = False) -> Future[None]:
         return self.do(commands.DisarmTopic(key, own))

@@ -316,9 +316,10 @@ class ConsoleApp(TerminalApp[None]):
 
         if isinstance(self.screen, DriveScreen) and self.screen.drives(route.key):
             return
-        gives = await self.ask(HandOverScreen(self, route))
+        question = HandOverScreen(self, route)
+        gives = await self.ask(question)
         if gives is not None and self.engine is not None:
-            await self.command(self.engine.answer_asker(route.key, gives=gives))
+            await self.command(self.engine.answer_asker(route.key, gives=gives, who=question.who))
 
     # --- actions
 

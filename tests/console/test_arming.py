@@ -24,6 +24,7 @@ from tests.support.waiting import eventually
 from tests.support.wording import says
 
 from rsb_bridge.control.protocol import RequestProblem
+from rsb_bridge.model.commands import AnswerAsker
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
 from rsb_bridge.model.velocity_limits import VelocityLimits
@@ -107,9 +108,9 @@ async def test_the_key_that_armed_a_topic_disarms_it_wherever_it_and_the_cursor_
     assert app.main.selected == camera
 
 
-def asked(seconds: float = 7.0) -> RouteSnapshot:
+def asked(seconds: float = 7.0, by: str = "bert on pts/2") -> RouteSnapshot:
     assert ARMED.arming is not None
-    return replace(ARMED, arming=replace(ARMED.arming, asked_by="bert on pts/2", goes_in=seconds))
+    return replace(ARMED, arming=replace(ARMED.arming, asked_by=by, goes_in=seconds))
 
 
 @pytest.mark.parametrize(("key", "gives"), [("y", True), ("n", False)])
@@ -137,6 +138,18 @@ async def test_a_question_that_is_over_is_gone(app: ConsoleApp, pilot: Pilot[Non
     put(app, DISARMED)
     await gone(pilot, title)
     assert engine_of(app).commands == []
+
+
+@on_main()
+async def test_another_operators_question_is_another_one(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, asked())
+    await shown(pilot, HandOverText.ASKS, who="bert on pts/2", seconds=7.0)
+    first = app.screen
+    put(app, asked(by="carla on pts/3"))
+    await shown(pilot, HandOverText.ASKS, who="carla on pts/3", seconds=7.0)
+    await until(pilot, lambda: isinstance(app.screen, HandOverScreen) and app.screen is not first, "a new question")
+    await pilot.press("y")
+    await until(pilot, lambda: engine_of(app).given[-1:] == [AnswerAsker("/cmd_vel", True, "carla on pts/3")], "it")
 
 
 @on_main()

@@ -13,9 +13,10 @@ from textual import events
 
 from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.drive_screen import Steering
+from rsb_console.screens.take_over import HandOverScreen
 from rsb_console.terminal.driver import KeyParser
 from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate, is_guarded
 from rsb_console.terminal.pulse import ANSWERS_WITHIN, ASKED_EVERY, FRESH_FOR, WHO_ARE_YOU, Pulse, heard_before
@@ -339,6 +340,23 @@ async def test_the_pictures_of_a_question_say_when_its_keys_count(app: ConsoleAp
     await shown(pilot, "y yes")
     await pilot.press("y")
     await until(pilot, lambda: answers == [True], "the answer")
+
+
+def test_a_question_that_opens_by_itself_waits_until_the_operator_has_stopped_typing() -> None:
+    clock = Time()
+    gate, screen = gate_of(clock), ConfirmScreen("Give it?", "", "Give", Effect.MOVES)
+    screen.opens_itself, screen.drawn_at = True, clock.now
+    for _ in range(10):
+        clock.now += 0.2
+        assert gate.refuses(key("y", clock.now), screen)
+    clock.now += SEEN_AFTER
+    assert not gate.refuses(key("y", clock.now), screen)
+
+
+@pytest.mark.parametrize("name", ["n", "escape"])
+def test_what_is_typed_as_somebody_begins_to_ask_decides_nothing(name: str) -> None:
+    question = HandOverScreen(scripted_app(), route("/cmd_vel", arming=ArmingSnapshot(armed=True, asked_by="bert")))
+    assert gate_of(Time()).refuses(key(name, 0.0), question)
 
 
 @pytest.mark.parametrize("asks", ["q", "R", "f6", "d"])

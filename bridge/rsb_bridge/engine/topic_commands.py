@@ -301,7 +301,7 @@ class ArmingCommands:
 
     async def answer(self, command: AnswerAsker) -> None:
         link, route = self._find(command.key)
-        link.table.questions.answer(route, console(), gives=command.gives)
+        link.table.questions.answer(route, console(), gives=command.gives, who=command.who)
 
     async def disarm(self, command: DisarmTopic) -> None:
         link, route = self._find(command.key)

@@ -199,11 +199,13 @@ class AnswerAsker(Command[None], frozen=True, tag="answer_asker"):
 
     Attributes:
         gives: whether the topic goes over.
+        who: the operator who asks, as the holder has seen, or empty. An answer to another one is refused.
     """
 
     always = Effect.MOVES
     key: str
     gives: bool
+    who: str = ""
 
 
 class DisarmTopic(Command[None], frozen=True, tag="disarm"):

@@ -538,7 +538,7 @@ def _hold(engine: RemoteEngine, route: RouteSnapshot, keys: TypedKeys) -> tuple[
         lost_at = math.inf if holds else min(lost_at, time.monotonic())
         if pressed and asked_by:  # pressing Enter means driving
             with contextlib.suppress(EngineError):  # it is over
-                result(engine.answer_asker(route.key, gives=False))
+                result(engine.answer_asker(route.key, gives=False, who=asked_by))
         now = next((each for each in engine.snapshot().routes if each.key == route.key), None)
         if now is None or now.arming is None or not now.arming.armed or engine.unreachable:
             reason, cause = _why_disarmed(engine, now)

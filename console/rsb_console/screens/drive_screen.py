@@ -281,7 +281,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         self._type_name = type_name
         self._has_armed = False
         self._asking: Future[None] | None = None
-        self._asked_since: float | None = None
+        self._asker, self._asked_since = "", 0.0
         self._links: tuple[str, ...] = ()
         self._landing: Landing | None = None
         self._landed_at = 0.0
@@ -409,9 +409,9 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
 
     def action_answer(self, gives: bool) -> None:
         """Answer an operator who asks for what this console holds, once the question was to be read."""
-        engine, since = self.console.engine, self._asked_since
-        if engine is not None and since is not None and time.monotonic() - since > SEEN_AFTER:
-            self._answer(engine.answer_asker(self._route.key, gives=gives))
+        engine, who = self.console.engine, self._asker
+        if engine is not None and who and time.monotonic() - self._asked_since > SEEN_AFTER:
+            self._answer(engine.answer_asker(self._route.key, gives=gives, who=who))
 
     @work
     async def _answer(self, answering: Future[None]) -> None:
@@ -508,10 +508,10 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
             reason = f" ({escape_text(route.arming.reason)})" if route.arming.reason else ""
             return DriveText.DISARMED(reason=reason)
         left, seconds = route.arming.left, route.arming.goes_in
-        if seconds is None or not self._is_holder:
-            self._asked_since = None
-        if seconds is not None and self._is_holder:
-            self._asked_since = self._asked_since or time.monotonic()
+        asker = route.arming.asked_by if seconds is not None and self._is_holder else ""
+        if asker != self._asker:
+            self._asker, self._asked_since = asker, time.monotonic()
+        if asker:
             return DriveText.ASKS(who=escape_text(route.arming.asked_by), seconds=seconds)
         if seconds is not None and self._asking is not None:
             return DriveText.ASKED(who=escape_text(route.arming.by), seconds=seconds)

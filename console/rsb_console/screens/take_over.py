@@ -92,12 +92,20 @@ class AskHolderScreen(ConfirmScreen):
 
 
 class HandOverScreen(ConfirmScreen):
-    """Asks the holder whether another operator gets it; it closes once the question is over."""
+    """Asks the holder whether another operator gets it; it closes once the question is over.
+
+    Attributes:
+        who: the operator who asks.
+    """
+
+    # Not even n and escape: they may be for what it has opened over, and would decide for the holder.
+    SAFE_KEYS = frozenset({"ctrl+c"})
+    opens_itself = True
 
     def __init__(self, console: Console, route: RouteSnapshot) -> None:
         title = HandOverText.GIVE(topic=route.topic, link=route.link)
         super().__init__(title, "", HandOverText.YES(), Effect.MOVES)
-        self.console, self._key = console, route.key
+        self.console, self._key, self.who = console, route.key, asker_of(route)
         self._text = Static(_asks(route), markup=False)
 
     def compose_message(self) -> ComposeResult:
@@ -109,7 +117,7 @@ class HandOverScreen(ConfirmScreen):
     def show(self) -> None:
         """Show the seconds that are left; close the question if it is over."""
         route = asked_about(self.console.snapshot(), self._key)
-        if route is None:
+        if route is None or asker_of(route) != self.who:
             # Textual closes the screen on top, which may be the help. `is_current` is true below that, too.
             if self.is_active:
                 self.dismiss(None)
@@ -122,21 +130,24 @@ def _asks(route: RouteSnapshot) -> str:
     return HandOverText.ASKS(who=route.arming.asked_by, seconds=route.arming.goes_in or 0.0)
 
 
+def asker_of(route: RouteSnapshot) -> str:
+    """Return the operator who asks for a route's arming, or an empty string."""
+    return "" if route.arming is None else route.arming.asked_by
+
+
 def asked_about(snapshot: Snapshot, key: str) -> RouteSnapshot | None:
     """Return a route for whose arming somebody asks its holder, or None."""
-    found = (route for route in snapshot.routes if route.key == key)
-    return next((route for route in found if route.arming is not None and route.arming.asked_by), None)
+    return next((route for route in snapshot.routes if route.key == key and asker_of(route)), None)
 
 
 class NewQuestions:
     """Finds the questions that a holder has not seen yet."""
 
     def __init__(self) -> None:
-        self._asked: set[str] = set()
+        self._asked: set[tuple[str, str]] = set()
 
     def find_new(self, snapshot: Snapshot, held: Iterable[str]) -> list[RouteSnapshot]:
         """Return the routes of `held` for whose arming somebody has begun to ask."""
-        routes = {key: route for key in held if (route := asked_about(snapshot, key)) is not None}
-        new = [route for key, route in routes.items() if key not in self._asked]
-        self._asked = set(routes)
-        return new
+        routes = [route for key in held if (route := asked_about(snapshot, key)) is not None]
+        before, self._asked = self._asked, {(route.key, asker_of(route)) for route in routes}
+        return [route for route in routes if (route.key, asker_of(route)) not in before]

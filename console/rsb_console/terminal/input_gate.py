@@ -38,10 +38,12 @@ class GuardedScreen(Screen[Any]):
         SAFE_KEYS: keys that are taken however late they come.
         is_guarded: whether its keys have an effect that must not come late.
         seen_after: s from its first picture until other keys count.
+        opens_itself: whether it opens over whatever the operator does: then that time begins again with each key.
     """
 
     SAFE_KEYS: ClassVar[frozenset[str]] = frozenset()
     is_guarded = True
+    opens_itself = False
     seen_after = 0.0
     drawn_at: float | None = None
 
@@ -99,7 +101,10 @@ class InputGate:
             return False
         # Without a note: while a question's keys do not count yet, it shows … in their place.
         if not self.is_late(event):
-            return not self._was_seen(screen, heard_before(event))
+            seen = self._was_seen(screen, heard_before(event))
+            if not seen and screen.opens_itself and screen.drawn_at is not None:
+                screen.drawn_at = self._clock()  # whoever types on has not read it
+            return not seen
         if self._clock() - self._told_at > _TOLD_EVERY:
             self._told_at = self._clock()
             self._app.notify(LateInput.IGNORED(), severity="warning", timeout=_TOLD_EVERY)
