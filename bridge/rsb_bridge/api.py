@@ -30,6 +30,7 @@ class Unable(Wording):
     STOPPED_BEFORE_START = "the engine was stopped before it had started"
     NOT_A_SERVER = "only a server has clients"
     NO_FILE = "this session has no file yet: save it first"
+    RELOADS_OTHER = "nothing is reloaded: the file or the bridge was changed meanwhile, look again"
 
 
 class EngineError(Exception):
@@ -164,8 +165,8 @@ class EngineApi(ABC):
     def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
         return self.do(commands.Restart(), step)
 
-    def reload(self, *, dry_run: bool = False, drop_arm: bool = False) -> Future[Reloaded]:
-        return self.do(commands.Reload(dry_run, drop_arm))
+    def reload(self, *, dry_run: bool = False, drop_arm: bool = False, seen: str = "") -> Future[Reloaded]:
+        return self.do(commands.Reload(dry_run, drop_arm, seen))
 
     def topics(self, link: str | None = None) -> Future[tuple[TopicInfo, ...]]:
         return self.do(commands.Topics(link))

@@ -291,11 +291,13 @@ class Reload(Command[Reloaded], frozen=True, tag="reload"):
     Attributes:
         dry_run: whether to report only, and change nothing.
         drop_arm: whether an operator has agreed to end the demands to arm that the file does not make any more.
+        seen: `Reloaded.digest` of the changes to which an operator has agreed, or empty. Others are refused.
     """
 
     one_at_a_time = True
     dry_run: bool = False
     drop_arm: bool = False
+    seen: str = ""
 
     @property
     def effect(self) -> Effect:

@@ -7,7 +7,6 @@ import math
 import os
 import sys
 import time
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -257,7 +256,8 @@ def _reload(arguments: Namespace) -> int:
         reloaded = result(engine.reload(dry_run=arguments.dry_run, drop_arm=arguments.drop_arm))
     if arguments.json:
         is_done = not (reloaded.left or reloaded.failed)
-        print_line(json_line({"ok": is_done, "dry_run": arguments.dry_run, **asdict(reloaded)}))
+        about = {name: getattr(reloaded, name) for name in ("changed", "left", "failed")}
+        print_line(json_line({"ok": is_done, "dry_run": arguments.dry_run, **about}))
     else:
         for line in reloaded.changed or ["no difference that can be applied in place"]:
             print_line(line)

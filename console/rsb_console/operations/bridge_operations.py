@@ -52,6 +52,7 @@ class OperationText(Wording):
     NOTHING_MORE_TO_UNDO = "nothing more to undo"
     AS_IN_FILE = "the bridge already runs as in the session file"
     RELOAD = "Reload the session file?"
+    RELOADED = "reloaded"
     ENDED_ELSEWHERE = "the bridge has ended in its own process: start it there"
     RESUME = "Resume {topic}?"
     RESUME_MEANS = "The key may have come late, so it is asked for. Messages cross again at once{arming}."
@@ -346,8 +347,14 @@ class BridgeOperations:
             message = "\n".join(lines[:_LINES_SHOWN] + more)
             effect = Effect.MOVES | Effect.LOSES
             agreed = await self._console.ask(ConfirmScreen(OperationText.RELOAD(), message, "Reload", effect))
-            path = self._console.path
-            if agreed and await self._console.command(engine.reload(drop_arm=True), "reloaded") and path is not None:
+            reloading = engine.reload(drop_arm=True, seen=differs.digest) if agreed else None
+            if reloading is None or not await self._console.command(reloading):
+                return
+            if failed := reloading.result().failed:
+                self._console.notify("\n".join(failed), title="Not done", severity="error", markup=False, timeout=15)
+                return
+            self._console.notify(OperationText.RELOADED(), timeout=3)
+            if (path := self._console.path) is not None:
                 self._console.saved_to(engine.session, path)
 
     async def restart(self) -> None:
