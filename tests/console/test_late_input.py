@@ -7,7 +7,7 @@ import re
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.console.driving import engine_of, on_main, put, scripted_app, shown, until
+from tests.console.driving import engine_of, notified, on_main, put, scripted_app, shown, until
 from tests.console.scripted import route
 from textual import events
 
@@ -18,7 +18,7 @@ from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.drive_screen import Steering
 from rsb_console.screens.take_over import HandOverScreen
 from rsb_console.terminal.driver import KeyParser
-from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate, is_guarded
+from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate, LateInput, is_guarded
 from rsb_console.terminal.pulse import ANSWERS_WITHIN, ASKED_EVERY, FRESH_FOR, WHO_ARE_YOU, Pulse, heard_before
 
 if TYPE_CHECKING:
@@ -408,6 +408,25 @@ async def test_a_late_key_resumes_nothing_without_a_question(app: ConsoleApp, pi
     app.input_gate.pulse = None
     await pilot.press("y")
     await until(pilot, lambda: engine_of(app).commands == [("pause", "/cmd_vel", False)], "resumed")
+
+
+@on_main()
+async def test_a_key_is_not_for_a_topic_that_has_just_slid_under_the_cursor(
+    app: ConsoleApp, pilot: Pilot[None]
+) -> None:
+    put(app, route("/a"), route("/b"), route("/c", arming=ArmingSnapshot(armed=True)))
+    await pilot.press("j", "k")
+    app.input_gate.pulse = Pulse({}, Time())
+    put(app, *engine_of(app).now.routes[1:])
+    await pilot.press("p")
+    await notified(pilot, LateInput.LIST_MOVED)
+    assert engine_of(app).commands == []
+    app.main.topics._slid_at -= SEEN_AFTER
+    await pilot.press("p")
+    await until(pilot, lambda: engine_of(app).commands == [("pause", "/b", True)], "paused")
+    put(app, *engine_of(app).now.routes[1:])
+    await pilot.press("A")  # what stops a robot always counts
+    await until(pilot, lambda: engine_of(app).commands[1:] == [("disarm", "/c")], "disarmed")
 
 
 @on_main()

@@ -224,7 +224,7 @@ class LinksScreen(ModalScreen[None]):
     @work
     async def action_retry(self) -> None:
         link, engine = self.table.selected, self.console.engine
-        if link is not None and engine is not None and not self.console.readonly:
+        if link is not None and engine is not None and not self.console.readonly and self.table.is_seen():
             lets_in = self._is_server and link.cause == LinkCause.SHUT_DOWN
             done = "it may come back" if lets_in else "trying again"
             await self.console.command(engine.retry(link.name), f"{link.name}: {done}")
@@ -233,7 +233,7 @@ class LinksScreen(ModalScreen[None]):
     async def action_acknowledge(self) -> None:
         """Acknowledge the fault of the link under the cursor, or undo that."""
         link, engine = self.table.selected, self.console.engine
-        if link is not None and engine is not None and not self.console.readonly:
+        if link is not None and engine is not None and not self.console.readonly and self.table.is_seen():
             await self.console.command(engine.acknowledge("", link.acknowledged is None, link=link.name))
 
     @property

@@ -151,6 +151,8 @@ class MainScreen(Screen[None]):
 
     def _run_operation(self, operation: Callable[[], Awaitable[None]], action: Action) -> None:
         if action.needs_topic:
+            if not (action.id == "arm" and self._disarms) and not self.topics.is_seen():
+                return
             self.topics.hold()  # the next key is for the same topic, wherever its new state puts it
         exclusive = action.group is Group.SESSION  # another choice of a session replaces one that waits in a dialog
         self.run_worker(operation(), group=action.group, exclusive=exclusive)

@@ -29,6 +29,7 @@ class LateInput(Wording):
     """Texts about keys that came late."""
 
     IGNORED = "keys came late: they are ignored"
+    LIST_MOVED = "the list has moved: look, and press the key again"
 
 
 class GuardedScreen(Screen[Any]):
@@ -109,6 +110,13 @@ class InputGate:
             self._told_at = self._clock()
             self._app.notify(LateInput.IGNORED(), severity="warning", timeout=_TOLD_EVERY)
         return True
+
+    def was_seen(self, changed_at: float) -> bool:
+        """Whether the operator may have seen what changed at a time (s); if not, they get a note."""
+        if not self.is_on or self._clock() - changed_at >= SEEN_AFTER:
+            return True
+        self._app.notify(LateInput.LIST_MOVED(), severity="warning", timeout=_TOLD_EVERY)
+        return False
 
     def takes_keys(self, screen: GuardedScreen) -> bool:
         """Whether a key that is pressed now would count."""
