@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.pictures import Viewed, Wish
     from rsb_bridge.model.session import Client, Session, Topic
-    from rsb_bridge.model.snapshot import Event, PeekedMessage, Reloaded, Snapshot, TopicInfo
+    from rsb_bridge.model.snapshot import Event, PeekedMessage, Reloaded, Snapshot, State, TopicInfo
 
 
 class Unable(Wording):
@@ -126,8 +126,10 @@ class EngineApi(ABC):
     def pause(self, key: str, paused: bool) -> Future[None]:
         return self.do(commands.PauseTopics(key, paused))
 
-    def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> Future[None]:
-        return self.do(commands.Acknowledge(key, acknowledged, link))
+    def acknowledge(
+        self, key: str, acknowledged: bool = True, *, link: str = "", seen: tuple[State, str] | None = None
+    ) -> Future[None]:
+        return self.do(commands.Acknowledge(key, acknowledged, link, seen))
 
     def arm(self, key: str, *, shared: bool = False) -> Future[None]:
         return self.do(commands.ArmTopic(key, shared))

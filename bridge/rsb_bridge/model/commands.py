@@ -19,7 +19,7 @@ from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.pictures import TOPICS_AT_ONCE, Viewed, Wish
 from rsb_bridge.model.session import Client, Topic
-from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, TopicInfo
+from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, State, TopicInfo
 
 R = TypeVar("R")
 R_co = TypeVar("R_co", covariant=True)
@@ -142,12 +142,14 @@ class Acknowledge(Command[None], frozen=True, tag="acknowledge"):
         key: of a route or a pattern. A route that is down with its link has the link's fault.
         acknowledged: whether the fault is acknowledged from now on.
         link: the name of a link, instead of a key.
+        seen: the state and the cause that the operator has seen, or None. Another fault is not acknowledged.
     """
 
     always = Effect.HARMLESS
     key: str = ""
     acknowledged: bool = True
     link: str = ""
+    seen: tuple[State, str] | None = None
 
 
 class ArmTopic(Command[None], frozen=True, tag="arm"):

@@ -141,7 +141,8 @@ class BridgeOperations:
         """Acknowledge the fault of the topic under the cursor, or take that back."""
         engine, route = self._console.engine, self._selected()
         if engine is not None and route is not None:
-            await self._console.command(engine.acknowledge(route.key, route.acknowledged is None))
+            seen = None if isinstance(route, PatternRow) else (route.state, route.cause)
+            await self._console.command(engine.acknowledge(route.key, route.acknowledged is None, seen=seen))
 
     async def arm(self) -> None:
         """Arm the topic under the cursor, after a question; disarm it at once, even if another operator armed it.

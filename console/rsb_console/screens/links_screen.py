@@ -234,7 +234,8 @@ class LinksScreen(ModalScreen[None]):
         """Acknowledge the fault of the link under the cursor, or undo that."""
         link, engine = self.table.selected, self.console.engine
         if link is not None and engine is not None and not self.console.readonly and self.table.is_seen():
-            await self.console.command(engine.acknowledge("", link.acknowledged is None, link=link.name))
+            seen = link.state, link.cause
+            await self.console.command(engine.acknowledge("", link.acknowledged is None, link=link.name, seen=seen))
 
     @property
     def _is_server(self) -> bool:
