@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.console.driving import engine_of, gone, on_main, put, shown, until
+from tests.console.driving import engine_of, gone, notified, on_main, put, shown, until
 from tests.console.live import COMMAND, ELSEWHERE, HERE, Pair, bridging, talker
 from tests.console.scripted import route
 from tests.console.side import every_so_often
@@ -28,6 +28,7 @@ from rsb_bridge.model.commands import AnswerAsker
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
 from rsb_bridge.model.velocity_limits import VelocityLimits
+from rsb_console.operations.bridge_operations import OperationText
 from rsb_console.screens.help import HelpScreen
 from rsb_console.screens.take_over import HandOverScreen, HandOverText
 
@@ -85,6 +86,19 @@ async def test_an_armed_topic_is_marked_and_disarmed_at_once(app: ConsoleApp, pi
     await shown(pilot, "A disarm")
     await pilot.press("A")
     await until(pilot, lambda: engine_of(app).commands == [("disarm", "/cmd_vel")], "disarmed")
+
+
+@on_main()
+async def test_a_frozen_list_stops_nobody_from_disarming(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, DISARMED, route("/paused"))
+    await shown(pilot, "⊘ DISARMED")
+    await pilot.press("space")
+    put(app, ARMED, route("/paused", State.PAUSED))
+    await pilot.press("A")
+    await until(pilot, lambda: engine_of(app).commands == [("disarm", "/cmd_vel")], "disarmed")
+    await pilot.press("j", "p")
+    await notified(pilot, OperationText.IS_ALREADY, topic="/paused")
+    assert len(engine_of(app).commands) == 1
 
 
 @on_main()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 from weakref import WeakSet
 
 from textual.events import Key
@@ -25,6 +25,7 @@ from rsb_console.session.changes import (
     patterns_of,
 )
 from rsb_console.terminal.input_gate import InputGate
+from rsb_console.widgets.columns import is_armed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from rsb_console.look.formats import Row
     from rsb_console.screens.topic_form import TopicDraft
 
+R = TypeVar("R", bound="Row")
 _LINES_SHOWN = 12
 """Lines of a question about a reload; the others are counted. A round figure."""
 
@@ -57,6 +59,7 @@ class OperationText(Wording):
     RESUME = "Resume {topic}?"
     RESUME_MEANS = "The key may have come late, so it is asked for. Messages cross again at once{arming}."
     STILL_DISARMED = ", once it is armed"
+    IS_ALREADY = "{topic} was paused or resumed meanwhile: look, and press the key again"
     SEVERAL_ARMED = "go to the topic to disarm: {topics}"
     RESTART_MEANS = "All links are closed on both sides and opened again. Nothing crosses for a few seconds."
 
@@ -109,12 +112,19 @@ class BridgeOperations:
         row = self._selected()
         return None if isinstance(row, PatternRow) else row
 
+    def _now(self, row: R) -> R:
+        """Return the present state of a row: a frozen list shows an old one, and one that a picture has hidden."""
+        return cast("R", find_entry(self._console.snapshot(), row.key) or row)
+
     async def pause(self) -> None:
         """Pause the topic under the cursor, or resume it, after a question if the key may have come late."""
         engine, route = self._console.engine, self._selected()
         if engine is None or route is None:
             return
         paused = route.state is not State.PAUSED
+        if (self._now(route).state is not State.PAUSED) is not paused:
+            self._console.notify(OperationText.IS_ALREADY(topic=route.topic), severity="warning", markup=False)
+            return
         # Only resuming can move something: a key that a hung terminal delivers late may pause.
         if not paused and not InputGate.of(self._screen().app).is_young and not await self._still_wants(route):
             return
@@ -162,13 +172,13 @@ class BridgeOperations:
             elif names:
                 text = OperationText.SEVERAL_ARMED(topics=", ".join(names))
                 self._console.notify(text, title="Not done", severity="warning", markup=False)
-        elif route.arming.armed:
+        elif is_armed(now := self._now(route)) or is_armed(route):
             # This key stops a robot: it asks nobody, even if another operator holds the topic.
             await self._disarm(engine, route)
-        elif route.state is State.PAUSED:
+        elif now.state is State.PAUSED:
             text = f"{route.topic} cannot be armed: it is paused; resume it first"
             self._console.notify(text, title="Not done", severity="warning", markup=False)
-        elif await self._console.ask(ArmScreen(route)):
+        elif await self._console.ask(ArmScreen(now)):
             self._console.deadman.armed_on(self._screen())
             await self._console.command(engine.arm(route.key))
 
@@ -252,6 +262,7 @@ class BridgeOperations:
         engine, route = self._console.engine, self._selected()
         if route is None or engine is None:
             return
+        route = self._now(route)
 
         async def edit(draft: TopicDraft) -> None:
             if draft.topic == route.spec:
