@@ -433,6 +433,7 @@ def test_a_change_is_picked(size: tuple[int, int]) -> None:
         await bed.press("y")
         await bed.until(lambda: screen.phase is RolloutPhase.ENDED, "the end")
         assert [len(bed.source.engines[name].commands) for name in ("robot1", "robot2", "robot3")] == [1, 1, 0]
+        await bed.shown("u undo")
         await bed.press("escape")
         await bed.until(lambda: bed.app.screen is bed.app.main, "the fleet")
 
@@ -518,6 +519,8 @@ async def test_a_change_that_makes_it_worse_is_put_back(bed: Bed, monkeypatch: p
     await bed.shown("not begun: robot2")
     await bed.shown("rsb-console fleet edit robot1 /camera max_rate=30")
     await bed.press("u")
+    await bed.until(lambda: isinstance(bed.app.screen, ConfirmScreen), "a question")
+    await bed.press("y")
     await bed.until(lambda: screen.phase is RolloutPhase.ENDED and screen.outcome is None, "the undo")
     await bed.shown("restored on robot1")
     lines = re.findall(r"(\S) +(robot.) +max_rate (\S+) → (\S+)", text(bed.app))

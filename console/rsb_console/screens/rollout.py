@@ -362,8 +362,7 @@ class RolloutScreen(ModalScreen[None]):
     def _enter(self, phase: RolloutPhase) -> None:
         self.phase = phase
         can_undo = phase is RolloutPhase.ENDED and self.outcome is not None and bool(self.outcome.changed)
-        failed = can_undo and self.outcome is not None and bool(self.outcome.failed or self.outcome.left)
-        self.query_one(".keys", Static).update(_CAN_UNDO if failed else _KEYS[phase])
+        self.query_one(".keys", Static).update(_CAN_UNDO if can_undo else _KEYS[phase])
         self._change.list.display = phase is RolloutPhase.TYPING
         self._show()
 
@@ -432,13 +431,17 @@ class RolloutScreen(ModalScreen[None]):
 
     @work(exclusive=True, exit_on_error=False)
     async def action_undo(self) -> None:
-        """Undo the change on all robots that have it."""
+        """Undo the change on all robots that have it, after a question."""
         if (
             self.phase is not RolloutPhase.ENDED
             or self._rollout is None
             or self.outcome is None
             or not self.outcome.changed
         ):
+            return
+        lines = [f"{step.name}: {said(step.reversed)}" for step in self.outcome.changed]
+        title = f"Undo the change of {formats.counted(len(lines), 'robot')}?"
+        if not await self.console.ask(ConfirmScreen(title, "\n".join(lines), "Undo", Effect.MOVES)):
             return
         self._enter(RolloutPhase.RUNNING)
         failed = await asyncio.to_thread(self._rollout.undo, self.outcome, self._tell)
