@@ -386,10 +386,11 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
             # Closed while the question was open: nobody would see what moves.
             if not self.is_running:
                 return
-            await self.console.command(engine.arm(route.key))
+            if await self.console.command(engine.arm(route.key)):
+                self._now_holds()
 
     async def _take_over(self, engine: EngineApi, route: RouteSnapshot) -> None:
-        question = AskHolderScreen(route, may_take=engine.may_take)
+        question = AskHolderScreen(self.console, route, may_take=engine.may_take)
         if not await self.console.ask(question) or not self.is_running:
             return
         if question.choice == "disarm":
@@ -404,8 +405,13 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         """Wait for the holder's answer, apart from the keys, which do not wait for it."""
         self._has_armed, self._asking = True, asking
         self.console.deadman.armed_on(self)
-        await self.console.command(asking)
+        if await self.console.command(asking):
+            self._now_holds()
         self._asking = None
+
+    def _now_holds(self) -> None:
+        # The next answer to a sign of life says so, too; until then, A would ask for what this screen has just armed.
+        self.console.deadman.held |= {self._route.key}
 
     def action_answer(self, gives: bool) -> None:
         """Answer an operator who asks for what this console holds, once the question was to be read."""

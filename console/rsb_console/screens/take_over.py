@@ -27,6 +27,7 @@ class HandOverText(Wording):
     """Texts about an arming that goes over."""
 
     HELD = "{topic} is armed by somebody else"
+    LET_GO = "it has another holder, or none any more: look again"
     MEANS = (
         "{holder} holds it, and drives alone.\n"
         "y asks for it: without an answer it goes over after {seconds:.0f} s, and the robot stands in between.\n"
@@ -60,14 +61,26 @@ class AskHolderScreen(ConfirmScreen):
     ]
     SAFE_KEYS = ConfirmScreen.SAFE_KEYS | {"A"}
 
-    def __init__(self, route: RouteSnapshot, *, may_take: bool) -> None:
+    def __init__(self, console: Console, route: RouteSnapshot, *, may_take: bool) -> None:
         holder = "" if route.arming is None else route.arming.by
+        self.console, self._key, self._holder = console, route.key, holder
         title, takes = HandOverText.HELD(topic=route.topic), HandOverText.TAKES() if may_take else ""
         means = HandOverText.MEANS(holder=holder, seconds=ASKED_FOR, takes=takes)
         super().__init__(title, means, HandOverText.ASK(), Effect.MOVES)
         self.choice = "ask"
         self._may_take = may_take
         self.KEYS = HandOverText.KEYS(take=HandOverText.TAKE_KEY() if may_take else "")
+
+    def on_mount(self) -> None:
+        self.set_interval(_LOOK_EVERY, self.show)
+
+    def show(self) -> None:
+        """Close the question once its holder has let go: to ask would then arm at once."""
+        routes = self.console.snapshot().routes
+        holders = [each.arming.by for each in routes if each.key == self._key and each.arming is not None]
+        if self._holder not in holders and self.is_active:
+            self.notify(HandOverText.LET_GO(), markup=False)
+            self.dismiss(False)
 
     def compose_buttons(self) -> ComposeResult:
         yield Button(self._yes, id="yes", variant=self.VARIANT, compact=True)
