@@ -239,6 +239,33 @@ async def test_what_somebody_else_has_changed_since_is_left_alone(
 
 
 @on_scan()
+async def test_a_pause_that_somebody_else_has_ended_and_begun_again_is_theirs(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    await pilot.press("p")
+    await until(pilot, lambda: engine.spec("/scan").paused, "paused")
+    engine.happened += [other(5, EventCode.OPERATOR_PAUSED, "me"), other(6, EventCode.OPERATOR_RESUMED)]
+    engine.happened.append(other(7, EventCode.OPERATOR_PAUSED))
+    await refused(app, pilot, "anna on pts/3")
+    assert engine.spec("/scan").paused
+
+
+@on_scan()
+async def test_an_undo_with_another_effect_by_then_is_asked_about_again(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    engine.now = with_pattern(engine, Topic("/s*", "transmit"))
+    await removed(pilot, "/scan")
+    first = await question(app, pilot)
+    engine.now = with_pattern(engine, Topic("/s*", "transmit", excepts=("/scan",)))
+    await pilot.press("y")
+    await until(pilot, lambda: isinstance(app.screen, UndoScreen) and app.screen is not first, "another question")
+    assert engine.undone == []
+    await pilot.press("y")
+    await until(pilot, lambda: engine.undone, "an undo")
+
+
+@on_scan()
 async def test_what_somebody_changes_while_the_question_stands_is_left_alone(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:

@@ -321,10 +321,12 @@ class BridgeOperations:
             return
         self._undoing = True
         try:
-            undo = change.undo(self._console.snapshot(), engine.events())
-            if not await self._console.ask(UndoScreen(undo)):
-                return
-            undo = change.undo(self._console.snapshot(), engine.events())  # it may have changed meanwhile
+            agreed: tuple[str, ...] | None = None
+            # Again if it would do something else by then.
+            while (undo := change.undo(self._console.snapshot(), engine.events())).lines != agreed:
+                agreed = undo.lines
+                if not await self._console.ask(UndoScreen(undo)):
+                    return
             await undo.act(engine)
         except CannotUndoError as problem:
             changes.drop(change)

@@ -89,15 +89,19 @@ class Change(ABC):
 
     def _refuse(self, problem: str, events: Sequence[Event]) -> CannotUndoError:
         """Return the error, with the operator of the last change if an event names one."""
-        about = [
+        about = self._since(events)
+        by = f" by {about[-1].who}" if len(about) > 1 and about[-1].who else ""  # the first is of this change itself
+        return CannotUndoError(f"{self.topic}: {problem}{by}; your change is not undone")
+
+    def _since(self, events: Sequence[Event]) -> list[Event]:
+        """Return what operators have done with the topic since, beginning with this change itself."""
+        return [
             event
             for event in events
             if event.number > self.since
             and event.code in _BY_OPERATORS
             and (event.topic, event.link) == (self.topic, self.link)
         ]
-        by = f" by {about[-1].who}" if len(about) > 1 and about[-1].who else ""  # the first is of this change itself
-        return CannotUndoError(f"{self.topic}: {problem}{by}; your change is not undone")
 
     def _entry(self, key: str, now: Snapshot, events: Sequence[Event]) -> Row:
         found = find_entry(now, key)
@@ -255,6 +259,9 @@ class Paused(Change):
         entry = self._entry(self.key, now, events)
         if entry.spec.paused != self.paused:
             raise self._refuse(f"it was {'resumed' if self.paused else 'paused'} since", events)
+        # Taken back and done again by somebody else, it is theirs. This console's own later changes are undone already.
+        if len({event.who for event in self._since(events)}) > 1:
+            raise self._refuse("somebody else has changed it since", events)
         if self.mixed:
             raise CannotUndoError(
                 f"{self.topic}: some of its topics were paused before and some not: resume them one by one"
