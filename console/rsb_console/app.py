@@ -16,6 +16,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.faults import ChangeKind, FaultWatch
 from rsb_bridge.model.snapshot import Snapshot, State
+from rsb_bridge.model.verdict import LinkCause
 from rsb_console.actions import Group
 from rsb_console.operations.bridge_operations import BridgeOperations, Deadman
 from rsb_console.operations.session_operations import SessionOperations
@@ -299,7 +300,9 @@ class ConsoleApp(TerminalApp[None]):
         if events:
             self._last_event = events[-1].number
         snapshot = self.snapshot()
-        self.needs_young_keys = any(route.arming is not None or route.spec.paused for route in snapshot.routes)
+        self.needs_young_keys = any(link.cause == LinkCause.SHUT_DOWN for link in snapshot.links) or any(
+            route.arming is not None or route.spec.paused for route in snapshot.routes
+        )
         self.deadman.keep(self.engine, snapshot)
         for route in self._questions.find_new(snapshot, self.deadman.held):
             self._hand_over(route)

@@ -66,7 +66,8 @@ class TerminalApp(App[ReturnType]):
         self.input_queue = InputQueue(self, dialogs)
         self.input_gate = InputGate(self)
         self.needs_young_keys = False
-        """Whether something can be driven, armed or resumed: then the terminal has to prove how young its keys are."""
+        """Whether something can be driven, armed, resumed or linked again, so that the terminal has to prove how young
+        its keys are."""
         self.terminal = 1
         """File descriptor of the terminal."""
         self._forced_end = ForcedEnd(self.stop)

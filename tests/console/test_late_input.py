@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import re
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.console.driving import engine_of, notified, on_main, put, scripted_app, shown, until
-from tests.console.scripted import route
+from tests.console.driving import choose, engine_of, notified, on_main, put, scripted_app, shown, until
+from tests.console.scripted import LINK, route
 from textual import events
 
 from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
+from rsb_bridge.model.verdict import LinkCause
+from rsb_console.operations.bridge_operations import OperationText
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.drive_screen import Steering
+from rsb_console.screens.links_screen import LinkText
 from rsb_console.screens.take_over import HandOverScreen
 from rsb_console.terminal.driver import KeyParser
 from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate, LateInput, is_guarded
@@ -408,6 +412,32 @@ async def test_a_late_key_resumes_nothing_without_a_question(app: ConsoleApp, pi
     app.input_gate.pulse = None
     await pilot.press("y")
     await until(pilot, lambda: engine_of(app).commands == [("pause", "/cmd_vel", False)], "resumed")
+
+
+@on_main()
+async def test_a_late_key_lets_nobody_back_in_without_a_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, links=(replace(LINK, state=State.DOWN, cause=LinkCause.SHUT_DOWN),))
+    assert app.needs_young_keys
+    app.input_gate.is_young = False
+    await pilot.press("r")
+    await shown(pilot, LinkText.BACK, links=LINK.name)
+    await pilot.press("n", "c", "r")
+    await shown(pilot, LinkText.BACK, links=LINK.name)
+    assert engine_of(app).commands == []
+    await pilot.press("y")
+    await until(pilot, lambda: engine_of(app).commands == [("retry", LINK.name)], "the command")
+
+
+@on_main()
+async def test_a_late_key_in_a_form_resumes_nothing_without_a_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, route("/cmd_vel", State.PAUSED, spec=Topic("/cmd_vel", "receive", paused=True)))
+    await pilot.press("e")
+    await choose(pilot, "paused", "")
+    app.input_gate.is_young = False
+    await pilot.press("enter")
+    await shown(pilot, OperationText.RESUME, topic="/cmd_vel")
+    await pilot.press("y")
+    await until(pilot, lambda: [each[0] for each in engine_of(app).commands] == ["edit"], "the edit")
 
 
 @on_main()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from tests.console.driving import (
     fill,
     gone,
     notices,
+    notified,
     on_main,
     shown,
     text,
@@ -288,6 +290,22 @@ async def test_a_form_that_stood_open_takes_back_nothing_of_somebody_elses(
     await pilot.press("enter")
     await shown(pilot, "it was changed meanwhile")
     assert engine.spec("/scan") == msgspec.structs.replace(SCAN, paused=True)
+
+
+@on_scan()
+async def test_an_edit_ends_though_its_form_is_left_and_can_be_undone(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    under_way: Future[str] = Future()
+    monkeypatch.setattr(engine, "edit_topic", lambda *_, **__: under_way)
+    await pilot.press("e")
+    await fill(pilot, max_rate="2.5")
+    await pilot.press("enter")
+    app.screen.dismiss(None)
+    await until(pilot, lambda: app.screen is app.main, "the form closed")
+    under_way.set_result("/scan")
+    await notified(pilot, OperationText.AFTER_ALL, topic="/scan")
+    assert len(app.changes) == 1
 
 
 @on_scan()

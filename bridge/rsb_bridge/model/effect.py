@@ -1,4 +1,4 @@
-"""The effect of a command, or of a Yes, on robots and files: late keys and late commands with some effect do nothing."""
+"""The effect of a command, or of a Yes, on robots and files: from it follows what must not come late."""
 
 import enum
 

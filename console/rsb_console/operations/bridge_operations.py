@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 from weakref import WeakSet
 
@@ -24,11 +25,10 @@ from rsb_console.session.changes import (
     named_by_client,
     patterns_of,
 )
-from rsb_console.terminal.input_gate import InputGate
 from rsb_console.widgets.columns import is_armed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Coroutine
     from concurrent.futures import Future
 
     from textual.events import Event
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.by_hand import Held
+    from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.console_api import Console
     from rsb_console.look.formats import Row
@@ -60,6 +61,7 @@ class OperationText(Wording):
     RESUME_MEANS = "The key may have come late, so it is asked for. Messages cross again at once{arming}."
     STILL_DISARMED = ", once it is armed"
     IS_ALREADY = "{topic} was paused or resumed meanwhile: look, and press the key again"
+    AFTER_ALL = "{topic}: done after its form was left (u undoes it)"
     SEVERAL_ARMED = "go to the topic to disarm: {topics}"
     RESTART_MEANS = "All links are closed on both sides and opened again. Nothing crosses for a few seconds."
 
@@ -126,7 +128,7 @@ class BridgeOperations:
             self._console.notify(OperationText.IS_ALREADY(topic=route.topic), severity="warning", markup=False)
             return
         # Only resuming can move something: a key that a hung terminal delivers late may pause.
-        if not paused and not InputGate.of(self._screen().app).is_young and not await self._still_wants(route):
+        if not paused and not await self._resumes(route):
             return
         mixed = isinstance(route, PatternRow) and any(
             each.spec.paused is paused
@@ -138,14 +140,13 @@ class BridgeOperations:
         if await self._console.command(engine.pause(route.key, paused)) and route.spec.paused is not paused:
             self._console.changes.add(change)
 
-    async def _still_wants(self, route: Row) -> bool:
-        """Whether the operator resumes a topic, asked by a question that late keys do not answer."""
-        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+    async def _resumes(self, route: Row) -> bool:
+        """Whether the operator resumes a topic, after a question if the key may have come late."""
+        from rsb_console.screens.dialog import is_meant  # noqa: PLC0415 -- keeps the start short
 
         arming = "" if route.arming is None else OperationText.STILL_DISARMED()
-        means = OperationText.RESUME_MEANS(arming=arming)
-        question = ConfirmScreen(OperationText.RESUME(topic=route.topic), means, "Resume", Effect.MOVES)
-        return bool(await self._console.ask(question))
+        title, means = OperationText.RESUME(topic=route.topic), OperationText.RESUME_MEANS(arming=arming)
+        return await is_meant(self._console, self._screen().app, title, means, "Resume")
 
     async def acknowledge(self) -> None:
         """Acknowledge the fault of the topic under the cursor, or take that back."""
@@ -226,10 +227,12 @@ class BridgeOperations:
             await drive(self._console, row)
 
     async def retry(self) -> None:
-        engine = self._console.engine
-        if engine is not None:
-            is_server = self._console.snapshot().role == "server"
-            await self._console.command(engine.retry(), _RETRIED_ON_SERVER if is_server else "trying again")
+        from rsb_console.screens.links_screen import lets_back  # noqa: PLC0415 -- keeps the start short
+
+        engine, now = self._console.engine, self._console.snapshot()
+        if engine is not None and await lets_back(self._console, self._screen().app, now.links):
+            done = _RETRIED_ON_SERVER if now.role == "server" else "trying again"
+            await self._console.command(engine.retry(), done)
 
     async def add_topic(self) -> None:
         from rsb_console.screens.topic_form import TopicScreen  # noqa: PLC0415 -- keeps the start short
@@ -241,7 +244,7 @@ class BridgeOperations:
             self._console.notify(OperationText.NO_CLIENT(), severity="warning", markup=False, timeout=8)
             return
 
-        async def add(draft: TopicDraft) -> None:
+        async def act(draft: TopicDraft) -> None:
             now, since = engine.snapshot(), _last_event(engine)
             key = await asyncio.wrap_future(engine.add_topic(draft.topic, draft.link))
             link = draft.link or now.links[0].name
@@ -249,6 +252,9 @@ class BridgeOperations:
             self._console.changes.add(
                 Added(link, _name_here(engine, key, draft.topic.topic), since, key=key, spec=spec)
             )
+
+        async def add(draft: TopicDraft) -> None:
+            await self._to_the_end(act(draft), draft.topic.topic)
 
         draft = await self._console.ask(TopicScreen(engine, add))
         if draft is not None:
@@ -264,13 +270,8 @@ class BridgeOperations:
             return
         route = self._now(route)
 
-        async def edit(draft: TopicDraft) -> None:
-            if draft.topic == route.spec:
-                return
-            now, since, new = engine.snapshot(), _last_event(engine), draft.topic
-            drops = route.spec.arm and not new.arm
-            if drops and not await self._console.ask(ConfirmScreen(*_dropping(route), "Drop", Effect.MOVES)):
-                raise EngineError("not changed: it still has to be armed")
+        async def act(new: Topic, *, drops: bool) -> None:
+            now, since = engine.snapshot(), _last_event(engine)
             key = await asyncio.wrap_future(engine.edit_topic(route.key, new, drop_arm=drops, seen=route.spec))
             if new.topic != route.spec.topic and not new.is_pattern:
                 new = named_by_client(new, now, route.link)
@@ -279,7 +280,36 @@ class BridgeOperations:
                 Edited(route.link, name, since, key=key, old=route.spec, new=new, pattern=route.pattern)
             )
 
+        async def edit(draft: TopicDraft) -> None:
+            old, new = route.spec, draft.topic
+            if new == old:
+                return
+            drops = old.arm and not new.arm
+            if drops and not await self._console.ask(ConfirmScreen(*_dropping(route), "Drop", Effect.MOVES)):
+                raise EngineError("not changed: it still has to be armed")
+            if old.paused and not new.paused and not drops and not await self._resumes(route):
+                raise EngineError("not changed: it stays paused")
+            await self._to_the_end(act(new, drops=drops), route.topic)
+
         if await self._console.ask(TopicScreen(engine, edit, route)) is not None:
+            self._console.pull()
+
+    async def _to_the_end(self, act: Coroutine[Any, Any, None], topic: str) -> None:
+        """Do what a form has begun, even if the form is left meanwhile: then tell how it ended."""
+        going = asyncio.ensure_future(act)
+        try:
+            await asyncio.shield(going)
+        except asyncio.CancelledError:
+            going.add_done_callback(partial(self._tell_end, topic))
+            raise
+
+    def _tell_end(self, topic: str, going: asyncio.Future[None]) -> None:
+        if going.cancelled():
+            return
+        if (error := going.exception()) is not None:
+            self._console.notify(str(error), title="Not done", severity="error", markup=False, timeout=10)
+        else:
+            self._console.notify(OperationText.AFTER_ALL(topic=topic), markup=False, timeout=10)
             self._console.pull()
 
     async def remove_topic(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from textual import work
 from textual.binding import Binding
@@ -22,12 +22,13 @@ from rsb_console.widgets.lines import Line, LiveLines
 
 if TYPE_CHECKING:
     from textual import events
-    from textual.app import ComposeResult
+    from textual.app import App, ComposeResult
     from textual.widget import Widget
     from textual.widgets._button import ButtonVariant
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_console.console_api import ConsoleShell
     from rsb_console.session.changes import Undo
 
 T = TypeVar("T")
@@ -173,6 +174,11 @@ class ConfirmScreen(GuardedScreen, ModalScreen[bool]):
             self._waiting.stop()
             self._takes_keys = True
             self._show_keys()
+
+
+async def is_meant(console: ConsoleShell, app: App[Any], title: str, message: str, yes: str) -> bool:
+    """Whether the operator means a key that lets messages cross: it is young, or they say so."""
+    return InputGate.of(app).is_young or bool(await console.ask(ConfirmScreen(title, message, yes, Effect.MOVES)))
 
 
 class ArmScreen(ConfirmScreen):
