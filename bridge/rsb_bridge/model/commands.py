@@ -254,7 +254,7 @@ class ChangeClient(Command[None], frozen=True, tag="change_client"):
     """Replace the entry of a server's client of that name; its key file is read again."""
 
     one_at_a_time = True
-    always = Effect.MOVES
+    always = Effect.HARMLESS
     client: Client
 
 

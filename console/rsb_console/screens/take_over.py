@@ -63,10 +63,10 @@ class AskHolderScreen(ConfirmScreen):
 
     def __init__(self, console: Console, route: RouteSnapshot, *, may_take: bool) -> None:
         holder = "" if route.arming is None else route.arming.by
-        self.console, self._key, self._holder = console, route.key, holder
         title, takes = HandOverText.HELD(topic=route.topic), HandOverText.TAKES() if may_take else ""
         means = HandOverText.MEANS(holder=holder, seconds=ASKED_FOR, takes=takes)
         super().__init__(title, means, HandOverText.ASK(), Effect.MOVES)
+        self.console, self._key, self._holder = console, route.key, holder
         self.choice = "ask"
         self._may_take = may_take
         self.KEYS = HandOverText.KEYS(take=HandOverText.TAKE_KEY() if may_take else "")
