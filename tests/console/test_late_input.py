@@ -389,12 +389,18 @@ def test_the_gate_knows_whether_the_newest_input_is_young() -> None:
     assert not gate.is_young
 
 
+def with_terminal(app: ConsoleApp, *, young: bool) -> None:
+    """Let an operator who has read the list press the next key."""
+    app.input_gate.pulse = Pulse({}, Time())
+    app.input_gate.is_young = young
+    app.main.topics._slid_at -= SEEN_AFTER
+
+
 async def resume(app: ConsoleApp, pilot: Pilot[None], *, young: bool) -> None:
     put(app, route("/cmd_vel", State.PAUSED, spec=Topic("/cmd_vel", "receive", paused=True)))
     await shown(pilot, "PAUSED   /cmd_vel")
     assert app.needs_young_keys
-    app.input_gate.pulse = Pulse({}, Time())
-    app.input_gate.is_young = young
+    with_terminal(app, young=young)
     await pilot.press("p")
 
 
@@ -463,7 +469,6 @@ async def test_a_key_is_not_for_a_topic_that_has_just_slid_under_the_cursor(
 async def test_a_late_key_pauses_at_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, route("/cmd_vel"))
     await shown(pilot, "/cmd_vel")
-    app.input_gate.pulse = Pulse({}, Time())
-    app.input_gate.is_young = False
+    with_terminal(app, young=False)
     await pilot.press("p")
     await until(pilot, lambda: engine_of(app).commands == [("pause", "/cmd_vel", True)], "paused")
