@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.pictures import Viewed, Wish
     from rsb_bridge.model.session import Client, Session, Topic
-    from rsb_bridge.model.snapshot import Event, PeekedMessage, Reloaded, Snapshot, TopicInfo
+    from rsb_bridge.model.snapshot import Event, PeekedMessage, Reloaded, Snapshot, State, TopicInfo
 
 
 class Unable(Wording):
@@ -32,6 +32,7 @@ class Unable(Wording):
     NO_FILE = "this session has no file yet: save it first"
     DISK_SILENT = "the session's files are not read within {seconds:g} s: look at their disk"
     TOO_LATE = "not done: it waited too long behind another change; give it again"
+    RELOADS_OTHER = "nothing is reloaded: the file or the bridge was changed meanwhile, look again"
 
 
 class EngineError(Exception):
@@ -122,8 +123,8 @@ class EngineApi(ABC):
     def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
         return self.do(commands.AddTopic(topic, link))
 
-    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False) -> Future[str]:
-        return self.do(commands.EditTopic(key, topic, drop_arm))
+    def edit_topic(self, key: str, topic: Topic, *, drop_arm: bool = False, seen: Topic | None = None) -> Future[str]:
+        return self.do(commands.EditTopic(key, topic, drop_arm, seen))
 
     def remove_topic(self, key: str, *, drop_arm: bool = False) -> Future[None]:
         return self.do(commands.RemoveTopic(key, drop_arm))
@@ -131,8 +132,10 @@ class EngineApi(ABC):
     def pause(self, key: str, paused: bool) -> Future[None]:
         return self.do(commands.PauseTopics(key, paused))
 
-    def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> Future[None]:
-        return self.do(commands.Acknowledge(key, acknowledged, link))
+    def acknowledge(
+        self, key: str, acknowledged: bool = True, *, link: str = "", seen: tuple[State, str] | None = None
+    ) -> Future[None]:
+        return self.do(commands.Acknowledge(key, acknowledged, link, seen))
 
     def arm(self, key: str, *, shared: bool = False) -> Future[None]:
         return self.do(commands.ArmTopic(key, shared))
@@ -143,8 +146,8 @@ class EngineApi(ABC):
     def take_arming(self, key: str, *, shared: bool = False) -> Future[None]:
         return self.do(commands.TakeArming(key, shared))
 
-    def answer_asker(self, key: str, *, gives: bool) -> Future[None]:
-        return self.do(commands.AnswerAsker(key, gives))
+    def answer_asker(self, key: str, *, gives: bool, who: str = "") -> Future[None]:
+        return self.do(commands.AnswerAsker(key, gives, who))
 
     def disarm(self, key: str, *, own: bool = False) -> Future[None]:
         return self.do(commands.DisarmTopic(key, own))
@@ -170,8 +173,8 @@ class EngineApi(ABC):
     def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
         return self.do(commands.Restart(), step)
 
-    def reload(self, *, dry_run: bool = False, drop_arm: bool = False) -> Future[Reloaded]:
-        return self.do(commands.Reload(dry_run, drop_arm))
+    def reload(self, *, dry_run: bool = False, drop_arm: bool = False, seen: str = "") -> Future[Reloaded]:
+        return self.do(commands.Reload(dry_run, drop_arm, seen))
 
     def topics(self, link: str | None = None) -> Future[tuple[TopicInfo, ...]]:
         return self.do(commands.Topics(link))

@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from textual import work
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.faults import ChangeKind, FaultWatch
 from rsb_bridge.model.snapshot import Snapshot, State
+from rsb_bridge.model.verdict import LinkCause
 from rsb_console.actions import Group
 from rsb_console.operations.bridge_operations import BridgeOperations, Deadman
 from rsb_console.operations.session_operations import SessionOperations
@@ -298,7 +300,9 @@ class ConsoleApp(TerminalApp[None]):
         if events:
             self._last_event = events[-1].number
         snapshot = self.snapshot()
-        self.needs_young_keys = any(route.arming is not None or route.spec.paused for route in snapshot.routes)
+        self.needs_young_keys = any(link.cause == LinkCause.SHUT_DOWN for link in snapshot.links) or any(
+            route.arming is not None or route.spec.paused for route in snapshot.routes
+        )
         self.deadman.keep(self.engine, snapshot)
         for route in self._questions.find_new(snapshot, self.deadman.held):
             self._hand_over(route)
@@ -315,9 +319,10 @@ class ConsoleApp(TerminalApp[None]):
 
         if isinstance(self.screen, DriveScreen) and self.screen.drives(route.key):
             return
-        gives = await self.ask(HandOverScreen(self, route))
+        question = HandOverScreen(self, route)
+        gives = await self.ask(question)
         if gives is not None and self.engine is not None:
-            await self.command(self.engine.answer_asker(route.key, gives=gives))
+            await self.command(self.engine.answer_asker(route.key, gives=gives, who=question.who))
 
     # --- actions
 
@@ -331,7 +336,7 @@ class ConsoleApp(TerminalApp[None]):
 
     @work(exclusive=True, group=DIALOG)
     async def action_quit(self) -> None:  # type: ignore[override]  # a worker, because it asks
-        if await self.sessions.confirm_end("Quit?", "Quit"):
+        if await self.sessions.confirm_end("Quit?", "Quit", Effect.HARMLESS):
             self.shut_down(ShutdownReason.QUIT)
 
     async def on_event(self, event: events.Event) -> None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from textual import work
 
+from rsb_bridge.model.effect import Effect
 from rsb_console.actions import FLEET_ACTIONS
 from rsb_console.app import SSH_RATE, ConsoleApp
 from rsb_console.screens.fleet_screen import FleetScreen
@@ -73,7 +74,8 @@ class FleetApp(TerminalApp["Robot"]):
     async def action_quit(self) -> None:  # type: ignore[override]  # a worker, because it asks
         from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
-        if await self.ask(ConfirmScreen("Quit?", self._after_quit, "Quit")):
+        effect = Effect.HARMLESS if self._after_quit == BRIDGES_GO_ON else Effect.LOSES
+        if await self.ask(ConfirmScreen("Quit?", self._after_quit, "Quit", effect)):
             self.shut_down(ShutdownReason.QUIT)
 
     def stop(self) -> None:

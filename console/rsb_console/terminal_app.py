@@ -13,7 +13,7 @@ from rsb_console.look.glyphs import AsciiFilter, ControlFilter
 from rsb_console.preferences import Preferences
 from rsb_console.screens.help import ActionsProvider
 from rsb_console.terminal.driver import ConsoleDriver
-from rsb_console.terminal.input_gate import GuardedScreen, InputGate
+from rsb_console.terminal.input_gate import InputGate, is_guarded
 from rsb_console.terminal.input_queue import InputQueue
 from rsb_console.terminal.pulse import ASKED_EVERY
 from rsb_console.terminal.shutdown import ForcedEnd, ShutdownReason, record_crash
@@ -66,7 +66,8 @@ class TerminalApp(App[ReturnType]):
         self.input_queue = InputQueue(self, dialogs)
         self.input_gate = InputGate(self)
         self.needs_young_keys = False
-        """Whether something can be driven, armed or resumed: then the terminal has to prove how young its keys are."""
+        """Whether something can be driven, armed, resumed or linked again, so that the terminal has to prove how young
+        its keys are."""
         self.terminal = 1
         """File descriptor of the terminal."""
         self._forced_end = ForcedEnd(self.stop)
@@ -106,7 +107,7 @@ class TerminalApp(App[ReturnType]):
 
     def _ask_terminal(self) -> None:
         if isinstance(self._driver, ConsoleDriver) and (
-            self.needs_young_keys or any(isinstance(each, GuardedScreen) for each in self.screen_stack)
+            self.needs_young_keys or any(map(is_guarded, self.screen_stack))
         ):
             self._driver.ask()
 

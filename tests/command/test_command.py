@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import select
 import signal
 import stat
 import subprocess
@@ -25,6 +26,7 @@ from rsb_bridge.config.session_file import SavingProblem, load
 from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.config.yaml_text import YamlMistake
 from rsb_bridge.model.transports import Protocol
+from rsb_console.command import target
 from rsb_console.command.argument_values import ValueProblem
 from rsb_console.command.check import SessionCheckText
 from rsb_console.command.local_commands import LocalText
@@ -382,6 +384,17 @@ def test_the_console_is_refused_on_a_dumb_terminal() -> None:
         os.close(theirs)
     assert run.returncode == 2
     assert says(run.stderr.decode(), LocalText.PLAIN_TERMINAL, instead="rsb-console run --no-ui robot1.yaml")
+
+
+def test_a_line_that_was_typed_ahead_answers_no_question(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = pty.openpty()
+    with open(theirs) as terminal:  # noqa: PTH123 -- a descriptor
+        surroundings.set_stdin(monkeypatch, terminal)
+        os.write(ours, b"y\n")
+        assert select.select([terminal], [], [], 60.0)[0]
+        monkeypatch.setattr(target, "print_line", lambda _: os.write(ours, b"n\n"))
+        assert not target.agreed("Drop the old key?")
+    os.close(ours)
 
 
 def test_bad_arguments_are_refused_in_words() -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-from tests.console.scripted import ScriptedEngine, route
+from tests.console.scripted import ScriptedEngine, refused, route
 
 from rsb_bridge.model.command_origin import is_undo
 from rsb_bridge.model.commands import AddTopic, Command, EditTopic, PauseTopics, R, RemoveTopic
@@ -51,7 +51,9 @@ class ChangingEngine(ScriptedEngine):
         match command:
             case AddTopic(topic):
                 self.show(*self.now.routes, route(topic.topic, spec=topic))
-            case EditTopic(key, topic):
+            case EditTopic(key, topic, _, seen):
+                if seen not in (None, self.spec(key)):
+                    return refused("it was changed meanwhile")
                 self.put(key, topic)
             case RemoveTopic(key):
                 self.show(*(each for each in self.now.routes if each.key != key))

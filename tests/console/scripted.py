@@ -231,6 +231,7 @@ class ScriptedEngine(EngineApi):
         self.happened = list(EVENTS)
         self.remembered = REMEMBERED
         self.commands: list[tuple[object, ...]] = []
+        self.given: list[Command[Any]] = []  # the same as they came, without signs of life
         self.kept: list[bool] = []
         self.holds: tuple[str, ...] | None = None  # the keys that this console holds, or those armed on this side
         self.running = False
@@ -271,6 +272,8 @@ class ScriptedEngine(EngineApi):
         self.file = path
 
     def do(self, command: Command[R], step: Callable[[str], None] | None = None) -> Future[R]:
+        if not isinstance(command, commands.KeepArmed):
+            self.given.append(command)
         return cast("Future[R]", self._execute(command, step))
 
     def _execute(self, command: Command[Any], step: Callable[[str], None] | None) -> Future[Any]:

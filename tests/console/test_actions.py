@@ -24,6 +24,7 @@ from textual.binding import Binding
 from textual.pilot import Pilot
 from textual.screen import Screen
 
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.snapshot import ArmingSnapshot, State
 from rsb_console.actions import ACTIONS, BY_ID, FLEET_ACTIONS, KEYS_ON_SCREENS, Group
 from rsb_console.app import ConsoleApp
@@ -141,7 +142,7 @@ def screens(app: ConsoleApp) -> dict[str, Callable[[], Screen[Any]]]:
     return {
         "pictures": lambda: ViewScreen(app, Subject(("/map",), "", "nav_msgs/msg/OccupancyGrid", ())),
         "welcome": lambda: WelcomeScreen((), readonly=False),
-        "question": lambda: ConfirmScreen("Remove?", "", "Remove"),
+        "question": lambda: ConfirmScreen("Remove?", "", "Remove", Effect.LOSES),
         "links": lambda: LinksScreen(app),
     }
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.console.driving import engine_of, gone, on_main, put, shown, until
+from tests.console.driving import engine_of, gone, notified, on_main, put, shown, until
 from tests.console.live import COMMAND, ELSEWHERE, HERE, Pair, bridging, talker
 from tests.console.scripted import route
 from tests.console.side import every_so_often
@@ -24,9 +24,11 @@ from tests.support.waiting import eventually
 from tests.support.wording import says
 
 from rsb_bridge.control.protocol import RequestProblem
+from rsb_bridge.model.commands import AnswerAsker
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, State
 from rsb_bridge.model.velocity_limits import VelocityLimits
+from rsb_console.operations.bridge_operations import OperationText
 from rsb_console.screens.help import HelpScreen
 from rsb_console.screens.take_over import HandOverScreen, HandOverText
 
@@ -86,9 +88,43 @@ async def test_an_armed_topic_is_marked_and_disarmed_at_once(app: ConsoleApp, pi
     await until(pilot, lambda: engine_of(app).commands == [("disarm", "/cmd_vel")], "disarmed")
 
 
-def asked(seconds: float = 7.0) -> RouteSnapshot:
+@on_main()
+async def test_a_frozen_list_stops_nobody_from_disarming(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, DISARMED, route("/paused"))
+    await shown(pilot, "⊘ DISARMED")
+    await pilot.press("space")
+    put(app, ARMED, route("/paused", State.PAUSED))
+    await pilot.press("A")
+    await until(pilot, lambda: engine_of(app).commands == [("disarm", "/cmd_vel")], "disarmed")
+    await pilot.press("j", "p")
+    await notified(pilot, OperationText.IS_ALREADY, topic="/paused")
+    assert len(engine_of(app).commands) == 1
+
+
+@on_main()
+async def test_the_key_that_armed_a_topic_disarms_it_wherever_it_and_the_cursor_are(
+    app: ConsoleApp, pilot: Pilot[None]
+) -> None:
+    camera = route("/camera")
+    put(app, DISARMED, camera)
+    await shown(pilot, "A arm")  # DISARMED stands on top
+    await pilot.press("A")
+    await shown(pilot, "Arm /cmd_vel of robot1?")
+    await pilot.press("y")
+    await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
+    put(app, ARMED, camera)  # and goes below
+    await shown(pilot, "◆ ARMED    /cmd_vel")
+    for keys in (["A"], ["k", "A"]):
+        await until(pilot, lambda: app.deadman.held, "an answer that this console holds it")
+        engine_of(app).commands.clear()
+        await pilot.press(*keys)
+        await until(pilot, lambda: engine_of(app).commands == [("disarm", "/cmd_vel")], "disarmed")
+    assert app.main.selected == camera
+
+
+def asked(seconds: float = 7.0, by: str = "bert on pts/2") -> RouteSnapshot:
     assert ARMED.arming is not None
-    return replace(ARMED, arming=replace(ARMED.arming, asked_by="bert on pts/2", goes_in=seconds))
+    return replace(ARMED, arming=replace(ARMED.arming, asked_by=by, goes_in=seconds))
 
 
 @pytest.mark.parametrize(("key", "gives"), [("y", True), ("n", False)])
@@ -116,6 +152,18 @@ async def test_a_question_that_is_over_is_gone(app: ConsoleApp, pilot: Pilot[Non
     put(app, DISARMED)
     await gone(pilot, title)
     assert engine_of(app).commands == []
+
+
+@on_main()
+async def test_another_operators_question_is_another_one(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, asked())
+    await shown(pilot, HandOverText.ASKS, who="bert on pts/2", seconds=7.0)
+    first = app.screen
+    put(app, asked(by="carla on pts/3"))
+    await shown(pilot, HandOverText.ASKS, who="carla on pts/3", seconds=7.0)
+    await until(pilot, lambda: isinstance(app.screen, HandOverScreen) and app.screen is not first, "a new question")
+    await pilot.press("y")
+    await until(pilot, lambda: engine_of(app).given[-1:] == [AnswerAsker("/cmd_vel", True, "carla on pts/3")], "it")
 
 
 @on_main()

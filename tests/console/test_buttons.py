@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.console.driving import ended, fill, on_main, shown, text, until
+from tests.console.driving import ended, fill, on_main, put, shown, text, until
 from tests.console.scripted import SESSION, route
 from textual.pilot import Pilot
 from textual.screen import Screen
@@ -100,7 +100,8 @@ async def test_a_question_closes_itself_alone(app: ConsoleApp, pilot: Pilot[None
     answers: list[bool | None] = []
     await app.push_screen(below)
     held = route("/cmd_vel", arming=ArmingSnapshot(armed=True, by="anna"))
-    await app.push_screen(AskHolderScreen(held, may_take=True), answers.append)
+    put(app, held)
+    await app.push_screen(AskHolderScreen(app, held, may_take=True), answers.append)
     app.screen.query_one(f"#{button}", Button).focus()
     await pilot.press("enter")
     await until(pilot, lambda: bool(answers), "an answer")

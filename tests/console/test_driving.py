@@ -528,6 +528,33 @@ async def test_what_another_console_holds_is_asked_for_taken_or_disarmed(
 
 
 @driven(ELSEWHERE)
+async def test_what_its_holder_has_let_go_is_not_armed_by_the_yes_for_a_question(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock
+) -> None:
+    engine_of(app).holds = ()
+    await shown(pilot, DriveText.ARMED_BY, who="bert on pts/2")
+    await pilot.press("A")
+    await shown(pilot, HandOverText.HELD, topic="/cmd_vel")
+    put(app, DISARMED)
+    await until(pilot, lambda: isinstance(app.screen, DriveScreen), "no question")
+    assert engine_of(app).commands == []
+
+
+@driven(DISARMED)
+async def test_a_second_key_disarms_what_the_first_has_just_armed(
+    app: ConsoleApp, pilot: Pilot[None], clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(app.deadman, "keep", lambda *_: None)  # no answer says yet that this console holds it
+    await pilot.press("A")
+    await shown(pilot, "Arm /cmd_vel of robot1?")
+    await pilot.press("y")
+    await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
+    put(app, ARMED)
+    await pilot.press("A")
+    await until(pilot, lambda: engine_of(app).commands[1:] == [("disarm", "/cmd_vel")], "disarmed")
+
+
+@driven(ELSEWHERE)
 async def test_who_may_not_take_is_not_offered_it(app: ConsoleApp, pilot: Pilot[None], clock: Clock) -> None:
     engine_of(app).holds = ()
     engine_of(app).may_take = False

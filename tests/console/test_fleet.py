@@ -45,7 +45,7 @@ from rsb_console.actions import FLEET_ACTIONS, Group
 from rsb_console.fleet.rolling import Bridged
 from rsb_console.fleet.server_source import ServerFleet
 from rsb_console.fleet_app import FleetApp, RobotApp
-from rsb_console.screens.dialog import GuardedConfirmScreen
+from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.rollout import ChangeField, RolloutPhase, RolloutScreen, _key_line
 from rsb_console.screens.rollout import _now as present_values
 from rsb_console.widgets.bars import state_counts
@@ -275,8 +275,10 @@ async def test_sorting(bed: Bed) -> None:
 
 @on_fleet()
 async def test_what_has_gone_is_dismissed(bed: Bed) -> None:
+    bed.view.marked.add("control/robot1")
     bed.source.given = [each for each in bed.source.given if each.name != "robot1"]
     await bed.until(lambda: bed.listed[:2] == ["robot1", "robot2"], "it is missing")
+    assert bed.view.marked == set()  # if it comes back in an hour, it is not among those to change
     await bed.press("g", "enter")  # nothing to open
     assert bed.app.return_value is None
     await bed.shown("d dismiss")
@@ -433,6 +435,7 @@ def test_a_change_is_picked(size: tuple[int, int]) -> None:
         await bed.press("y")
         await bed.until(lambda: screen.phase is RolloutPhase.ENDED, "the end")
         assert [len(bed.source.engines[name].commands) for name in ("robot1", "robot2", "robot3")] == [1, 1, 0]
+        await bed.shown("u undo")
         await bed.press("escape")
         await bed.until(lambda: bed.app.screen is bed.app.main, "the fleet")
 
@@ -502,7 +505,7 @@ async def test_a_key_that_may_be_old_changes_no_robot_without_a_question(
     for answer in ("n", "y"):
         assert not any(engine.commands for engine in bed.source.engines.values())
         await bed.press("y")
-        await bed.until(lambda: isinstance(bed.app.screen, GuardedConfirmScreen), "a question")
+        await bed.until(lambda: isinstance(bed.app.screen, ConfirmScreen), "a question")
         assert screen.phase is RolloutPhase.ASKING
         await bed.press(answer)
         await bed.until(lambda: bed.app.screen is screen, "an answer")
@@ -518,6 +521,8 @@ async def test_a_change_that_makes_it_worse_is_put_back(bed: Bed, monkeypatch: p
     await bed.shown("not begun: robot2")
     await bed.shown("rsb-console fleet edit robot1 /camera max_rate=30")
     await bed.press("u")
+    await bed.until(lambda: isinstance(bed.app.screen, ConfirmScreen), "a question")
+    await bed.press("y")
     await bed.until(lambda: screen.phase is RolloutPhase.ENDED and screen.outcome is None, "the undo")
     await bed.shown("restored on robot1")
     lines = re.findall(r"(\S) +(robot.) +max_rate (\S+) → (\S+)", text(bed.app))

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import re
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.console.driving import engine_of, on_main, put, scripted_app, shown, until
-from tests.console.scripted import route
+from tests.console.driving import choose, engine_of, notified, on_main, put, scripted_app, shown, until
+from tests.console.scripted import LINK, route
 from textual import events
 
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import State
-from rsb_console.screens.dialog import GuardedConfirmScreen
+from rsb_bridge.model.snapshot import ArmingSnapshot, State
+from rsb_bridge.model.verdict import LinkCause
+from rsb_console.operations.bridge_operations import OperationText
+from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.drive_screen import Steering
+from rsb_console.screens.links_screen import LinkText
+from rsb_console.screens.take_over import HandOverScreen
 from rsb_console.terminal.driver import KeyParser
-from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate
+from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate, LateInput, is_guarded
 from rsb_console.terminal.pulse import ANSWERS_WITHIN, ASKED_EVERY, FRESH_FOR, WHO_ARE_YOU, Pulse, heard_before
 
 if TYPE_CHECKING:
@@ -299,7 +305,7 @@ def key(name: str, heard: float) -> events.Key:
 
 def test_a_guarded_screen_takes_young_keys_and_all_safe_ones() -> None:
     clock = Time()
-    gate, screen = gate_of(clock), GuardedConfirmScreen("Arm?", "", "Arm")
+    gate, screen = gate_of(clock), ConfirmScreen("Arm?", "", "Arm", Effect.MOVES)
     assert gate.refuses(key("y", 99.9), screen)  # not drawn
     assert not gate.refuses(key("n", 0.0), screen)
     screen.drawn_at = 100.0
@@ -316,7 +322,8 @@ def test_a_guarded_screen_takes_young_keys_and_all_safe_ones() -> None:
     paste = events.Paste("y")
     vars(paste)["heard"] = 101.9
     assert gate.refuses(paste, screen)
-    assert not gate.refuses(key("y", 0.0), GuardedScreen.__mro__[1]())
+    for harmless in (GuardedScreen.__mro__[1](), ConfirmScreen("Attach?", "", "Attach", Effect.HARMLESS)):
+        assert not gate.refuses(key("y", 0.0), harmless)
 
 
 @on_main()
@@ -325,7 +332,7 @@ async def test_the_pictures_of_a_question_say_when_its_keys_count(app: ConsoleAp
     app.input_gate.pulse = Pulse({}, clock)
     clock.now += ANSWERS_WITHIN + 0.1  # it gives none
     answers: list[Any] = []
-    question = GuardedConfirmScreen("Move the arm?", "It moves.", "Move")
+    question = ConfirmScreen("Move the arm?", "It moves.", "Move", Effect.MOVES)
     question.seen_after = 60.0
     app.push_screen(question, answers.append)
     await until(pilot, lambda: question.drawn_at is not None, "drawn")
@@ -337,6 +344,31 @@ async def test_the_pictures_of_a_question_say_when_its_keys_count(app: ConsoleAp
     await shown(pilot, "y yes")
     await pilot.press("y")
     await until(pilot, lambda: answers == [True], "the answer")
+
+
+def test_a_question_that_opens_by_itself_waits_until_the_operator_has_stopped_typing() -> None:
+    clock = Time()
+    gate, screen = gate_of(clock), ConfirmScreen("Give it?", "", "Give", Effect.MOVES)
+    screen.opens_itself, screen.drawn_at = True, clock.now
+    for _ in range(10):
+        clock.now += 0.2
+        assert gate.refuses(key("y", clock.now), screen)
+    clock.now += SEEN_AFTER
+    assert not gate.refuses(key("y", clock.now), screen)
+
+
+@pytest.mark.parametrize("name", ["n", "escape"])
+def test_what_is_typed_as_somebody_begins_to_ask_decides_nothing(name: str) -> None:
+    question = HandOverScreen(scripted_app(), route("/cmd_vel", arming=ArmingSnapshot(armed=True, asked_by="bert")))
+    assert gate_of(Time()).refuses(key(name, 0.0), question)
+
+
+@pytest.mark.parametrize("asks", ["q", "R", "f6", "d"])
+@on_main()
+async def test_questions_with_an_effect_take_no_late_keys(app: ConsoleApp, pilot: Pilot[None], asks: str) -> None:
+    await pilot.press(asks)
+    await until(pilot, lambda: isinstance(app.screen, ConfirmScreen), "the question")
+    assert is_guarded(app.screen)
 
 
 # -- resuming
@@ -357,12 +389,18 @@ def test_the_gate_knows_whether_the_newest_input_is_young() -> None:
     assert not gate.is_young
 
 
+def with_terminal(app: ConsoleApp, *, young: bool) -> None:
+    """Let an operator who has read the list press the next key."""
+    app.input_gate.pulse = Pulse({}, Time())
+    app.input_gate.is_young = young
+    app.main.topics._slid_at -= SEEN_AFTER
+
+
 async def resume(app: ConsoleApp, pilot: Pilot[None], *, young: bool) -> None:
     put(app, route("/cmd_vel", State.PAUSED, spec=Topic("/cmd_vel", "receive", paused=True)))
     await shown(pilot, "PAUSED   /cmd_vel")
     assert app.needs_young_keys
-    app.input_gate.pulse = Pulse({}, Time())
-    app.input_gate.is_young = young
+    with_terminal(app, young=young)
     await pilot.press("p")
 
 
@@ -383,10 +421,54 @@ async def test_a_late_key_resumes_nothing_without_a_question(app: ConsoleApp, pi
 
 
 @on_main()
+async def test_a_late_key_lets_nobody_back_in_without_a_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, links=(replace(LINK, state=State.DOWN, cause=LinkCause.SHUT_DOWN),))
+    assert app.needs_young_keys
+    app.input_gate.is_young = False
+    await pilot.press("r")
+    await shown(pilot, LinkText.BACK, links=LINK.name)
+    await pilot.press("n", "c", "r")
+    await shown(pilot, LinkText.BACK, links=LINK.name)
+    assert engine_of(app).commands == []
+    await pilot.press("y")
+    await until(pilot, lambda: engine_of(app).commands == [("retry", LINK.name)], "the command")
+
+
+@on_main()
+async def test_a_late_key_in_a_form_resumes_nothing_without_a_question(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, route("/cmd_vel", State.PAUSED, spec=Topic("/cmd_vel", "receive", paused=True)))
+    await pilot.press("e")
+    await choose(pilot, "paused", "")
+    app.input_gate.is_young = False
+    await pilot.press("enter")
+    await shown(pilot, OperationText.RESUME, topic="/cmd_vel")
+    await pilot.press("y")
+    await until(pilot, lambda: [each[0] for each in engine_of(app).commands] == ["edit"], "the edit")
+
+
+@on_main()
+async def test_a_key_is_not_for_a_topic_that_has_just_slid_under_the_cursor(
+    app: ConsoleApp, pilot: Pilot[None]
+) -> None:
+    put(app, route("/a"), route("/b"), route("/c", arming=ArmingSnapshot(armed=True)))
+    await pilot.press("j", "k")
+    app.input_gate.pulse = Pulse({}, Time())
+    put(app, *engine_of(app).now.routes[1:])
+    await pilot.press("p")
+    await notified(pilot, LateInput.LIST_MOVED)
+    assert engine_of(app).commands == []
+    app.main.topics._slid_at -= SEEN_AFTER
+    await pilot.press("p")
+    await until(pilot, lambda: engine_of(app).commands == [("pause", "/b", True)], "paused")
+    put(app, *engine_of(app).now.routes[1:])
+    await pilot.press("A")  # what stops a robot always counts
+    await until(pilot, lambda: engine_of(app).commands[1:] == [("disarm", "/c")], "disarmed")
+
+
+@on_main()
 async def test_a_late_key_pauses_at_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, route("/cmd_vel"))
     await shown(pilot, "/cmd_vel")
-    app.input_gate.pulse = Pulse({}, Time())
-    app.input_gate.is_young = False
+    with_terminal(app, young=False)
     await pilot.press("p")
     await until(pilot, lambda: engine_of(app).commands == [("pause", "/cmd_vel", True)], "paused")

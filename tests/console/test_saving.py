@@ -320,6 +320,9 @@ async def test_quitting_names_what_is_not_saved(app: ConsoleApp, pilot: Pilot[No
     changed(app, Topic("/new", "transmit"))
     await pilot.press("q")
     await shown(pilot, SessionQuestion.NOT_SAVED, changes="added /new")
+    changed(app, Topic("/new", "transmit"), Topic("/newer", "transmit"))
+    await pilot.press("y")
+    await shown(pilot, SessionQuestion.NOT_SAVED, changes="added /new, /newer")  # others may go on meanwhile
     await pilot.press("enter")
     await shut(pilot)
     assert app.is_running

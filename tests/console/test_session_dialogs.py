@@ -222,7 +222,12 @@ async def test_a_file_is_overwritten_only_with_a_yes(app: ConsoleApp, pilot: Pil
     await pilot.press("enter")  # the focus is on No
     await gone(pilot, "Overwrite robot1.yaml?")
     assert (folder / "robot1.yaml").read_text() == "# mine\n"
-    await pilot.press("enter", "y")
+    await pilot.press("enter")
+    await shown(pilot, "-# mine")
+    (folder / "robot1.yaml").write_text("# theirs\n")
+    await pilot.press("y")
+    await shown(pilot, "-# theirs")
+    await pilot.press("y")
     await until(pilot, lambda: app.engine is not None, "an engine")
     assert load(folder / "robot1.yaml").name == "robot1"
 

@@ -372,7 +372,6 @@ def test_keys_resizing_detaching_and_attaching_in_tmux(pair: Pair, tmp_path: Pat
         tmux.wait_for("● LINKED")
 
         tmux("send-keys", "q")
-        tmux.wait_for("Quit?")
-        tmux("send-keys", "y")
+        tmux.agree("Quit?")
         picture = tmux.wait_for("exit code 0")
         assert "Topics" not in picture  # the shell's own screen is back

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from tests.console.driving import (
     fill,
     gone,
     notices,
+    notified,
     on_main,
     shown,
     text,
@@ -239,6 +241,33 @@ async def test_what_somebody_else_has_changed_since_is_left_alone(
 
 
 @on_scan()
+async def test_a_pause_that_somebody_else_has_ended_and_begun_again_is_theirs(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    await pilot.press("p")
+    await until(pilot, lambda: engine.spec("/scan").paused, "paused")
+    engine.happened += [other(5, EventCode.OPERATOR_PAUSED, "me"), other(6, EventCode.OPERATOR_RESUMED)]
+    engine.happened.append(other(7, EventCode.OPERATOR_PAUSED))
+    await refused(app, pilot, "anna on pts/3")
+    assert engine.spec("/scan").paused
+
+
+@on_scan()
+async def test_an_undo_with_another_effect_by_then_is_asked_about_again(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    engine.now = with_pattern(engine, Topic("/s*", "transmit"))
+    await removed(pilot, "/scan")
+    first = await question(app, pilot)
+    engine.now = with_pattern(engine, Topic("/s*", "transmit", excepts=("/scan",)))
+    await pilot.press("y")
+    await until(pilot, lambda: isinstance(app.screen, UndoScreen) and app.screen is not first, "another question")
+    assert engine.undone == []
+    await pilot.press("y")
+    await until(pilot, lambda: engine.undone, "an undo")
+
+
+@on_scan()
 async def test_what_somebody_changes_while_the_question_stands_is_left_alone(
     app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
 ) -> None:
@@ -249,6 +278,34 @@ async def test_what_somebody_changes_while_the_question_stands_is_left_alone(
     await shown(pilot, "Not undone")
     assert any("max_rate 2.5 → 9.0" in told.message for told in notices(app))
     assert engine.undone == []
+
+
+@on_scan()
+async def test_a_form_that_stood_open_takes_back_nothing_of_somebody_elses(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]
+) -> None:
+    await pilot.press("e")
+    await fill(pilot, max_rate="2.5")
+    engine.put("/scan", msgspec.structs.replace(SCAN, paused=True))
+    await pilot.press("enter")
+    await shown(pilot, "it was changed meanwhile")
+    assert engine.spec("/scan") == msgspec.structs.replace(SCAN, paused=True)
+
+
+@on_scan()
+async def test_an_edit_ends_though_its_form_is_left_and_can_be_undone(
+    app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    under_way: Future[str] = Future()
+    monkeypatch.setattr(engine, "edit_topic", lambda *_, **__: under_way)
+    await pilot.press("e")
+    await fill(pilot, max_rate="2.5")
+    await pilot.press("enter")
+    app.screen.dismiss(None)
+    await until(pilot, lambda: app.screen is app.main, "the form closed")
+    under_way.set_result("/scan")
+    await notified(pilot, OperationText.AFTER_ALL, topic="/scan")
+    assert len(app.changes) == 1
 
 
 @on_scan()

@@ -415,7 +415,7 @@ SIDES: list[tuple[tuple[RouteSnapshot, ...], str]] = [
     ((replace(POSES, outgoing=False),), "/goal_pose"),
     ((replace(POSES, type_name="std_msgs/msg/String"),), "/goal_pose"),
     ((replace(POSES, topic="/robot2/goal_pose", key="2", link="robot2"), POSES), "/robot1/goal_pose"),
-    ((replace(POSES, topic="/robot2/goal_pose", key="2", link="robot2"),), "/robot2/goal_pose"),
+    ((replace(POSES, topic="/robot2/goal_pose", key="2", link="robot2"),), "/goal_pose"),
     ((replace(POSES, topic="/start_pose", key="2"), POSES), "/robot1/goal_pose"),
     ((replace(POSES, type_name="", spec=replace_type(POSES, "PoseStamped")),), "/robot1/goal_pose"),
     ((replace(POSES, type_name="", spec=replace_type(POSES, AUTO)),), "/robot1/goal_pose"),
@@ -488,7 +488,7 @@ ARMED = replace(ELSEWHERE, topic="/robot3/cmd_vel", key="3", link="robot1", armi
 
 DRIVES: list[tuple[tuple[RouteSnapshot, ...], str | ViewText]] = [
     ((DRIVEN,), "/cmd_vel"),
-    ((ELSEWHERE,), "/robot2/cmd_vel"),
+    ((ELSEWHERE,), ViewText.NOT_DRIVEN),
     ((ELSEWHERE, DRIVEN), "/cmd_vel"),
     ((DRIVEN, ARMED), "/robot3/cmd_vel"),
     ((replace(DRIVEN, type_name="", spec=replace_type(DRIVEN, AUTO)),), "/cmd_vel"),

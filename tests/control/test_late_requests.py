@@ -34,6 +34,11 @@ MOVING: list[Command[Any]] = [
     AnswerAsker("/scan", gives=True),
     PauseTopics("/scan", paused=False),
     commands.EditTopic("/scan", Topic("/scan", "transmit")),
+    commands.AddTopic(Topic("/scan", "transmit")),
+    commands.RemoveTopic("/scan", drop_arm=True),
+    commands.Retry(),
+    commands.Restart(),
+    commands.Reload(),
     Publish("/scan", "{}"),
     Call("/scan", "{}"),
 ]
@@ -51,10 +56,24 @@ def test_a_ticket_has_an_age() -> None:
 
 def test_what_moves_a_robot_expires() -> None:
     assert all(each.expires for each in MOVING)
-    assert not PauseTopics("/scan", paused=True).expires
-    assert not commands.EditTopic("/scan", Topic("/scan", "transmit", paused=True)).expires
+    scan = Topic("/scan", "transmit")
+    paused = Topic("/scan", "transmit", paused=True)
+    for harmless in (
+        PauseTopics("/scan", paused=True),
+        commands.AddTopic(paused),
+        commands.EditTopic("/scan", paused),
+        commands.EditTopic("/scan", Topic("/scan", "transmit", max_rate=5.0), seen=scan),
+        commands.RemoveTopic("/scan"),
+        commands.Reload(dry_run=True),
+    ):
+        assert not harmless.expires
+    assert commands.EditTopic("/scan", scan, seen=paused).expires
+
+
+def test_what_changes_a_bridge_states_its_effect() -> None:
     kinds = [kind for kind in typing.get_args(commands.AnyCommand) if inspect.isclass(kind)]
-    assert {kind.__name__ for kind in kinds if "expires" in vars(kind)} == {type(each).__name__ for each in MOVING}
+    changing = [kind for kind in kinds if kind.right in (commands.Right.CHANGE, commands.Right.TAKE)]
+    assert [kind for kind in changing if not {"always", "effect"} & vars(kind).keys()] == []
 
 
 def requests_of(remote: RemoteEngine) -> Any:

@@ -33,6 +33,7 @@ from rsb_bridge.model.budgets import CONNECTION, Strangers
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.commands import AnyCommand, Right
 from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.wire import events
 from rsb_bridge.wire.operator_connection import OperatorConsole
 
@@ -46,10 +47,10 @@ if TYPE_CHECKING:
 TOPIC = Topic("/scan", "transmit")
 CHANGES: tuple[AnyCommand, ...] = (
     commands.AddTopic(TOPIC),
-    commands.EditTopic("key", TOPIC),
+    commands.EditTopic("key", TOPIC, seen=TOPIC),
     commands.RemoveTopic("key"),
     commands.PauseTopics("key", paused=True),
-    commands.Acknowledge("key"),
+    commands.Acknowledge("key", seen=(State.DOWN, "no_link")),
     commands.ArmTopic("key"),
     commands.AskHolder("key"),
     commands.TakeArming("key"),

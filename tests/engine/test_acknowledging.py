@@ -46,6 +46,10 @@ def test_a_fault_that_one_console_acknowledges_is_known_in_all_until_it_changes(
         one.acknowledge("", False, link="robot1").result(60)
     with pytest.raises(EngineError):
         one.acknowledge("", link="robot2").result(60)
+    with pytest.raises(EngineError):
+        one.acknowledge("", link="robot1", seen=(State.STALE, "")).result(60)
+    with pytest.raises(EngineError):  # though its fault is the link's, which is another one
+        one.acknowledge(one.snapshot().routes[0].key, seen=(State.SLOW, "slow")).result(60)
     one.acknowledge("", link="robot1").result(60)
     eventually(is_known, what="marked again")
 

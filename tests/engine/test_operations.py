@@ -43,7 +43,10 @@ def test_topics_are_added_edited_paused_and_removed(operator: str, bridge: Bridg
     with pytest.raises(EngineError, match=pattern(TypeNameProblem.SHORT_NAME_MISSPELT, name="LaserScam")):
         engine.edit_topic(key, Topic("/chat", "transmit", type="LaserScam")).result(60)
 
-    key = engine.edit_topic(key, Topic("/chat", "transmit", protocol="udp", qos=3)).result(60)
+    edited = Topic("/chat", "transmit", protocol="udp", qos=3)
+    key = engine.edit_topic(key, edited, seen=Topic("/chat", "transmit")).result(60)
+    with pytest.raises(EngineError, match=pattern(Denied.CHANGED, topic="/chat")):
+        engine.edit_topic(key, Topic("/chat", "transmit", max_rate=5.0), seen=Topic("/chat", "transmit")).result(60)
     eventually(lambda: route(server, "/chat").transport == route(client, "/chat").transport == "udp")
     carries([out], server, ["/chat"])
     out.publish(text("udp"))

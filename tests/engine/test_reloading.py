@@ -334,6 +334,18 @@ def test_a_disk_that_hangs_holds_up_other_changes_for_a_while_only(
     assert all(topic.paused for topic in client.session.topics)
 
 
+def test_a_reload_that_an_operator_has_seen_does_nothing_else(bridge: Bridge, tmp_path: Path) -> None:
+    client = bridge.client(Topic("/a", "transmit"))
+    file = Edited(client, tmp_path / "robot1.yaml")
+    would = file.reload(dry_run=True, topics=(Topic("/a", "transmit", max_rate=5.0),))
+    client.pause(route(client, "/a").key, True).result(60)
+    with pytest.raises(EngineError, match=pattern(Unable.RELOADS_OTHER)):
+        client.reload(seen=would.digest).result(60)
+    assert route(client, "/a").spec.paused
+    client.reload(seen=file.reload(dry_run=True).digest).result(60)
+    assert route(client, "/a").spec == file.session.topics[0]
+
+
 def test_a_session_in_no_file_is_not_reloaded(bridge: Bridge) -> None:
     server = bridge.server()
     with pytest.raises(EngineError, match=pattern(Unable.NO_FILE)):

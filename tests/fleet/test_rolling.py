@@ -6,7 +6,9 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import pytest
+from tests.console.changing import ChangingEngine
 from tests.console.scripted import ScriptedEngine, refused
 from tests.support.fleet import ScriptedSource, fleet_of, robot, topics
 
@@ -112,6 +114,20 @@ def test_what_it_would_change() -> None:
     assert not any(bed.commands(name) for name in engines)
     (same, *_) = bed.rollout("/camera", "max_rate=30").plan()
     assert (same.new, same.problem, said(same)) == (None, "", "nothing to change")
+
+
+@pytest.mark.parametrize("undoes", [False, True])
+def test_what_somebody_has_changed_since_is_not_overwritten(undoes: bool) -> None:
+    bed = Bed("robot1")
+    engine = bed.source.engines["robot1"] = ChangingEngine()
+    rollout = bed.rollout("/scan", "max_rate=2")
+    steps = rollout.plan()
+    if undoes:
+        outcome = rollout.run(steps, bed.tell)
+    engine.put("/scan", msgspec.structs.replace(engine.spec("/scan"), paused=True))
+    failed = rollout.undo(outcome, bed.tell) if undoes else rollout.run(steps, bed.tell).failed
+    assert failed
+    assert engine.spec("/scan").paused
 
 
 @pytest.mark.parametrize("key", ["max_rate", "speed=5", "max_rate=fast", "direction=receive"])

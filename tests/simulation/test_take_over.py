@@ -321,6 +321,7 @@ def test_the_holder_decides(asker: int, gives: bool) -> None:
         assert (await held(anna), await held(other)) == (1, 0)
         asking = asyncio.ensure_future(drivers.command(other, AskHolder))
         await until(lambda: drivers.is_asked(anna), 1.0)
+        await drivers.do(anna, lambda route: AnswerAsker(route.key, gives=gives, who="another"))
         assert not asking.done()
         await drivers.command(anna, partial(AnswerAsker, gives=gives))
         await asking

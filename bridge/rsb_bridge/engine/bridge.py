@@ -340,7 +340,7 @@ class Bridge:
     async def _acknowledge(self, command: commands.Acknowledge) -> None:
         self._snapshots.refresh_now(self._role)
         # In the newest state: the fault that the operator has seen may be over.
-        faulty = find_faulty(self._snapshots.latest, command.key, command.link)
+        faulty = find_faulty(self._snapshots.latest, command.key, command.link, command.seen)
         acknowledgements = self._snapshots.acknowledged
         if command.acknowledged:
             acknowledgements.add(faulty, operator())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import hashlib
 import logging
 import os
 import threading
@@ -441,6 +442,10 @@ class Engine(EngineApi):
                 text = f"not reloaded, nothing is changed: {str(error).replace(chr(10), '; ')}"
                 self._events.add(Level.ERROR, EventCode.ENGINE_RELOAD_FAILED, text, who=who)
             raise
+        if command.seen:
+            would, _ = await bridge.reload(session, keys, dry_run=True, drop_arm=command.drop_arm)
+            if command.seen != _digest([*would, *self.access.reload(granted, dry_run=True)]):
+                raise EngineError(Unable.RELOADS_OTHER())
         if not dry_run:
             self.access.warn_of(keys, granted)
         done, failed = await bridge.reload(session, keys, dry_run=dry_run, drop_arm=command.drop_arm)
@@ -455,7 +460,7 @@ class Engine(EngineApi):
                 self._events.add(Level.INFO, EventCode.OPERATOR_RELOADED, text, who=who)
             for text in left:
                 self._events.add(Level.WARNING, EventCode.ENGINE_RELOAD_INCOMPLETE, f"reload by {who}: {text}", who=who)
-        return Reloaded(tuple(done), tuple(left), tuple(failed))
+        return Reloaded(tuple(done), tuple(left), tuple(failed), _digest(done))
 
     def _read_again(self) -> tuple[Path, Session, list[str]]:
         """Read the session file: its path, the session to change to, and the differences that cannot take effect.
@@ -475,3 +480,7 @@ class Engine(EngineApi):
         if problems := validate(session):  # the old and the new parts may contradict each other
             raise EngineError("; ".join([*left, *map(str, problems)]))
         return self._file, session, left
+
+
+def _digest(changes: list[str]) -> str:
+    return hashlib.sha256("\n".join(changes).encode()).hexdigest()[:16] if changes else ""

@@ -134,6 +134,9 @@ class TopicCommands:
         named = await self._stopped(command.key)
         routes = named.routes()
         with self._demands.changing(operator()):
+            # A form, a plan or an undo writes the whole topic: it would take back what another operator has changed.
+            if command.seen is not None and (differences := changes(command.seen, named.entry)):
+                raise LinkError(Denied.CHANGED(topic=named.entry.topic, differences=", ".join(differences)))
             new_key = self._edit(named, command.topic, drop_arm=command.drop_arm)
         await _settled(routes)
         return new_key
@@ -298,7 +301,7 @@ class ArmingCommands:
 
     async def answer(self, command: AnswerAsker) -> None:
         link, route = self._find(command.key)
-        link.table.questions.answer(route, console(), gives=command.gives)
+        link.table.questions.answer(route, console(), gives=command.gives, who=command.who)
 
     async def disarm(self, command: DisarmTopic) -> None:
         link, route = self._find(command.key)

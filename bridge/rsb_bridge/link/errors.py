@@ -13,6 +13,7 @@ class Denied(Wording):
     SERVER_STOPS = "the server stops"
     RESTART_FAILED = "{failure}. The server keeps trying"
     NO_ROUTE = "there is no route {key!r} any more"
+    CHANGED = "{topic} was changed meanwhile ({differences}): open it again"
     BRIDGED_ALREADY = "{topic} is bridged in that direction already"
     EDIT_THAT_ROUTE = "{topic} is bridged in that direction already: edit or remove that route"
     FOLLOWED_ALREADY = "{topic} is followed in that direction already: edit or remove that pattern"

@@ -43,7 +43,7 @@ class TakeOverText(Wording):
     HELD_HERE = "this console has armed {topic} already"
     ASKED_ALREADY = "{topic} is asked for already ({who}): wait for the answer"
     ASKER_SILENT = "this console stood still while it asked for {topic}: ask again"
-    NOT_ASKED = "nobody asks for {topic} any more"
+    NOT_ASKED = "the question for {topic} is over"
     NOT_YOURS = "{topic} was armed on another console, which answers for it"
 
 
@@ -139,15 +139,18 @@ class HolderQuestions:
             if asker.console == console:
                 asker.seen_at = self._context.now()
 
-    def answer(self, route: Route, console: Hashable, *, gives: bool) -> None:
+    def answer(self, route: Route, console: Hashable, *, gives: bool, who: str = "") -> None:
         """Take the holder's answer.
 
+        Args:
+            who: the operator whom it answers, or empty.
+
         Raises:
-            LinkError: there is no question, or the console is not the holder's.
+            LinkError: there is no question of that operator, or the console is not the holder's.
         """
         arming, topic = route.arming, route.local_topic
         question = arming.question_at(self._context.now())
-        if question is None:
+        if question is None or who not in ("", question.who):
             raise LinkError(TakeOverText.NOT_ASKED(topic=topic))
         if arming.console != console:
             raise LinkError(TakeOverText.NOT_YOURS(topic=topic))

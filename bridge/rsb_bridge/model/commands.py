@@ -15,10 +15,11 @@ from msgspec import Meta
 
 from rsb_bridge.model.benchmark import BenchmarkStep, Outcome
 from rsb_bridge.model.by_hand import LONGEST_REST, REST_AFTER, Draft, Held, Published
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.pictures import TOPICS_AT_ONCE, Viewed, Wish
 from rsb_bridge.model.session import Client, Topic
-from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, TopicInfo
+from rsb_bridge.model.snapshot import PeekedMessage, Reloaded, State, TopicInfo
 
 R = TypeVar("R")
 R_co = TypeVar("R_co", covariant=True)
@@ -43,20 +44,26 @@ class Command(msgspec.Struct, Generic[R_co], frozen=True, tag_field="is", omit_d
 
     Attributes:
         right: needed to give the command.
+        always: the effect, whatever the fields say. Each command that needs a right to change states it.
         one_at_a_time: whether the command waits for the earlier ones of its kind, because it changes the session.
         refreshes: whether the next snapshot is made at once, to show the effect.
         cancellable: whether the engine stops working on the command when nobody waits for the result any more.
     """
 
     right: ClassVar[Right] = Right.CHANGE
+    always: ClassVar[Effect] = Effect.HARMLESS
     one_at_a_time: ClassVar[bool] = False
     refreshes: ClassVar[bool] = True
     cancellable: ClassVar[bool] = False
 
     @property
+    def effect(self) -> Effect:
+        return self.always
+
+    @property
     def expires(self) -> bool:
         """Whether an attached console's command is void if it comes late, because it may move a robot."""
-        return False
+        return Effect.MOVES in self.effect
 
 
 class AddTopic(Command[str], frozen=True, tag="add"):
@@ -72,6 +79,10 @@ class AddTopic(Command[str], frozen=True, tag="add"):
     topic: Topic
     link: str = ""
 
+    @property
+    def effect(self) -> Effect:
+        return Effect.HARMLESS if self.topic.paused else Effect.MOVES
+
 
 class EditTopic(Command[str], frozen=True, tag="edit"):
     """Replace a route's topic, or a pattern. The result is the new key; if the command fails, the old route stays.
@@ -80,16 +91,19 @@ class EditTopic(Command[str], frozen=True, tag="edit"):
         key: of the route or the pattern.
         drop_arm: whether an operator has agreed to end the demand to be armed. Without that, a change from
             ``arm: true`` to false is refused, and any other change keeps the demand.
+        seen: the entry that the operator has seen, or None. The command is refused if it is another one by now.
     """
 
     one_at_a_time = True
     key: str
     topic: Topic
     drop_arm: bool = False
+    seen: Topic | None = None
 
     @property
-    def expires(self) -> bool:
-        return not self.topic.paused  # it may resume
+    def effect(self) -> Effect:
+        was_paused = self.seen is None or self.seen.paused
+        return Effect.MOVES if self.drop_arm or (was_paused and not self.topic.paused) else Effect.HARMLESS
 
 
 class RemoveTopic(Command[None], frozen=True, tag="remove"):
@@ -104,6 +118,10 @@ class RemoveTopic(Command[None], frozen=True, tag="remove"):
     key: str
     drop_arm: bool = False
 
+    @property
+    def effect(self) -> Effect:
+        return Effect.LOSES | Effect.MOVES if self.drop_arm else Effect.LOSES  # other lines may bridge the name, too
+
 
 class PauseTopics(Command[None], frozen=True, tag="pause"):
     """Stop or resume carrying the messages of a topic, or of all topics that a pattern matches, on both sides."""
@@ -113,8 +131,8 @@ class PauseTopics(Command[None], frozen=True, tag="pause"):
     paused: bool
 
     @property
-    def expires(self) -> bool:
-        return not self.paused  # pausing may come late
+    def effect(self) -> Effect:
+        return Effect.HARMLESS if self.paused else Effect.MOVES
 
 
 class Acknowledge(Command[None], frozen=True, tag="acknowledge"):
@@ -124,11 +142,14 @@ class Acknowledge(Command[None], frozen=True, tag="acknowledge"):
         key: of a route or a pattern. A route that is down with its link has the link's fault.
         acknowledged: whether the fault is acknowledged from now on.
         link: the name of a link, instead of a key.
+        seen: the state and the cause that the operator has seen, or None. Another fault is not acknowledged.
     """
 
+    always = Effect.HARMLESS
     key: str = ""
     acknowledged: bool = True
     link: str = ""
+    seen: tuple[State, str] | None = None
 
 
 class ArmTopic(Command[None], frozen=True, tag="arm"):
@@ -141,12 +162,9 @@ class ArmTopic(Command[None], frozen=True, tag="arm"):
             console each.
     """
 
+    always = Effect.MOVES
     key: str
     shared: bool = False
-
-    @property
-    def expires(self) -> bool:
-        return True
 
 
 class AskHolder(Command[None], frozen=True, tag="ask_holder"):
@@ -159,13 +177,10 @@ class AskHolder(Command[None], frozen=True, tag="ask_holder"):
         shared: as of `ArmTopic`.
     """
 
+    always = Effect.MOVES
     cancellable = True
     key: str
     shared: bool = False
-
-    @property
-    def expires(self) -> bool:
-        return True
 
 
 class TakeArming(Command[None], frozen=True, tag="take_arming"):
@@ -175,13 +190,10 @@ class TakeArming(Command[None], frozen=True, tag="take_arming"):
         shared: as of `ArmTopic`.
     """
 
+    always = Effect.MOVES
     right = Right.TAKE
     key: str
     shared: bool = False
-
-    @property
-    def expires(self) -> bool:
-        return True
 
 
 class AnswerAsker(Command[None], frozen=True, tag="answer_asker"):
@@ -189,14 +201,13 @@ class AnswerAsker(Command[None], frozen=True, tag="answer_asker"):
 
     Attributes:
         gives: whether the topic goes over.
+        who: the operator who asks, as the holder has seen, or empty. An answer to another one is refused.
     """
 
+    always = Effect.MOVES
     key: str
     gives: bool
-
-    @property
-    def expires(self) -> bool:
-        return True
+    who: str = ""
 
 
 class DisarmTopic(Command[None], frozen=True, tag="disarm"):
@@ -206,6 +217,7 @@ class DisarmTopic(Command[None], frozen=True, tag="disarm"):
         own: whether to do so only if the console that gives the command holds it.
     """
 
+    always = Effect.HARMLESS
     key: str
     own: bool = False
 
@@ -234,6 +246,7 @@ class AddClient(Command[None], frozen=True, tag="add_client"):
     """Accept one more client, on a server; its key file is read where the bridge runs."""
 
     one_at_a_time = True
+    always = Effect.MOVES
     client: Client
 
 
@@ -241,6 +254,7 @@ class ChangeClient(Command[None], frozen=True, tag="change_client"):
     """Replace the entry of a server's client of that name; its key file is read again."""
 
     one_at_a_time = True
+    always = Effect.HARMLESS
     client: Client
 
 
@@ -248,21 +262,27 @@ class RemoveClient(Command[None], frozen=True, tag="remove_client"):
     """Accept a server's client no longer, and end its link."""
 
     one_at_a_time = True
+    always = Effect.LOSES
     name: str
 
 
 class Retry(Command[None], frozen=True, tag="retry"):
     """Connect now instead of later, and open refused topics again."""
 
+    always = Effect.MOVES  # also what somebody has shut down
     link: str = ""
 
 
 class ShutDownLinks(Command[None], frozen=True, tag="shut_down"):
     """Close the sockets on both sides until an operator restarts, as the shutdown topic does."""
 
+    always = Effect.HARMLESS
+
 
 class Restart(Command[None], frozen=True, tag="restart"):
     """Close the links on both sides and open them again."""
+
+    always = Effect.MOVES | Effect.LOSES
 
 
 class Reload(Command[Reloaded], frozen=True, tag="reload"):
@@ -273,11 +293,17 @@ class Reload(Command[Reloaded], frozen=True, tag="reload"):
     Attributes:
         dry_run: whether to report only, and change nothing.
         drop_arm: whether an operator has agreed to end the demands to arm that the file does not make any more.
+        seen: `Reloaded.digest` of the changes to which an operator has agreed, or empty. Others are refused.
     """
 
     one_at_a_time = True
     dry_run: bool = False
     drop_arm: bool = False
+    seen: str = ""
+
+    @property
+    def effect(self) -> Effect:
+        return Effect.HARMLESS if self.dry_run else Effect.MOVES | Effect.LOSES
 
 
 class Topics(Command[tuple[TopicInfo, ...]], frozen=True, tag="topics"):
@@ -377,6 +403,7 @@ class Publish(Command[Published], frozen=True, tag="publish"):
             keys, and sees what is reduced.
     """
 
+    always = Effect.MOVES
     refreshes = False
     cancellable = True
     topic: str
@@ -386,10 +413,6 @@ class Publish(Command[Published], frozen=True, tag="publish"):
     rest: str = ""
     rest_after: Annotated[float, Meta(gt=0, le=LONGEST_REST)] = REST_AFTER
     reduce: bool = False
-
-    @property
-    def expires(self) -> bool:
-        return True
 
 
 class DescribeType(Command[str], frozen=True, tag="describe"):
@@ -421,14 +444,11 @@ class Call(Command[str], frozen=True, tag="call"):
         lane: one of the route's services (`RouteSnapshot.lanes`).
     """
 
+    always = Effect.MOVES
     cancellable = True
     key: str
     request: str
     lane: str = ""
-
-    @property
-    def expires(self) -> bool:
-        return True
 
 
 class History(Command[HistoryReport], frozen=True, tag="history"):
@@ -455,6 +475,8 @@ class Stop(Command[None], frozen=True, tag="stop"):
 
     The engine only records the command; the control server ends the process.
     """
+
+    always = Effect.LOSES
 
 
 if TYPE_CHECKING:

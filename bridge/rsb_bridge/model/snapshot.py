@@ -505,11 +505,13 @@ class Reloaded:
         changed: changes that the bridge has made, or would make if it was only asked.
         left: changes that need a restart, with the remedy.
         failed: changes that failed, with the reason.
+        digest: stands for `changed`, which may be cut on the way to a console; empty if that is.
     """
 
     changed: tuple[str, ...] = ()
     left: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
+    digest: str = ""
 
 
 PEEK_LIMIT = 1 << 20

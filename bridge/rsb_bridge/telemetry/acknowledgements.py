@@ -125,7 +125,7 @@ class Acknowledgements:
         known = before.get(_key(faulty))
         if known is None:
             return None
-        if not _same_fault(known, faulty):
+        if not _is_fault(faulty, known.state, known.cause):
             # A fault that is over needs no operator; one that became another one counts again.
             if has_fault(faulty):
                 self._ended(faulty)
@@ -166,9 +166,9 @@ class Acknowledgements:
         return marked_now
 
 
-def _same_fault(known: _AcknowledgedFault, faulty: AnyFaulty) -> bool:
-    causes = {known.cause, faulty.cause}
-    return known.state is faulty.state and (len(causes) == 1 or causes <= _ONE_FAULT)
+def _is_fault(faulty: AnyFaulty, state: State, cause: str) -> bool:
+    causes = {cause, faulty.cause}
+    return state is faulty.state and (len(causes) == 1 or causes <= _ONE_FAULT)
 
 
 def has_fault(faulty: AnyFaulty) -> bool:
@@ -176,24 +176,31 @@ def has_fault(faulty: AnyFaulty) -> bool:
     return faulty.state not in _NO_FAULT or (isinstance(faulty, LinkSnapshot) and bool(faulty.warning))
 
 
-def find_faulty(snapshot: Snapshot, key: str, link: str) -> AnyFaulty:
+def find_faulty(snapshot: Snapshot, key: str, link: str, seen: tuple[State, str] | None = None) -> AnyFaulty:
     """Return the link, route or pattern that an operator names.
 
     Args:
         key: of a route or a pattern. A route that suffers from its link's fault has the link's fault.
         link: the name of a link, or an empty string.
+        seen: the state and the cause with which the operator has seen it, or None.
 
     Raises:
-        ValueError: it does not exist.
+        ValueError: it does not exist, or has another state or cause by now.
     """
+
+    def as_seen(faulty: Faulty) -> Faulty:
+        if seen is not None and not _is_fault(faulty, *seen):
+            raise ValueError(f"{_name(faulty)} is {faulty.state.upper()} by now: look again")
+        return faulty
+
     links = {each.name: each for each in snapshot.links}
     if link:
         if link not in links:
             raise ValueError(f"no link {link!r}; links: {', '.join(links) or 'none'}")
-        return links[link]
+        return as_seen(links[link])
     for route in snapshot.routes:
         if route.key == key:
-            link_of = links.get(route.link)
+            link_of = links.get(as_seen(route).link)
             return link_of if link_of is not None and explained_by_link(route.cause, link_of) else route
     for pattern in (pattern for each in snapshot.links for pattern in each.patterns):
         if pattern.key == key:

@@ -7,7 +7,6 @@ import math
 import os
 import sys
 import time
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -257,7 +256,8 @@ def _reload(arguments: Namespace) -> int:
         reloaded = result(engine.reload(dry_run=arguments.dry_run, drop_arm=arguments.drop_arm))
     if arguments.json:
         is_done = not (reloaded.left or reloaded.failed)
-        print_line(json_line({"ok": is_done, "dry_run": arguments.dry_run, **asdict(reloaded)}))
+        about = {name: getattr(reloaded, name) for name in ("changed", "left", "failed")}
+        print_line(json_line({"ok": is_done, "dry_run": arguments.dry_run, **about}))
     else:
         for line in reloaded.changed or ["no difference that can be applied in place"]:
             print_line(line)
@@ -423,7 +423,7 @@ def _edit(arguments: Namespace) -> int:
         if not arguments.keys:
             raise UsageError(RemoteProblem.NOTHING_TO_CHANGE(topic=arguments.topic))
         topic = _topic(values_of(route.spec), arguments.keys, engine, route.spec)
-        key = result(engine.edit_topic(route.key, topic, drop_arm=arguments.drop_arm))
+        key = result(engine.edit_topic(route.key, topic, drop_arm=arguments.drop_arm, seen=route.spec))
         return done_with(arguments, [route], f"changed ({', '.join(changes(route.spec, topic)) or 'nothing'})", key=key)
 
 
@@ -538,7 +538,7 @@ def _hold(engine: RemoteEngine, route: RouteSnapshot, keys: TypedKeys) -> tuple[
         lost_at = math.inf if holds else min(lost_at, time.monotonic())
         if pressed and asked_by:  # pressing Enter means driving
             with contextlib.suppress(EngineError):  # it is over
-                result(engine.answer_asker(route.key, gives=False))
+                result(engine.answer_asker(route.key, gives=False, who=asked_by))
         now = next((each for each in engine.snapshot().routes if each.key == route.key), None)
         if now is None or now.arming is None or not now.arming.armed or engine.unreachable:
             reason, cause = _why_disarmed(engine, now)

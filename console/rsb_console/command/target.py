@@ -6,6 +6,7 @@ import contextlib
 import os
 import shlex
 import sys
+import termios
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
@@ -273,6 +274,9 @@ def agreed(question: str) -> bool:
     """
     if not sys.stdin.isatty():
         raise UsageError(Asking.NOBODY())
+    # What was typed ahead is for something else. Not every input that calls itself a terminal can be flushed.
+    with contextlib.suppress(OSError, termios.error):
+        termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
     print_line(f"{question} [y/N]")
     sys.stdout.flush()
     return sys.stdin.readline().strip().lower() in ("y", "yes")

@@ -183,7 +183,7 @@ class Rollout:
             tell(step, "changing")
             before = self._summary(step.robot)
             try:
-                self._apply(step, step.new)
+                self._apply(step, step.new, seen=step.old)
             except (EngineError, TimeoutError) as error:
                 outcome.failed, outcome.why, outcome.left = step, str(error) or "the bridge does not answer", left
                 if isinstance(error, NoAnswerError | TimeoutError):
@@ -211,15 +211,16 @@ class Rollout:
         for step in outcome.changed:
             tell(step, "putting back")
             try:
-                self._apply(step, step.old, drop_arm=step.new is not None and step.new.arm)
+                self._apply(step, step.old, seen=step.new, drop_arm=step.new is not None and step.new.arm)
             except (EngineError, TimeoutError) as error:
                 failed.append((step, str(error) or "the bridge does not answer"))
         return failed
 
-    def _apply(self, step: RobotChange, topic: Topic | None, *, drop_arm: bool = False) -> None:
+    def _apply(self, step: RobotChange, topic: Topic | None, *, seen: Topic | None, drop_arm: bool = False) -> None:
         """Change a robot's route to a topic.
 
         Args:
+            seen: the topic that the operator has seen; the bridge refuses to change another one.
             drop_arm: end the demand for arming, which this change made, unless the topic has it.
 
         Raises:
@@ -233,7 +234,7 @@ class Rollout:
             if not routes:
                 raise EngineError(f"{self.topic} is not bridged any more")
             drops = drop_arm and not topic.arm
-            engine.edit_topic(routes[0].key, topic, drop_arm=drops).result(ANSWERED_WITHIN)
+            engine.edit_topic(routes[0].key, topic, drop_arm=drops, seen=seen).result(ANSWERED_WITHIN)
         finally:
             engine.stop()
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 from weakref import WeakSet
 
 from textual.events import Key
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.look.formats import PatternRow
@@ -23,10 +25,10 @@ from rsb_console.session.changes import (
     named_by_client,
     patterns_of,
 )
-from rsb_console.terminal.input_gate import InputGate
+from rsb_console.widgets.columns import is_armed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Coroutine
     from concurrent.futures import Future
 
     from textual.events import Event
@@ -34,11 +36,13 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.by_hand import Held
+    from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.console_api import Console
     from rsb_console.look.formats import Row
     from rsb_console.screens.topic_form import TopicDraft
 
+R = TypeVar("R", bound="Row")
 _LINES_SHOWN = 12
 """Lines of a question about a reload; the others are counted. A round figure."""
 
@@ -51,10 +55,14 @@ class OperationText(Wording):
     NOTHING_MORE_TO_UNDO = "nothing more to undo"
     AS_IN_FILE = "the bridge already runs as in the session file"
     RELOAD = "Reload the session file?"
+    RELOADED = "reloaded"
     ENDED_ELSEWHERE = "the bridge has ended in its own process: start it there"
     RESUME = "Resume {topic}?"
     RESUME_MEANS = "The key may have come late, so it is asked for. Messages cross again at once{arming}."
     STILL_DISARMED = ", once it is armed"
+    IS_ALREADY = "{topic} was paused or resumed meanwhile: look, and press the key again"
+    AFTER_ALL = "{topic}: done after its form was left (u undoes it)"
+    SEVERAL_ARMED = "go to the topic to disarm: {topics}"
     RESTART_MEANS = "All links are closed on both sides and opened again. Nothing crosses for a few seconds."
 
 
@@ -106,14 +114,21 @@ class BridgeOperations:
         row = self._selected()
         return None if isinstance(row, PatternRow) else row
 
+    def _now(self, row: R) -> R:
+        """Return the present state of a row: a frozen list shows an old one, and one that a picture has hidden."""
+        return cast("R", find_entry(self._console.snapshot(), row.key) or row)
+
     async def pause(self) -> None:
         """Pause the topic under the cursor, or resume it, after a question if the key may have come late."""
         engine, route = self._console.engine, self._selected()
         if engine is None or route is None:
             return
         paused = route.state is not State.PAUSED
+        if (self._now(route).state is not State.PAUSED) is not paused:
+            self._console.notify(OperationText.IS_ALREADY(topic=route.topic), severity="warning", markup=False)
+            return
         # Only resuming can move something: a key that a hung terminal delivers late may pause.
-        if not paused and not InputGate.of(self._screen().app).is_young and not await self._still_wants(route):
+        if not paused and not await self._resumes(route):
             return
         mixed = isinstance(route, PatternRow) and any(
             each.spec.paused is paused
@@ -125,35 +140,46 @@ class BridgeOperations:
         if await self._console.command(engine.pause(route.key, paused)) and route.spec.paused is not paused:
             self._console.changes.add(change)
 
-    async def _still_wants(self, route: Row) -> bool:
-        """Whether the operator resumes a topic, asked by a question that late keys do not answer."""
-        from rsb_console.screens.dialog import GuardedConfirmScreen  # noqa: PLC0415 -- keeps the start short
+    async def _resumes(self, route: Row) -> bool:
+        """Whether the operator resumes a topic, after a question if the key may have come late."""
+        from rsb_console.screens.dialog import is_meant  # noqa: PLC0415 -- keeps the start short
 
         arming = "" if route.arming is None else OperationText.STILL_DISARMED()
-        means = OperationText.RESUME_MEANS(arming=arming)
-        question = GuardedConfirmScreen(OperationText.RESUME(topic=route.topic), means, "Resume")
-        return bool(await self._console.ask(question))
+        title, means = OperationText.RESUME(topic=route.topic), OperationText.RESUME_MEANS(arming=arming)
+        return await is_meant(self._console, self._screen().app, title, means, "Resume")
 
     async def acknowledge(self) -> None:
         """Acknowledge the fault of the topic under the cursor, or take that back."""
         engine, route = self._console.engine, self._selected()
         if engine is not None and route is not None:
-            await self._console.command(engine.acknowledge(route.key, route.acknowledged is None))
+            seen = None if isinstance(route, PatternRow) else (route.state, route.cause)
+            await self._console.command(engine.acknowledge(route.key, route.acknowledged is None, seen=seen))
 
     async def arm(self) -> None:
-        """Arm the topic under the cursor, after a question; disarm it at once, even if another operator armed it."""
+        """Arm the topic under the cursor, after a question; disarm it at once, even if another operator armed it.
+
+        On a topic that is never armed, disarm what this console holds, if that is one topic.
+        """
         from rsb_console.screens.dialog import ArmScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._route
-        if engine is None or route is None or route.arming is None:
+        if engine is None:
             return
-        if route.arming.armed:
+        if route is None or route.arming is None:
+            held = [each for each in self._console.snapshot().routes if each.key in self._console.deadman.held]
+            names = sorted({each.topic for each in held})
+            if len(names) == 1:
+                await self._disarm(engine, held[0])
+            elif names:
+                text = OperationText.SEVERAL_ARMED(topics=", ".join(names))
+                self._console.notify(text, title="Not done", severity="warning", markup=False)
+        elif is_armed(now := self._now(route)) or is_armed(route):
             # This key stops a robot: it asks nobody, even if another operator holds the topic.
             await self._disarm(engine, route)
-        elif route.state is State.PAUSED:
+        elif now.state is State.PAUSED:
             text = f"{route.topic} cannot be armed: it is paused; resume it first"
             self._console.notify(text, title="Not done", severity="warning", markup=False)
-        elif await self._console.ask(ArmScreen(route)):
+        elif await self._console.ask(ArmScreen(now)):
             self._console.deadman.armed_on(self._screen())
             await self._console.command(engine.arm(route.key))
 
@@ -201,10 +227,12 @@ class BridgeOperations:
             await drive(self._console, row)
 
     async def retry(self) -> None:
-        engine = self._console.engine
-        if engine is not None:
-            is_server = self._console.snapshot().role == "server"
-            await self._console.command(engine.retry(), _RETRIED_ON_SERVER if is_server else "trying again")
+        from rsb_console.screens.links_screen import lets_back  # noqa: PLC0415 -- keeps the start short
+
+        engine, now = self._console.engine, self._console.snapshot()
+        if engine is not None and await lets_back(self._console, self._screen().app, now.links):
+            done = _RETRIED_ON_SERVER if now.role == "server" else "trying again"
+            await self._console.command(engine.retry(), done)
 
     async def add_topic(self) -> None:
         from rsb_console.screens.topic_form import TopicScreen  # noqa: PLC0415 -- keeps the start short
@@ -216,7 +244,7 @@ class BridgeOperations:
             self._console.notify(OperationText.NO_CLIENT(), severity="warning", markup=False, timeout=8)
             return
 
-        async def add(draft: TopicDraft) -> None:
+        async def act(draft: TopicDraft) -> None:
             now, since = engine.snapshot(), _last_event(engine)
             key = await asyncio.wrap_future(engine.add_topic(draft.topic, draft.link))
             link = draft.link or now.links[0].name
@@ -225,27 +253,26 @@ class BridgeOperations:
                 Added(link, _name_here(engine, key, draft.topic.topic), since, key=key, spec=spec)
             )
 
+        async def add(draft: TopicDraft) -> None:
+            await self._to_the_end(act(draft), draft.topic.topic)
+
         draft = await self._console.ask(TopicScreen(engine, add))
         if draft is not None:
             self._console.notify(f"{draft.topic.topic}: added", markup=False, timeout=3)
             self._console.pull()
 
     async def edit_topic(self) -> None:
-        from rsb_console.screens.dialog import GuardedConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
         from rsb_console.screens.topic_form import TopicScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
         if route is None or engine is None:
             return
+        route = self._now(route)
 
-        async def edit(draft: TopicDraft) -> None:
-            if draft.topic == route.spec:
-                return
-            now, since, new = engine.snapshot(), _last_event(engine), draft.topic
-            drops = route.spec.arm and not new.arm
-            if drops and not await self._console.ask(GuardedConfirmScreen(*_dropping(route), "Drop")):
-                raise EngineError("not changed: it still has to be armed")
-            key = await asyncio.wrap_future(engine.edit_topic(route.key, new, drop_arm=drops))
+        async def act(new: Topic, *, drops: bool) -> None:
+            now, since = engine.snapshot(), _last_event(engine)
+            key = await asyncio.wrap_future(engine.edit_topic(route.key, new, drop_arm=drops, seen=route.spec))
             if new.topic != route.spec.topic and not new.is_pattern:
                 new = named_by_client(new, now, route.link)
             name = _name_here(engine, key, route.topic)
@@ -253,12 +280,41 @@ class BridgeOperations:
                 Edited(route.link, name, since, key=key, old=route.spec, new=new, pattern=route.pattern)
             )
 
+        async def edit(draft: TopicDraft) -> None:
+            old, new = route.spec, draft.topic
+            if new == old:
+                return
+            drops = old.arm and not new.arm
+            if drops and not await self._console.ask(ConfirmScreen(*_dropping(route), "Drop", Effect.MOVES)):
+                raise EngineError("not changed: it still has to be armed")
+            if old.paused and not new.paused and not drops and not await self._resumes(route):
+                raise EngineError("not changed: it stays paused")
+            await self._to_the_end(act(new, drops=drops), route.topic)
+
         if await self._console.ask(TopicScreen(engine, edit, route)) is not None:
+            self._console.pull()
+
+    async def _to_the_end(self, act: Coroutine[Any, Any, None], topic: str) -> None:
+        """Do what a form has begun, even if the form is left meanwhile: then tell how it ended."""
+        going = asyncio.ensure_future(act)
+        try:
+            await asyncio.shield(going)
+        except asyncio.CancelledError:
+            going.add_done_callback(partial(self._tell_end, topic))
+            raise
+
+    def _tell_end(self, topic: str, going: asyncio.Future[None]) -> None:
+        if going.cancelled():
+            return
+        if (error := going.exception()) is not None:
+            self._console.notify(str(error), title="Not done", severity="error", markup=False, timeout=10)
+        else:
+            self._console.notify(OperationText.AFTER_ALL(topic=topic), markup=False, timeout=10)
             self._console.pull()
 
     async def remove_topic(self) -> None:
         """Remove the topic under the cursor, after a question."""
-        from rsb_console.screens.dialog import GuardedConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
         engine, route = self._console.engine, self._selected()
         if route is None or engine is None:
@@ -268,7 +324,8 @@ class BridgeOperations:
             message += " Its name still has to be armed (armed in the session)."
         if route.pattern:
             message += f" {route.pattern} leaves it out from then on (except)."
-        if not await self._console.ask(GuardedConfirmScreen(f"Remove {route.topic}?", message, "Remove")):
+        question = ConfirmScreen(f"Remove {route.topic}?", message, "Remove", Effect.LOSES)
+        if not await self._console.ask(question):
             return
         now, since = self._console.snapshot(), _last_event(engine)
         patterns = tuple((row.key, row.spec) for row in patterns_of(now, route.link, route.spec))
@@ -294,10 +351,12 @@ class BridgeOperations:
             return
         self._undoing = True
         try:
-            undo = change.undo(self._console.snapshot(), engine.events())
-            if not await self._console.ask(UndoScreen(undo)):
-                return
-            undo = change.undo(self._console.snapshot(), engine.events())  # it may have changed meanwhile
+            agreed: tuple[str, ...] | None = None
+            # Again if it would do something else by then.
+            while (undo := change.undo(self._console.snapshot(), engine.events())).lines != agreed:
+                agreed = undo.lines
+                if not await self._console.ask(UndoScreen(undo)):
+                    return
             await undo.act(engine)
         except CannotUndoError as problem:
             changes.drop(change)
@@ -312,7 +371,7 @@ class BridgeOperations:
 
     async def reload(self) -> None:
         """Have the session file read again, after showing what differs."""
-        from rsb_console.screens.dialog import GuardedConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
         engine = self._console.engine
         if engine is None:
@@ -330,9 +389,16 @@ class BridgeOperations:
             lines = [*differs.changed, *differs.left]
             more = [f"… and {len(lines) - _LINES_SHOWN} more"] if len(lines) > _LINES_SHOWN else []
             message = "\n".join(lines[:_LINES_SHOWN] + more)
-            agreed = await self._console.ask(GuardedConfirmScreen(OperationText.RELOAD(), message, "Reload"))
-            path = self._console.path
-            if agreed and await self._console.command(engine.reload(drop_arm=True), "reloaded") and path is not None:
+            effect = Effect.MOVES | Effect.LOSES
+            agreed = await self._console.ask(ConfirmScreen(OperationText.RELOAD(), message, "Reload", effect))
+            reloading = engine.reload(drop_arm=True, seen=differs.digest) if agreed else None
+            if reloading is None or not await self._console.command(reloading):
+                return
+            if failed := reloading.result().failed:
+                self._console.notify("\n".join(failed), title="Not done", severity="error", markup=False, timeout=15)
+                return
+            self._console.notify(OperationText.RELOADED(), timeout=3)
+            if (path := self._console.path) is not None:
                 self._console.saved_to(engine.session, path)
 
     async def restart(self) -> None:
@@ -348,7 +414,9 @@ class BridgeOperations:
         if not self._console.snapshot().running:
             await self._console.start_again()
             return
-        if await self._console.ask(ConfirmScreen("Restart the bridge?", OperationText.RESTART_MEANS(), "Restart")):
+        effect = Effect.MOVES | Effect.LOSES  # also of armings; and clients that were shut down may come back
+        means = OperationText.RESTART_MEANS()
+        if await self._console.ask(ConfirmScreen("Restart the bridge?", means, "Restart", effect)):
             await self._console.ask(RestartScreen(engine))
 
 

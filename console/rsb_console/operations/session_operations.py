@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.control_sockets import SUFFIX
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
@@ -40,34 +41,47 @@ class SessionOperations:
         self._console = console
         self._reload = reload
 
-    async def confirm_end(self, title: str, yes: str, effect: str = "") -> bool:
+    async def confirm_end(self, title: str, yes: str, then: Effect = Effect.MOVES, means: str = "") -> bool:
         """Return whether the session may end. Asks first if a bridge is shown or changes are not saved.
 
         Args:
             yes: the label of the button that ends the session.
-            effect: the effect on the bridge, if it does not just stop, or an empty string.
+            then: the effect of what comes after; usually another session runs.
+            means: the effect on the bridge in words, if it does not just stop, or an empty string.
         """
         from rsb_console.screens.dialog import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+
+        while True:
+            lost, reasons = self._not_saved(), []
+            if self._console.attached_to:
+                reasons.append(f"The bridge {self._console.attached_to} goes on; only this console leaves it.")
+            elif means:
+                reasons.append(means)
+            elif self._console.linked:
+                reasons.append("The bridge stops: no topic crosses any more.")
+            elif self._console.snapshot().running:
+                reasons.append("The bridge stops: nothing can link to it any more.")
+            if lost:
+                reasons.append(SessionQuestion.NOT_SAVED(changes=lost))
+            if not reasons:
+                return True
+            effect = then if self._console.attached_to else then | Effect.LOSES
+            if not await self._console.ask(ConfirmScreen(title, "\n".join(reasons), yes, effect)):
+                return False
+            # Others may have changed something while the question stood, which would be lost unnamed.
+            if self._not_saved() in ("", lost):
+                return True
+
+    def _not_saved(self) -> str:
+        """Return in words what is in no file, or an empty string."""
         from rsb_console.session.saving import file_of, unsaved  # noqa: PLC0415 -- keeps the start short
 
-        engine, saved, path, reasons = self._console.engine, self._console.saved, self._console.path, []
-        if self._console.attached_to:
-            reasons.append(f"The bridge {self._console.attached_to} goes on; only this console leaves it.")
-        elif effect:
-            reasons.append(effect)
-        elif self._console.linked:
-            reasons.append("The bridge stops: no topic crosses any more.")
-        elif self._console.snapshot().running:
-            reasons.append("The bridge stops: nothing can link to it any more.")
-        if engine is not None and saved is not None:
-            changes = unsaved(saved, engine.session)
-            # Somebody else may have saved the same.
-            if changes and (path is None or file_of(path, engine.session) is None):
-                reasons.append(SessionQuestion.NOT_SAVED(changes=changes))
-        if not reasons:
-            return True
-        answer = await self._console.ask(ConfirmScreen(title, "\n".join(reasons), yes))
-        return answer is True
+        engine, saved, path = self._console.engine, self._console.saved, self._console.path
+        if engine is None or saved is None:
+            return ""
+        changes = unsaved(saved, engine.session)
+        # Somebody else may have saved the same.
+        return changes if changes and (path is None or file_of(path, engine.session) is None) else ""
 
     # --- choosing a session
 
@@ -161,7 +175,8 @@ class SessionOperations:
 
         runs = self._console.temporary and self._console.engine is not None
         if runs and self._console.snapshot().running:
-            agreed = await self.confirm_end("The demo runs already. Start it again?", "Start again", _ANOTHER_DEMO)
+            title = "The demo runs already. Start it again?"
+            agreed = await self.confirm_end(title, "Start again", means=_ANOTHER_DEMO)
         else:
             agreed = await self.confirm_end("Run the demo instead?", "Run")
         if not agreed:

@@ -17,12 +17,13 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.calls import FieldError
 from rsb_bridge.model.commands import Template
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first, sanitize_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, UNDER_WAY
-from rsb_console.screens.dialog import GuardedConfirmScreen, beginning
+from rsb_console.screens.dialog import ConfirmScreen, beginning
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.landing import answered
 from rsb_console.session.parameter_values import refusal, set_request
@@ -225,7 +226,7 @@ class CallScreen(FormScreen[PlannedCall]):
     async def accept(self, result: PlannedCall) -> None:
         if self._under_way_since is not None:
             self.notify(CallText.STILL_CALLING(), timeout=3)
-        elif await self.console.ask(GuardedConfirmScreen(result.question, result.means, result.yes)):
+        elif await self.console.ask(ConfirmScreen(result.question, result.means, result.yes, Effect.MOVES)):
             self._pane.focus()
             self._call(result)
 

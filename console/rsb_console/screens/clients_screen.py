@@ -20,9 +20,10 @@ from rsb_bridge.config.keys import KeyFileError, fingerprint
 from rsb_bridge.config.rights import GrantError, typed_grants
 from rsb_bridge.config.session_file import SessionError, validate
 from rsb_bridge.model.command_origin import undoing
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.session import Client, Grant
 from rsb_bridge.model.wording import Wording
-from rsb_console.screens.dialog import GuardedConfirmScreen
+from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session import client_files
 from rsb_console.session.changes import CannotUndoError, Change, Undo
@@ -209,7 +210,7 @@ async def remove_client(console: Console, name: str) -> None:
         "Its link is closed at once, and it can no longer connect. The other clients stay linked. "
         "Its key file stays; the client's own files are not touched."
     )
-    if not await console.ask(GuardedConfirmScreen(f"Remove the client {name}?", message, "Remove")):
+    if not await console.ask(ConfirmScreen(f"Remove the client {name}?", message, "Remove", Effect.LOSES)):
         return
     is_known = console.file is not None and not is_changed(console.file)
     try:

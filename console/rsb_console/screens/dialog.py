@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from textual import work
 from textual.binding import Binding
@@ -13,6 +13,7 @@ from textual.screen import ModalScreen
 from textual.widgets import Button, Static
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.effect import Effect
 from rsb_console.actions import BY_ID
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED
@@ -21,12 +22,13 @@ from rsb_console.widgets.lines import Line, LiveLines
 
 if TYPE_CHECKING:
     from textual import events
-    from textual.app import ComposeResult
+    from textual.app import App, ComposeResult
     from textual.widget import Widget
     from textual.widgets._button import ButtonVariant
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_console.console_api import ConsoleShell
     from rsb_console.session.changes import Undo
 
 T = TypeVar("T")
@@ -81,15 +83,20 @@ class FullScreen(ModalScreen[T]):
         self.app.call_later(self.app.run_action, f"screen.{action}")
 
 
-class ConfirmScreen(ModalScreen[bool]):
+class ConfirmScreen(GuardedScreen, ModalScreen[bool]):
     """Yes or No, with the focus on No; escape is No.
 
-    A message for which the screen has no room scrolls; the buttons stay in sight.
+    A message for which the screen has no room scrolls; the buttons stay in sight. If Yes has an effect, keys that were
+    pressed before the question was to be read are not for it.
 
     Args:
         title: the action: ``Remove /scan?``.
         yes: the label of its button: ``Remove``.
+        effect: of Yes.
     """
+
+    SAFE_KEYS = frozenset({"n", "escape", "ctrl+c"})
+    seen_after = SEEN_AFTER
 
     BINDINGS: ClassVar = [
         Binding("y", "answer(True)", show=False),
@@ -102,9 +109,10 @@ class ConfirmScreen(ModalScreen[bool]):
     VARIANT: ClassVar[ButtonVariant] = "error"
     KEYS, SCROLL_KEYS = "y yes   n no   ← → ⏎ choose", "   ↑ ↓ scroll"
 
-    def __init__(self, title: str, message: str, yes: str) -> None:
+    def __init__(self, title: str, message: str, yes: str, effect: Effect) -> None:
         super().__init__()
         self._title, self._message, self._yes = title, message, yes
+        self.is_guarded = bool(effect)
         # Not to be focused: ← and → go from button to button.
         self._scrolled = VerticalScroll(classes="message", can_focus=False)
         self._takes_keys = True
@@ -149,17 +157,10 @@ class ConfirmScreen(ModalScreen[bool]):
     def action_answer(self, answer: bool) -> None:
         self.dismiss(answer)
 
-
-class GuardedConfirmScreen(GuardedScreen, ConfirmScreen):
-    """A question whose Yes moves a robot or takes something away: keys that were pressed before it are not for it."""
-
-    SAFE_KEYS = frozenset({"n", "escape", "ctrl+c"})
-    seen_after = SEEN_AFTER
-
     def on_mount(self) -> None:
         """Name the keys only once they count."""
         # Without a terminal, as in tests, no input is late.
-        if InputGate.of(self.app).is_on:
+        if self.is_guarded and InputGate.of(self.app).is_on:
             self._takes_keys = False
             # The time counts from the picture on: earlier, there is no question to answer.
             self.call_after_refresh(self._is_drawn)
@@ -175,7 +176,12 @@ class GuardedConfirmScreen(GuardedScreen, ConfirmScreen):
             self._show_keys()
 
 
-class ArmScreen(GuardedConfirmScreen):
+async def is_meant(console: ConsoleShell, app: App[Any], title: str, message: str, yes: str) -> bool:
+    """Whether the operator means a key that lets messages cross: it is young, or they say so."""
+    return InputGate.of(app).is_young or bool(await console.ask(ConfirmScreen(title, message, yes, Effect.MOVES)))
+
+
+class ArmScreen(ConfirmScreen):
     """Asks whether to arm a topic or a service."""
 
     def __init__(self, route: RouteSnapshot) -> None:
@@ -187,7 +193,7 @@ class ArmScreen(GuardedConfirmScreen):
             f"From now on its {what} cross the link of {route.link}, {way}: {route.link} may move.\n"
             f"It disarms when the link drops, this console ends{keys}."
         )
-        super().__init__(f"Arm {route.topic} of {route.link}?", means, "Arm")
+        super().__init__(f"Arm {route.topic} of {route.link}?", means, "Arm", Effect.MOVES)
 
 
 class OfferScreen(ConfirmScreen):
@@ -196,19 +202,22 @@ class OfferScreen(ConfirmScreen):
     AUTO_FOCUS = "#yes"
     VARIANT = "primary"
 
+    def __init__(self, title: str, message: str, yes: str) -> None:
+        super().__init__(title, message, yes, Effect.HARMLESS)
 
-class UndoScreen(GuardedConfirmScreen):
+
+class UndoScreen(ConfirmScreen):
     """Yes or No. The focus is on No if the undo removes something, or lets messages cross that do not cross now."""
 
     SHAPE = "-wide"
 
     def __init__(self, undo: Undo) -> None:
-        super().__init__(undo.title, "\n".join(undo.lines), undo.yes)
+        super().__init__(undo.title, "\n".join(undo.lines), undo.yes, Effect.MOVES | Effect.LOSES)
         self._careful = undo.careful
 
     def on_mount(self) -> None:
         """Put the focus on Yes if the undo is harmless."""
-        # Textual calls the handler of GuardedConfirmScreen, too.
+        # Textual calls the handler of ConfirmScreen, too.
         if not self._careful:
             self.query_one("#yes").focus()
 

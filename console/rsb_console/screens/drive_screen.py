@@ -22,11 +22,12 @@ from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.text import escape_text, join_first
 from rsb_bridge.model.velocity_limits import smallest
 from rsb_bridge.model.wording import Wording
-from rsb_console.screens.dialog import ArmScreen, GuardedConfirmScreen
+from rsb_console.screens.dialog import ArmScreen, ConfirmScreen
 from rsb_console.screens.take_over import AskHolderScreen
 from rsb_console.session.landing import Landing
 from rsb_console.session.manual_messages import TWIST, TWIST_STAMPED, ByHandText, velocity
@@ -181,7 +182,7 @@ async def drive(console: Console, route: RouteSnapshot) -> None:
     if len(robots) > 1:
         title = DriveText.SEVERAL(topic=route.topic, count=len(robots))
         means = DriveText.SEVERAL_MEANS(robots=join_first(robots, _NAMED))
-        if not await console.ask(GuardedConfirmScreen(title, means, "Drive")):
+        if not await console.ask(ConfirmScreen(title, means, "Drive", Effect.MOVES)):
             return
     await console.ask(DriveScreen(console, route, type_name))
 
@@ -280,7 +281,7 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         self._type_name = type_name
         self._has_armed = False
         self._asking: Future[None] | None = None
-        self._asked_since: float | None = None
+        self._asker, self._asked_since = "", 0.0
         self._links: tuple[str, ...] = ()
         self._landing: Landing | None = None
         self._landed_at = 0.0
@@ -385,10 +386,11 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
             # Closed while the question was open: nobody would see what moves.
             if not self.is_running:
                 return
-            await self.console.command(engine.arm(route.key))
+            if await self.console.command(engine.arm(route.key)):
+                self._now_holds()
 
     async def _take_over(self, engine: EngineApi, route: RouteSnapshot) -> None:
-        question = AskHolderScreen(route, may_take=engine.may_take)
+        question = AskHolderScreen(self.console, route, may_take=engine.may_take)
         if not await self.console.ask(question) or not self.is_running:
             return
         if question.choice == "disarm":
@@ -403,14 +405,19 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
         """Wait for the holder's answer, apart from the keys, which do not wait for it."""
         self._has_armed, self._asking = True, asking
         self.console.deadman.armed_on(self)
-        await self.console.command(asking)
+        if await self.console.command(asking):
+            self._now_holds()
         self._asking = None
+
+    def _now_holds(self) -> None:
+        # The next answer to a sign of life says so, too; until then, A would ask for what this screen has just armed.
+        self.console.deadman.held |= {self._route.key}
 
     def action_answer(self, gives: bool) -> None:
         """Answer an operator who asks for what this console holds, once the question was to be read."""
-        engine, since = self.console.engine, self._asked_since
-        if engine is not None and since is not None and time.monotonic() - since > SEEN_AFTER:
-            self._answer(engine.answer_asker(self._route.key, gives=gives))
+        engine, who = self.console.engine, self._asker
+        if engine is not None and who and time.monotonic() - self._asked_since > SEEN_AFTER:
+            self._answer(engine.answer_asker(self._route.key, gives=gives, who=who))
 
     @work
     async def _answer(self, answering: Future[None]) -> None:
@@ -505,10 +512,10 @@ class DriveScreen(GuardedScreen, ModalScreen[None]):
             reason = f" ({escape_text(route.arming.reason)})" if route.arming.reason else ""
             return DriveText.DISARMED(reason=reason)
         left, seconds = route.arming.left, route.arming.goes_in
-        if seconds is None or not self._is_holder:
-            self._asked_since = None
-        if seconds is not None and self._is_holder:
-            self._asked_since = self._asked_since or time.monotonic()
+        asker = route.arming.asked_by if seconds is not None and self._is_holder else ""
+        if asker != self._asker:
+            self._asker, self._asked_since = asker, time.monotonic()
+        if asker:
             return DriveText.ASKS(who=escape_text(route.arming.asked_by), seconds=seconds)
         if seconds is not None and self._asking is not None:
             return DriveText.ASKED(who=escape_text(route.arming.by), seconds=seconds)

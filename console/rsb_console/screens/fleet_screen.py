@@ -151,6 +151,7 @@ class FleetScreen(Screen[None]):
 
     def action_open_robot(self) -> None:
         """Open the console on the robot; of a group, fold or unfold it."""
+        self.table.hold()
         robot = self.table.selected
         if robot is None:
             self.table.fold()
@@ -171,6 +172,7 @@ class FleetScreen(Screen[None]):
         """Edit a topic of the marked robots, or of the one under the cursor; servers are left out."""
         from rsb_console.screens.rollout import RolloutScreen  # noqa: PLC0415 -- seldom needed
 
+        self.table.hold()
         known = [robot for robot in self.table.meant if not robot.gone]
         if robots := [robot for robot in known if not robot.is_server]:
             await self.console.ask(RolloutScreen(self.console, self.fleet, robots))

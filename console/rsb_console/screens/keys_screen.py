@@ -23,6 +23,7 @@ from rsb_bridge.config.keys import (
     write_key,
     written,
 )
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ConfirmScreen, Dialog
@@ -223,8 +224,8 @@ class GenerateScreen(FormScreen[Path]):
         """Write the key; overwrite another only after a yes."""
         exists = result.exists()  # noqa: ASYNC240 -- one stat
         if exists:
-            message = KeyText.REPLACE_MEANS()
-            if not await self.console.ask(ConfirmScreen(KeyText.REPLACE(file=result.name), message, "Replace")):
+            title, means = KeyText.REPLACE(file=result.name), KeyText.REPLACE_MEANS()
+            if not await self.console.ask(ConfirmScreen(title, means, "Replace", Effect.LOSES)):
                 return
         try:
             # A file that has come meanwhile is not overwritten, as nobody has agreed to that.

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from textual import work
 from textual.binding import Binding
 from textual.screen import ModalScreen
 
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.model.wording import Wording
 from rsb_console.look import formats
 from rsb_console.look.glyphs import ACK_WORD, STATE_SIGN, STATE_WORD
-from rsb_console.screens.dialog import Dialog
+from rsb_console.screens.dialog import Dialog, is_meant
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.columns import state_order
 from rsb_console.widgets.detail_parts import acknowledged_by
@@ -25,14 +26,16 @@ from rsb_console.widgets.selectable_list import SelectableList
 from rsb_console.widgets.topics import TopicsTable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
-    from textual.app import ComposeResult
+    from textual.app import App, ComposeResult
 
     from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
     from rsb_console.console_api import Console
 
 HEADING = f" {'STATE':<8}{'NAME':<12}{'SINCE':>9}{'RTT':>8}{'CLOCK':>10}{'TOPICS':>7}{'RX':>9}{'TX':>9}  KEY"
+_NAMED = 3
+"""Links that a question names; the others are counted."""
 LABEL = 15  # cells of a figure's name
 
 
@@ -42,6 +45,8 @@ CLIENT_KEYS = "a add a client   d remove it   "
 class LinkText(Wording):
     """Texts of the details of a link."""
 
+    BACK = "Let {links} connect again?"
+    BACK_MEANS = "The key may have come late, so it is asked for. It was shut down; its topics cross again."
     NEXT_KEY_USED = "in use: the old key can be dropped"
     NEXT_KEY_UNUSED = "valid too; not in use yet"
 
@@ -179,6 +184,14 @@ class LinkScreen(ModalScreen[None]):
         self.topics.styles.height = min(self.topics.line_count + 1, max(3, self.size.height // 2))
 
 
+async def lets_back(console: Console, app: App[Any], links: Iterable[LinkSnapshot]) -> bool:
+    """Whether to try links again; that lets back in what somebody has shut down, perhaps after the key was pressed."""
+    names = [link.name for link in links if link.cause == LinkCause.SHUT_DOWN]
+    return not names or await is_meant(
+        console, app, LinkText.BACK(links=join_first(names, _NAMED)), LinkText.BACK_MEANS(), "Try again"
+    )
+
+
 class LinksScreen(ModalScreen[None]):
     BINDINGS: ClassVar = [
         Binding("escape,q", "dismiss", show=False),
@@ -221,10 +234,12 @@ class LinksScreen(ModalScreen[None]):
     def on_selectable_list_chosen(self) -> None:
         self.action_open()
 
-    @work
+    @work(group=DIALOG)
     async def action_retry(self) -> None:
         link, engine = self.table.selected, self.console.engine
-        if link is not None and engine is not None and not self.console.readonly:
+        if link is None or engine is None or self.console.readonly or not self.table.is_seen():
+            return
+        if await lets_back(self.console, self.app, [link]):
             lets_in = self._is_server and link.cause == LinkCause.SHUT_DOWN
             done = "it may come back" if lets_in else "trying again"
             await self.console.command(engine.retry(link.name), f"{link.name}: {done}")
@@ -233,8 +248,9 @@ class LinksScreen(ModalScreen[None]):
     async def action_acknowledge(self) -> None:
         """Acknowledge the fault of the link under the cursor, or undo that."""
         link, engine = self.table.selected, self.console.engine
-        if link is not None and engine is not None and not self.console.readonly:
-            await self.console.command(engine.acknowledge("", link.acknowledged is None, link=link.name))
+        if link is not None and engine is not None and not self.console.readonly and self.table.is_seen():
+            seen = link.state, link.cause
+            await self.console.command(engine.acknowledge("", link.acknowledged is None, link=link.name, seen=seen))
 
     @property
     def _is_server(self) -> bool:

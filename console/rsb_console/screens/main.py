@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_bridge.model.snapshot import Event, RouteSnapshot, Snapshot
+    from rsb_console.actions import Action
     from rsb_console.console_api import Console
     from rsb_console.look.formats import Row
     from rsb_console.widgets.lines import Line
@@ -138,7 +139,7 @@ class MainScreen(Screen[None]):
         for action in ACTIONS:
             if action.group in operations:
                 method = getattr(operations[action.group], action.id)
-                setattr(self, f"action_{action.id}", partial(self._run_operation, method, action.group))
+                setattr(self, f"action_{action.id}", partial(self._run_operation, method, action))
         self.status, self.faults, self.prompt, self.key_bar = StatusBar(), FaultLines(), Prompt(), KeyBar()
         self.topics, self.detail, self.log_pane = TopicsTable(), DetailPane(), LogPane()
         self._filtered: TopicsTable | LogPane = self.topics
@@ -148,9 +149,13 @@ class MainScreen(Screen[None]):
         self._topic_counts: Line = ()
         self._link_counts: Line = ()
 
-    def _run_operation(self, operation: Callable[[], Awaitable[None]], group: Group) -> None:
-        exclusive = group is Group.SESSION  # another choice of a session replaces one that waits in a dialog
-        self.run_worker(operation(), group=group, exclusive=exclusive)
+    def _run_operation(self, operation: Callable[[], Awaitable[None]], action: Action) -> None:
+        if action.needs_topic:
+            if not (action.id == "arm" and self._disarms) and not self.topics.is_seen():
+                return
+            self.topics.hold()  # the next key is for the same topic, wherever its new state puts it
+        exclusive = action.group is Group.SESSION  # another choice of a session replaces one that waits in a dialog
+        self.run_worker(operation(), group=action.group, exclusive=exclusive)
 
     def compose(self) -> ComposeResult:
         yield self.status
@@ -215,7 +220,7 @@ class MainScreen(Screen[None]):
         """Show the keys that are possible now, if they have changed."""
         counts = {"faults": self._topic_counts, "links": self._link_counts}
         route = self.topics.route
-        can = () if route is None else (route.arming is not None, is_armed(route), route.lanes)
+        can = (self._disarms, *(() if route is None else (route.arming is not None, route.lanes)))
         reads_log, here = self.log_pane.has_focus, self.app.screen is self
         undoes = len(self.console.changes)
         nothing = self.topics.selected is None
@@ -223,8 +228,7 @@ class MainScreen(Screen[None]):
         if depends_on == self._keys_shown_for:
             return
         self._keys_shown_for = depends_on
-        arm = "disarm" if route is not None and is_armed(route) else "arm"
-        labels = {"arm": arm, "detail": "whole line" if reads_log else "detail"}
+        labels = {"arm": "disarm" if self._disarms else "arm", "detail": "whole line" if reads_log else "detail"}
         if not here:  # a dialog's keys are the only ones
             self.key_bar.show([])
             return
@@ -251,13 +255,19 @@ class MainScreen(Screen[None]):
         if known.group is Group.OPERATE and self.console.engine is None:
             return None
         route = self.topics.route
-        if action == "arm" and (route is None or route.arming is None):
+        if action == "arm" and (route is None or route.arming is None) and not self._disarms:
             return False
         if action == "call" and (route is None or not route.lanes):
             return False
         if known.needs_topic and self.topics.selected is None and not (action == "detail" and self.log_pane.has_focus):
             return None
         return self.app.check_action(action, parameters)
+
+    @property
+    def _disarms(self) -> bool:
+        """Whether the key that arms would disarm: the topic under the cursor, or else what this console holds."""
+        route = self.topics.route
+        return bool(self.console.deadman.held) if route is None or route.arming is None else is_armed(route)
 
     def on_key(self, event: events.Key) -> None:
         """Explain why a key for a change does nothing."""

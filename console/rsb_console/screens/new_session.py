@@ -12,6 +12,7 @@ from rsb_bridge.config.files import is_there, typed_path
 from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_bridge.config.session_file import SessionError, SessionFile, validate
 from rsb_bridge.config.thesis import import_bringup
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.limits import CHANNEL, DEFAULT_PORT, SAFE_DOMAIN
 from rsb_bridge.model.session import Client, Session
 from rsb_bridge.model.wording import Wording
@@ -346,7 +347,7 @@ class ImportScreen(FormScreen[OpenedFile]):
             summary = "\n".join(
                 ["What differs from the thesis's bridge:", *self._notes] if self._notes else ["All was imported."]
             )
-            question = ConfirmScreen(f"Imported. Run {result.path.name}?", summary, "Run")
+            question = ConfirmScreen(f"Imported. Run {result.path.name}?", summary, "Run", Effect.MOVES)
             if await self.console.ask(question) and await self._may_run(result.path):
                 self.dismiss(result)
 

@@ -13,10 +13,11 @@ from textual.widgets import Button, Static
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.fields_text import read_fields
 from rsb_bridge.model.calls import FieldError
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.look.glyphs import DONE, FAILED
-from rsb_console.screens.dialog import GuardedConfirmScreen, beginning
+from rsb_console.screens.dialog import ConfirmScreen, beginning
 from rsb_console.screens.form_screen import FormScreen
 from rsb_console.session.landing import REPORTED_WITHIN, Landing
 from rsb_console.session.manual_messages import publish
@@ -179,7 +180,8 @@ class PublishScreen(FormScreen[Message]):
         peers = ", ".join(sorted({self.console.peer_of(each) for each in routes if each.state.flows}))
         fields = beginning(result.fields) or PublishText.ALL_DEFAULTS()
         means = PublishText.MEANS(links=PublishText.OVER(links=peers) if peers else "", fields=fields)
-        if await self.console.ask(GuardedConfirmScreen(PublishText.QUESTION(topic=result.topic), means, "Publish")):
+        title = PublishText.QUESTION(topic=result.topic)
+        if await self.console.ask(ConfirmScreen(title, means, "Publish", Effect.MOVES)):
             self._publish(result)
 
     @work(group="publish")

@@ -18,11 +18,12 @@ from textual.widgets import Static
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.file_form import KEYS
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.text import join_first, plural
 from rsb_console.fleet.rolling import Rollout, bridged_by, report, said, way_back
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED, UNDER_WAY
-from rsb_console.screens.dialog import Dialog, GuardedConfirmScreen
+from rsb_console.screens.dialog import ConfirmScreen, Dialog
 from rsb_console.screens.topic_form import fields_by_kind, padded
 from rsb_console.session.draft import SWITCHES, Ends, TypedError, typed_topic, values_of
 from rsb_console.terminal.input_gate import InputGate
@@ -361,8 +362,7 @@ class RolloutScreen(ModalScreen[None]):
     def _enter(self, phase: RolloutPhase) -> None:
         self.phase = phase
         can_undo = phase is RolloutPhase.ENDED and self.outcome is not None and bool(self.outcome.changed)
-        failed = can_undo and self.outcome is not None and bool(self.outcome.failed or self.outcome.left)
-        self.query_one(".keys", Static).update(_CAN_UNDO if failed else _KEYS[phase])
+        self.query_one(".keys", Static).update(_CAN_UNDO if can_undo else _KEYS[phase])
         self._change.list.display = phase is RolloutPhase.TYPING
         self._show()
 
@@ -416,7 +416,8 @@ class RolloutScreen(ModalScreen[None]):
     @work(exclusive=True, exit_on_error=False)
     async def _apply(self, rollout: Rollout, *, is_sure: bool) -> None:
         title = f"Change {formats.counted(len(self._robots), 'robot')}?"
-        if not is_sure and not await self.console.ask(GuardedConfirmScreen(title, self._change.value, "Change")):
+        question = ConfirmScreen(title, self._change.value, "Change", Effect.MOVES)
+        if not is_sure and not await self.console.ask(question):
             return
         self._enter(RolloutPhase.RUNNING)
         outcome = self.outcome = await asyncio.to_thread(rollout.run, self.steps, self._tell)
@@ -430,13 +431,17 @@ class RolloutScreen(ModalScreen[None]):
 
     @work(exclusive=True, exit_on_error=False)
     async def action_undo(self) -> None:
-        """Undo the change on all robots that have it."""
+        """Undo the change on all robots that have it, after a question."""
         if (
             self.phase is not RolloutPhase.ENDED
             or self._rollout is None
             or self.outcome is None
             or not self.outcome.changed
         ):
+            return
+        lines = [f"{step.name}: {said(step.reversed)}" for step in self.outcome.changed]
+        title = f"Undo the change of {formats.counted(len(lines), 'robot')}?"
+        if not await self.console.ask(ConfirmScreen(title, "\n".join(lines), "Undo", Effect.MOVES)):
             return
         self._enter(RolloutPhase.RUNNING)
         failed = await asyncio.to_thread(self._rollout.undo, self.outcome, self._tell)

@@ -12,6 +12,7 @@ from textual.widgets import Button, Static
 from rsb_bridge.config.files import is_there
 from rsb_bridge.config.keys import KeyFileError, copy_key
 from rsb_bridge.config.session_file import SessionError, UneditableError, backup_path, edited_text, save
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.wording import Wording
 from rsb_console.screens.dialog import ConfirmScreen
 from rsb_console.session.saving import difference, file_of, moved, rescued, text_of, unsaved
@@ -86,11 +87,14 @@ async def save_asking(console: Console, session: Session, path: Path, *, opened:
         console.notify(f"nothing to save: {path} is up to date", markup=False, timeout=3)
         return True
     try:
-        if is_there(path):
-            question, opened = _question(session, path, opened)
+        edited, shown = opened, None
+        # Again if somebody has written the file while the question stood, whose change the difference does not show.
+        while is_there(path) and (present := text_of(path)) != shown:
+            shown = present
+            question, edited = _question(session, path, opened)
             if not await console.ask(question):
                 return False
-        save(session, path, opened)
+        save(session, path, edited)
     except SessionError as error:
         console.notify(str(error), title="Not saved", severity="error", markup=False, timeout=15)
         return False
@@ -151,7 +155,7 @@ class DiffScreen(ConfirmScreen):
     SHAPE = "-wide"
 
     def __init__(self, title: str, message: str, yes: str, lines: Sequence[str]) -> None:
-        super().__init__(title, message, yes)
+        super().__init__(title, message, yes, Effect.LOSES)
         self._diff = DiffLines(lines)
 
     def compose_message(self) -> ComposeResult:

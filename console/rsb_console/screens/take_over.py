@@ -8,8 +8,9 @@ from textual.binding import Binding
 from textual.widgets import Button, Static
 
 from rsb_bridge.model.by_hand import ASKED_FOR
+from rsb_bridge.model.effect import Effect
 from rsb_bridge.model.wording import Wording
-from rsb_console.screens.dialog import GuardedConfirmScreen
+from rsb_console.screens.dialog import ConfirmScreen
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -26,6 +27,7 @@ class HandOverText(Wording):
     """Texts about an arming that goes over."""
 
     HELD = "{topic} is armed by somebody else"
+    LET_GO = "it has another holder, or none any more: look again"
     MEANS = (
         "{holder} holds it, and drives alone.\n"
         "y asks for it: without an answer it goes over after {seconds:.0f} s, and the robot stands in between.\n"
@@ -43,7 +45,7 @@ class HandOverText(Wording):
     YES = "Give"
 
 
-class AskHolderScreen(GuardedConfirmScreen):
+class AskHolderScreen(ConfirmScreen):
     """Asks how to get what another console holds.
 
     Attributes:
@@ -57,16 +59,28 @@ class AskHolderScreen(GuardedConfirmScreen):
         Binding("t", "choose('take')", show=False),
         Binding("A", "choose('disarm')", show=False),
     ]
-    SAFE_KEYS = GuardedConfirmScreen.SAFE_KEYS | {"A"}
+    SAFE_KEYS = ConfirmScreen.SAFE_KEYS | {"A"}
 
-    def __init__(self, route: RouteSnapshot, *, may_take: bool) -> None:
+    def __init__(self, console: Console, route: RouteSnapshot, *, may_take: bool) -> None:
         holder = "" if route.arming is None else route.arming.by
         title, takes = HandOverText.HELD(topic=route.topic), HandOverText.TAKES() if may_take else ""
         means = HandOverText.MEANS(holder=holder, seconds=ASKED_FOR, takes=takes)
-        super().__init__(title, means, HandOverText.ASK())
+        super().__init__(title, means, HandOverText.ASK(), Effect.MOVES)
+        self.console, self._key, self._holder = console, route.key, holder
         self.choice = "ask"
         self._may_take = may_take
         self.KEYS = HandOverText.KEYS(take=HandOverText.TAKE_KEY() if may_take else "")
+
+    def on_mount(self) -> None:
+        self.set_interval(_LOOK_EVERY, self.show)
+
+    def show(self) -> None:
+        """Close the question once its holder has let go: to ask would then arm at once."""
+        routes = self.console.snapshot().routes
+        holders = [each.arming.by for each in routes if each.key == self._key and each.arming is not None]
+        if self._holder not in holders and self.is_active:
+            self.notify(HandOverText.LET_GO(), markup=False)
+            self.dismiss(False)
 
     def compose_buttons(self) -> ComposeResult:
         yield Button(self._yes, id="yes", variant=self.VARIANT, compact=True)
@@ -90,12 +104,21 @@ class AskHolderScreen(GuardedConfirmScreen):
         self.dismiss(True)
 
 
-class HandOverScreen(GuardedConfirmScreen):
-    """Asks the holder whether another operator gets it; it closes once the question is over."""
+class HandOverScreen(ConfirmScreen):
+    """Asks the holder whether another operator gets it; it closes once the question is over.
+
+    Attributes:
+        who: the operator who asks.
+    """
+
+    # Not even n and escape: they may be for what it has opened over, and would decide for the holder.
+    SAFE_KEYS = frozenset({"ctrl+c"})
+    opens_itself = True
 
     def __init__(self, console: Console, route: RouteSnapshot) -> None:
-        super().__init__(HandOverText.GIVE(topic=route.topic, link=route.link), "", HandOverText.YES())
-        self.console, self._key = console, route.key
+        title = HandOverText.GIVE(topic=route.topic, link=route.link)
+        super().__init__(title, "", HandOverText.YES(), Effect.MOVES)
+        self.console, self._key, self.who = console, route.key, asker_of(route)
         self._text = Static(_asks(route), markup=False)
 
     def compose_message(self) -> ComposeResult:
@@ -107,7 +130,7 @@ class HandOverScreen(GuardedConfirmScreen):
     def show(self) -> None:
         """Show the seconds that are left; close the question if it is over."""
         route = asked_about(self.console.snapshot(), self._key)
-        if route is None:
+        if route is None or asker_of(route) != self.who:
             # Textual closes the screen on top, which may be the help. `is_current` is true below that, too.
             if self.is_active:
                 self.dismiss(None)
@@ -120,21 +143,24 @@ def _asks(route: RouteSnapshot) -> str:
     return HandOverText.ASKS(who=route.arming.asked_by, seconds=route.arming.goes_in or 0.0)
 
 
+def asker_of(route: RouteSnapshot) -> str:
+    """Return the operator who asks for a route's arming, or an empty string."""
+    return "" if route.arming is None else route.arming.asked_by
+
+
 def asked_about(snapshot: Snapshot, key: str) -> RouteSnapshot | None:
     """Return a route for whose arming somebody asks its holder, or None."""
-    found = (route for route in snapshot.routes if route.key == key)
-    return next((route for route in found if route.arming is not None and route.arming.asked_by), None)
+    return next((route for route in snapshot.routes if route.key == key and asker_of(route)), None)
 
 
 class NewQuestions:
     """Finds the questions that a holder has not seen yet."""
 
     def __init__(self) -> None:
-        self._asked: set[str] = set()
+        self._asked: set[tuple[str, str]] = set()
 
     def find_new(self, snapshot: Snapshot, held: Iterable[str]) -> list[RouteSnapshot]:
         """Return the routes of `held` for whose arming somebody has begun to ask."""
-        routes = {key: route for key in held if (route := asked_about(snapshot, key)) is not None}
-        new = [route for key, route in routes.items() if key not in self._asked]
-        self._asked = set(routes)
-        return new
+        routes = [route for key in held if (route := asked_about(snapshot, key)) is not None]
+        before, self._asked = self._asked, {(route.key, asker_of(route)) for route in routes}
+        return [route for route in routes if (route.key, asker_of(route)) not in before]

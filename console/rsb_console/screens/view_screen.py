@@ -92,7 +92,7 @@ class ViewText(Wording):
     NO_MAP = "a goal needs a map with a frame"
     GOAL_PLACE = "GOAL at {x:.2f}, {y:.2f} m in {frame}: arrows move it, ⏎ turns it, esc leaves"
     GOAL_HEADING = "GOAL at {x:.2f}, {y:.2f} m, heading {degrees:.0f}°: ←→ turn it, ⏎ publishes, esc leaves"
-    NOT_DRIVEN = "no topic can be driven: that needs a Twist that goes to the other side, with arm: true"
+    NOT_DRIVEN = "no topic can be driven: that needs a Twist that goes to the robot of the picture, with arm: true"
     SEVERAL_DRIVEN = "several topics can be driven: choose one in the list of topics, and press its key there"
 
 
@@ -441,15 +441,21 @@ class ViewScreen(FullScreen[bool]):
         self._draw()
         self.app.push_screen(PublishScreen(self.console, Message(self._goal_topic(), POSE, fields)))
 
+    @property
+    def _where(self) -> str:
+        """The link to the side that the picture comes from, or an empty string if that is unknown, or this side."""
+        return self._subject.link or (self._viewed.where if self._viewed is not None else "")
+
     def _goal_topic(self) -> str:
         """Return a topic of poses that goes to the side of the map, or the usual name."""
-        where = self._subject.link or (self._viewed.where if self._viewed is not None else "")
+        where = self._where
         routes = [
             each
             for each in self.console.snapshot().routes
             if each.outgoing and full_type(each) in (POSE, "")  # unknown until somebody publishes
         ]
-        chosen = [each for each in routes if each.link == where] or routes
+        # Not a topic of another robot, whose map is not this one.
+        chosen = [each for each in routes if where in ("", each.link)]
         return next((each.topic for each in chosen if each.topic.endswith(_GOAL_TOPIC)), _GOAL_TOPIC)
 
     @work(group=DIALOG)
@@ -457,10 +463,10 @@ class ViewScreen(FullScreen[bool]):
         """Drive the robot of the picture, which stays in sight."""
         if self.console.readonly:
             return
-        where = self._subject.link or (self._viewed.where if self._viewed is not None else "")
+        where = self._where
         # `drive` asks for a type that nobody has published yet.
         driven = [each for each in self.console.snapshot().routes if not why_not_driven(each, TWIST)]
-        driven = [each for each in driven if each.link == where] or driven
+        driven = [each for each in driven if where in ("", each.link)]  # nobody watches another robot here
         armed = [each for each in driven if each.arming is not None and each.arming.armed]
         if len(only := armed or driven) == 1:
             await drive(self.console, only[0])

@@ -89,15 +89,19 @@ class Change(ABC):
 
     def _refuse(self, problem: str, events: Sequence[Event]) -> CannotUndoError:
         """Return the error, with the operator of the last change if an event names one."""
-        about = [
+        about = self._since(events)
+        by = f" by {about[-1].who}" if len(about) > 1 and about[-1].who else ""  # the first is of this change itself
+        return CannotUndoError(f"{self.topic}: {problem}{by}; your change is not undone")
+
+    def _since(self, events: Sequence[Event]) -> list[Event]:
+        """Return what operators have done with the topic since, beginning with this change itself."""
+        return [
             event
             for event in events
             if event.number > self.since
             and event.code in _BY_OPERATORS
             and (event.topic, event.link) == (self.topic, self.link)
         ]
-        by = f" by {about[-1].who}" if len(about) > 1 and about[-1].who else ""  # the first is of this change itself
-        return CannotUndoError(f"{self.topic}: {problem}{by}; your change is not undone")
 
     def _entry(self, key: str, now: Snapshot, events: Sequence[Event]) -> Row:
         found = find_entry(now, key)
@@ -134,7 +138,8 @@ class Added(Change):
             await _command(engine.remove_topic, self.key)
             # The removal makes an exception in each pattern that matches, which this takes back.
             for key, pattern in claiming:
-                await _command(engine.edit_topic, key, pattern)
+                left_out = msgspec.structs.replace(pattern, excepts=(*pattern.excepts, self.spec.topic))
+                await _command(partial(engine.edit_topic, seen=left_out), key, pattern)
 
         lines = [
             f"removes {described(entry.spec)}",
@@ -167,7 +172,8 @@ class Edited(Change):
         old = named_here(self.old, now, self.link) if self.old.topic != self.new.topic else self.old
 
         async def act(engine: EngineApi) -> None:
-            await _command(partial(engine.edit_topic, drop_arm=self.new.arm and not old.arm), self.key, old)
+            drops = self.new.arm and not old.arm
+            await _command(partial(engine.edit_topic, drop_arm=drops, seen=self.new), self.key, old)
 
         warnings = list(_warnings(self.new, self.old))
         lines = [*changes(self.new, self.old), *warnings]
@@ -200,22 +206,22 @@ class Removed(Change):
         if all(link.name != self.link for link in now.links):
             raise CannotUndoError(f"{self.topic}: {self.link} was removed; the topic is not added again")
         excepted = list(self._excepted(now))
-        if self.pattern and not any(pattern.topic == self.pattern for _, pattern in excepted):
+        if self.pattern and not any(pattern.topic == self.pattern for _, _, pattern in excepted):
             raise self._refuse(f"the pattern {self.pattern} that brought it was changed since", events)
         topic = named_here(self.spec, now, self.link)
 
         async def act(engine: EngineApi) -> None:
             if not self.pattern:
                 await _command(engine.add_topic, topic, self.link)
-            for key, pattern in excepted:
-                await _command(engine.edit_topic, key, pattern)
+            for key, seen, pattern in excepted:
+                await _command(partial(engine.edit_topic, seen=seen), key, pattern)
 
         if self.pattern:
             lines = [f"the pattern {self.pattern} brings it again"]
             back = msgspec.structs.replace(self.spec, paused=False)
         else:
             lines = [f"adds {described(self.spec)}"]
-            lines += [f"The pattern {pattern.topic} no longer leaves it out." for _, pattern in excepted]
+            lines += [f"The pattern {pattern.topic} no longer leaves it out." for _, _, pattern in excepted]
             back = self.spec
         if self.spec.is_pattern and patterns_of(now, self.link):
             lines.append("It comes after the link's other patterns, which win where both match.")
@@ -227,13 +233,13 @@ class Removed(Change):
             lines.append("It crosses again at once" + (", though it was paused." if self.spec.paused else "."))
         return Undo(f"Undo the removal of {self.topic}?", tuple(lines), "Add again", True, act)
 
-    def _excepted(self, now: Snapshot) -> Iterator[tuple[str, Topic]]:
-        """Yield the patterns to which the removal added an exception, without that exception."""
+    def _excepted(self, now: Snapshot) -> Iterator[tuple[str, Topic, Topic]]:
+        """Yield the patterns to which the removal added an exception, each with its key, and without the exception."""
         name, before = self.spec.topic, dict(self.patterns)
         for row in patterns_of(now, self.link, self.spec):
             if row.key in before and name in row.spec.excepts and name not in before[row.key].excepts:
                 excepts = tuple(each for each in row.spec.excepts if each != name)
-                yield row.key, msgspec.structs.replace(row.spec, excepts=excepts)
+                yield row.key, row.spec, msgspec.structs.replace(row.spec, excepts=excepts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,6 +259,9 @@ class Paused(Change):
         entry = self._entry(self.key, now, events)
         if entry.spec.paused != self.paused:
             raise self._refuse(f"it was {'resumed' if self.paused else 'paused'} since", events)
+        # Taken back and done again by somebody else, it is theirs. This console's own later changes are undone already.
+        if len({event.who for event in self._since(events)}) > 1:
+            raise self._refuse("somebody else has changed it since", events)
         if self.mixed:
             raise CannotUndoError(
                 f"{self.topic}: some of its topics were paused before and some not: resume them one by one"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeGuard, runtime_checkable
 
 from textual import events
 from textual.screen import Screen
@@ -29,17 +29,22 @@ class LateInput(Wording):
     """Texts about keys that came late."""
 
     IGNORED = "keys came late: they are ignored"
+    LIST_MOVED = "the list has moved: look, and press the key again"
 
 
 class GuardedScreen(Screen[Any]):
-    """A screen that takes young input only.
+    """A screen that takes young input only, if it is guarded.
 
     Attributes:
         SAFE_KEYS: keys that are taken however late they come.
+        is_guarded: whether its keys have an effect that must not come late.
         seen_after: s from its first picture until other keys count.
+        opens_itself: whether it opens over whatever the operator does: then that time begins again with each key.
     """
 
     SAFE_KEYS: ClassVar[frozenset[str]] = frozenset()
+    is_guarded = True
+    opens_itself = False
     seen_after = 0.0
     drawn_at: float | None = None
 
@@ -91,17 +96,27 @@ class InputGate:
         # A form that splits a paste makes events of its own: these are as young as the paste.
         if is_from_terminal(event):
             self.is_young = not (self.pulse.relayed or self.is_late(event))
-        if not isinstance(screen, GuardedScreen):
+        if not is_guarded(screen):
             return False
         if isinstance(event, events.Key) and event.key in screen.SAFE_KEYS:
             return False
         # Without a note: while a question's keys do not count yet, it shows … in their place.
         if not self.is_late(event):
-            return not self._was_seen(screen, heard_before(event))
+            seen = self._was_seen(screen, heard_before(event))
+            if not seen and screen.opens_itself and screen.drawn_at is not None:
+                screen.drawn_at = self._clock()  # whoever types on has not read it
+            return not seen
         if self._clock() - self._told_at > _TOLD_EVERY:
             self._told_at = self._clock()
             self._app.notify(LateInput.IGNORED(), severity="warning", timeout=_TOLD_EVERY)
         return True
+
+    def was_seen(self, changed_at: float) -> bool:
+        """Whether the operator may have seen what changed at a time (s); if not, they get a note."""
+        if not self.is_on or self._clock() - changed_at >= SEEN_AFTER:
+            return True
+        self._app.notify(LateInput.LIST_MOVED(), severity="warning", timeout=_TOLD_EVERY)
+        return False
 
     def takes_keys(self, screen: GuardedScreen) -> bool:
         """Whether a key that is pressed now would count."""
@@ -114,6 +129,11 @@ class InputGate:
         drawn_at = screen.drawn_at
         # An answer to a question after the picture proves that the terminal has it.
         return drawn_at is not None and self._clock() - drawn_at >= screen.seen_after and heard >= drawn_at
+
+
+def is_guarded(screen: Screen[Any]) -> TypeGuard[GuardedScreen]:
+    """Whether a screen takes young input only."""
+    return isinstance(screen, GuardedScreen) and screen.is_guarded
 
 
 def _is_pressed(event: Message) -> bool:

@@ -221,10 +221,12 @@ class FleetTable(SortedTable[RobotRow]):
         Args:
             now: s since the epoch.
         """
+        before = self.rows
         self.rows = {robot.key: RobotRow(robot, fleet.rates(robot), now) for robot in fleet.robots()}
         self._servers = len(fleet.sources) > 1
         # A robot that has gone, and comes back later, is not among those to change.
-        self.view.marked.intersection_update(self.rows)
+        stay = (key for key in self.rows if key not in before or before[key].robot.gone is self.rows[key].robot.gone)
+        self.view.marked.intersection_update(stay)
         self.relist()
         if self._restore in self.keys:
             self.move_to(self.keys.index(self._restore))

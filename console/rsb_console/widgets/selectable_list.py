@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING, ClassVar
 
 from textual.geometry import Region
 from textual.message import Message
 
 from rsb_console.actions import Group, bindings
+from rsb_console.terminal.input_gate import InputGate
 from rsb_console.widgets.lines import LiveLines
 
 if TYPE_CHECKING:
@@ -47,6 +49,7 @@ class SelectableList(LiveLines, can_focus=True):
         self.keys: Sequence[str] = ()
         self._cursor = 0
         self._moved = False
+        self._slid_at = float("-inf")
 
     @property
     def follows_top(self) -> bool:
@@ -79,11 +82,21 @@ class SelectableList(LiveLines, can_focus=True):
             self._place(keys.index(before) if before in keys else min(self._cursor, max(0, len(keys) - 1)))
         self.sync()
         if self.cursor_key != before:
+            if before is not None:
+                self._slid_at = time.monotonic()
             self.post_message(self.CursorMoved(self))
+
+    def is_seen(self) -> bool:
+        """Whether a key can be for the item under the cursor, and not for one that was there a moment ago."""
+        return InputGate.of(self.app).was_seen(self._slid_at)
+
+    def hold(self) -> None:
+        """Keep the cursor on its item from now on, as the operator has chosen it."""
+        self._moved = True
 
     def move_to(self, position: int) -> None:
         """Put the cursor on item number `position`, or the nearest there is."""
-        self._moved = True
+        self.hold()
         position = max(0, min(len(self.keys) - 1, position))
         if position != self._cursor:
             self._place(position)
@@ -135,6 +148,7 @@ class SelectableList(LiveLines, can_focus=True):
             return
         position = self.index_at(at.y) - self.sticky
         if position == self._cursor:
+            self.hold()
             self.post_message(self.Chosen(self))
         elif position < len(self.keys):
             self.move_to(position)
