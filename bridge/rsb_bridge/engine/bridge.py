@@ -136,7 +136,8 @@ class Bridge:
     ) -> None:
         self.context = context
         self._snapshots = snapshots
-        self._role: BridgeRole = (ServerRole if context.session.role == "server" else ClientRole)(context, keys)
+        is_server = context.session.role == "server"
+        self._role: BridgeRole = ServerRole(context, keys) if is_server else ClientRole(context, keys)
         self._names = NameWatch(context, self._followers)
         context.names_changed = self._names.changed
         self.graph_watch = GraphWatch(context, self._role.links, self._names.changed)
