@@ -12,7 +12,6 @@ import re
 from collections import defaultdict
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.sources import MOST_HOPS, Via, hop, node_of, place
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.call_endpoints import name_of, route_type_of, type_of
@@ -129,8 +128,7 @@ def _topic_entry(ros: RosInterface, member: ServiceMember, topic: str, route_typ
     # Not if several versions are published: then the topic stays closed.
     if not hashes:
         type_hash = type_hash or ros.installed_hash(type_name) or ""
-    qos = match_publishers([each.qos for each in publishers]) if publishers else None
-    return LaneEntry(type_name, type_hash, len(publishers), qos)
+    return LaneEntry(type_name, type_hash, len(publishers))
 
 
 def _several(members: Sequence[ServiceMember], name: str, servers: Iterable[Endpoint]) -> Trouble | None:
