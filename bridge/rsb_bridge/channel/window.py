@@ -71,23 +71,6 @@ class Window:
         back: s that a receipt takes to come back now; what waits in the other direction is not held against this one.
     """
 
-    __slots__ = (
-        "_acknowledged",
-        "_ages",
-        "_before_shrinking",
-        "_last_mark",
-        "_last_mark_at",
-        "_marks",
-        "_ping",
-        "_receipts",
-        "_shortest",
-        "back",
-        "limit",
-        "rate",
-        "size",
-        "slow",
-    )
-
     def __init__(self, ping: float = 0.0, ages: Ages = QUEUES_LITTLE) -> None:
         """Begin on a new link.
 
@@ -238,8 +221,6 @@ class ReceiptCounter:
         count: bytes received so far.
         due: count at which the next receipt is due.
     """
-
-    __slots__ = ("_every", "_sent", "count", "due")
 
     def __init__(self, every: float = FIRST_RECEIPT) -> None:
         """Begin with a receipt after every `every` bytes."""
