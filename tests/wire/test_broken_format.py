@@ -140,14 +140,6 @@ def test_a_control_frame_too_long_is_refused_before_it_comes() -> None:
     assert event == Failed(Broken.FRAME_TOO_LONG(length=CONTROL_LIMIT + 1, limit=CONTROL_LIMIT))
 
 
-def test_an_empty_control_frame_later_is_no_message() -> None:
-    _, server, _, _ = established(CipherSuite.PLAIN)
-    sealer = Sealer(CipherSuite.PLAIN, None)
-    sealer.sequence = 1
-    event = the(Failed, server.receive_data(pack_frame(CONTROL_HEADER, sealer.seal(b"", CONTROL_HEADER))))
-    assert says(event.reason, Broken.INVALID_CONTROL_MESSAGE)
-
-
 @st.composite
 def any_end(draw: st.DrawFn) -> End:
     suite = draw(st.sampled_from(CipherSuite))

@@ -9,16 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of
-from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
-from rsb_bridge.wire.events import (
-    Accepted,
-    DataFrame,
-    Established,
-    MessageReceived,
-    RefusalCode,
-    StreamRefused,
-    Undecoded,
-)
+from rsb_bridge.wire.codec import decode_hello, decode_welcome, encode
+from rsb_bridge.wire.events import Accepted, DataFrame, Established, MessageReceived, RefusalCode, StreamRefused
 from rsb_bridge.wire.framing import CONTROL, CONTROL_LIMIT, DATA, HEADER, pack_frame
 from rsb_bridge.wire.preamble import (
     MAGIC,
@@ -53,14 +45,8 @@ _CONTROL_HEADER = HEADER.pack(CONTROL, 0, 0, 0)
 
 
 class _Control(SealedStream):
-    """Either end of a control connection, in addition to its handshake.
+    """Either end of a control connection, in addition to its handshake."""
 
-    Attributes:
-        decodes: whether control messages are decoded as they come. If not, each is an `Undecoded` event, so that its
-            receiver can spread the work: a message of 1 MiB may take half a second.
-    """
-
-    decodes = True
     _multiplexed: bool
 
     def send(self, message: ControlMessage) -> bytes:
@@ -85,13 +71,13 @@ class _Control(SealedStream):
         return self.data_to_send()
 
     def _on_content(self, content: bytes) -> None:
-        self._events.append(MessageReceived(decode(content)) if self.decodes else Undecoded(content))
+        self._events.append(MessageReceived(content))
 
     def _on_other_frame(self, frame: memoryview) -> None:
         header = frame[: HEADER.size]
         if not self._multiplexed or len(header) < HEADER.size or header[0] != DATA:
             super()._on_other_frame(frame)  # raises
-        self._events.append(DataFrame(HEADER.unpack(header)[2], frame))
+        self._events.append(DataFrame(frame))
 
 
 class ClientConnection(_Control, ConnectingStream):

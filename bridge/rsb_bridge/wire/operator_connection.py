@@ -191,5 +191,5 @@ class OperatorEngine(AcceptingStream, _Records):
         # After it has opened, or strangers could push all of the operator's messages out of the memory.
         self._check_new(replays, offer.message)
         answer = handshake.write(self._at.encode())
-        admitted = Admitted(offer.operator, sanitize_text(host.decode(errors="replace")), key)
+        admitted = Admitted(sanitize_text(host.decode(errors="replace")), key)
         self._accept(SUITE, handshake.split(), answer, admitted)

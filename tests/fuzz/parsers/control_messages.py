@@ -85,9 +85,9 @@ def _read_sealed(data: bytes) -> None:
     assert not ended or events[-1] is ended[0]
     for event in events:
         match event:
-            case MessageReceived(message):
-                check_message(message)
-            case DataFrame(_, frame_of_data):
+            case MessageReceived(content):
+                _read(decode, content)
+            case DataFrame(frame_of_data):
                 assert len(frame_of_data) >= HEADER.size
             case Failed(reason):
                 assert is_clean(reason)
