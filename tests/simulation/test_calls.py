@@ -460,7 +460,7 @@ def test_over_one_stream_that_all_routes_share(provider: str, harness: CallHarne
             assert isinstance(link, Link)
             assert link.control is not None
             assert half.channel is not None
-            assert half.channel.carrier is link.control.stream
+            assert half.channel.via.stream is link.control.stream
 
     with replaced.TCP_MULTIPLEXED.during(True):
         harness.world.play(life=harness.live(live()))

@@ -75,36 +75,12 @@ class Counts(NamedTuple):
     expired: int = 0
 
 
-class ChannelCarrier(Protocol):
-    """The stream or socket of one or several channels; counts wire bytes."""
-
-    @property
-    def received_at(self) -> float:
-        """When (s) bytes last came, or since when it is there."""
-        ...
-
-    @property
-    def received_bytes(self) -> int:
-        """Bytes received so far."""
-        ...
-
-    @property
-    def sent_bytes(self) -> int:
-        """Bytes sent so far."""
-        ...
-
-
 class DataChannel(Protocol):
     """Carries the messages of one incarnation of a route."""
 
     @property
     def ready(self) -> bool:
         """Whether messages get through."""
-        ...
-
-    @property
-    def carrier(self) -> ChannelCarrier:
-        """The carrier below the channel."""
         ...
 
     def trouble(self) -> str:

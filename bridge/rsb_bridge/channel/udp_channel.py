@@ -86,12 +86,10 @@ class BufferShortage(NamedTuple):
     """A kernel's receive buffer is smaller than a topic's messages need.
 
     Attributes:
-        here: it is this side's; else the peer's.
         granted: bytes that the kernel grants.
         message: bytes of the message that showed it.
     """
 
-    here: bool
     granted: int
     message: int
 

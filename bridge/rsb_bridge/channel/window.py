@@ -71,12 +71,7 @@ class Window:
         back: s that a receipt takes to come back now; what waits in the other direction is not held against this one.
     """
 
-    def __init__(self, ping: float = 0.0, ages: Ages = QUEUES_LITTLE) -> None:
-        """Begin on a new link.
-
-        Args:
-            ping: s of the shortest ping of the connection, or 0 if it is unknown.
-        """
+    def __init__(self, ages: Ages = QUEUES_LITTLE) -> None:
         self._ages = ages
         self.slow = False
         self.rate = self.back = 0.0
@@ -84,7 +79,7 @@ class Window:
         self._marks: deque[tuple[int, float]] = deque()  # how many bytes were sent when (s)
         self._last_mark, self._last_mark_at = 0, float("-inf")
         self._receipts: deque[tuple[int, float]] = deque(maxlen=_MOST_RECEIPTS)
-        self.expect(ping)
+        self.expect(0.0)
         self._before_shrinking: tuple[int, float] | None = None  # bytes sent until then, and s that data took
 
     def expect(self, ping: float) -> None:

@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Coroutine
 
-    from rsb_bridge.channel.channel import ChannelCarrier
     from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel, Slices
+    from rsb_bridge.link.data_channels import ChannelCarrier
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Kind
     from rsb_bridge.route.route import Route

@@ -21,8 +21,6 @@ Address: TypeAlias = tuple[Any, ...]
 
 CLOSED_BY_PEER = "closed by the other side"
 """The reason where a stream ended in order, which also happens when the other process is killed."""
-BATCH_BYTES = 256 * 1024
-"""As much as is worth one call, where the link is not slow. A round figure: nothing was measured."""
 
 _STRANGER_READS = 4096
 """Bytes that are read at a time from a stranger, so that few of them wait here during a handshake."""
@@ -132,7 +130,6 @@ class Stream(asyncio.Protocol):
     information, keeps to `set_write_buffer_limits`, and calls `pause_writing` and `resume_writing`.
 
     Attributes:
-        batch_bytes: bytes to write in one call.
         high_water: bytes that may wait for the kernel before the stream counts as congested.
         congested: whether more than `high_water` bytes wait for the kernel, so that writers should pause.
         received_at: time (s, on the loop's clock) of the last bytes, or of the connection.
@@ -141,7 +138,6 @@ class Stream(asyncio.Protocol):
         own_address: host or adapter of this end, or empty if unknown.
     """
 
-    batch_bytes: ClassVar[int] = BATCH_BYTES
     high_water: ClassVar[int] = 0
     """Not a byte waits here by choice: in the routes' queues, newer messages replace older ones."""
 
