@@ -12,7 +12,7 @@ from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.fullness import FullnessWatch, LinkFullness
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.link_status import LinkFault, LinkStatus
-from rsb_bridge.link.path_watch import STALLED, PathWatch, Pings
+from rsb_bridge.link.path_watch import STALLED, PathWatch
 from rsb_bridge.model import profiles
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
@@ -448,7 +448,7 @@ class BaseLink(ABC):
             control.stream,
             {stream: packets for stream, packets in counts.items() if packets is not None},
             [route.channel for route in self.routes.values() if isinstance(route.channel, DatagramSender)],
-            Pings(self.keepalive.round_trip, self.keepalive.answered_pings, self.keepalive.quiet),
+            self.keepalive,
             self.peer_name,
             self.context.now(),
             large_vanish=any(isinstance(each, OutgoingRoute) and each.large_vanish for each in self.routes.values()),

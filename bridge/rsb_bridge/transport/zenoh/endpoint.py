@@ -23,7 +23,7 @@ from urllib.parse import quote, unquote
 
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.transport.threads import VisitableLoop, in_thread
+from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.zenoh.outbox import SampleOutbox
 from rsb_bridge.transport.zenoh.sample import LENGTHS, Header, SampleKind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
@@ -160,7 +160,7 @@ class ZenohEndpoint:
         self._on_close = on_close
         self._directly = package.handlers.Callback
         self._loop = asyncio.get_running_loop()
-        self._do_now = self._loop.do_now if isinstance(self._loop, VisitableLoop) else None
+        self._do_now: Callable[[Callable[[], None]], bool] | None = getattr(self._loop, "do_now", None)
         self._streams: dict[tuple[str, str], StreamEnd] = {}
         self._peers: dict[str, int] = {}  # addresses, and how many trusted streams each has
         self._arrivals: deque[Callable[[], None]] = deque()
