@@ -10,6 +10,7 @@ import time
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import msgspec
+from tests.support.frames import write_frame
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
@@ -156,7 +157,7 @@ class Rogue:
         """Send the first chunks of a message in whole frames, and return whether the connection still stands."""
         try:
             for _ in range((size - 1) >> 18):
-                stream.sendall(writer.write(bytes(1 << 18), 0, MORE))
+                stream.sendall(write_frame(writer, bytes(1 << 18), 0, MORE))
         except OSError:
             return False
         return not _closed(stream)

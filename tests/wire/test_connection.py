@@ -6,6 +6,7 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.frames import write_frame
 from tests.support.session_keys import propose
 from tests.support.wording import pattern, says
 from tests.wire.links import (
@@ -326,7 +327,7 @@ def test_a_first_frame_with_content_confirms_nothing() -> None:
 def test_data_before_the_confirmation_have_no_place() -> None:
     client, server = make_client(multiplexed=True), make_server(multiplexed=True)
     server.receive_data(client.start())
-    event = the(Failed, server.receive_data(DataWriter(Sealer(CipherSuite.AESGCM, KEY), 1).write(b"x", 0)))
+    event = the(Failed, server.receive_data(write_frame(DataWriter(Sealer(CipherSuite.AESGCM, KEY), 1), b"x", 0)))
     assert event == Failed(Broken.NOT_CONFIRMED(peer="client"))
 
 
