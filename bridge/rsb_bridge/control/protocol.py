@@ -138,7 +138,6 @@ class BridgeInfo(msgspec.Struct, frozen=True, omit_defaults=True):
         program: its version of rsb-console.
         file: the absolute path of its session file, or None if there is no file.
         base: the folder that its key files are relative to, absolute.
-        has_console: whether it runs in a console of its own.
     """
 
     name: str
@@ -150,7 +149,6 @@ class BridgeInfo(msgspec.Struct, frozen=True, omit_defaults=True):
     program: str
     file: str | None = None
     base: str = "/"
-    has_console: bool = False
 
 
 class ConsoleWelcome(_Message, frozen=True, tag="welcome"):

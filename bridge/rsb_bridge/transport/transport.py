@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, TypeAlias
 
 from rsb_bridge.model.transports import TransportTraits
-from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.streams import Address, format_address
 
 if TYPE_CHECKING:
@@ -32,12 +31,6 @@ if TYPE_CHECKING:
 
 RECEIVE_BUFFER = 8 * 1024 * 1024
 """Bytes of the kernel's receive buffer that a datagram socket asks for."""
-
-
-class ServersFound(Wording):
-    """Servers that a client finds where it expects one."""
-
-    SEVERAL_WITH_ONE_KEY = "several servers have this link's key: {hosts}"
 
 
 class ListenError(Exception):
@@ -198,7 +191,7 @@ class StreamTransport(_Transport):
 
     def several(self, hosts: Sequence[str]) -> str:
         """Return the text for operators about several servers that prove one key."""
-        return ServersFound.SEVERAL_WITH_ONE_KEY(hosts=", ".join(hosts))
+        raise NotImplementedError
 
     @property
     def announced_at(self) -> str:
