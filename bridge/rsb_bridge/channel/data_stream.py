@@ -44,11 +44,9 @@ class RouteNumbers(Protocol):
 
     def awaits_channel(self, route_id: int) -> bool:
         """Whether a route is open under an id, and has no channel yet."""
-        ...
 
     def is_closed_id(self, route_id: int) -> bool:
         """Whether a route was open under an id, and is closed."""
-        ...
 
 
 class DataStream(StreamHandler):

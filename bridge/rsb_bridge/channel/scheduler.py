@@ -65,21 +65,17 @@ class Turns(Protocol):
     @property
     def via(self) -> Carrier:
         """The stream that it sends on."""
-        ...
 
     @property
     def rank(self) -> int:
         """The rank of its priority."""
-        ...
 
     @property
     def waits(self) -> bool:
         """Whether it has more to send after a turn."""
-        ...
 
     def take_turn(self, limit: int) -> bytes | memoryview | int:
         """Return at most about `limit` bytes to send now, or nothing; or how many it has sent by itself."""
-        ...
 
 
 class Carrier(Protocol):
@@ -100,16 +96,13 @@ class Carrier(Protocol):
     @property
     def in_transit(self) -> int:
         """Bytes that count in the window."""
-        ...
 
     def write_off(self) -> None:
         """Count these no longer, and take nothing more until all of them have arrived."""
-        ...
 
     @property
     def congested(self) -> bool:
         """Whether it takes nothing now."""
-        ...
 
 
 class StreamCarrier(Carrier, Protocol):
@@ -117,7 +110,6 @@ class StreamCarrier(Carrier, Protocol):
 
     def write(self, data: bytes | memoryview) -> None:
         """Send."""
-        ...
 
 
 class Scheduler:

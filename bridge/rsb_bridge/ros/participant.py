@@ -70,7 +70,6 @@ class Incoming(Protocol):
 
     def close(self) -> None:
         """Free it. To be called once."""
-        ...
 
 
 class Participant:

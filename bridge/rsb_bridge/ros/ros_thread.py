@@ -92,7 +92,6 @@ class Receiver(Protocol[T_contra]):
 
     def offer(self, batch: Sequence[T_contra]) -> None:
         """Take them, oldest first."""
-        ...
 
 
 class RosToLoopQueue:

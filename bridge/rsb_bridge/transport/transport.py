@@ -60,33 +60,26 @@ class DatagramSocket(Protocol):
     @property
     def port(self) -> int:
         """The local port, or 0 on a network that has none."""
-        ...
 
     @property
     def congested(self) -> bool:
         """Whether datagrams wait here for the network: better not to send now."""
-        ...
 
     @property
     def receive_buffer(self) -> int:
         """Bytes that the kernel grants of `RECEIVE_BUFFER`."""
-        ...
 
     def send(self, datagrams: Sequence[bytes], path: SendPath | None) -> None:
         """Send datagrams, along a path or, on a connected socket, None. Never waits; may lose them."""
-        ...
 
     def path(self, source: str, address: Address) -> SendPath:
         """Return the way from one of our addresses to a peer."""
-        ...
 
     def datagram_size(self, address: Address) -> int:
         """Return the bytes of the largest datagram that reaches `address` in one piece, by present knowledge."""
-        ...
 
     def close(self) -> None:
         """Close it; what waits is lost."""
-        ...
 
 
 Datagrams: TypeAlias = list[tuple[bytes | memoryview, Address]]
@@ -127,7 +120,6 @@ class Listener(Protocol):
 
     def close(self) -> None:
         """Free the port. Streams that it accepted stay open; datagram sockets are closed."""
-        ...
 
 
 class _Transport(TransportTraits, ABC):

@@ -44,7 +44,6 @@ class FleetSource(Protocol):
     @property
     def problem(self) -> str:
         """The reason why the source has no current data, or an empty string."""
-        ...
 
     def start(self) -> None:
         """Connect to the source.
@@ -52,19 +51,15 @@ class FleetSource(Protocol):
         Raises:
             EngineError: the source cannot be used.
         """
-        ...
 
     def wait(self) -> None:
         """Wait at most some seconds for the state of each robot, or the reason for its lack."""
-        ...
 
     def stop(self) -> None:
         """Stop the source; `robots` keeps its last result."""
-        ...
 
     def robots(self) -> list[RobotSummary]:
         """Return the robots in their present state, including missing ones."""
-        ...
 
     def open(self, robot: str, *, read_only: bool) -> RemoteEngine:
         """Open an engine that shows and changes only one robot; the caller stops it.
@@ -74,7 +69,6 @@ class FleetSource(Protocol):
         Raises:
             EngineError: the engine cannot be opened.
         """
-        ...
 
 
 class UnknownRobotError(ValueError):

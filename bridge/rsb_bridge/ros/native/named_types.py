@@ -99,7 +99,6 @@ class NamedType(Protocol):
 
     def rename(self, type_name: str, type_hash: str) -> None:
         """Be another type."""
-        ...
 
 
 class NamedTypes:

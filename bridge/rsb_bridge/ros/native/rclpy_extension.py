@@ -91,7 +91,6 @@ class Entity(Protocol):
 
     def destroy(self) -> None:
         """Free it, once nobody uses it any more."""
-        ...
 
 
 class OwnNode(Protocol):
@@ -110,11 +109,9 @@ class OwnNode(Protocol):
             ValueError: the name is invalid.
             RuntimeError: rcl refused it.
         """
-        ...
 
     def destroy(self) -> None:
         """Leave the graph. To be called after its endpoints are destroyed."""
-        ...
 
 
 class _ExtensionEntity:

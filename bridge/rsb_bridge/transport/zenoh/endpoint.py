@@ -112,15 +112,12 @@ class StreamEnd(Protocol):
 
     def arrived(self, header: Header, payload: bytes) -> None:
         """Take a sample."""
-        ...
 
     def cut_off(self, reason: str) -> None:
         """End: the other end is gone, or cannot be reached any more."""
-        ...
 
     def doubt(self, reason: str) -> None:
         """End unless a sample of the other side comes soon: somebody says that the other end is gone."""
-        ...
 
 
 class ZenohEndpoint:
