@@ -19,7 +19,6 @@ from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
-    from pathlib import Path
 
 MAX_FILE = 1 << 20  # bytes; a thousand topics are a tenth of it
 MAX_DEPTH = 20
