@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from tests.support.session_keys import session_keys
 from tests.support.wording import says
 from tests.wire.links import (
-    CONTROL_HEADER,
     HELLO,
     KEY,
     SUITES,
@@ -28,7 +27,7 @@ from rsb_bridge.wire.framing import CONTROL_LIMIT, pack_frame
 from rsb_bridge.wire.messages import Ping
 from rsb_bridge.wire.preamble import PreambleKind, control_header, preamble_frame, refuse_frame
 from rsb_bridge.wire.protocol_error import Broken
-from rsb_bridge.wire.sealing import CipherSuite, InvalidSeal, Sealer
+from rsb_bridge.wire.sealing import CipherSuite, InvalidSeal
 
 End = ClientConnection | ServerConnection | DataConnection
 
