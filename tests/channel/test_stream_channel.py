@@ -66,7 +66,7 @@ async def test_a_message_asked_for_goes_ahead_of_a_large_one() -> None:
 async def test_a_route_that_asks_and_gives_nothing_gets_no_turns_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
     idle, other = Route(1, outgoing=True), Route(2, outgoing=True)
     monkeypatch.setattr(idle, "flush", lambda: idle.channel.ask())  # noqa: PLW0108 -- it has no channel yet
-    async with connected(idle, other) as (near, far):
+    async with connected(idle, other) as (_, far):
         idle.channel.ask()
         other.send(b"after")
         await until(lambda: far.routes[2].arrived)
@@ -76,7 +76,7 @@ async def test_a_route_that_asks_and_gives_nothing_gets_no_turns_without_end(mon
 @STREAMS
 async def test_a_closed_end_sends_no_more_of_what_waits(two: bool) -> None:
     route, other = Route(1, outgoing=True), Route(2, outgoing=True)
-    async with connected(route, other, two=two) as (near, far):
+    async with connected(route, other, two=two) as (_, far):
         route.send(bytes(8 << 20))
         route.channel.close("removed")
         del far.routes[1]

@@ -55,7 +55,7 @@ WELCOME = messages.Welcome(version="0.1.0", name="pc", link_id=b"linklink", inst
 
 @pytest.mark.parametrize("plain", PLAIN, ids=[f"{each['message']}{number % 2}" for number, each in enumerate(PLAIN)])
 def test_a_message_reads_as_it_was_written(plain: dict[str, Any]) -> None:
-    message = decode(msgspec.msgpack.encode(plain))
+    message: Any = decode(msgspec.msgpack.encode(plain))
     assert type(message).__name__.lower() == plain["message"]
     assert msgspec.msgpack.decode(encode(message)).items() >= plain.items()
     assert decode(encode(message)) == message

@@ -57,7 +57,7 @@ class MeteredDatagramReader(DatagramReader):
 
 
 class Scratch:
-    """Memory that pieces of large messages are sealed into, one after another, so that it stays in the processor's cache.
+    """Memory that pieces of large messages are sealed into, one by one, so that it stays in the processor's cache.
 
     A link's channels share it, on the I/O loop.
     """

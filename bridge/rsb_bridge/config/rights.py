@@ -583,7 +583,12 @@ def _acts(rights: Rights, carried: Sequence[str]) -> Iterator[str]:
         yield EVERY_CALL
     for kind, name, direction in sorted(rights.listed or (), key=itemgetter(1)):
         use = Use(name, "call", kind=kind)
-        if kind != "topic" and direction == _LISTED_AS["call"][0] and _changes(kind, name) and _may(rights, use, carried):
+        if (
+            kind != "topic"
+            and direction == _LISTED_AS["call"][0]
+            and _changes(kind, name)
+            and _may(rights, use, carried)
+        ):
             yield f"{name}{_KINDS.get(kind, '')}"
     denied = [pattern for grant, pattern in _about(rights.deny, "call") if not grant.protocol]
     for _, pattern in _about(rights.allow, "call"):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import stat
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
@@ -19,6 +18,7 @@ from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+    from pathlib import Path
 
 MAX_FILE = 1 << 20  # bytes; a thousand topics are a tenth of it
 MAX_DEPTH = 20

@@ -139,9 +139,7 @@ class OwnAnnouncement:
         Raises:
             RosError: the announcement is full.
         """
-        return self._put(
-            self.services, _Own(service, link, endpoint, Origin(via), _encode(ServiceEntry(service, via)))
-        )
+        return self._put(self.services, _Own(service, link, endpoint, Origin(via), _encode(ServiceEntry(service, via))))
 
     def _put(self, table: _Table, own: _Own) -> bool:
         before = table.by_gid.get(own.endpoint.gid)

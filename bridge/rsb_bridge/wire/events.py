@@ -137,13 +137,5 @@ class OperatorOpened:
 
 
 Event: TypeAlias = (
-    Established
-    | MessageReceived
-    | DataFrame
-    | Attach
-    | Accepted
-    | StreamRefused
-    | Failed
-    | Admitted
-    | OperatorOpened
+    Established | MessageReceived | DataFrame | Attach | Accepted | StreamRefused | Failed | Admitted | OperatorOpened
 )

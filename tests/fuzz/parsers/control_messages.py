@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.events import Event
 
 
-_EXAMPLES = [decode(msgspec.msgpack.encode(each)) for each in PLAIN]
+_EXAMPLES: list[Any] = [decode(msgspec.msgpack.encode(each)) for each in PLAIN]
 
 
 def _leaves(value: Any) -> Iterator[Any]:
