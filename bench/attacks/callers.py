@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from bench.attacks.target import Attack, paced
 from tests.support.calls import TYPE
+from tests.support.frames import write_frame
 from tests.support.rogue import Rogue
 
 from rsb_bridge.ros.native.typesupport import installed_service, service_hash_of
@@ -56,7 +57,7 @@ class _Opening:
     def send(self, what: What, calls: range) -> None:
         """Frames of one kind, all at once."""
         content = b"\x00\x01\x00\x00" + bytes(_SIZE)
-        frames = (self._writer.write(CallFrame(what, 0, call, 0, content).pack(), 0) for call in calls)
+        frames = (write_frame(self._writer, CallFrame(what, 0, call, 0, content).pack(), 0) for call in calls)
         self.stream.sendall(b"".join(frames))
 
 

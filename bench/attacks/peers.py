@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import zstandard
 from bench.attacks.target import Attack, paced
+from tests.support.frames import write_frame
 from tests.support.rogue import Rogue
 
 from rsb_bridge.model.limits import dds_ports
@@ -152,7 +153,7 @@ def bombs(target: Target, tally: Tally) -> None:
         stream, writer = rogue.stream(rogue.route("/bomb", "tcp", Qos()))
         _drained(rogue)
         while True:
-            stream.sendall(writer.write(bomb, 0, ZSTD))
+            stream.sendall(write_frame(writer, bomb, 0, ZSTD))
             tally["bombs"] += 1
 
 
@@ -211,7 +212,7 @@ def volatile(target: Target, tally: Tally) -> None:
         content = b"\x00\x01\x00\x00" + (1 << 16).to_bytes(4, "little") + b"x" * ((1 << 16) - 1) + b"\0"
         # Nearly thrice the 512 MiB that a server keeps for slow subscribers of a link (docs/budgets.md).
         while tally["MB"] < 1500:
-            stream.sendall(b"".join(writer.write(content, 0) for _ in range(16)))
+            stream.sendall(b"".join(write_frame(writer, content, 0) for _ in range(16)))
             tally["MB"] += 1
             time.sleep(0.004)
         # The link has to stay up, since the server drops all that it keeps for a link that ends.

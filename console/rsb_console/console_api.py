@@ -35,7 +35,6 @@ class OperatorWatch(Protocol):
 
     def armed_on(self, screen: Screen[Any]) -> None:
         """Note that a topic is armed on a screen, whose keys count from then on."""
-        ...
 
 
 class ConsoleShell(Protocol):
@@ -54,11 +53,9 @@ class ConsoleShell(Protocol):
     @property
     def readonly(self) -> bool:
         """Whether all changes are forbidden."""
-        ...
 
     async def ask(self, dialog: Screen[T]) -> T | None:
         """Show a dialog and wait for its answer. Only from a worker."""
-        ...
 
     def notify(
         self,
@@ -70,19 +67,15 @@ class ConsoleShell(Protocol):
         markup: bool = True,
     ) -> None:
         """Show a message for a while (Textual's)."""
-        ...
 
     def key_labels(self, action: Action) -> list[str]:
         """Return the keys of an action, as written on a keyboard."""
-        ...
 
     def pull(self) -> None:
         """Show the present state now."""
-        ...
 
     def change_refresh_rate(self, step: int) -> None:
         """Refresh faster or slower by so many steps."""
-        ...
 
 
 class Console(ConsoleShell, Protocol):
@@ -122,19 +115,15 @@ class Console(ConsoleShell, Protocol):
             resources: closed when the session ends.
             temporary: whether the file is one of those resources, so that saving to it keeps nothing.
         """
-        ...
 
     async def start_again(self) -> None:
         """Start the same session on a new engine, after the old one has ended or could not start."""
-        ...
 
     async def attach(self, path: Path) -> None:
         """Stop the engine, and attach to a bridge of another process by its control socket."""
-        ...
 
     def saved_to(self, session: Session, path: Path | None) -> None:
         """Remember that a file holds the session."""
-        ...
 
     # --- the engine
 
@@ -143,11 +132,9 @@ class Console(ConsoleShell, Protocol):
 
     def snapshot(self) -> Snapshot:
         """Return the engine's state, or an empty one without an engine."""
-        ...
 
     def peer_of(self, route: Row) -> str:
         """Return the name of a route's other side, or its address on a client, whose link has the client's own name."""
-        ...
 
     async def command(self, future: Future[T], done: str = "") -> bool:
         """Wait for a command to the engine, and notify the operator if it failed.
@@ -158,15 +145,12 @@ class Console(ConsoleShell, Protocol):
         Returns:
             Whether it succeeded.
         """
-        ...
 
     # --- the operator
 
     @property
     def deadman(self) -> OperatorWatch:
         """The proof to the engine that the operator watches what is armed."""
-        ...
 
     def request_quit(self) -> None:
         """Quit, after a question if that loses something."""
-        ...

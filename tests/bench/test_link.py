@@ -9,6 +9,7 @@ import msgspec
 import pytest
 import zstandard
 from tests.support import constants
+from tests.support.frames import write_frame
 from tests.support.inside import inside
 from tests.support.ports import free_port
 from tests.support.rogue import Rogue
@@ -337,7 +338,7 @@ def storm(rogue: Rogue, transport: str, what: str, size: int) -> int:
         stream, frames = rogue.stream(route)
         for _ in range(messages):
             flags = ZSTD if what == "compressed" else MORE if what == "chunks" else 0
-            stream.sendall(frame := frames.write(content, 0, flags))
+            stream.sendall(frame := write_frame(frames, content, 0, flags))
             sent += len(frame)
     except OSError:
         pass

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.data_keys import DataKeys
-from rsb_bridge.channel.data_stream import StreamPair
+from rsb_bridge.channel.data_stream import StreamPair, stream_channel
 from rsb_bridge.channel.receipts import ReceiptBook
 from rsb_bridge.channel.scheduler import Scheduler
-from rsb_bridge.channel.stream_channel import stream_channel
 from rsb_bridge.channel.window import Window
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import Budget
@@ -94,7 +93,7 @@ class Side:
         self.keys = DataKeys(session_keys(CipherSuite.AESGCM, _EXPORT), role, Budget(64 << 20))
         self.book = ReceiptBook(asyncio.get_running_loop(), self._send_receipts)
         self.scheduler = Scheduler(self.book, Window())
-        self.pair = StreamPair(self, self.scheduler, self.book, self.keys.budget, self.keys.scratch)
+        self.pair = StreamPair(self, self.scheduler, self.book, self.keys)
 
     def awaits_channel(self, route_id: int) -> bool:
         return route_id in self.routes and self.routes[route_id].channel is None

@@ -195,16 +195,4 @@ async def test_without_receipts_little_is_in_transit() -> None:
         route.flush()
         await pass_seconds(10, near, far)
         assert 0 < near.in_transit() <= 8 * 1024
-        assert near.scheduler.busy(now()) > 5.0
         assert not near.scheduler.moves
-
-
-async def test_a_link_with_room_is_never_busy() -> None:
-    route = Route(1, outgoing=True)
-    async with connected(route, open_streams=Radio(1e6).open) as (near, far):
-        for _ in range(100):
-            route.send(bytes(1_000))
-            await asyncio.sleep(0.01)
-            assert near.scheduler.busy(now()) < 0.05
-        await pass_seconds(2, near, far)
-        assert near.in_transit() == 0

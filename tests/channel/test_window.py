@@ -35,7 +35,7 @@ class Path:
         self.credit = 1.0
         self.ages: list[float] = []
         self.arrived = self.sent = self.receipts = 0
-        self.window = Window(ages=ages)
+        self.window = Window(ages)
         self.counter = ReceiptCounter()
         self._asked = FIRST_RECEIPT
         self._looked = 0.0
@@ -208,7 +208,7 @@ def test_a_path_that_takes_longer_without_being_full_carries_as_much(delay: floa
 def test_a_path_that_takes_seconds_from_the_beginning_on(delay: float, pinged_first: bool) -> None:
     """Its pings measure the delay, and receipts cannot distinguish that from a queue: no clock gives the direction."""
     path = Path(1e6, delay)
-    path.window = Window(2 * delay if pinged_first else 0.0)
+    path.window.expect(2 * delay if pinged_first else 0.0)
     path.credit = 0.0
     path.run(15.0, 20, 1000)
     carries = path.run(20.0, 20, 1000) >= 0.98 * 20 * 20 * 1000
@@ -218,7 +218,7 @@ def test_a_path_that_takes_seconds_from_the_beginning_on(delay: float, pinged_fi
 
 def test_a_slow_path_behind_long_pings_is_kept_short() -> None:
     path = Path(5_000, 1.5)
-    path.window = Window(3.0)
+    path.window.expect(3.0)
     path.credit = 0.0
     path.run(20.0, 14, 1000)
     path.ages.clear()

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.console.scripted import ScriptedEngine, route
 from tests.control.test_strangers import CHANGES
-from tests.support.wording import says
+from tests.support.wording import pattern, says
 
 from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import ControlProtocolError, StateChange
@@ -23,6 +23,7 @@ from rsb_bridge.model import commands
 from rsb_bridge.model.benchmark import BenchmarkStep
 from rsb_bridge.model.pictures import Wish
 from rsb_bridge.model.session import Topic
+from rsb_bridge.wire.protocol_error import Broken
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot
@@ -61,7 +62,7 @@ def test_every_command_comes_through_whole(at_once: int) -> None:
     [(protocol.frames_to_bridge, protocol.TO_BRIDGE_LIMIT), (protocol.frames_to_console, protocol.TO_CONSOLE_LIMIT)],
 )
 def test_a_frame_that_is_too_large_is_refused_before_it_is_kept(make: Any, limit: int) -> None:
-    with pytest.raises(ControlProtocolError, match="at most"):
+    with pytest.raises(ControlProtocolError, match=pattern(Broken.FRAME_TOO_LONG)):
         list(make().feed((limit + 1).to_bytes(4, "big")))
 
 

@@ -131,9 +131,8 @@ def test_another_user_is_refused_even_where_the_files_let_them_in(of: int) -> No
 def test_roots_console_does_not_trust_another_users_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """It could have root's console save a session wherever it likes. A service's folder is root's own doing."""
     with served_by(SOMEBODY) as path:
-        with pytest.raises(StrangerError) as refused:
+        with pytest.raises(StrangerError):
             bridges.ask(path)
-        assert refused.value.uid == SOMEBODY
         with pytest.raises(StrangerError):
             RemoteEngine(path).start()
         constants.SERVICES_SOCKETS.set(monkeypatch, path.parent)

@@ -20,6 +20,7 @@ from rclpy.serialization import serialize_message
 from tests.support.bridge import carries, feedback_listeners, happened, heard, linked, listeners, route, settled
 from tests.support.domain import LATCHED
 from tests.support.fibonacci import ACTION
+from tests.support.frames import write_frame
 from tests.support.participants import KnownNode
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
@@ -180,8 +181,8 @@ def test_a_hostile_peer_cannot_send_them_either(
         eventually(lambda: listeners(server, victim.topic))
         victim.says("matched")
         for payload in (bad, b"", EIGHT, bad[:5], array("x", "y")[:60]):
-            stream.sendall(writer.write(payload, 0))
-        stream.sendall(writer.write(array("one"), 0))
+            stream.sendall(write_frame(writer, payload, 0))
+        stream.sendall(write_frame(writer, array("one"), 0))
         victim.says("report")
         assert victim.is_well
     assert happened(server, EventCode.ROUTE_MALFORMED, "from robot1")

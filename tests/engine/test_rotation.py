@@ -9,6 +9,7 @@ import pytest
 from tests.engine.test_reloading import Edited, codes
 from tests.support.bridge import carries, happened, heard, link, linked
 from tests.support.domain import text
+from tests.support.frames import write_frame
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
@@ -190,7 +191,7 @@ def test_what_the_old_connection_still_sends_opens_nothing(
             rogue.probe()
             for datagram in datagrams.write(text("x"), 0, 0, 1400):
                 rogue.udp.send(datagram)
-            stream.sendall(frames.write(text("x"), 0))
+            stream.sendall(write_frame(frames, text("x"), 0))
 
         def all_heard() -> bool:
             send()

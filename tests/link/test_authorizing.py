@@ -9,6 +9,7 @@ import pytest
 from tests.support import constants
 from tests.support.bridge import carries, find, happened, heard, linked, now, protocol_of, reloaded, route, stage
 from tests.support.domain import text
+from tests.support.frames import write_frame
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
@@ -189,7 +190,7 @@ def test_a_peer_that_sends_faster_all_the_same_is_throttled_here(
         number = rogue.route("/chat", "tcp", Qos())
         stream, writer = rogue.stream(number)
         for _ in range(50):
-            stream.sendall(writer.write(b"\0\1\0\0", 0, 0))
+            stream.sendall(write_frame(writer, b"\0\1\0\0", 0, 0))
 
         def counted() -> ReceivedReport:
             report = rogue.wait_for(Report)

@@ -24,12 +24,12 @@ from rsb_bridge.wire.codec import (
     WHOLE,
     ReportParts,
     TopicListParts,
-    decode_in_parts,
+    decode,
     encode,
     report_entries,
     topic_entries,
 )
-from rsb_bridge.wire.events import MessageReceived, Undecoded
+from rsb_bridge.wire.events import MessageReceived
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import ControlMessage, Describe, Ping, Report, TopicList
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -89,9 +89,8 @@ class Peer:
         """Have all events come at once, and turn until so much is done."""
 
         async def main() -> None:
-            connection: Any = SimpleNamespace(receive_data=lambda _: self._events, decodes=True)
+            connection: Any = SimpleNamespace(receive_data=lambda _: self._events)
             channel = ControlChannel(self.stream, connection, Handlers(self.message), lambda *_: None)
-            assert not connection.decodes
             channel.received(b"x")
             before = 0
             while True:
@@ -114,7 +113,7 @@ def test_a_report_of_400_kb_is_worked_off_in_slices_and_in_order() -> None:
     data = encode(long_report())
     assert 380_000 < len(data) < 420_000
     ping = Ping(1, 0)
-    peer = Peer([Undecoded(encode(ping)), Undecoded(data), Undecoded(encode(ping))], entries_of)
+    peer = Peer([MessageReceived(encode(ping)), MessageReceived(data), MessageReceived(encode(ping))], entries_of)
     peer.run(ROUTES_PER_LINK + 2)
     size = len(msgspec.msgpack.encode(SentReport(route=1, dropped=DROPPED)))
     assert peer.most <= BYTES // size + 3
@@ -131,12 +130,10 @@ def test_a_report_of_400_kb_is_worked_off_in_slices_and_in_order() -> None:
     ],
 )
 def test_short_entries_are_worked_off_by_number(message: Any) -> None:
-    data = encode(message)
-    events: list[Any] = [Undecoded(data)] if isinstance(message, TopicList) else [MessageReceived(message)]
     entries = (
         [*message.topics] if isinstance(message, TopicList) else [*message.sent, *message.received, *message.calls]
     )
-    peer = Peer(events, entries_of)
+    peer = Peer([MessageReceived(encode(message))], entries_of)
     peer.run(len(entries))
     assert peer.done == entries
     assert peer.most <= 2 * ENTRIES  # a message's first slice, and those before it
@@ -145,12 +142,12 @@ def test_short_entries_are_worked_off_by_number(message: Any) -> None:
 def test_messages_that_are_long_or_make_many_publishers_take_a_turn_each() -> None:
     sources = tuple(Source((f"rsb_a/{number}",)) for number in range(16))
     for message in (Describe(1, "a/msg/B", "", Qos(depth=1), sources), Ping(1, 0)):
-        peer = Peer([MessageReceived(message)] * 100, entries_of)
+        peer = Peer([MessageReceived(encode(message))] * 100, entries_of)
         peer.run(100)
         assert peer.most <= (1 if isinstance(message, Describe) else constants.CONTROL_AT_ONCE.value)
     report = encode(Report(sent=(SentReport(route=1, dropped=DROPPED),) * 18, received=()))
     assert WHOLE - 1000 < len(report) <= WHOLE
-    peer = Peer([Undecoded(report)] * 20, entries_of)
+    peer = Peer([MessageReceived(report)] * 20, entries_of)
     peer.run(20 * 18)
     assert peer.most <= 2 * 18
 
@@ -158,7 +155,7 @@ def test_messages_that_are_long_or_make_many_publishers_take_a_turn_each() -> No
 def receives(messages: list[Any], handle: Callable[[Any], Any]) -> tuple[ControlChannel, Any]:
     """A control connection on which these messages come with any bytes, and its stream."""
     stream: Any = Stream()
-    connection: Any = SimpleNamespace(receive_data=lambda _: [MessageReceived(each) for each in messages])
+    connection: Any = SimpleNamespace(receive_data=lambda _: [MessageReceived(encode(each)) for each in messages])
     return ControlChannel(stream, connection, Handlers(handle), lambda *_: None), stream
 
 
@@ -211,19 +208,19 @@ async def test_a_peer_whose_messages_wait_here_is_not_silent(loop: VirtualLoop) 
 
 
 def test_no_more_routes_are_reported_than_a_link_may_have() -> None:
-    decode_in_parts(encode(long_report()))
+    decode(encode(long_report()))
     with pytest.raises(ProtocolError):
-        decode_in_parts(encode(long_report(ROUTES_PER_LINK + 1)))
+        decode(encode(long_report(ROUTES_PER_LINK + 1)))
 
 
 def test_an_entry_that_is_invalid_ends_the_connection() -> None:
     wrong = msgspec.to_builtins(long_report())
     wrong["sent"][-1]["route"] = 0
-    peer = Peer([Undecoded(msgspec.msgpack.encode({"message": "report", **wrong}))], entries_of)
+    peer = Peer([MessageReceived(msgspec.msgpack.encode({"message": "report", **wrong}))], entries_of)
     peer.run(ROUTES_PER_LINK)
     assert peer.stream.aborted
     assert len(peer.done) == ROUTES_PER_LINK - 1
-    broken = Peer([Undecoded(b"\xc1")], entries_of)
+    broken = Peer([MessageReceived(b"\xc1")], entries_of)
     broken.run(1)
     assert broken.stream.aborted
 
@@ -268,6 +265,6 @@ def test_the_longest_frames_need_no_long_turn() -> None:
     """None of 131,000 entries, which are views of the frame, is decoded before its turn."""
     many = (CONTROL_LIMIT - 100) // 8
     data = msgspec.msgpack.encode({"message": "topiclist", "request": 1, "topics": [{}] * many})
-    parts = decode_in_parts(data)
+    parts = decode(data)
     assert isinstance(parts, TopicListParts)
     assert len(parts.topics) == many

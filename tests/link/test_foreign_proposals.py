@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 from tests.support.bridge import happened, linked, now
+from tests.support.frames import write_frame
 from tests.support.inside import inside
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
@@ -165,7 +166,7 @@ def test_nothing_that_a_peer_sends_to_measure_reaches_ros(bridge: Bridge, pc: Do
         assert answer.code == "type_differs"
         stream, frames = client.stream(client.internal(BENCH, ("tcp", "transmit"), "tcp"))
         for _ in range(10):
-            stream.sendall(frames.write(b"\0\1\0\0" + bytes(100), 0, 0))
+            stream.sendall(write_frame(frames, b"\0\1\0\0" + bytes(100), 0, 0))
         drains = inside(server).context.internal[BENCH.name].drains
         eventually(lambda: sum(each.messages for each in drains.values()) == 10)
         assert not [name for name, _ in pc.node.get_topic_names_and_types() if "bench" in name]

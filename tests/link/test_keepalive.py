@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -35,7 +35,8 @@ def wait(loop: VirtualLoop, seconds: float) -> None:
 
 
 def test_a_peer_is_given_up_five_seconds_after_its_last_byte(loop: VirtualLoop, context: Context) -> None:
-    carriers, silent = [Carrier(loop), Carrier(loop)], []
+    carriers: list[Any] = [Carrier(loop), Carrier(loop)]
+    silent: list[float] = []
     keepalive = Keepalive(context, lambda: carriers)
     keepalive.watch(lambda: silent.append(loop.time()))
     for _ in range(1000):
@@ -71,7 +72,7 @@ def test_a_link_that_has_ended_is_not_watched(loop: VirtualLoop, context: Contex
 
 @pytest.mark.parametrize("late", [0.0, 0.25, 2.4])
 def test_a_tick_that_comes_late_makes_no_rate_high(late: float, loop: VirtualLoop, context: Context) -> None:
-    carrier = Carrier(loop)
+    carrier: Any = Carrier(loop)
     keepalive = Keepalive(context, lambda: [carrier])
     for _ in range(20):
         wait(loop, 1.0 + late)

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from random import Random
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 
 import pytest
 
-from rsb_bridge.link.path_watch import PathWatch, Pings, steady
+from rsb_bridge.link.path_watch import PathWatch, steady
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.streams import PacketCounts, Stream, StreamHandler
 from rsb_bridge.wire.records import PathRecord
+
+if TYPE_CHECKING:
+    from rsb_bridge.link.keepalive import Keepalive
 
 PING = 0.002
 PACKET = 1400
@@ -69,7 +74,7 @@ class Path:
                 self.control,
                 dict(self._packets),
                 (),
-                Pings(ping, self._answered, quiet),
+                cast("Keepalive", SimpleNamespace(round_trip=ping, answered_pings=self._answered, quiet=quiet)),
                 "robot1",
                 self.now,
                 large_vanish=vanish,

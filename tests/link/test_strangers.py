@@ -19,7 +19,7 @@ from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
-from rsb_bridge.link.inbound_streams import InboundStreams
+from rsb_bridge.link.link_server import InboundStreams
 from rsb_bridge.model.budgets import CONNECTION, Strangers
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import ZenohSettings

@@ -14,7 +14,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_graph import MOST_ENTRIES
 from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.stand_in import NoRos
-from rsb_bridge.wire.codec import decode_in_parts, encode
+from rsb_bridge.wire.codec import decode, encode
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import ListTopics, TopicList
 from rsb_bridge.wire.records import TopicEntry
@@ -82,7 +82,7 @@ class Pair:
         data = encode(self._through(message))
         if isinstance(message, TopicList):
             self.said.append(len(data))
-        return decode_in_parts(data)
+        return decode(data)
 
     def ask(self) -> list[TopicInfo]:
         async def main() -> list[TopicInfo]:

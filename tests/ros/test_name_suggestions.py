@@ -53,7 +53,7 @@ class _Graph(NoRos):
     ],
 )
 def test_what_is_of_another_kind_or_alike_is_named(kind: Kind, name: str, words: str) -> None:
-    hint = NameSuggester(_Graph(), lambda: 0.0).by(kind, name)
+    hint = NameSuggester(_Graph(), lambda: 0.0).of((kind, name))
     assert bool(hint) is bool(words)
     assert words in hint
 
@@ -61,7 +61,8 @@ def test_what_is_of_another_kind_or_alike_is_named(kind: Kind, name: str, words:
 def test_it_is_not_searched_for_at_each_question() -> None:
     graph = _Graph()
     meant = NameSuggester(graph, lambda: 0.0)
-    assert [meant.by("service", name) for name in ("/dokc", "/dokc", "/navigate")] == ["did you mean /dock?"] * 2 + [""]
+    found = [meant.of(("service", name)) for name in ("/dokc", "/dokc", "/navigate")]
+    assert found == ["did you mean /dock?"] * 2 + [""]
     assert graph.asked == 1
 
 

@@ -27,7 +27,6 @@ class Descriptor(Protocol):
 
     def vanished(self) -> None:
         """Its machine lost its power: nobody closes it."""
-        ...
 
 
 class Machine:

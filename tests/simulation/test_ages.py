@@ -14,7 +14,7 @@ from tests.simulation.world import Violation, World
 from tests.support import replaced
 from tests.support.long import long
 
-from rsb_bridge.channel.stream_channel import StreamSender
+from rsb_bridge.channel.data_stream import StreamSender
 from rsb_bridge.model.clock import StampClock
 from rsb_bridge.route.age import MessageAge, PublisherClocks
 

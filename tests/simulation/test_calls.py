@@ -16,6 +16,7 @@ from tests.support import constants, replaced
 from tests.support.inside import pending_calls
 from tests.support.long import long
 
+from rsb_bridge.channel.data_stream import StreamDuplex
 from rsb_bridge.link.link import Link
 from rsb_bridge.model.commands import ArmTopic, DisarmTopic, PauseTopics
 from rsb_bridge.model.snapshot import State
@@ -459,8 +460,8 @@ def test_over_one_stream_that_all_routes_share(provider: str, harness: CallHarne
             link = half.peer
             assert isinstance(link, Link)
             assert link.control is not None
-            assert half.channel is not None
-            assert half.channel.carrier is link.control.stream
+            assert isinstance(half.channel, StreamDuplex)
+            assert half.channel.via.stream is link.control.stream
 
     with replaced.TCP_MULTIPLEXED.during(True):
         harness.world.play(life=harness.live(live()))

@@ -27,6 +27,11 @@ class StreamedReader(DataReader):
         super().close()
 
 
+def write_frame(writer: DataWriter, payload: bytes, stamp: int, flags: int = 0) -> bytes:
+    """One message as one frame."""
+    return writer.write_many(((payload, stamp, flags),))
+
+
 def write_chunks(writer: DataWriter, payload: bytes, stamp: int, flags: int, chunk_size: int) -> list[bytes]:
     """Return one message as frames of at most `chunk_size` bytes each."""
     piece = bytearray(writer.piece_size(chunk_size, chunk_size))

@@ -9,24 +9,32 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
+import msgspec
+from tests.support.frames import write_frame
+
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.datagram import DatagramWriter, Probe
 from rsb_bridge.wire.events import Accepted, Established, MessageReceived, StreamName
 from rsb_bridge.wire.framing import CONTROL_LIMIT, MESSAGE_LIMIT, MORE, DataWriter
-from rsb_bridge.wire.messages import Accept, Describe, Hello, Propose, Ready, Refuse
+from rsb_bridge.wire.messages import Accept, ControlMessage, Describe, Hello, Propose, Ready, Refuse
 from rsb_bridge.wire.records import Source
 from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite
 
 if TYPE_CHECKING:
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.wire.events import Event
-    from rsb_bridge.wire.messages import ControlMessage
     from rsb_bridge.wire.sealing import SessionKeys
 
 T = TypeVar("T")
+_decoder: msgspec.msgpack.Decoder[ControlMessage] = msgspec.msgpack.Decoder(ControlMessage)
 BLOB = ("made_up_msgs/msg/Blob", "RIHS01_" + "5a" * 32)
 """A type that nobody has, and its hash."""
+
+
+def whole(content: bytes) -> ControlMessage:
+    """A control message with all its entries, however long."""
+    return _decoder.decode(content)
 
 
 class Rogue:
@@ -65,7 +73,7 @@ class Rogue:
         """Return the next event or control message of these kinds, and drop all before it."""
         while True:
             for index, event in enumerate(self._events):
-                said = event.message if isinstance(event, MessageReceived) else event
+                said = whole(event.content) if isinstance(event, MessageReceived) else event
                 if isinstance(said, kinds):
                     del self._events[: index + 1]
                     return said
@@ -149,7 +157,7 @@ class Rogue:
         """Send the first chunks of a message in whole frames, and return whether the connection still stands."""
         try:
             for _ in range((size - 1) >> 18):
-                stream.sendall(writer.write(bytes(1 << 18), 0, MORE))
+                stream.sendall(write_frame(writer, bytes(1 << 18), 0, MORE))
         except OSError:
             return False
         return not _closed(stream)

@@ -6,6 +6,8 @@ import os
 import socket
 from typing import TYPE_CHECKING, Self
 
+from tests.support.rogue import whole
+
 from rsb_bridge.wire.connection import ServerConnection
 from rsb_bridge.wire.events import Established, MessageReceived
 from rsb_bridge.wire.framing import CONTROL_LIMIT
@@ -59,7 +61,7 @@ class RogueServer:
             return []
         events: list[object] = list(self._connection.receive_data(data))
         self._control.sendall(self._connection.data_to_send())
-        self.heard += [event.message for event in events if isinstance(event, MessageReceived)]
+        self.heard += [whole(event.content) for event in events if isinstance(event, MessageReceived)]
         return events or [None]
 
     def __enter__(self) -> Self:

@@ -19,13 +19,13 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families 
 from prometheus_client.parser import text_string_to_metric_families as plain_families
 from tests.console.scripted import LINK, NOW, route
 
-from rsb_bridge.model.calls import CallsSnapshot, Refused
+from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Ledger, Level, Snapshot, State
 from rsb_bridge.telemetry.event_log import KEPT, EventLog
-from rsb_bridge.telemetry.metrics import DROPPED, FAMILIES, OTHER, REFUSED, SnapshotCollector
+from rsb_bridge.telemetry.metrics import DROPPED, FAMILIES, OTHER, SnapshotCollector
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot
@@ -203,7 +203,6 @@ def test_events_are_counted_though_they_are_not_kept(scraped: Scraped) -> None:
 
 
 def test_every_cause_that_this_version_counts_by_has_its_own_label() -> None:
-    assert {each.value for each in Refused} - {Refused.LOST, Refused.OTHER} == REFUSED
     causes = set(re.findall(r"``([a-z ]+)``", (Ledger.__doc__ or "").partition("each cause:")[2]))
     assert causes
     assert causes <= DROPPED

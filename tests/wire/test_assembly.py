@@ -5,7 +5,7 @@ import itertools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.frames import StreamedReader, write_chunks
+from tests.support.frames import StreamedReader, write_chunks, write_frame
 
 from rsb_bridge.wire.framing import HEADER, MORE, ZSTD, Assembly, Budget, DataWriter, Message
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -110,7 +110,7 @@ def test_memory_is_for_a_message_like_the_last_one_as_far_as_the_budget_goes() -
     assert reader.receive_data(frames[-1]) == [(bytes(110), 0, 0)]
     assert budget.held == 880
     with pytest.raises(ProtocolError):
-        reader.receive_data(writer.write(bytes(121), 0, MORE))
+        reader.receive_data(write_frame(writer, bytes(121), 0, MORE))
 
 
 def test_an_assembly_refuses_more_than_its_limit() -> None:

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from tests.support.session_keys import session_keys
 from tests.support.wording import says
 from tests.wire.links import (
-    CONTROL_HEADER,
     HELLO,
     KEY,
     SUITES,
@@ -28,7 +27,7 @@ from rsb_bridge.wire.framing import CONTROL_LIMIT, pack_frame
 from rsb_bridge.wire.messages import Ping
 from rsb_bridge.wire.preamble import PreambleKind, control_header, preamble_frame, refuse_frame
 from rsb_bridge.wire.protocol_error import Broken
-from rsb_bridge.wire.sealing import CipherSuite, InvalidSeal, Sealer
+from rsb_bridge.wire.sealing import CipherSuite, InvalidSeal
 
 End = ClientConnection | ServerConnection | DataConnection
 
@@ -138,14 +137,6 @@ def test_a_control_frame_too_long_is_refused_before_it_comes() -> None:
     _, server, _, _ = established()
     (event,) = server.receive_data(struct.pack(">I", CONTROL_LIMIT + 1))
     assert event == Failed(Broken.FRAME_TOO_LONG(length=CONTROL_LIMIT + 1, limit=CONTROL_LIMIT))
-
-
-def test_an_empty_control_frame_later_is_no_message() -> None:
-    _, server, _, _ = established(CipherSuite.PLAIN)
-    sealer = Sealer(CipherSuite.PLAIN, None)
-    sealer.sequence = 1
-    event = the(Failed, server.receive_data(pack_frame(CONTROL_HEADER, sealer.seal(b"", CONTROL_HEADER))))
-    assert says(event.reason, Broken.INVALID_CONTROL_MESSAGE)
 
 
 @st.composite

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.frames import write_frame
 from tests.support.session_keys import propose
 from tests.support.wording import pattern, says
 from tests.wire.links import (
@@ -61,8 +62,8 @@ def test_both_sides_establish_and_hold_the_same_keys(suite: CipherSuite, aes: bo
 def test_messages_cross_both_ways(suite: CipherSuite) -> None:
     client, server, _, _ = established(suite)
     for n in range(3):
-        assert server.receive_data(client.send(Ping(n, 1))) == [MessageReceived(Ping(n, 1))]
-        assert client.receive_data(server.send(Pong(n, 1, 2, 3))) == [MessageReceived(Pong(n, 1, 2, 3))]
+        assert server.receive_data(client.send(Ping(n, 1))) == [MessageReceived(encode(Ping(n, 1)))]
+        assert client.receive_data(server.send(Pong(n, 1, 2, 3))) == [MessageReceived(encode(Pong(n, 1, 2, 3)))]
 
 
 @SUITES
@@ -85,7 +86,7 @@ def test_however_the_streams_are_cut_the_events_are_the_same(suite: CipherSuite,
     carry(b"".join(client.send(message) for message in messages), server, server_events)
     assert [type(event) for event in client_events] == [Established]
     assert [type(event) for event in server_events[:1]] == [Established]
-    assert server_events[1:] == [MessageReceived(message) for message in messages]
+    assert server_events[1:] == [MessageReceived(encode(message)) for message in messages]
 
 
 def test_send_keeps_the_order_of_what_was_not_fetched_yet() -> None:
@@ -326,7 +327,7 @@ def test_a_first_frame_with_content_confirms_nothing() -> None:
 def test_data_before_the_confirmation_have_no_place() -> None:
     client, server = make_client(multiplexed=True), make_server(multiplexed=True)
     server.receive_data(client.start())
-    event = the(Failed, server.receive_data(DataWriter(Sealer(CipherSuite.AESGCM, KEY), 1).write(b"x", 0)))
+    event = the(Failed, server.receive_data(write_frame(DataWriter(Sealer(CipherSuite.AESGCM, KEY), 1), b"x", 0)))
     assert event == Failed(Broken.NOT_CONFIRMED(peer="client"))
 
 
@@ -345,7 +346,7 @@ def test_what_follows_the_confirmation_at_once_may_be_long() -> None:
     long = TopicList(1, tuple(TopicEntry(f"/topic{n}", "std_msgs/msg/String", "", None, 0, 0) for n in range(500)))
     confirmed, received = server.receive_data(client.send(long))
     assert isinstance(confirmed, Established)
-    assert received == MessageReceived(long)
+    assert received == MessageReceived(encode(long))
 
 
 # --- sending
@@ -377,10 +378,10 @@ def test_a_message_may_fill_a_control_frame_and_no_more(suite: CipherSuite) -> N
     client, server, _, _ = established(suite)
     room = CONTROL_LIMIT - 14 - 16
     message = topic_list_of(room)
-    assert server.receive_data(client.send(message)) == [MessageReceived(message)]
+    assert server.receive_data(client.send(message)) == [MessageReceived(encode(message))]
     with pytest.raises(ValueError, match=pattern(Misuse.CONTROL_MESSAGE_TOO_LONG, message="TopicList")):
         client.send(topic_list_of(room + 1))
-    assert server.receive_data(client.send(Ping(1, 1))) == [MessageReceived(Ping(1, 1))]
+    assert server.receive_data(client.send(Ping(1, 1))) == [MessageReceived(encode(Ping(1, 1)))]
 
 
 def test_a_server_that_waited_in_vain_for_the_confirmation_is_understood() -> None:

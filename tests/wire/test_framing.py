@@ -6,7 +6,7 @@ import zlib
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.frames import StreamedReader, write_chunks
+from tests.support.frames import StreamedReader, write_chunks, write_frame
 from tests.support.held import held_by
 from tests.support.wording import pattern, says
 
@@ -109,7 +109,7 @@ def test_a_data_frame_is_as_the_document_says() -> None:
     header = bytes((1, 1)) + struct.pack(">IQ", ROUTE, 1234)
     content = b"payload"
     tag = struct.pack(">I", zlib.crc32(bytes(8) + header + content))
-    assert writer.write(content, 1234, ZSTD) == struct.pack(">I", 14 + 7 + 4) + header + content + tag
+    assert write_frame(writer, content, 1234, ZSTD) == struct.pack(">I", 14 + 7 + 4) + header + content + tag
 
 
 @SUITES
@@ -118,16 +118,16 @@ def test_messages_come_out_as_they_went_in_however_the_stream_is_cut(
     suite: CipherSuite, data: st.DataObject, sent: list[Message]
 ) -> None:
     writer, reader = data_ends(suite)
-    stream = writer.write_many(sent[:4]) + b"".join(writer.write(*message) for message in sent[4:])
+    stream = writer.write_many(sent[:4]) + b"".join(write_frame(writer, *message) for message in sent[4:])
     assert [message for piece in data.draw(pieces(stream)) for message in reader.receive_data(piece)] == sent
 
 
 @SUITES
 def test_a_message_may_have_the_limit_and_no_byte_more(suite: CipherSuite) -> None:
     writer, reader = data_ends(suite, limit=100)
-    assert reader.receive_data(writer.write(bytes(100), 0)) == [(bytes(100), 0, 0)]
+    assert reader.receive_data(write_frame(writer, bytes(100), 0)) == [(bytes(100), 0, 0)]
     with pytest.raises(ProtocolError, match=pattern(Broken.FRAME_TOO_LONG)):
-        reader.receive_data(writer.write(bytes(101), 0))
+        reader.receive_data(write_frame(writer, bytes(101), 0))
     writer, reader = data_ends(suite, limit=100)
     assert reader.receive_data(b"".join(write_chunks(writer, bytes(100), 0, 0, 30))) == [(bytes(100), 0, 0)]
     with pytest.raises(ProtocolError, match=pattern(Broken.TOO_LONG_IN_CHUNKS, limit=100)):
@@ -155,9 +155,9 @@ def test_readers_hold_no_more_than_their_budget_together(began: str) -> None:
     budget = Budget(1000)
     ends = [data_ends(CipherSuite.AESGCM, route, budget=budget) for route in (1, 3)]
     if began == "a frame":
-        begun = [writer.write(bytes(700), 0)[:600] for writer, _ in ends]
+        begun = [write_frame(writer, bytes(700), 0)[:600] for writer, _ in ends]
     else:
-        begun = [writer.write(bytes(600), 0, MORE) for writer, _ in ends]
+        begun = [write_frame(writer, bytes(600), 0, MORE) for writer, _ in ends]
     (_, first), (_, second) = ends
     assert first.receive_data(begun[0]) == []
     with pytest.raises(ProtocolError, match=pattern(Broken.TOO_MUCH_INCOMPLETE, limit=1000)):
@@ -170,12 +170,12 @@ def test_readers_hold_no_more_than_their_budget_together(began: str) -> None:
 
 def test_a_message_that_comes_at_once_costs_the_budget_nothing() -> None:
     writer, reader = data_ends(CipherSuite.AESGCM, budget=Budget(0))
-    assert reader.receive_data(writer.write(bytes(5000), 0)) == [(bytes(5000), 0, 0)]
+    assert reader.receive_data(write_frame(writer, bytes(5000), 0)) == [(bytes(5000), 0, 0)]
 
 
 def test_empty_chunks_are_harmless() -> None:
     writer, reader = data_ends(CipherSuite.AESGCM)
-    stream = writer.write(b"", 0, MORE) + writer.write(b"a", 0, MORE) + writer.write(b"", 5)
+    stream = write_frame(writer, b"", 0, MORE) + write_frame(writer, b"a", 0, MORE) + write_frame(writer, b"", 5)
     assert reader.receive_data(stream) == [(b"a", 5, 0)]
 
 
@@ -187,7 +187,7 @@ def test_a_frame_without_a_header_is_refused_in_words() -> None:
 
 def test_a_replayed_missing_or_foreign_frame_does_not_open() -> None:
     writer, reader = data_ends(CipherSuite.AESGCM)
-    first, second = writer.write(b"1", 0), writer.write(b"2", 0)
+    first, second = write_frame(writer, b"1", 0), write_frame(writer, b"2", 0)
     reader.receive_data(first)
     _, new = data_ends(CipherSuite.AESGCM)
     _, stranger = data_ends(CipherSuite.AESGCM, key=bytes(32))

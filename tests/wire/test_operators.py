@@ -76,7 +76,7 @@ def test_both_know_each_other_after_the_confirmation() -> None:
     assert engine.accepted
     assert console.receive_data(engine.data_to_send()) == [Admitted()]
     (admitted,) = engine.receive_data(console.data_to_send())
-    assert admitted == Admitted("anna", "pc", KEY)
+    assert admitted == Admitted("pc", KEY)
     assert KEY.hex() not in repr(admitted)
     assert repr(KEY) not in repr(admitted)
 
@@ -99,7 +99,7 @@ def test_in_whatever_pieces_it_comes(size: int) -> None:
     rest = console.data_to_send() + console.send(b"look")
     for at in range(0, len(rest), size):
         events += engine.receive_data(rest[at : at + size])
-    assert events == [Admitted("anna", "pc", KEY), OperatorOpened(b"look")]
+    assert events == [Admitted("pc", KEY), OperatorOpened(b"look")]
 
 
 def test_a_host_name_that_is_too_long_is_refused() -> None:

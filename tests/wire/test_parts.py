@@ -10,7 +10,7 @@ from rsb_bridge.wire.codec import (
     WHOLE,
     ReportParts,
     TopicListParts,
-    decode_in_parts,
+    decode,
     encode,
     report_entries,
     topic_entries,
@@ -26,7 +26,7 @@ SENT, RECEIVED, CALLS = SentReport(route=1, offered=5), ReceivedReport(route=2, 
 def test_the_entries_are_those_of_the_whole(times: int) -> None:
     report = Report(sent=(SENT,) * times, received=(RECEIVED,) * times, calls=(CALLS,) * times)
     data = encode(report)
-    parts = decode_in_parts(data)
+    parts = decode(data)
     is_long = len(data) > WHOLE
     assert isinstance(parts, ReportParts if is_long else Report)
     found = list(report_entries(parts))
@@ -38,7 +38,7 @@ def test_the_entries_are_those_of_the_whole(times: int) -> None:
 @pytest.mark.parametrize("times", [1, 500])
 def test_so_are_those_of_a_list_of_topics(times: int) -> None:
     topics = TopicList(7, (TopicEntry("/a", "a/msg/B", "", Qos(depth=1), 1, 1),) * times)
-    parts = decode_in_parts(encode(topics))
+    parts = decode(encode(topics))
     assert isinstance(parts, TopicList | TopicListParts)
     assert tuple(entry for entry, _ in topic_entries(parts)) == topics.topics
 
@@ -46,7 +46,7 @@ def test_so_are_those_of_a_list_of_topics(times: int) -> None:
 def test_an_entry_that_is_invalid_is_found_when_it_is_reached() -> None:
     wrong = msgspec.to_builtins(Report(sent=(SENT,) * 500, received=()))
     wrong["sent"][-1]["route"] = 0
-    parts = decode_in_parts(msgspec.msgpack.encode({"message": "report", **wrong}))
+    parts = decode(msgspec.msgpack.encode({"message": "report", **wrong}))
     assert isinstance(parts, ReportParts)
     entries = report_entries(parts)
     for _ in range(499):
@@ -57,4 +57,4 @@ def test_an_entry_that_is_invalid_is_found_when_it_is_reached() -> None:
 
 def test_what_is_no_message_is_refused() -> None:
     with pytest.raises(ProtocolError):
-        decode_in_parts(b"\xc1")
+        decode(b"\xc1")

@@ -177,10 +177,6 @@ class _Repeated:
         return self._ends[self._before + rest] + periods * self._length
 
 
-def _repeated(sizes: Sizes) -> tuple[_Repeated, ...]:
-    return tuple(_Repeated(sizes, begin) for begin in range(8))
-
-
 _LENGTH = _primitive(4)
 
 
@@ -546,7 +542,8 @@ class _Building:
         elif element.tail in _UNPADDED:
             step = _Step(_Kind.UNITS, _LENGTH, bound, name, _UNPADDED[element.tail])
         else:
-            step = _Step(_Kind.FIXED, _LENGTH, bound, name, repeated=_repeated(element.tail))
+            repeated = tuple(_Repeated(element.tail, begin) for begin in range(8))
+            step = _Step(_Kind.FIXED, _LENGTH, bound, name, repeated=repeated)
         self.step(step, 4)
 
 

@@ -17,34 +17,27 @@ class RouteSink(Protocol):
     @property
     def id(self) -> int:
         """Route id of the present incarnation."""
-        ...
 
     @property
     def outgoing(self) -> bool:
         """Whether this side sends."""
-        ...
 
     @property
     def duplex(self) -> bool:
         """Whether both sides send."""
-        ...
 
     @property
     def rank(self) -> int:
         """The rank of its priority among routes of the same link."""
-        ...
 
     def deliver(self, messages: Iterable[Message]) -> None:
         """Take messages that arrived whole and authentic."""
-        ...
 
     def flush(self) -> None:
         """Send from the queue: the channel takes messages again."""
-        ...
 
     def channel_lost(self, reason: str) -> None:
         """Handle the failure of the channel, which is closed already."""
-        ...
 
 
 class Pace(Enum):
@@ -75,45 +68,18 @@ class Counts(NamedTuple):
     expired: int = 0
 
 
-class ChannelCarrier(Protocol):
-    """The stream or socket of one or several channels; counts wire bytes."""
-
-    @property
-    def received_at(self) -> float:
-        """When (s) bytes last came, or since when it is there."""
-        ...
-
-    @property
-    def received_bytes(self) -> int:
-        """Bytes received so far."""
-        ...
-
-    @property
-    def sent_bytes(self) -> int:
-        """Bytes sent so far."""
-        ...
-
-
 class DataChannel(Protocol):
     """Carries the messages of one incarnation of a route."""
 
     @property
     def ready(self) -> bool:
         """Whether messages get through."""
-        ...
-
-    @property
-    def carrier(self) -> ChannelCarrier:
-        """The carrier below the channel."""
-        ...
 
     def trouble(self) -> str:
         """Return a problem in an operator's words, or an empty string."""
-        ...
 
     def close(self, reason: str) -> None:
         """Free it. The route hears no more of it."""
-        ...
 
 
 class SendingChannel(DataChannel, Protocol):
@@ -122,48 +88,38 @@ class SendingChannel(DataChannel, Protocol):
     @property
     def congested(self) -> bool:
         """Whether messages have to wait now: then `ask`."""
-        ...
 
     @property
     def pace(self) -> Pace:
         """State of the channel now."""
-        ...
 
     def ask(self) -> None:
         """Have `RouteSink.flush` called once messages may be sent. Calling it again while they wait changes nothing."""
-        ...
 
     @property
     def batch_bytes(self) -> int:
         """Bytes to send at once; a single message may be longer."""
-        ...
 
     def send(self, batch: Sequence[Message]) -> None:
         """Send messages, oldest first."""
-        ...
 
     @property
     def grows(self) -> bool:
         """Whether it does not yet send as fast as it can, so that messages wait though the link has room."""
-        ...
 
     def datagrams(self, size: int) -> int:
         """Return how many datagrams a message of `size` bytes takes now, or 0 on a stream; only once it is ready."""
-        ...
 
     def arrival_rate(self) -> float:
         """Return the datagrams/s that arrive by the last receipts, or 0 without receipts of late."""
-        ...
 
     @property
     def arrived_share(self) -> float | None:
         """The share of its datagrams that arrives, by the last receipts, or None before the first or on a stream."""
-        ...
 
     @property
     def unheard_for(self) -> float:
         """Seconds since a receipt told of further datagrams; infinite before the first, and on a stream."""
-        ...
 
 
 class ReceivingChannel(DataChannel, Protocol):
@@ -171,7 +127,6 @@ class ReceivingChannel(DataChannel, Protocol):
 
     def counts(self) -> Counts | None:
         """Counts of missing messages, or None for a carrier that delivers in order or fails."""
-        ...
 
 
 class DuplexChannel(SendingChannel, ReceivingChannel, Protocol):

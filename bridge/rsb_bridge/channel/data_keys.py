@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
-from rsb_bridge.channel.scratch import Scratch
 from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter
 from rsb_bridge.wire.framing import DataReader, DataWriter
 
@@ -55,6 +54,26 @@ class MeteredDatagramReader(DatagramReader):
             self.close()
             return None
         return message
+
+
+class Scratch:
+    """Memory that pieces of large messages are sealed into, one by one, so that it stays in the processor's cache.
+
+    A link's channels share it, on the I/O loop.
+    """
+
+    def __init__(self) -> None:
+        self._memory = bytearray()
+
+    def lend(self, size: int) -> bytearray:
+        """Memory of at least that size, for as long as the caller does not return to the loop."""
+        if len(self._memory) < size:
+            self._memory = bytearray(size)
+        return self._memory
+
+    def lost(self) -> None:
+        """Forget the lent memory, which its borrower still holds."""
+        self._memory = bytearray()
 
 
 @dataclass(frozen=True, slots=True)

@@ -157,15 +157,12 @@ class Datagrams(Protocol):
 
     def send(self, datagrams: Sequence[bytes]) -> None:
         """Send datagrams."""
-        ...
 
     def written_off(self) -> None:
         """Count all datagrams that were sent as no longer in transit."""
-        ...
 
     def given_up(self) -> None:
         """Drop the rest of messages whose beginning has probably not arrived."""
-        ...
 
 
 class DatagramCarrier:

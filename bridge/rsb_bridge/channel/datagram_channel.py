@@ -201,7 +201,7 @@ class DatagramSender(_DatagramChannel, SendingEnd):
         # After a write-off, more are counted than a late receipt tells of.
         self._count(max(newest + 1, self._counted), newest + 1 - opened)
         if buffer < RECEIVE_BUFFER and self._codec.largest > buffer // WINDOW:
-            self.carrier.shortages[False] = BufferShortage(False, buffer, self._codec.largest)
+            self.carrier.shortages[False] = BufferShortage(buffer, self._codec.largest)
 
     def _count(self, counted: int, missing: int) -> None:
         self.via.count(counted - self._counted, missing - self._missing)
@@ -275,7 +275,7 @@ class DatagramReceiver(_DatagramChannel):
         if buffer < RECEIVE_BUFFER:
             largest = max(len(payload) for payload, _, _ in whole)
             if largest > buffer // WINDOW:
-                self.carrier.shortages[True] = BufferShortage(True, buffer, largest)
+                self.carrier.shortages[True] = BufferShortage(buffer, largest)
         self._route.deliver(whole)
         return True
 

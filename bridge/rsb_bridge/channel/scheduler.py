@@ -65,21 +65,17 @@ class Turns(Protocol):
     @property
     def via(self) -> Carrier:
         """The stream that it sends on."""
-        ...
 
     @property
     def rank(self) -> int:
         """The rank of its priority."""
-        ...
 
     @property
     def waits(self) -> bool:
         """Whether it has more to send after a turn."""
-        ...
 
     def take_turn(self, limit: int) -> bytes | memoryview | int:
         """Return at most about `limit` bytes to send now, or nothing; or how many it has sent by itself."""
-        ...
 
 
 class Carrier(Protocol):
@@ -100,16 +96,13 @@ class Carrier(Protocol):
     @property
     def in_transit(self) -> int:
         """Bytes that count in the window."""
-        ...
 
     def write_off(self) -> None:
         """Count these no longer, and take nothing more until all of them have arrived."""
-        ...
 
     @property
     def congested(self) -> bool:
         """Whether it takes nothing now."""
-        ...
 
 
 class StreamCarrier(Carrier, Protocol):
@@ -117,7 +110,6 @@ class StreamCarrier(Carrier, Protocol):
 
     def write(self, data: bytes | memoryview) -> None:
         """Send."""
-        ...
 
 
 class Scheduler:
@@ -126,18 +118,17 @@ class Scheduler:
     Attributes:
         sent: bytes sent so far, on all streams.
         chunk: bytes of a message in one turn.
-        busy_since: time (s) since when something waits, or None.
+        acknowledged: bytes that have arrived, or were written off.
     """
 
     def __init__(self, book: ReceiptBook, window: Window) -> None:
         self.sent = 0
         self.chunk = LEAST_CHUNK
-        self.busy_since: float | None = None
         self._write = _LEAST_WRITE
         self._book = book
         self._now = book.now
         self._window = window
-        self._acknowledged = 0
+        self.acknowledged = 0
         self._acknowledged_at = float("-inf")
         self._carriers: list[Carrier] = []
         self._waiting = 0
@@ -163,8 +154,8 @@ class Scheduler:
 
     def written_off(self, size: int) -> None:
         """Count bytes as arrived that no receipt will count."""
-        self._acknowledged += size
-        self._window.write_off(self._acknowledged, self.sent)
+        self.acknowledged += size
+        self._window.write_off(self.acknowledged, self.sent)
         self.run()
 
     def close(self) -> None:
@@ -192,8 +183,6 @@ class Scheduler:
 
     def _push(self, end: Turns) -> None:
         end.queued = True
-        if not self._waiting:
-            self.busy_since = self._now()
         self._waiting += 1
         # Ends that begin at the same time take turns as they came. Without a number, heapq would compare the ends.
         self._order += 1
@@ -204,8 +193,6 @@ class Scheduler:
         if end.queued:
             end.queued = False  # its entry stays in the heap, which gives only its first one: `_next` drops it
             self._waiting -= 1
-            if not self._waiting:
-                self.busy_since = None
 
     def charge(self, end: Turns, size: int) -> None:
         """Move the start of a route's next turn by `size` bytes that it sends without waiting, as nothing waits.
@@ -324,12 +311,12 @@ class Scheduler:
     def acknowledge(self, gained: int) -> int:
         """Adapt to a receipt of `gained` further bytes; return the bytes after which the next one is wanted."""
         now = self._now()
-        self._acknowledged += gained
+        self.acknowledged += gained
         if gained:
             self._acknowledged_at = now
         window = self._window
         window.back = self._book.way_back()
-        window.acknowledge(self._acknowledged, self.sent, now)
+        window.acknowledge(self.acknowledged, self.sent, now)
         size, least = window.size, _LEAST_WRITE
         if self._waiting:
             size, least = min(size, int(window.rate * _BUSY_WINDOW)), LEAST_CHUNK
@@ -370,11 +357,6 @@ class Scheduler:
         return self._window.every
 
     @property
-    def acknowledged(self) -> int:
-        """Bytes that have arrived, or were written off."""
-        return self._acknowledged
-
-    @property
     def moves(self) -> bool:
         """Whether the link delivers."""
         return self._now() - self._acknowledged_at < _STALLED
@@ -383,7 +365,3 @@ class Scheduler:
     def grows(self) -> bool:
         """Whether the window still grows: what waits is no sign that the link carries no more."""
         return not self._window.slow
-
-    def busy(self, now: float) -> float:
-        """Return for how long (s) something has waited at `now` (s)."""
-        return 0.0 if self.busy_since is None else now - self.busy_since

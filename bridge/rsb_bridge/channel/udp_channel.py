@@ -86,12 +86,10 @@ class BufferShortage(NamedTuple):
     """A kernel's receive buffer is smaller than a topic's messages need.
 
     Attributes:
-        here: it is this side's; else the peer's.
         granted: bytes that the kernel grants.
         message: bytes of the message that showed it.
     """
 
-    here: bool
     granted: int
     message: int
 
@@ -101,15 +99,12 @@ class DatagramSource(Protocol):
 
     def receipt(self, arrived: Arrived, buffer: int) -> None:
         """Take the route's part of a receipt; the receiver's buffer has so many bytes."""
-        ...
 
     def written_off(self) -> None:
         """Count all datagrams that were sent as no longer in transit."""
-        ...
 
     def given_up(self) -> None:
         """Drop the rest of a message whose beginning has probably not arrived."""
-        ...
 
 
 class DatagramSink(Protocol):
@@ -117,15 +112,12 @@ class DatagramSink(Protocol):
 
     def received(self, datagrams: Sequence[Buffer], now: float) -> bool:
         """Take datagrams of the route; return whether they completed a message, which is authentic then."""
-        ...
 
     def news(self) -> Arrived | None:
         """Return the route's part of a receipt, or None if nothing came since the last one."""
-        ...
 
     def expire(self, now: float) -> None:
         """Give up messages whose fragments did not come in time."""
-        ...
 
 
 class UdpChannel:

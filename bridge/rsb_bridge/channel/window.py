@@ -71,29 +71,7 @@ class Window:
         back: s that a receipt takes to come back now; what waits in the other direction is not held against this one.
     """
 
-    __slots__ = (
-        "_acknowledged",
-        "_ages",
-        "_before_shrinking",
-        "_last_mark",
-        "_last_mark_at",
-        "_marks",
-        "_ping",
-        "_receipts",
-        "_shortest",
-        "back",
-        "limit",
-        "rate",
-        "size",
-        "slow",
-    )
-
-    def __init__(self, ping: float = 0.0, ages: Ages = QUEUES_LITTLE) -> None:
-        """Begin on a new link.
-
-        Args:
-            ping: s of the shortest ping of the connection, or 0 if it is unknown.
-        """
+    def __init__(self, ages: Ages = QUEUES_LITTLE) -> None:
         self._ages = ages
         self.slow = False
         self.rate = self.back = 0.0
@@ -101,7 +79,7 @@ class Window:
         self._marks: deque[tuple[int, float]] = deque()  # how many bytes were sent when (s)
         self._last_mark, self._last_mark_at = 0, float("-inf")
         self._receipts: deque[tuple[int, float]] = deque(maxlen=_MOST_RECEIPTS)
-        self.expect(ping)
+        self.expect(0.0)
         self._before_shrinking: tuple[int, float] | None = None  # bytes sent until then, and s that data took
 
     def expect(self, ping: float) -> None:
@@ -238,8 +216,6 @@ class ReceiptCounter:
         count: bytes received so far.
         due: count at which the next receipt is due.
     """
-
-    __slots__ = ("_every", "_sent", "count", "due")
 
     def __init__(self, every: float = FIRST_RECEIPT) -> None:
         """Begin with a receipt after every `every` bytes."""

@@ -292,24 +292,6 @@ def key_users(session: Session) -> dict[str, str]:
     return users
 
 
-def keys_of(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
-    """Read the valid keys of each client, by its name, the next one last. Without encryption, a client has no keys.
-
-    Args:
-        base: the folder that its key files are relative to.
-
-    Raises:
-        KeyFileError: a file is missing, or holds no key.
-    """
-    files = key_files_by_client(session)
-    if not session.use_encryption:
-        return dict.fromkeys(files, ())
-    for name, of_client in files.items():
-        if not of_client:
-            raise KeyFileError(KeyFileProblem.NOT_GIVEN(name=name))
-    return {name: tuple(read_key(key_path(base, file)) for file in of_client) for name, of_client in files.items()}
-
-
 def session_keys(session: Session, base: Path) -> Iterator[tuple[str, Key | KeyFileError]]:
     """Yield each key file that a session needs, its operators' too, with its key or its error.
 
@@ -361,12 +343,21 @@ def _ago(seconds: float) -> str:
 
 
 def unshared_keys(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
-    """Do as `keys_of`, and refuse shared keys.
+    """Read the valid keys of each client, by its name, the next one last. Without encryption, a client has no keys.
+
+    Args:
+        base: the folder that its key files are relative to.
 
     Raises:
         KeyFileError: a file is missing or holds no key, or two clients have the same key.
     """
-    keys = keys_of(session, base)
+    files = key_files_by_client(session)
+    if not session.use_encryption:
+        return dict.fromkeys(files, ())
+    for name, of_client in files.items():
+        if not of_client:
+            raise KeyFileError(KeyFileProblem.NOT_GIVEN(name=name))
+    keys = {name: tuple(read_key(key_path(base, file)) for file in of_client) for name, of_client in files.items()}
     if problem := shared_key_problem(session, keys):
         raise KeyFileError(problem)
     return keys

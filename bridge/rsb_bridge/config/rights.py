@@ -436,11 +436,6 @@ def as_if_listed(rights: Rights) -> Rights:
     return rights if rights.listed is None else replace(rights, listed=_Everything())
 
 
-def listed_as(may: May) -> Direction:
-    """Return the direction of a client's entry that gives the server a right."""
-    return _LISTED_AS[may][0]
-
-
 def _meant_by(use: Use) -> list[str]:
     """Return the other names under which an entry of `deny` forbids a use.
 
@@ -564,7 +559,7 @@ def _about(grants: Sequence[Grant], may: May) -> Iterator[tuple[Grant, str]]:
 def _listed(rights: Rights, may: May) -> Iterator[str]:
     """Yield the names for which a client's entries give the server a right."""
     for kind, name, direction in rights.listed or ():
-        if (kind == "topic") == (may in TOPIC_USES) and direction == listed_as(may):
+        if (kind == "topic") == (may in TOPIC_USES) and direction == _LISTED_AS[may][0]:
             yield f"{name}{_KINDS.get(kind, '')}"
 
 
@@ -573,7 +568,7 @@ def _without(grant: Grant, pattern: str) -> str:
 
 
 def _moves(rights: Rights, carried: Sequence[str]) -> Iterator[str]:
-    received = (name for _, name, direction in rights.listed or () if direction == listed_as("publish"))
+    received = (name for _, name, direction in rights.listed or () if direction == _LISTED_AS["publish"][0])
     followed = [Pattern(name) for name in received if is_pattern(name)]
     for pattern, names in MOVES_A_ROBOT.items():
         listed = [topic for _, topic, _ in rights.listed or () if fnmatch.fnmatchcase(topic, pattern)]
@@ -588,7 +583,12 @@ def _acts(rights: Rights, carried: Sequence[str]) -> Iterator[str]:
         yield EVERY_CALL
     for kind, name, direction in sorted(rights.listed or (), key=itemgetter(1)):
         use = Use(name, "call", kind=kind)
-        if kind != "topic" and direction == listed_as("call") and _changes(kind, name) and _may(rights, use, carried):
+        if (
+            kind != "topic"
+            and direction == _LISTED_AS["call"][0]
+            and _changes(kind, name)
+            and _may(rights, use, carried)
+        ):
             yield f"{name}{_KINDS.get(kind, '')}"
     denied = [pattern for grant, pattern in _about(rights.deny, "call") if not grant.protocol]
     for _, pattern in _about(rights.allow, "call"):

@@ -56,44 +56,35 @@ class AcceptedConnection(Protocol):
     @property
     def operator(self) -> str:
         """The operator, as the kernel or a key proves it: ``anna on pts/3``."""
-        ...
 
     @property
     def read_only_reason(self) -> str:
         """The reason this operator may change nothing, or an empty string."""
-        ...
 
     @property
     def never_takes_reason(self) -> str:
         """The reason this operator may take no arming from its holder without asking, or an empty string."""
-        ...
 
     @property
     def of_this_machine(self) -> bool:
         """Whether the console runs on the bridge's machine, as the bridge's user or root."""
-        ...
 
     @property
     def buffered(self) -> int:
         """Bytes that wait to be taken."""
-        ...
 
     @property
     def closing(self) -> bool:
         """Whether nothing can be sent any more."""
-        ...
 
     def write(self, data: bytes) -> None:
         """Send, or keep until that is possible."""
-        ...
 
     def close(self) -> None:
         """Close once what waits is sent."""
-        ...
 
     def abort(self) -> None:
         """Close, and forget what waits."""
-        ...
 
 
 class ConsoleHost(Protocol):
@@ -110,11 +101,9 @@ class ConsoleHost(Protocol):
 
     def summary(self) -> bytes:
         """Return the engine in a few figures, at most `SUMMARY_EVERY` s old, or empty bytes."""
-        ...
 
     def stop_process(self) -> None:
         """End the process, as `rsb_bridge.model.commands.Stop` asks."""
-        ...
 
 
 class AttachedConsole:

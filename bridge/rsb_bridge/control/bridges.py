@@ -122,7 +122,6 @@ def serve(
     file: Path | None,
     control: Path | None,
     on_stop: Callable[[], None] | None = None,
-    has_console: bool = False,
     environ: Mapping[str, str] = os.environ,
 ) -> ControlServer:
     """Serve an engine that is not started yet. From now on this machine refuses to start the same session again.
@@ -130,7 +129,6 @@ def serve(
     Args:
         control: the path of the socket, or None for one in the user's folder, named after the session.
         on_stop: ends the process, on another thread, or None to send SIGTERM.
-        has_console: whether the process has a console of its own.
         environ: names the user's folder.
 
     Raises:
@@ -148,7 +146,6 @@ def serve(
         # A path may have bytes that are no UTF-8, which a message cannot hold.
         file=None if file is None else encodable(str(file.absolute())),
         base=encodable(str((file.parent if file is not None else Path()).absolute())),
-        has_console=has_console,
     )
     listener = _claim(info, environ) if control is None else _claim_path(control)
     server = ControlServer(engine, listener, info, on_stop or _terminate)

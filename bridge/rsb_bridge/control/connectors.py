@@ -24,15 +24,12 @@ class Connection(Protocol):
             ControlError: the engine or this side ended it; the message has the reason.
             OSError: it broke.
         """
-        ...
 
     def write(self, data: bytes) -> None:
         """Send, or keep until that is possible. After the end, nothing happens."""
-        ...
 
     def abort(self) -> None:
         """Close, and forget what waits."""
-        ...
 
 
 class Connector(Protocol):
@@ -41,12 +38,10 @@ class Connector(Protocol):
     @property
     def same_machine(self) -> bool:
         """Whether the engine is on this machine: its files are this machine's files."""
-        ...
 
     @property
     def text(self) -> str:
         """The name of the engine for messages, until the engine itself has given one."""
-        ...
 
     async def open(self, within: float) -> Connection:
         """Connect. Nothing is left open if this fails or is cancelled.
@@ -59,7 +54,6 @@ class Connector(Protocol):
             OSError: the same.
             TimeoutError: the engine does not answer.
         """
-        ...
 
 
 class UnixSocket:

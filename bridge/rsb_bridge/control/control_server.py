@@ -58,7 +58,7 @@ class ControlServer:
         self.summarize: Callable[[], bytes] | None = None
         self.loop: asyncio.AbstractEventLoop
         self._listener = listener
-        self._on_stop = on_stop
+        self.stop_process = on_stop
         self._consoles: set[AttachedConsole] = set()
         self._summary, self._summed_at = b"", float("-inf")
         self._one_less = asyncio.Event()
@@ -83,10 +83,6 @@ class ControlServer:
         with contextlib.suppress(RuntimeError):  # it has ended by itself
             self.loop.call_soon_threadsafe(self._ends.set)
         self._thread.join(_CLOSED_WITHIN)
-
-    def stop_process(self) -> None:
-        """End the process, as `rsb_bridge.model.commands.Stop` asks."""
-        self._on_stop()
 
     # --- on the thread
 

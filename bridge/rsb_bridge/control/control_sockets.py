@@ -79,17 +79,9 @@ class NotServedError(ControlError):
 class StrangerError(ControlError):
     """The other side of a control socket is a user whom this process does not trust."""
 
-    def __init__(self, path: Path, uid: int) -> None:
-        super().__init__(SocketProblem.STRANGER(path=path, user=user_name(uid), remedy=run_as(uid)))
-        self.uid = uid
-
 
 class TakenError(ControlError):
     """A living process listens on the socket already."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(SocketProblem.TAKEN(path=path))
-        self.path = path
 
 
 def serving_folder(environ: Mapping[str, str]) -> Path:
@@ -145,20 +137,23 @@ def hidden_bridges(environ: Mapping[str, str]) -> int | None:
 
 def user_name(uid: int) -> str:
     """Name a user in a message: ``the user ros``, ``uid 1234`` where the system has no name."""
-    try:
-        return f"the user {sanitize_text(pwd.getpwuid(uid).pw_name)}"
-    except KeyError:
-        return f"uid {uid}"
+    return f"the user {name}" if (name := _name_of(uid)) else f"uid {uid}"
 
 
 def run_as(uid: int) -> str:
     """Return the beginning of a command line that runs rsb-console as a user."""
     if uid == 0:
         return "sudo rsb-console …"
+    name = _name_of(uid) or f"'#{uid}'"
+    return f"sudo -u {name} rsb-console …"
+
+
+def _name_of(uid: int) -> str:
+    """Return a user's name, or an empty string if this system does not know the user, as in a container."""
     try:
-        return f"sudo -u {sanitize_text(pwd.getpwuid(uid).pw_name)} rsb-console …"
+        return sanitize_text(pwd.getpwuid(uid).pw_name)
     except KeyError:
-        return f"sudo -u '#{uid}' rsb-console …"
+        return ""
 
 
 class ControlSocket:
@@ -178,7 +173,7 @@ class ControlSocket:
             _lock(folder)  # nobody else probes, replaces or makes a socket here meanwhile
             if _is_socket(folder, path):
                 if _listens(folder, path.name):
-                    raise TakenError(path)
+                    raise TakenError(SocketProblem.TAKEN(path=path))
                 os.unlink(path.name, dir_fd=folder)
             self.socket = socket.socket(socket.AF_UNIX)
             try:
@@ -237,7 +232,7 @@ def _connect(path: Path, timeout: float) -> socket.socket:
             # in a folder of /tmp that bears root's number, or under a path that somebody gives root.
             service = path.parent == SERVICES and uid == os.fstat(folder).st_uid and os.geteuid() == 0
             if not (may_control(uid) or service):
-                raise StrangerError(path, uid)
+                raise StrangerError(SocketProblem.STRANGER(path=path, user=user_name(uid), remedy=run_as(uid)))
         except BaseException:
             connection.close()
             raise
@@ -362,23 +357,14 @@ def identify(pid: int, uid: int, proc: Path = Path("/proc")) -> str:
         proc: the file system of processes.
     """
     process = proc / str(pid)
-    user, login, terminal = _user(uid), _login(process), _terminal(process)
-    who = f"{user} for {_user(login)}" if login is not None and login != uid else user
+    name, login, terminal = _name_of(uid), _login(process), _terminal(process)
+    who = name or f"uid {uid}"
+    if login is not None and login != uid:
+        who += f" for {_name_of(login) or f'uid {login}'}"
     if not terminal:
-        return f"{who} ({'' if user == _unnamed(uid) else f'uid {uid}, '}pid {pid})"
+        return f"{who} ({f'uid {uid}, ' if name else ''}pid {pid})"
     address = _ssh_client(process)
     return f"{who} on {terminal}" + (f" from {address}" if address else "")
-
-
-def _user(uid: int) -> str:
-    try:
-        return sanitize_text(pwd.getpwuid(uid).pw_name)
-    except KeyError:  # a user that this system does not know, as in a container
-        return _unnamed(uid)
-
-
-def _unnamed(uid: int) -> str:
-    return f"uid {uid}"
 
 
 def _login(process: Path) -> int | None:

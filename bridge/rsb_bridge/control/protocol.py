@@ -32,6 +32,8 @@ from rsb_bridge.model.snapshot import (
     TopicInfo,
 )
 from rsb_bridge.model.wording import Wording
+from rsb_bridge.wire.framing import FrameReader, pack_frame
+from rsb_bridge.wire.protocol_error import ProtocolError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -58,8 +60,6 @@ REQUESTS_WAITING = 32
 """Requests of one console that a bridge answers at the same time."""
 CONSOLES = 32
 """Connections to one bridge."""
-
-_LENGTH_BYTES = 4
 
 M = TypeVar("M")
 
@@ -138,7 +138,6 @@ class BridgeInfo(msgspec.Struct, frozen=True, omit_defaults=True):
         program: its version of rsb-console.
         file: the absolute path of its session file, or None if there is no file.
         base: the folder that its key files are relative to, absolute.
-        has_console: whether it runs in a console of its own.
     """
 
     name: str
@@ -150,7 +149,6 @@ class BridgeInfo(msgspec.Struct, frozen=True, omit_defaults=True):
     program: str
     file: str | None = None
     base: str = "/"
-    has_console: bool = False
 
 
 class ConsoleWelcome(_Message, frozen=True, tag="welcome"):
@@ -330,8 +328,7 @@ _route = msgspec.msgpack.Decoder(RouteSnapshot)
 
 def encode(message: ToBridge | ToConsole) -> bytes:
     """Return a message as a frame."""
-    body = _encoder.encode(message)
-    return len(body).to_bytes(_LENGTH_BYTES, "big") + body
+    return pack_frame(_encoder.encode(message))
 
 
 _FIELD_OF: Final = {
@@ -380,7 +377,7 @@ def decode_route(raw: msgspec.Raw) -> RouteSnapshot:
     """Decode what `encode_route` has returned.
 
     Raises:
-        ProtocolError: it is none.
+        ControlProtocolError: it is none.
     """
     return _decoded(_route, raw)
 
@@ -393,29 +390,21 @@ class Frames(Generic[M]):
     """
 
     def __init__(self, limit: int, decoder: msgspec.msgpack.Decoder[M]) -> None:
-        self._limit = limit
+        self._reader = FrameReader(limit)
         self._decoder = decoder
-        self._held = bytearray()
 
     def feed(self, data: bytes) -> Iterator[M]:
         """Yield the messages that are complete with these bytes.
 
         Raises:
-            ProtocolError: a message is too large or invalid.
+            ControlProtocolError: a message is too large or invalid.
         """
-        held = self._held
-        held += data
-        while len(held) >= _LENGTH_BYTES:
-            length = int.from_bytes(held[:_LENGTH_BYTES], "big")
-            # Before its bytes are waited for, which would be kept meanwhile.
-            if length > self._limit:
-                raise ControlProtocolError(f"a message of {length:,} bytes; at most {self._limit:,} are allowed")
-            end = _LENGTH_BYTES + length
-            if len(held) < end:
-                return
-            body = bytes(held[_LENGTH_BYTES:end])
-            del held[:end]
-            yield _decoded(self._decoder, body)
+        try:
+            frames = self._reader.feed(data)
+        except ProtocolError as error:
+            raise ControlProtocolError(str(error)) from None
+        for frame in frames:
+            yield _decoded(self._decoder, bytes(frame))
 
 
 def frames_to_bridge() -> Frames[ToBridge]:

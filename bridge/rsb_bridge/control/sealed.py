@@ -27,7 +27,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.transport.streams import OpenNetworkTransport
+from rsb_bridge.transport.zenoh.pipe import Pipe
 from rsb_bridge.wire.events import Admitted, Failed, OperatorOpened, RefusalCode, StreamRefused
 from rsb_bridge.wire.handshake import ReplayCache
 from rsb_bridge.wire.operator_connection import RECORD_CONTENT, OperatorConsole, OperatorEngine
@@ -190,7 +190,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast("asyncio.Transport", transport)
         host, self._peer = _origin(transport.get_extra_info("peername"))
-        at = transport.get_extra_info("sockname")[0] if isinstance(transport, OpenNetworkTransport) else ""
+        at = transport.get_extra_info("sockname")[0] if isinstance(transport, Pipe) else ""
         self._machine = OperatorEngine(self._acceptor.access.name, self._acceptor.credential, at)
         if not self._acceptor.add(self) or not self._arrive(host):
             self.abort()
@@ -224,7 +224,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
             self._transport.write(answer)
             if self._machine.accepted and self.stage is ConnectionStage.WAITING:
                 secret = self._machine.sample_secret
-                if secret is not None and isinstance(self._transport, OpenNetworkTransport):
+                if secret is not None and isinstance(self._transport, Pipe):
                     self._transport.authenticate(secret, opener=False)
                 self._accept()
 
@@ -260,7 +260,7 @@ class SealedConsole(PendingConnection, asyncio.Protocol):
         self.operator = f"{self.name} (operator key){place}"
         server = self._acceptor.server
         self._console = AttachedConsole(server, self, server.full(_PLACES))
-        if isinstance(self._transport, OpenNetworkTransport):
+        if isinstance(self._transport, Pipe):
             self._transport.when_doubted = self._console.doubted
         server.add(self._console)
         text = f"{self.operator} has attached through {self._peer}, and may {self._granted.operator.may}"
@@ -421,7 +421,7 @@ class _OperatorConnection(asyncio.Protocol):
         self._machine = machine
         self._engine = engine
         self._at = at
-        self._trial: OpenNetworkTransport | None = None
+        self._trial: Pipe | None = None
         self._refused = False
         self._reader = asyncio.StreamReader(_HELD, loop)
         self._transport: asyncio.Transport | None = None
@@ -433,7 +433,7 @@ class _OperatorConnection(asyncio.Protocol):
             self._transport.abort()
             return
         self._reader.set_transport(self._transport)
-        if isinstance(transport, OpenNetworkTransport):
+        if isinstance(transport, Pipe):
             self._trial = transport
             transport.begin_trial()
         self._transport.write(self._machine.start())
@@ -458,7 +458,7 @@ class _OperatorConnection(asyncio.Protocol):
                 case _:
                     raise AssertionError("an event of links")
 
-    def _prove(self, transport: OpenNetworkTransport, data: bytes) -> bool:
+    def _prove(self, transport: Pipe, data: bytes) -> bool:
         """Whether an answer proves the key; anybody in the network may answer, also in the engine's name."""
         machine = self._machine.fork()
         events = machine.receive_data(data)

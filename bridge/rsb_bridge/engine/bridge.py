@@ -61,53 +61,15 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.name_watch import Follower
-    from rsb_bridge.model.benchmark import BenchmarkStep
     from rsb_bridge.model.commands import Command, R
     from rsb_bridge.model.session import Client, Session
-    from rsb_bridge.model.snapshot import RefusedClient
-    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, RosInterface, Subscription
+    from rsb_bridge.ros.ros_interface import OnFailure, RawMessage, Subscription
     from rsb_bridge.telemetry.snapshot_publisher import SnapshotPublisher
 
     Handler: TypeAlias = Callable[[Any], Coroutine[None, None, object]]
     """Executes a command of one type, and returns its result."""
 
 _WORD = b"shutdown"
-
-
-def watch_shutdown_topic(
-    ros: RosInterface,
-    loop: asyncio.AbstractEventLoop,
-    topic: str,
-    act: Callable[[], None],
-    failed: Callable[[str], None],
-) -> LastingSubscription:
-    """Wait for a node to publish the word ``shutdown``.
-
-    Args:
-        act: called on the ROS thread each time.
-        failed: called on the loop with the reason when the subscription fails; it is opened again.
-
-    Raises:
-        RosError: the topic can't be subscribed to.
-    """
-
-    def sink(batch: Sequence[RawMessage]) -> None:
-        if any(string_bytes(taken.payload) == _WORD for taken in batch):
-            act()
-
-    def subscribe(on_failure: OnFailure) -> Subscription:
-        # A bridge needs no types: without std_msgs, the topic works nevertheless.
-        type_hash = ros.installed_hash(STRING) or STRING_HASH
-        return ros.subscribe(topic, STRING, type_hash, Qos(), sink, None, on_failure)
-
-    def changed() -> None:
-        if watch.failure:
-            failed(watch.failure)
-
-    watch = LastingSubscription(loop, subscribe, changed)
-    return watch
-
-
 _ERROR_LOGGED_EVERY = 10.0
 """s until the same internal error is logged again. A round figure: an error on the path of messages would otherwise
 write a traceback for each of them."""
@@ -137,7 +99,8 @@ class Bridge:
     ) -> None:
         self.context = context
         self._snapshots = snapshots
-        self._role: BridgeRole = (ServerRole if context.session.role == "server" else ClientRole)(context, keys)
+        is_server = context.session.role == "server"
+        self._role: BridgeRole = ServerRole(context, keys) if is_server else ClientRole(context, keys)
         self._names = NameWatch(context, self._followers)
         context.names_changed = self._names.changed
         self.graph_watch = GraphWatch(context, self._role.links, self._names.changed)
@@ -185,10 +148,6 @@ class Bridge:
     def links(self) -> list[Link]:
         """Return all links, up or down: a client's one, or a server's many."""
         return self._role.links()
-
-    def refused(self) -> tuple[RefusedClient, ...]:
-        """Return the refused clients."""
-        return self._role.refused()
 
     @property
     def session(self) -> Session:
@@ -293,11 +252,22 @@ class Bridge:
             )
             self._role.shut_down(message)
 
-        def failed(reason: str) -> None:
-            text = f"{reason}: the shutdown topic has no effect until the subscription is open again"
-            context.events.add(Level.ERROR, EventCode.ENGINE_SUBSCRIBE_FAILED, text)
+        def sink(batch: Sequence[RawMessage]) -> None:
+            if any(string_bytes(taken.payload) == _WORD for taken in batch):
+                context.call(act)
 
-        return watch_shutdown_topic(context.ros, context.loop, topic, lambda: context.call(act), failed)
+        def subscribe(on_failure: OnFailure) -> Subscription:
+            # A bridge needs no types: without std_msgs, the topic works nevertheless.
+            type_hash = context.ros.installed_hash(STRING) or STRING_HASH
+            return context.ros.subscribe(topic, STRING, type_hash, Qos(), sink, None, on_failure)
+
+        def changed() -> None:
+            if watch.failure:
+                text = f"{watch.failure}: the shutdown topic has no effect until the subscription is open again"
+                context.events.add(Level.ERROR, EventCode.ENGINE_SUBSCRIBE_FAILED, text)
+
+        watch = LastingSubscription(context.loop, subscribe, changed)
+        return watch
 
     def internal_error(self, _: asyncio.AbstractEventLoop, details: dict[str, object]) -> None:
         """Log an uncaught exception; an event loop's exception handler."""
@@ -507,27 +477,20 @@ class Bridge:
             yield link.patterns.followed
 
     async def _bench(self, command: commands.Bench) -> Outcome:
-        return await carry_out(command.order, self.links())
+        order, links = command.order, self.links()
+        if order.what == "measure":
+            cpu, memory = resources()
+            # (0, 0), as there may be no link.
+            counts = zip((0, 0), *(link.bench.wire_bytes() for link in links), strict=True)
+            sent, received = (sum(each) for each in counts)
+            return Outcome(Usage(cpu, memory, sent, received))
+        link = link_named(order.link, links)
+        if order.what == "run":
+            return await link.bench.run(order)
+        link.bench.end()
+        return Outcome(link.bench.usage())
 
     async def _topics(self, command: commands.Topics) -> tuple[TopicInfo, ...]:
         if command.link is None:
             return tuple(await asyncio.to_thread(graph_of, self.context.ros, CALLED))
         return tuple(await topics_of_peer(self.links(), command.link))
-
-
-async def carry_out(order: BenchmarkStep, links: Sequence[Link]) -> Outcome:
-    """Do what a benchmark orders.
-
-    Raises:
-        LinkError: it cannot be done, or the peer does not allow it.
-    """
-    if order.what == "measure":
-        cpu, memory = resources()
-        # (0, 0), as there may be no link.
-        sent, received = (sum(each) for each in zip((0, 0), *(link.bench.wire_bytes() for link in links), strict=True))
-        return Outcome(Usage(cpu, memory, sent, received))
-    link = link_named(order.link, links)
-    if order.what == "run":
-        return await link.bench.run(order)
-    link.bench.end()
-    return Outcome(link.bench.usage())

@@ -185,19 +185,6 @@ class _SessionTopic:
             self._publisher = None
 
 
-class DiagnosticsExporter:
-    """Publishes how everything is, on the session's `diagnostics_topic`, once a second while anybody listens."""
-
-    def __init__(self, context: Context) -> None:
-        self._topic = _SessionTopic(context, "diagnostics_topic", _TYPE, _QOS)
-        self.open, self.close = self._topic.open, self._topic.close
-
-    def tick(self, snapshot: Snapshot) -> None:
-        """Publish, if anybody listens; to be called once a second."""
-        if self._topic.is_heard(snapshot):
-            self._topic.publish(diagnostics(snapshot))
-
-
 class DriverExporter:
     """Publishes who holds which topic, on the session's `driver_topic`: latched, and when it changes."""
 
@@ -371,7 +358,7 @@ class Exporters:
     """
 
     def __init__(self, context: Context, look: Callable[[], Snapshot], folder: Callable[[], Path]) -> None:
-        self._diagnostics = DiagnosticsExporter(context)
+        self._diagnostics = _SessionTopic(context, "diagnostics_topic", _TYPE, _QOS)
         self._driver = DriverExporter(context, look)
         self._metrics = MetricsExporter(context, look)
         self._fault_hook = FaultHook(context, folder)
@@ -389,7 +376,8 @@ class Exporters:
 
     def tick(self, snapshot: Snapshot) -> None:
         """To be called once a second, with the newest snapshot."""
-        self._diagnostics.tick(snapshot)
+        if self._diagnostics.is_heard(snapshot):
+            self._diagnostics.publish(diagnostics(snapshot))
         self._driver.tick(snapshot)
         self._fault_hook.tick(snapshot)
 

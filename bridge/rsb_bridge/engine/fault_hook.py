@@ -20,7 +20,7 @@ from rsb_bridge.model.snapshot import Level, LinkSnapshot, PatternSnapshot
 from rsb_bridge.model.text import encodable, sanitize_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     from rsb_bridge.context import Context
@@ -169,13 +169,16 @@ class WaitingChanges:
     """Changes that wait for their command: the newest of each link, route and pattern.
 
     A fault whose begin was not reported has no other report.
+
+    Attributes:
+        merged: number of changes that were merged since the last call of `told`.
     """
 
     def __init__(self) -> None:
         self._waiting: dict[tuple[str, str], FaultChange] = {}
         self._told: set[tuple[str, str]] = set()
         """Links, routes and patterns with a reported begin, and no reported end."""
-        self._merged = 0
+        self.merged = 0
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -188,19 +191,19 @@ class WaitingChanges:
     def add(self, change: FaultChange) -> None:
         """Add a change. It replaces an earlier one of the same subject; if the queue is full, it is only counted."""
         earlier = self._waiting.pop(change.key, None)
-        self._merged += earlier is not None
+        self.merged += earlier is not None
         # The change that this one replaces was never reported.
         before = change.before if earlier is None else earlier.before
         kind = change.kind
         if change.key not in self._told:
             if kind is ChangeKind.OVER:
-                self._merged += 1
+                self.merged += 1
                 return
             kind = ChangeKind.BEGUN
         elif kind is ChangeKind.BEGUN:
             kind = ChangeKind.CHANGED  # its end was not told
         if len(self._waiting) >= WAITING and not self._make_room(change):
-            self._merged += 1
+            self.merged += 1
             return
         self._waiting[change.key] = replace(change, kind=kind, before=before)
 
@@ -211,7 +214,7 @@ class WaitingChanges:
         for key, each in reversed(self._waiting.items()):
             if not isinstance(each.subject, LinkSnapshot) and each.kind is not ChangeKind.OVER:
                 del self._waiting[key]
-                self._merged += 1
+                self.merged += 1
                 return True
         return False
 
@@ -219,14 +222,9 @@ class WaitingChanges:
         """Return all that wait: links first, then in the order in which they came."""
         return sorted(self._waiting.values(), key=lambda each: not isinstance(each.subject, LinkSnapshot))
 
-    @property
-    def merged(self) -> int:
-        """Number of changes that were merged since the last call of `told`."""
-        return self._merged
-
     def told(self, changes: Iterable[FaultChange]) -> None:
         """Remove the reported changes."""
-        self._merged = 0
+        self.merged = 0
         for each in changes:
             del self._waiting[each.key]
             if each.kind is ChangeKind.OVER:
@@ -334,7 +332,7 @@ class _Runner:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 cwd=self._base,
-                env=command_environment(os.environ),
+                env={name: value for name, value in os.environ.items() if not name.startswith(_OF_THE_BRIDGE)},
                 start_new_session=True,
             )
         except OSError as error:
@@ -414,11 +412,6 @@ class _Output:
         with contextlib.suppress(BlockingIOError):
             data = os.read(self._descriptor, _READ_SIZE)
             self.kept += data[: OUTPUT - len(self.kept)]
-
-
-def command_environment(environment: Mapping[str, str]) -> dict[str, str]:
-    """Leave out the variables that are meant for the bridge's own process."""
-    return {name: value for name, value in environment.items() if not name.startswith(_OF_THE_BRIDGE)}
 
 
 def _has_exited(process: subprocess.Popen[bytes]) -> bool:

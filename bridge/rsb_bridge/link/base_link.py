@@ -12,7 +12,7 @@ from rsb_bridge.link.extension import Extension
 from rsb_bridge.link.fullness import FullnessWatch, LinkFullness
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.link_status import LinkFault, LinkStatus
-from rsb_bridge.link.path_watch import STALLED, PathWatch, Pings
+from rsb_bridge.link.path_watch import STALLED, PathWatch
 from rsb_bridge.model import profiles
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Coroutine
 
-    from rsb_bridge.channel.channel import ChannelCarrier
     from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel, Slices
+    from rsb_bridge.link.data_channels import ChannelCarrier
     from rsb_bridge.model.purposes import Purpose
     from rsb_bridge.model.session import Kind
     from rsb_bridge.route.route import Route
@@ -451,7 +451,7 @@ class BaseLink(ABC):
             control.stream,
             {stream: packets for stream, packets in counts.items() if packets is not None},
             [route.channel for route in self.routes.values() if isinstance(route.channel, DatagramSender)],
-            Pings(self.keepalive.round_trip, self.keepalive.answered_pings, self.keepalive.quiet),
+            self.keepalive,
             self.peer_name,
             self.context.now(),
             large_vanish=any(isinstance(each, OutgoingRoute) and each.large_vanish for each in self.routes.values()),

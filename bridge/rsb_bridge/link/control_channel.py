@@ -14,8 +14,8 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.tasks import NOT_TOO_EARLY
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.codec import decode_in_parts, invalid
-from rsb_bridge.wire.events import DataFrame, Event, Failed, MessageReceived, StreamRefused, Undecoded
+from rsb_bridge.wire.codec import decode, invalid
+from rsb_bridge.wire.events import DataFrame, Event, Failed, MessageReceived, StreamRefused
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import Describe, Shutdown
 from rsb_bridge.wire.protocol_error import ProtocolError
@@ -115,7 +115,6 @@ class ControlChannel(StreamHandler):
         self._entries = TokenBucket(_ENTRIES, _ENTRIES_A_SECOND, self._loop.time())
         self._work: Slices | None = None  # the rest of the newest message
         self._owes = False  # more came than the volume allows
-        connection.decodes = False
         stream.handler = self
 
     def send(self, message: ControlMessage) -> None:
@@ -190,7 +189,7 @@ class ControlChannel(StreamHandler):
                 units -= 1 + self._do_slice(self._work, now) // _ENTRIES_A_UNIT
                 if self._work is not None:
                     units = 0  # it was a whole slice
-            elif isinstance(self._events[0], MessageReceived | Undecoded) and not self._allowance.take(1, now):
+            elif isinstance(self._events[0], MessageReceived) and not self._allowance.take(1, now):
                 delay = (1 - self._allowance.left(now)) / _MESSAGES_A_SECOND
                 break
             else:
@@ -230,16 +229,14 @@ class ControlChannel(StreamHandler):
     def _act_on(self, event: Event) -> int:
         """Act on an event. Returns the units of work that it was (`_AT_ONCE`)."""
         match event:
-            case Undecoded(content):
+            case MessageReceived(content):
                 try:
-                    message = decode_in_parts(content)
+                    message = decode(content)
                 except ProtocolError as error:
                     self._broken(error)
                     return 1
                 return self._take_message(message) + len(content) // _BYTES_A_UNIT
-            case MessageReceived(message):
-                return self._take_message(message)
-            case DataFrame(_, frame):
+            case DataFrame(frame):
                 self._take_data(frame)
             case Failed(reason):
                 self.abort(f"the peer broke the format: {reason}")

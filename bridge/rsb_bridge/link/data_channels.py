@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from rsb_bridge.channel.data_keys import DataKeys
-from rsb_bridge.channel.data_stream import StreamPair
+from rsb_bridge.channel.data_stream import StreamPair, stream_channel
 from rsb_bridge.channel.receipts import ReceiptBook
 from rsb_bridge.channel.scheduler import Scheduler
-from rsb_bridge.channel.stream_channel import stream_channel
 from rsb_bridge.channel.udp_channel import PathProbe
 from rsb_bridge.channel.window import Window
 from rsb_bridge.model.codes import EventCode
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Iterator
 
-    from rsb_bridge.channel.channel import ChannelCarrier
     from rsb_bridge.channel.data_keys import Meter
     from rsb_bridge.channel.data_stream import DataStream, RouteNumbers
     from rsb_bridge.channel.udp_channel import BufferShortage, UdpChannel
@@ -36,6 +34,8 @@ if TYPE_CHECKING:
 _PROBE_EVERY, _QUICK_PROBES = 0.25, 8
 """s between the first probes of a channel, and how many: its topics wait for an answer, and `tick` comes once a second
 only. Round figures: nothing was measured."""
+ChannelCarrier: TypeAlias = "Stream | UdpChannel"
+"""The stream or socket of one or several channels; counts wire bytes."""
 CONTROL_NUMBER = 0
 """The number of the control connection where it is a data stream, too."""
 _OUT_OF_ORDER = 1024
@@ -101,7 +101,7 @@ class UdpChannels:
             for here, shortage in channel.shortages.items():
                 if here not in self._shortages_told:  # the remedy is the same for all channels of a machine
                     self._shortages_told.add(here)
-                    self._log(Level.WARNING, EventCode.LINK_UDP_BUFFER, _shortage_message(shortage))
+                    self._log(Level.WARNING, EventCode.LINK_UDP_BUFFER, _shortage_message(here, shortage))
 
     def send_urgent(self, content: bytes) -> None:
         """Send a control message as it is encoded over all channels that have found their path."""
@@ -120,9 +120,9 @@ class UdpChannels:
         return list(self._channels.values())
 
 
-def _shortage_message(shortage: BufferShortage) -> str:
+def _shortage_message(here: bool, shortage: BufferShortage) -> str:
     """Return the reason why large messages are slow, and the remedy, for an operator."""
-    whose, where = ("this machine's", "here") if shortage.here else ("the other side's", "there")
+    whose, where = ("this machine's", "here") if here else ("the other side's", "there")
     return (
         f"{whose} kernel buffers only {shortage.granted:,} bytes of UDP, and messages have {shortage.message:,}: they "
         f"come late, or are lost. Run {where}: sudo sysctl -w net.core.rmem_max={RECEIVE_BUFFER}"
@@ -175,7 +175,7 @@ class DataChannels:
     def connected(self, keys: SessionKeys, role: Role, ages: Ages) -> None:
         """Begin a connection with its keys."""
         self._book = ReceiptBook(self._loop, self._send_receipts, self._way_back, self._ping)
-        self.scheduler = Scheduler(self._book, Window(self._ping(), ages))
+        self.scheduler = Scheduler(self._book, Window(ages))
         self.keys = DataKeys(keys, role, self._unfinished, meter_of=self._meter_of)
         self.probe = PathProbe(self.keys)
         self._newest = 0
@@ -254,7 +254,7 @@ class DataChannels:
         assert self.keys is not None
         pair = self._pairs.get((transport, port))
         if pair is None or pair.over:
-            pair = StreamPair(self._routes, self.scheduler, self._book, self._unfinished, self.keys.scratch)
+            pair = StreamPair(self._routes, self.scheduler, self._book, self.keys)
             self._pairs[transport, port] = pair
         return pair
 

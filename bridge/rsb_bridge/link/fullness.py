@@ -22,8 +22,9 @@ from rsb_bridge.wire.records import FullRecord
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
-    from rsb_bridge.channel.channel import ChannelCarrier, SendingChannel
+    from rsb_bridge.channel.channel import SendingChannel
     from rsb_bridge.context import Context
+    from rsb_bridge.link.data_channels import ChannelCarrier
     from rsb_bridge.link.keepalive import Keepalive
     from rsb_bridge.route.route import Route
     from rsb_bridge.route.traffic import Traffic

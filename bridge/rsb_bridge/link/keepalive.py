@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Collection
 
-    from rsb_bridge.channel.channel import ChannelCarrier
     from rsb_bridge.context import Context
+    from rsb_bridge.link.data_channels import ChannelCarrier
 
 DEAD_AFTER = 5.0
 """s without a byte from the peer until the link is given up. A round figure: five pings in a row went unanswered."""

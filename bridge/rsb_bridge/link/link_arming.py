@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.peer_operators import acting_operator
@@ -24,7 +24,6 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.route.arming import ANSWERED_WITHIN, DISARM_TEXT, Disarmed
 from rsb_bridge.route.lease import BEAT, LeaseHalf, Standstill
-from rsb_bridge.route.peer import Peer
 from rsb_bridge.tasks import NOT_TOO_EARLY
 from rsb_bridge.wire import messages as wire
 from rsb_bridge.wire.messages import Arm, Armed, Disarm
@@ -33,11 +32,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator
 
     from rsb_bridge.context import Context
+    from rsb_bridge.link.base_link import BaseLink
     from rsb_bridge.link.peer_operators import PeerOperators
     from rsb_bridge.model.demands import Demand, RunningDemands
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.messages import Accept, ArmingMessage, Propose, Settled, UrgentMessage
+    from rsb_bridge.wire.messages import Accept, ArmingMessage, Propose, Settled
 
 _LOOK_EVERY = 0.02
 """s between looks whether a route is open: an operator waits so much longer at most. A round figure."""
@@ -69,14 +69,6 @@ class WaitingCommand:
         self.withdrawn = False
 
 
-class UrgentPeer(Peer, Protocol):
-    """A peer that urgent messages can be sent to."""
-
-    def send_urgent(self, message: UrgentMessage) -> None:
-        """Send a control message, and as datagrams besides where the link has UDP. It may arrive twice, or late."""
-        ...
-
-
 class LinkLease:
     """Keeps a link's lease as long as anything is armed (PROTOCOL.md, 7.2): numbers to and from the other side.
 
@@ -91,7 +83,7 @@ class LinkLease:
     def __init__(
         self,
         context: Context,
-        peer: UrgentPeer,
+        peer: BaseLink,
         is_needed: Callable[[], bool],
         lives: Callable[[], None],
         lapsed: Callable[[], None],
@@ -186,7 +178,7 @@ class LinkArming:
     def __init__(
         self,
         context: Context,
-        peer: UrgentPeer,
+        peer: BaseLink,
         peer_operators: PeerOperators,
         routes: Callable[[], tuple[Route, ...]],
         propose: Callable[[Route], None],

@@ -40,11 +40,9 @@ class Follower(Protocol):
 
     def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
         """Return the patterns of the names that it wants."""
-        ...
 
     def update_names(self, names: Names) -> None:
         """Take the present names of the graph that match any follower's patterns."""
-        ...
 
 
 class _Found(NamedTuple):

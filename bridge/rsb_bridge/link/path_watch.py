@@ -11,7 +11,7 @@ packets. UDP's own probes are small and have the same addresses as its messages.
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.path_fault import PathFault, PathFaultText
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
     from rsb_bridge.channel.datagram_channel import DatagramSender
+    from rsb_bridge.link.keepalive import Keepalive
     from rsb_bridge.transport.streams import Stream
 
 _TICKS = 20
@@ -57,20 +58,6 @@ STALLED = "nothing gets through it, though pings are answered"
 
 
 _NOTHING = PacketCounts(0, 0, 0, 0, 0)
-
-
-class Pings(NamedTuple):
-    """Figures of a link's pings.
-
-    Attributes:
-        round_trip: s of the newest, or of the wait for its answer, or None before the first.
-        answered: number of answers so far.
-        quiet: s since anything came from the peer.
-    """
-
-    round_trip: float | None
-    answered: int
-    quiet: float
 
 
 class PacketLoss:
@@ -152,7 +139,7 @@ class PathWatch:
         control: Stream,
         streams: Mapping[Stream, PacketCounts],
         senders: Collection[DatagramSender],
-        pings: Pings,
+        pings: Keepalive,
         peer: str,
         now: float,
         *,
@@ -222,7 +209,7 @@ class PathWatch:
         self,
         control: Stream,
         streams: Mapping[Stream, PacketCounts],
-        pings: Pings,
+        pings: Keepalive,
         lost: int,
         now: float,
         *,
@@ -241,9 +228,9 @@ class PathWatch:
             return []
         self._stalled_at = now
         if self.loss.lossy or self._probe is None or self._probe[1] != lost:
-            self._probe = pings.answered, lost  # small packets are lost as well
+            self._probe = pings.answered_pings, lost  # small packets are lost as well
             return []
-        if pings.answered - self._probe[0] < _SMALL_PASSED:
+        if pings.answered_pings - self._probe[0] < _SMALL_PASSED:
             return []
         fresh = [stream for stream, counts in stalled.items() if counts.acknowledged < _LARGE]
         self._large = self._large or vanish or bool(fresh)

@@ -144,11 +144,9 @@ class Recording(Protocol):
     @property
     def events(self) -> EventLog:
         """The engine's."""
-        ...
 
     def now(self) -> float:
         """Return the time (s) on a clock that nobody sets."""
-        ...
 
 
 class Refusals:

@@ -60,7 +60,8 @@ def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterato
     """
     if link.key != key:
         effect = "the link is closed, and connects again with the new key"
-        yield ReloadStep(f"{_key_change(link.key, key)}: {effect}", partial(link.change_key, key))
+        (change,) = _key_changes(link.fingerprints, (fingerprint(key) if key is not None else "", ""))
+        yield ReloadStep(f"{change}: {effect}", partial(link.change_key, key))
     yield from _topic_steps(link, session.topics)
     listed = {topic.identity for topic in session.topics}
     own = {route.spec.identity for route in link.routes.values() if route.proposed_here}
@@ -240,11 +241,3 @@ def _key_changes(old: tuple[str, ...], new: tuple[str, ...]) -> list[str]:
     names = ("key", "next key")
     pairs = zip_longest(names, old, new, fillvalue="")
     return [f"{name} {before or 'none'} → {after or 'none'}" for name, before, after in pairs if before != after]
-
-
-def _key_change(old: Key | None, new: Key | None) -> str:
-    return f"key {_mark(old)} → {_mark(new)}"
-
-
-def _mark(key: Key | None) -> str:
-    return fingerprint(key) if key is not None else "none"

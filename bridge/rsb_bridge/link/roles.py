@@ -6,7 +6,7 @@ import asyncio
 import socket
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
 import msgspec
 
@@ -51,64 +51,6 @@ ReportStep = Callable[[str], None]
 """Takes each step of a restart, as text for an operator."""
 
 
-class BridgeRole(Protocol):
-    """This side's end of the bridge: a client or a server."""
-
-    async def start(self) -> None:
-        """Bind or connect; raise ListenError if a port cannot be bound."""
-        ...
-
-    async def stop(self) -> None:
-        """Tell the peers, and close everything."""
-        ...
-
-    @property
-    def session(self) -> Session:
-        """The session with all changes by operators. May be read from any thread."""
-        ...
-
-    @property
-    def keys(self) -> Keys:
-        """Keys of all links."""
-        ...
-
-    def links(self) -> list[Link]:
-        """Return all links, up or down."""
-        ...
-
-    def refused(self) -> tuple[RefusedClient, ...]:
-        """Return the refused clients."""
-        ...
-
-    def tick(self) -> None:
-        """Do the regular work once a second, before the links' own ticks."""
-        ...
-
-    def add(self, topic: Topic, link: str) -> tuple[Link, str, Topic]:
-        """Bridge one more topic, or follow a pattern; return its link, its key, and the topic with the client's names.
-
-        Raises:
-            LinkError: the topic has a mistake or exists already, or it is unclear which link is meant.
-        """
-        ...
-
-    def steps_to(self, session: Session, keys: Keys) -> list[ReloadStep]:
-        """Return the steps that bring topics and clients in line with a session."""
-        ...
-
-    def retry(self, link: str) -> None:
-        """Connect at once, and propose refused routes again."""
-        ...
-
-    def shut_down(self, who: str) -> None:
-        """Close every link on both sides until an operator restarts; `who` is the operator's name."""
-        ...
-
-    async def restart(self, step: ReportStep) -> None:
-        """Close every link on both sides, then connect again."""
-        ...
-
-
 def _entries(session: Session, keys: Keys) -> list[ClientEntry]:
     return [
         ClientEntry(
@@ -144,7 +86,7 @@ class ClientRole:
 
     async def stop(self) -> None:
         self._tasks.cancel()  # else it would connect again after its goodbye
-        await _farewell(self.links(), "the client stops", retry_after=0.0)
+        await _farewell(self.links(), "the client stops")
         self._link.destroy()
 
     @property
@@ -214,6 +156,7 @@ class ServerRole:
         self._stopped = False
 
     async def start(self) -> None:
+        """Bind; raise ListenError if a port of this machine cannot be bound."""
         for link in self._server.links.values():
             for topic in link.entry.client.topics:
                 link.add_entry(topic)
@@ -229,7 +172,7 @@ class ServerRole:
         self._stopped = True
         self._tasks.cancel()
         self._server.stop()  # before the farewell, after which clients come back
-        await _farewell(self.links(), "the server stops", retry_after=0.0)
+        await _farewell(self.links(), "the server stops")
         for link in self.links():
             link.destroy()
 
@@ -257,6 +200,11 @@ class ServerRole:
         self._server.tick()
 
     def add(self, topic: Topic, link: str) -> tuple[Link, str, Topic]:
+        """Bridge one more topic, or follow a pattern; return its link, its key, and the topic with the client's names.
+
+        Raises:
+            LinkError: the topic has a mistake or exists already, or it is unclear which link is meant.
+        """
         chosen = self._chosen(link, topic.topic)
         topic = chosen.client_names(topic)
         return chosen, chosen.add_entry(topic), topic
@@ -283,6 +231,7 @@ class ServerRole:
                 robot.table.retry()
 
     def shut_down(self, who: str) -> None:
+        """Close every link on both sides until an operator restarts; `who` is the operator's name."""
         self._server.shut_down(who)
 
     async def restart(self, step: ReportStep) -> None:
@@ -299,7 +248,7 @@ class ServerRole:
         if self._binding is not None:
             self._binding.cancel()  # it would close the ports that are bound below
         self._server.stop()
-        await _farewell(linked, "restart", retry_after=0.0)
+        await _farewell(linked, "restart")
         step(f"binding {self._context.session.server_ip} port {self._context.session.server_port}")
         if self._stopped:  # during the farewell: a port that is bound now would stay bound
             raise LinkError(Denied.SERVER_STOPS())
@@ -340,13 +289,17 @@ class ServerRole:
         return ""
 
 
-async def _farewell(links: Iterable[Link], reason: str, *, retry_after: float | None) -> None:
+BridgeRole: TypeAlias = ClientRole | ServerRole
+"""This side's end of the bridge."""
+
+
+async def _farewell(links: Iterable[Link], reason: str) -> None:
     """Close links, and wait up to 0.5 s until their peers have been sent the reason."""
     streams = []
     for link in links:
         if link.control is not None:
             streams.append(link.control.stream)
-            link.control.shut_down(reason, retry_after=retry_after)
+            link.control.shut_down(reason, retry_after=0.0)
     deadline = asyncio.get_running_loop().time() + _FAREWELL
     while any(not stream.gone for stream in streams) and asyncio.get_running_loop().time() < deadline:  # noqa: ASYNC110 -- plain state, polled for a moment
         await asyncio.sleep(0.01)

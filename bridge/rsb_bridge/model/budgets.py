@@ -52,27 +52,23 @@ class Strangers:
     """The budget of all strangers of an engine, over all transports. Used on any thread.
 
     Attributes:
+        used: bytes counted now.
         turned_away: connections closed and samples dropped so far: the budget was spent, or they were too long.
     """
 
     def __init__(self, limit: int = LIMIT) -> None:
         self.turned_away = 0
         self._limit = limit
-        self._used = 0
+        self.used = 0
         self._counting = threading.Lock()
-
-    @property
-    def used(self) -> int:
-        """Bytes counted now."""
-        return self._used
 
     def take(self, size: int) -> bool:
         """Count some bytes, unless the budget is spent. Return whether they are counted."""
         with self._counting:
-            if self._used + size > self._limit:
+            if self.used + size > self._limit:
                 self.turned_away += 1
                 return False
-            self._used += size
+            self.used += size
             return True
 
     def turn_away(self) -> None:
@@ -82,7 +78,7 @@ class Strangers:
 
     def give(self, size: int) -> None:
         with self._counting:
-            self._used -= size
+            self.used -= size
 
 
 class Backoff:

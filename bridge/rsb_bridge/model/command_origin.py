@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 from contextvars import ContextVar
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator
+    from contextlib import AbstractContextManager
+
+T = TypeVar("T")
 
 OWN_CONSOLE = "the bridge's own console"
 
@@ -24,17 +27,21 @@ def operator() -> str:
 
 
 @contextlib.contextmanager
-def acting(who: str) -> Iterator[None]:
+def _set(variable: ContextVar[T], value: T) -> Iterator[None]:
+    token = variable.set(value)
+    try:
+        yield
+    finally:
+        variable.reset(token)
+
+
+def acting(who: str) -> AbstractContextManager[None]:
     """Give commands in the name of an operator.
 
     Args:
         who: the operator in words: ``anna on pts/3``.
     """
-    token = _operator.set(who)
-    try:
-        yield
-    finally:
-        _operator.reset(token)
+    return _set(_operator, who)
 
 
 def is_undo() -> bool:
@@ -42,14 +49,9 @@ def is_undo() -> bool:
     return _undo.get()
 
 
-@contextlib.contextmanager
-def undoing(undo: bool = True) -> Iterator[None]:
+def undoing(undo: bool = True) -> AbstractContextManager[None]:
     """Mark the commands given inside as undoing earlier commands."""
-    token = _undo.set(undo)
-    try:
-        yield
-    finally:
-        _undo.reset(token)
+    return _set(_undo, undo)
 
 
 OWN = "own"
@@ -66,10 +68,5 @@ def console() -> Hashable:
     return _console.get()
 
 
-@contextlib.contextmanager
-def on_console(which: Hashable) -> Iterator[None]:
-    token = _console.set(which)
-    try:
-        yield
-    finally:
-        _console.reset(token)
+def on_console(which: Hashable) -> AbstractContextManager[None]:
+    return _set(_console, which)

@@ -422,15 +422,12 @@ class Holder(Protocol):
 
     def demand_sources(self) -> Iterable[DemandSource]:
         """Yield the entries that demand arming, as operators have left them."""
-        ...
 
     def apply_demands(self) -> None:
         """Reopen the routes whose demands have changed."""
-        ...
 
     def demand_dropped(self, source: DemandSource) -> None:
         """Tell the other side that an operator drops a demand."""
-        ...
 
 
 class RunningDemands:

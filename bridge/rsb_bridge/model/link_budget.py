@@ -53,15 +53,11 @@ def allot(capacity: float, wishes: Mapping[K, TopicDemand]) -> dict[K, float]:
     shares: dict[K, float] = {}
     left, weights = max(0.0, capacity), sum(weight_of(wish.rank) for wish in wishes.values())
     # The smallest demand for its weight first: what it leaves goes to the others.
-    for key, wish in sorted(wishes.items(), key=_per_weight):
+    for key, wish in sorted(wishes.items(), key=lambda item: item[1].bytes_per_second / weight_of(item[1].rank)):
         shares[key] = min(wish.bytes_per_second, left * weight_of(wish.rank) / weights)
         left -= shares[key]
         weights -= weight_of(wish.rank)
     return shares
-
-
-def _per_weight(item: tuple[object, TopicDemand]) -> float:
-    return item[1].bytes_per_second / weight_of(item[1].rank)
 
 
 PER_MESSAGE = 60
@@ -197,7 +193,8 @@ def cost_of(
         if route.link == link and route.outgoing == outgoing and route.key != replaces and route.calls is None
     ]
     wishes: dict[str, TopicDemand] = {
-        route.key: TopicDemand(RANKS[route.spec.priority], _wire_rate(route)) for route in routes
+        route.key: TopicDemand(RANKS[route.spec.priority], route.bytes_per_second + PER_MESSAGE * route.rate)
+        for route in routes
     }
     used = sum(wish.bytes_per_second for wish in wishes.values())
     if capacity is not None and capacity.source == CapacitySource.SEEN and capacity.bytes_per_second < used:
@@ -257,10 +254,6 @@ def _measured(routes: Iterable[RouteSnapshot], topic: Topic, type_name: str) -> 
         if type_name and route.type_name == type_name and alike is None:
             alike = load._replace(source=LoadSource.ALIKE)
     return alike
-
-
-def _wire_rate(route: RouteSnapshot) -> float:
-    return route.bytes_per_second + PER_MESSAGE * route.rate
 
 
 def as_report(cost: Cost) -> dict[str, object]:

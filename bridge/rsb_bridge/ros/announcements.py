@@ -114,12 +114,12 @@ class OwnAnnouncement:
     def __init__(self) -> None:
         self.size = 0
         self._sizes: Counter[Hashable] = Counter()  # parts of `size`, by link
-        self._publishers = _Table()
-        self._services = _Table()
+        self.publishers = _Table()
+        self.services = _Table()
 
     def content(self) -> bytes:
         """Return the message's bytes."""
-        publishers, services = b",".join(self._publishers.entries()), b",".join(self._services.entries())
+        publishers, services = b",".join(self.publishers.entries()), b",".join(self.services.entries())
         return b'{"version":1,"publishers":[%s],"services":[%s]}' % (publishers, services)
 
     def put_publisher(self, topic: str, link: Hashable, endpoint: Endpoint, origin: Origin) -> bool:
@@ -131,7 +131,7 @@ class OwnAnnouncement:
             RosError: the announcement is full.
         """
         entry = _encode(PublisherEntry(topic, endpoint.gid.hex(), origin.via, origin.live)) if origin.via else b""
-        return self._put(self._publishers, _Own(topic, link, endpoint, origin, entry))
+        return self._put(self.publishers, _Own(topic, link, endpoint, origin, entry))
 
     def put_service(self, service: str, link: Hashable, endpoint: Endpoint, via: Via) -> bool:
         """Add a service that we offer or change its origin; return whether the announcement changed.
@@ -139,9 +139,7 @@ class OwnAnnouncement:
         Raises:
             RosError: the announcement is full.
         """
-        return self._put(
-            self._services, _Own(service, link, endpoint, Origin(via), _encode(ServiceEntry(service, via)))
-        )
+        return self._put(self.services, _Own(service, link, endpoint, Origin(via), _encode(ServiceEntry(service, via))))
 
     def _put(self, table: _Table, own: _Own) -> bool:
         before = table.by_gid.get(own.endpoint.gid)
@@ -158,7 +156,7 @@ class OwnAnnouncement:
 
     def remove(self, gid: bytes) -> bool:
         """Remove a publisher or service; return whether it was there."""
-        own = self._publishers.pop(gid) or self._services.pop(gid)
+        own = self.publishers.pop(gid) or self.services.pop(gid)
         if own is None:
             return False
         self.size -= own.size
@@ -169,16 +167,8 @@ class OwnAnnouncement:
 
     def origin_of(self, gid: bytes) -> Origin | None:
         """Return the origin of an endpoint of ours, or None for any other."""
-        own = self._publishers.by_gid.get(gid) or self._services.by_gid.get(gid)
+        own = self.publishers.by_gid.get(gid) or self.services.by_gid.get(gid)
         return own.origin if own is not None else None
-
-    def publishers(self, topic: str, besides: Hashable) -> list[Endpoint]:
-        """Return our publishers on a topic, without the given link's."""
-        return self._publishers.of(topic, besides)
-
-    def servers(self, service: str, besides: Hashable) -> list[Endpoint]:
-        """Return our servers of a service, without the given link's."""
-        return self._services.of(service, besides)
 
 
 class _Table:
@@ -267,6 +257,9 @@ class Announcements:
 
     Attributes:
         bridges: the names of the domain's bridge nodes, our own first.
+        changed: has the routes check for loops again.
+        own_publishers: returns our publishers on a topic, without the given link's.
+        own_servers: returns our servers of a service, without the given link's.
     """
 
     def __init__(self, ros: RosInterface, loop: asyncio.AbstractEventLoop, warn: Callable[[str], None]) -> None:
@@ -275,10 +268,12 @@ class Announcements:
         self._ros = ros
         self._loop = loop
         self._warn = warn
-        self._changed: Callable[[], None] = _nobody
+        self.changed: Callable[[], None] = lambda: None  # until `start`
         self._publisher: Publisher | None = None
         self._subscription: LastingSubscription | None = None
         self._own = OwnAnnouncement()
+        self.own_publishers = self._own.publishers.of
+        self.own_servers = self._own.services.of
         self._offers = 0
         self._said = b""
         self._saying: asyncio.TimerHandle | None = None
@@ -299,7 +294,7 @@ class Announcements:
         Args:
             changed: called when `bridges` or an origin has changed.
         """
-        self._changed = changed
+        self.changed = changed
         # The hash of the installed package: another one would be refused as another version of the type.
         type_hash = self._ros.installed_hash(STRING) or STRING_HASH
 
@@ -333,10 +328,6 @@ class Announcements:
             if endpoint is not None:
                 endpoint.close()
         self._subscription = self._publisher = None
-
-    def changed(self) -> None:
-        """Have the routes check for loops again."""
-        self._changed()
 
     # --- our own
 
@@ -376,14 +367,6 @@ class Announcements:
         if self._own.remove(gid):
             self._say_soon()
 
-    def own_publishers(self, topic: str, besides: Hashable) -> list[Endpoint]:
-        """Return our publishers on a topic, without the given link's."""
-        return self._own.publishers(topic, besides)
-
-    def own_servers(self, service: str, besides: Hashable) -> list[Endpoint]:
-        """Return our servers of a service, without the given link's."""
-        return self._own.servers(service, besides)
-
     def _say_soon(self) -> None:
         if self._saying is None and self._publisher is not None:
             # Others read only so many bytes in a second.
@@ -391,7 +374,7 @@ class Announcements:
 
     def _say(self) -> None:
         self._saying = None
-        self._changed()  # for our own routes that subscribe to our publishers
+        self.changed()  # for our own routes that subscribe to our publishers
         content = self._own.content()
         if content == self._said or self._publisher is None:
             return
@@ -457,7 +440,7 @@ class Announcements:
                 heard.append(self._heard[gid])
         bridges = sorted({node for gid, node in self._announcers.items() if gid in self._heard})
         self.bridges = (self._ros.node_name, *bridges[: MOST_BRIDGES - 1])
-        self._changed()
+        self.changed()
 
     def _arrived(self, batch: Sequence[RawMessage]) -> None:
         """Take messages on the ROS thread."""
@@ -527,7 +510,3 @@ def read_announcement(payload: bytes) -> AnnouncementContent:
         {bytes.fromhex(each.gid): Origin(each.via, each.live) for each in announcement.publishers},
         {each.service: Origin(each.via) for each in announcement.services},
     )
-
-
-def _nobody() -> None:
-    """Ignore a change before `start`."""

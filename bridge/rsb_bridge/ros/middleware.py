@@ -15,7 +15,7 @@ from rsb_bridge.ros.distribution import package_of
 from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
 _VARIABLES = ("RMW_IMPLEMENTATION", "RCL_ASSERT_RMW_ID_MATCHES")
 _INDEX = "share/ament_index/resource_index"
@@ -38,7 +38,8 @@ def check_middleware(environment: Mapping[str, str]) -> None:
         RosError: it is not installed; the message lists the installed ones.
     """
     prefixes = [*environment.get("AMENT_PREFIX_PATH", "").split(":"), sys.prefix]
-    installed = installed_middlewares(Path(prefix) for prefix in prefixes if prefix)
+    indexes = (Path(prefix).glob(f"{_INDEX}/rmw_typesupport*/*") for prefix in prefixes if prefix)
+    installed = {entry.name for index in indexes for entry in index} - {_NOT_ONE}
     if not installed:
         return  # an installation without an index: rcl itself reports a missing implementation
     for variable in _VARIABLES:
@@ -52,9 +53,3 @@ def check_middleware(environment: Mapping[str, str]) -> None:
                     package=package_of(wanted),
                 )
             )
-
-
-def installed_middlewares(prefixes: Iterable[Path]) -> set[str]:
-    """Return the middleware implementations that the ament indexes of these installation prefixes list."""
-    found = {entry.name for prefix in prefixes for entry in prefix.glob(f"{_INDEX}/rmw_typesupport*/*")}
-    return found - {_NOT_ONE}

@@ -57,6 +57,8 @@ _Taken = TypeVar("_Taken")
 class RosNode:
     """Joins a domain, drains its subscriptions on a thread of its own, publishes. Used once: start, then stop.
 
+    See `rsb_bridge.ros.ros_interface.RosInterface`.
+
     Endpoints are freed on that thread, between waits, so that the wait set never holds one that is gone.
 
     Args:
@@ -79,7 +81,7 @@ class RosNode:
         self._drains: dict[int, Drain[Any]] = {}  # by endpoint's address
         self._publishers: frozenset[_Publisher] = frozenset()
         self._retired: deque[Incoming] = deque()
-        self._on_graph_change: Callable[[], None] = _nothing
+        self._on_graph_change: Callable[[], None] = lambda: None
         self._on_failure: Callable[[str], None] = _log.error
         self._failure = ""
         self._own: defaultdict[_Key, set[bytes]] = defaultdict(set)
@@ -102,11 +104,10 @@ class RosNode:
         with histories_that_shrink(os.environ):
             participant = self._participant = Participant(self._domain_id, self.node_name)
         self.shortfalls = participant.shortfalls
-        self._thread = threading.Thread(target=self._run, args=(participant,), name="ros", daemon=True)
+        self._thread = threading.Thread(target=self._serve, args=(participant,), name="ros", daemon=True)
         self._thread.start()
 
     def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
-        """Have functions called; see `rsb_bridge.ros.ros_interface.RosInterface.watch`."""
         self._on_graph_change, self._on_failure = on_graph_change, on_failure
         # The thread may have failed before anybody watched it.
         if self._failure:
@@ -125,7 +126,6 @@ class RosNode:
             self._thread.join(_STOP_WITHIN)
 
     def topics(self) -> dict[str, list[str]]:
-        """Every topic of the graph with its type names; topics that only our own node holds are left out."""
         participant = self._joined()
         # DDS is asked only about our own topics who else has them: each question takes some 50 µs.
         own = {each.topic for each in self._subscriptions()} | {each.topic for each in self._publishers}
@@ -136,15 +136,12 @@ class RosNode:
         }
 
     def publishers(self, topic: str) -> list[Endpoint]:
-        """The publishers on a topic, our own node's left out."""
         return self._joined().publishers(topic)
 
     def subscriptions(self, topic: str) -> list[Endpoint]:
-        """The subscriptions on a topic, our own node's left out."""
         return self._joined().subscriptions(topic)
 
     def installed_hash(self, type_name: str) -> str | None:
-        """The type hash of a message type that is installed here, else None."""
         try:
             installed = installed_class(type_name)
         except ValueError:  # a name that a DDS program without ROS gave to its type
@@ -152,7 +149,6 @@ class RosNode:
         return None if installed is None else hash_of(installed)
 
     def installed_description(self, type_name: str) -> str | None:
-        """The text of the description of a message type that is installed here, else None."""
         from rsb_bridge.ros.native.rosidl_descriptions import installed_description  # noqa: PLC0415  as in `start`
 
         try:
@@ -161,7 +157,6 @@ class RosNode:
             return None
 
     def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
-        """Serialize what an operator wrote; see `rsb_bridge.ros.ros_interface.RosInterface.serialize`."""
         from rsb_bridge.ros.written_messages import serialize  # noqa: PLC0415  as in `start`
 
         return serialize(type_name, fields, now)
@@ -169,7 +164,6 @@ class RosNode:
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
     ) -> str | None:
-        """Ask a node for a type's description; see `rsb_bridge.ros.ros_interface.RosInterface.ask_description`."""
         with self._asking:
             participant = self._joined()
             # A stop ends the waiting, as `_leave` waits for the end of this question.
@@ -187,7 +181,6 @@ class RosNode:
         origin: Hashable,
         on_failure: OnFailure | None = None,
     ) -> Subscription:
-        """Subscribe raw; see `rsb_bridge.ros.ros_interface.RosInterface.subscribe`."""
         with self._lock:
             participant = self._joined()
             reader = participant.create_reader(topic, type_name, type_hash, qos)
@@ -198,7 +191,6 @@ class RosNode:
         return subscription
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
-        """Create a raw publisher; see `rsb_bridge.ros.ros_interface.RosInterface.advertise`."""
         with self._lock:
             writer = self._joined().create_writer(topic, type_name, type_hash, qos)
             self._own[writer.topic, origin].add(writer.told)
@@ -207,7 +199,6 @@ class RosNode:
         return publisher
 
     def services(self) -> dict[str, list[str]]:
-        """Every service of the graph with its type names; services that only our own node holds are left out."""
         participant = self._joined()
         own = {each.service for each in self._drains.values() if isinstance(each, (ServerDrain, ClientDrain))}
         return {
@@ -217,15 +208,12 @@ class RosNode:
         }
 
     def servers(self, service: str) -> list[Endpoint]:
-        """The servers of a service, our own node's left out."""
         return self._joined().servers(service)
 
     def callers(self, service: str) -> list[Endpoint]:
-        """The clients of a service, our own node's left out."""
         return self._joined().callers(service)
 
     def installed_service_hash(self, type_name: str) -> str | None:
-        """The hash of a service type that is installed here, else None."""
         try:
             installed = installed_service(type_name)
         except ValueError:
@@ -235,7 +223,6 @@ class RosNode:
     def serve(
         self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
     ) -> ServiceServer:
-        """Offer a service; see `rsb_bridge.ros.ros_interface.RosInterface.serve`."""
         with self._lock:
             participant = self._joined()
             created = participant.create_server(service, type_name, type_hash)
@@ -246,7 +233,6 @@ class RosNode:
     def call_service(
         self, service: str, type_name: str, type_hash: str, sink: ResponseSink, on_failure: OnFailure | None = None
     ) -> ServiceClient:
-        """Prepare to call a service; see `rsb_bridge.ros.ros_interface.RosInterface.call_service`."""
         with self._lock:
             participant = self._joined()
             created = participant.create_client(service, type_name, type_hash)
@@ -313,10 +299,7 @@ class RosNode:
             if self._participant is not None:
                 self._participant.wake()
 
-    def _run(self, participant: Participant) -> None:
-        with large_blocks_kept():
-            self._serve(participant)
-
+    @large_blocks_kept()
     def _serve(self, participant: Participant) -> None:
         drains: dict[int, Drain[Any]] = {}
         endpoints: tuple[Incoming, ...] = ()
@@ -496,7 +479,3 @@ class _Publisher:
     def close(self) -> None:
         self._node.forget(self)
         self.writer.close()
-
-
-def _nothing() -> None:
-    """Nobody watches the graph."""

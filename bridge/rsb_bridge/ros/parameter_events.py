@@ -8,6 +8,7 @@ nodes of one link share a subscription. Links do not share one, since a link mus
 from __future__ import annotations
 
 import struct
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.cdr.decoder import HEADER_LENGTH
@@ -157,19 +158,6 @@ class _Listener(NamedTuple):
     on_failure: OnFailure
 
 
-class Listening:
-    """One node's events, until `close`."""
-
-    def __init__(self, end: Callable[[], None]) -> None:
-        self._end: Callable[[], None] | None = end
-
-    def close(self) -> None:
-        """Stop listening. May be called twice."""
-        if self._end is not None:
-            end, self._end = self._end, None
-            end()
-
-
 class ParameterEvents:
     """All that an engine listens to. Everything but the taking of messages is on the I/O loop.
 
@@ -182,8 +170,8 @@ class ParameterEvents:
         self._call = call
         self._shared: dict[EventsTopic, _Shared] = {}
 
-    def listen(self, topic: EventsTopic, qos: Qos, node: str, sink: Sink, on_failure: OnFailure) -> Listening:
-        """Listen to the events of one node.
+    def listen(self, topic: EventsTopic, qos: Qos, node: str, sink: Sink, on_failure: OnFailure) -> ExitStack:
+        """Listen to the events of one node, until what is returned is closed.
 
         Args:
             sink: gets its events, on the ROS thread; and of what is no event at all, one of all sinks does.
@@ -204,11 +192,13 @@ class ParameterEvents:
             )
             self._shared[topic] = shared
         listener = _Listener(node, sink, on_failure)
-        shared.listeners = (*shared.listeners, listener)
-        return Listening(lambda: self._end(topic, shared, listener))
+        shared.listen((*shared.listeners, listener))
+        ending = ExitStack()
+        ending.callback(self._end, topic, shared, listener)
+        return ending
 
     def _end(self, topic: EventsTopic, shared: _Shared, listener: _Listener) -> None:
-        shared.listeners = tuple(each for each in shared.listeners if each is not listener)
+        shared.listen(tuple(each for each in shared.listeners if each is not listener))
         # One that has failed is closed already, and another may have its place.
         if not shared.listeners and self._shared.get(topic) is shared:
             del self._shared[topic]
@@ -226,19 +216,14 @@ class _Shared:
 
     def __init__(self) -> None:
         self.subscription: Subscription
-        self._listeners: tuple[_Listener, ...] = ()
+        self.listeners: tuple[_Listener, ...] = ()
         self._by_node: dict[str, list[Sink]] = {}  # never changed, only replaced: the ROS thread reads it
 
-    @property
-    def listeners(self) -> tuple[_Listener, ...]:
-        return self._listeners
-
-    @listeners.setter
-    def listeners(self, listeners: tuple[_Listener, ...]) -> None:
+    def listen(self, listeners: tuple[_Listener, ...]) -> None:
         by_node: dict[str, list[Sink]] = {}
         for each in listeners:
             by_node.setdefault(each.node, []).append(each.sink)
-        self._listeners, self._by_node = listeners, by_node
+        self.listeners, self._by_node = listeners, by_node
 
     def receive(self, batch: Sequence[RawMessage]) -> None:
         """On the ROS thread: hand each event to those who listen to its node."""

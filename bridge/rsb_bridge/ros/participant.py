@@ -6,7 +6,7 @@ import ctypes
 import threading
 from collections import Counter
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rclpy.context import Context
 
@@ -38,7 +38,13 @@ from rsb_bridge.ros.native.rosidl_descriptions import ask_node
 from rsb_bridge.ros.raw_types import borrow_service, borrow_type
 from rsb_bridge.ros.ros_interface import Endpoint, RosError, RosProblem
 from rsb_bridge.ros.self_test import ARGUMENTS, findings
-from rsb_bridge.ros.service_endpoints import RawServiceClient, RawServiceServer, TypedClient, TypedServer
+from rsb_bridge.ros.service_endpoints import (
+    RawServiceClient,
+    RawServiceServer,
+    ServiceEndpoint,
+    TypedClient,
+    TypedServer,
+)
 from rsb_bridge.ros.service_graph import CallerTable, callers, servers
 from rsb_bridge.ros.topic_endpoints import Reader, Writer
 
@@ -56,21 +62,8 @@ _CALLS = Qos("reliable", "volatile", "keep_last", _KEPT)
 """The QoS of all services, with a greater depth: simultaneous calls must not displace each other."""
 
 
-class Incoming(Protocol):
-    """An endpoint that messages, requests or responses come to.
-
-    Attributes:
-        kind: what it is in a wait set.
-    """
-
-    handle: Handle
-
-    @property
-    def kind(self) -> Literal["subscription", "client", "service"]: ...
-
-    def close(self) -> None:
-        """Free it. To be called once."""
-        ...
+Incoming: TypeAlias = Reader | ServiceEndpoint
+"""An endpoint that messages, requests or responses come to. Its `kind` is what it is in a wait set."""
 
 
 class Participant:

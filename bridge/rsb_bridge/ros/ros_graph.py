@@ -45,14 +45,10 @@ _OTHER: dict[Kind, str] = {
 
 
 class Searches(Generic[Asked]):
-    """Searches of the graph, one at a time, whose answers are kept for a while.
+    """Searches of the graph, one at a time, whose answers are kept for a while."""
 
-    Args:
-        search: searches; may raise `RosError`.
-    """
-
-    def __init__(self, search: Callable[[Asked], str], now: Callable[[], float]) -> None:
-        self._search = search
+    def __init__(self, ros: RosInterface, now: Callable[[], float]) -> None:
+        self._ros = ros
         self._now = now
         self._answers: dict[Asked, tuple[str, float]] = {}
         self._asked_at = float("-inf")
@@ -72,20 +68,16 @@ class Searches(Generic[Asked]):
         self._answers[asked] = (answer, now)
         return answer
 
+    def _search(self, asked: Asked) -> str:
+        """Search; may raise `RosError`."""
+        raise NotImplementedError
 
-class SimilarTopics:
+
+class SimilarTopics(Searches[str]):
     """Finds published topics of a similar name, for names that may be mistyped."""
 
-    def __init__(self, ros: RosInterface, now: Callable[[], float]) -> None:
-        self._ros = ros
-        self._searches = Searches(self._search, now)
-
-    def of(self, topic: str) -> str:
-        """Return the most similar topic, or an empty string if none was found yet."""
-        return self._searches.of(topic)
-
-    def _search(self, topic: str) -> str:
-        return most_similar(topic, self._ros.topics().keys() - {topic, *OF_EVERY_NODE}, self._ros.publishers)
+    def _search(self, asked: str) -> str:
+        return most_similar(asked, self._ros.topics().keys() - {asked, *OF_EVERY_NODE}, self._ros.publishers)
 
 
 def most_similar(name: str, names: Iterable[str], ends: Callable[[str], Sequence[Endpoint]]) -> str:
@@ -152,7 +144,7 @@ def called_in(ros: RosInterface, kinds: Collection[Kind]) -> list[TopicInfo]:
     """
     services = ros.services()
     names: dict[Kind, dict[str, str]] = {kind: dict(_wholes(kind, services)) for kind in WHOLES}
-    parts = {part for kind in WHOLES for whole in names[kind] for part in _services_of(kind, whole)}
+    parts = {name + each.suffix for kind in WHOLES for name in names[kind] for each in LANES[kind] if not each.is_topic}
     alone = (name for name, types in services.items() if name not in parts and _OF_EVERY_NODE not in types)
     names["service"] = dict.fromkeys(alone, "")
     return [
@@ -161,11 +153,6 @@ def called_in(ros: RosInterface, kinds: Collection[Kind]) -> list[TopicInfo]:
         for name in sorted(name for name in names[kind] if not is_hidden(name))[:MOST_ENTRIES]
         if (entry := _entry(ros, kind, name, names[kind][name])) is not None
     ]
-
-
-def _services_of(kind: Kind, whole: str) -> Iterator[str]:
-    """Yield the services of an action or of a node's parameters. Their topics have no services."""
-    return (whole + lane.suffix for lane in LANES[kind] if not lane.is_topic)
 
 
 def _wholes(kind: Kind, services: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, str]]:
@@ -197,16 +184,8 @@ def _entry(ros: RosInterface, kind: Kind, name: str, type_name: str) -> TopicInf
     return TopicInfo(name, type_name, type_hash, None, len(servers), len(callers), kind)
 
 
-class NameSuggester:
-    """Finds an entry of the same name but another kind, or of a similar name."""
-
-    def __init__(self, ros: RosInterface, now: Callable[[], float]) -> None:
-        self._ros = ros
-        self._searches = Searches(self._search, now)
-
-    def by(self, kind: Kind, name: str) -> str:
-        """Return a hint for an operator, or an empty string if no search has found one yet."""
-        return self._searches.of((kind, name))
+class NameSuggester(Searches["tuple[Kind, str]"]):
+    """Finds an entry of the same name but another kind, or of a similar name, as a hint for an operator."""
 
     def _search(self, asked: tuple[Kind, str]) -> str:
         kind, name = asked

@@ -107,11 +107,9 @@ class Subscription(Protocol):
         Of a publisher that was there before the subscription, those before the first message taken are not counted:
         they were published for others. Of a publisher that came later, they are.
         """
-        ...
 
     def close(self) -> None:
         """Stop taking, and free it. After it returns the sink is not called again. May be called twice."""
-        ...
 
 
 class Publisher(Protocol):
@@ -129,21 +127,17 @@ class Publisher(Protocol):
         Raises:
             RosError: the middleware refused it.
         """
-        ...
 
     @property
     def subscriber_count(self) -> int:
         """How many subscriptions of other nodes match it now."""
-        ...
 
     @property
     def acknowledged(self) -> bool:
         """Whether every reliable subscription has acknowledged all messages, so that DDS keeps none for them."""
-        ...
 
     def close(self) -> None:
         """Free it. May be called twice."""
-        ...
 
 
 class Request(NamedTuple):
@@ -189,11 +183,9 @@ class ServiceServer(Protocol):
         Raises:
             RosError: the middleware refused it.
         """
-        ...
 
     def close(self) -> None:
         """Offer it no more. After it returns the sink is not called again. May be called twice."""
-        ...
 
 
 class ServiceClient(Protocol):
@@ -202,7 +194,6 @@ class ServiceClient(Protocol):
     @property
     def ready(self) -> bool:
         """Whether a server of it is matched, so that a call reaches it."""
-        ...
 
     def call(self, payload: bytes) -> int:
         """Send one serialized request; its answer, if any comes, goes to the sink under this number, above 0.
@@ -210,11 +201,9 @@ class ServiceClient(Protocol):
         Raises:
             RosError: the middleware refused it.
         """
-        ...
 
     def close(self) -> None:
         """Free it. After it returns the sink is not called again. May be called twice."""
-        ...
 
 
 RequestSink = Callable[[Sequence[Request]], None]
@@ -233,11 +222,9 @@ class RouteEnds(Protocol):
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """Return the publishers on a topic, our own node's left out."""
-        ...
 
     def subscriptions(self, topic: str) -> list[Endpoint]:
         """Return the subscriptions on a topic, our own node's left out."""
-        ...
 
     def subscribe(
         self,
@@ -258,11 +245,9 @@ class RouteEnds(Protocol):
         Raises:
             RosError: no such type and no hash, an rmw that cannot do without the type, a bad name.
         """
-        ...
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
         """Create a raw publisher; types and errors as `subscribe`."""
-        ...
 
 
 class RosInterface(RouteEnds, Protocol):
@@ -286,7 +271,6 @@ class RosInterface(RouteEnds, Protocol):
         Raises:
             RosError: rclpy is missing, or the domain could not be joined.
         """
-        ...
 
     def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
         """Have functions called on the ROS thread.
@@ -296,26 +280,21 @@ class RosInterface(RouteEnds, Protocol):
                 be called thousands of times a second, so it must be quick.
             on_failure: called with the reason if the thread ends by itself; nothing works from then on.
         """
-        ...
 
     def stop(self) -> None:
         """Close every endpoint, leave the domain, end the thread. May be called twice."""
-        ...
 
     def topics(self) -> dict[str, list[str]]:
         """Return every topic of the graph with its type names; topics that only our own node holds are left out."""
-        ...
 
     def installed_hash(self, type_name: str) -> str | None:
         """Return the type hash of a message type that is installed here, else None."""
-        ...
 
     def installed_description(self, type_name: str) -> str | None:
         """Return the description's text (`rsb_bridge.cdr.description`) of a type that is installed here, else None.
 
         Of a service's request or response, the type is ``pkg/srv/Name_Request``.
         """
-        ...
 
     def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
         """Serialize a message of an installed type (CDR with its encapsulation header).
@@ -329,7 +308,6 @@ class RosInterface(RouteEnds, Protocol):
             RosError: the type is not installed.
             FieldError: a value does not fit into its field.
         """
-        ...
 
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
@@ -346,14 +324,12 @@ class RosInterface(RouteEnds, Protocol):
         Raises:
             RosError: the node could not be asked.
         """
-        ...
 
     def services(self) -> dict[str, list[str]]:
         """Return every service of the graph with its type names (``pkg/srv/Name``, ``pkg/action/Name_SendGoal``).
 
         Services that only our own node holds are left out.
         """
-        ...
 
     def servers(self, service: str) -> list[Endpoint]:
         """Return the servers of a service, our own node's left out.
@@ -361,15 +337,12 @@ class RosInterface(RouteEnds, Protocol):
         A service's hash is that of its request, a ``+``, and that of its response: these the middleware announces, and
         its own it does not.
         """
-        ...
 
     def callers(self, service: str) -> list[Endpoint]:
         """Return the clients of a service, our own node's left out; the hash as of `servers`."""
-        ...
 
     def installed_service_hash(self, type_name: str) -> str | None:
         """Return the hash of a service type that is installed here, as of `servers`, else None."""
-        ...
 
     def serve(
         self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
@@ -381,10 +354,8 @@ class RosInterface(RouteEnds, Protocol):
         Raises:
             RosError: as `subscribe`.
         """
-        ...
 
     def call_service(
         self, service: str, type_name: str, type_hash: str, sink: ResponseSink, on_failure: OnFailure | None = None
     ) -> ServiceClient:
         """Prepare to call a service; types, failures and errors as `serve`."""
-        ...

@@ -92,7 +92,6 @@ class Receiver(Protocol[T_contra]):
 
     def offer(self, batch: Sequence[T_contra]) -> None:
         """Take them, oldest first."""
-        ...
 
 
 class RosToLoopQueue:
@@ -112,7 +111,7 @@ class RosToLoopQueue:
             do_now: does the loop's work on the calling thread or returns False, or None if the loop has none.
         """
         self._loop = loop
-        self._do_now = do_now or _never
+        self._do_now = do_now or (lambda _: False)
         self._batches: deque[tuple[Receiver[Any], Sequence[Any]]] = deque()
         self._room = threading.Event()
         self._is_full = False  # the ROS thread waits, or is about to
@@ -151,7 +150,3 @@ class RosToLoopQueue:
             self._loop.call_soon_threadsafe(self._drain)
         except RuntimeError:  # the loop is closed: the engine has stopped
             self._batches.clear()
-
-
-def _never(work: Callable[[], object]) -> bool:
-    return False

@@ -32,7 +32,7 @@ from rsb_bridge.ros.native.librcl import (
     graph_guard_condition,
     reset_error,
 )
-from rsb_bridge.ros.native.named_types import named_services, named_types
+from rsb_bridge.ros.native.named_types import named_services, named_types, nothing
 from rsb_bridge.ros.native.rclpy_extension import (
     PUBLISHERS,
     SUBSCRIPTIONS,
@@ -225,7 +225,7 @@ class _Endpoints:
 
     def make(self, kind: Kind, interface: type) -> Handle:
         entity = self.node.create(kind, interface, _NAME, _QOS)
-        return Handle(entity, _nothing, self._entities)
+        return Handle(entity, nothing, self._entities)
 
     def closed_at_end(self, endpoint: Any) -> None:
         self._ending.callback(endpoint.close)
@@ -250,10 +250,6 @@ class _Endpoints:
         finally:
             waits.destroy_when_not_in_use()
         return None
-
-
-def _nothing() -> None:
-    """Nothing is given back."""
 
 
 def _messages_cross(endpoints: _Endpoints, interface: type) -> None:

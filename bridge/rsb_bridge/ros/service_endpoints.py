@@ -68,6 +68,8 @@ _CALLS_REMEMBERED = 5000
 class ServiceEndpoint:
     """A server or a client. One thread takes from it and frees it; any thread sends with it."""
 
+    kind: Literal["service", "client"]
+
     def __init__(self, handle: Handle, name: str) -> None:
         self.handle = handle
         self.name = name
@@ -80,6 +82,28 @@ class ServiceEndpoint:
         with self._using:
             self._closed = True
         self.handle.free()
+
+    def take(self, limit: int) -> list[Any]:
+        """Take up to `limit` of what has come.
+
+        Raises:
+            RosError: rcl failed at the first of them.
+        """
+        taken: list[Any] = []
+        while len(taken) < limit:
+            try:
+                one = self._take()
+            except RosError:
+                if taken:  # DDS gives them no second time
+                    break
+                raise
+            if one is None:
+                break
+            taken.append(one)
+        return taken
+
+    def _take(self) -> Request | Response | None:
+        raise NotImplementedError
 
     def _check_open(self) -> None:
         """Check that it may be used, while `_using` keeps it from being freed.
@@ -116,32 +140,20 @@ class RawServiceServer(ServiceEndpoint):
         self._have_tried = have_tried
         self._info = ctypes.create_string_buffer(CALL_INFO.size)
 
-    def take(self, limit: int) -> list[Request]:
-        """Take up to `limit` calls.
-
-        Raises:
-            RosError: rcl failed at the first of them.
-        """
-        address, info = self.handle.address, self._info
+    def _take(self) -> Request | None:
         taken: list[bytes] = []
-        requests: list[Request] = []
-        for _ in range(limit):
-            # The list is in the place of the ROS message, see `fast_cdr`.
-            code = take_request(address, info, id(taken))
-            if code == NO_REQUEST:
-                break
-            if code:
-                failure = self._failure(code, "a request could not be taken")
-                if requests:  # DDS gives them no second time
-                    break
-                raise failure
-            source, _, guid, number = CALL_INFO.unpack(info)
-            self._served[guid] = None
-            # rmw_fastrtps_cpp gives the time at which it was sent, by the caller's clock, for that at which it came.
-            requests.append(Request(taken.pop(), CALLER.pack(guid, number), time.time_ns(), source=source))
-        while len(self._served) > _CALLERS_REMEMBERED:  # forgotten callers are answered as an earlier server's
+        # The list is in the place of the ROS message, see `fast_cdr`.
+        code = take_request(self.handle.address, self._info, id(taken))
+        if code == NO_REQUEST:
+            return None
+        if code:
+            raise self._failure(code, "a request could not be taken")
+        source, _, guid, number = CALL_INFO.unpack(self._info)
+        self._served[guid] = None
+        if len(self._served) > _CALLERS_REMEMBERED:  # forgotten callers are answered as an earlier server's
             del self._served[next(iter(self._served))]
-        return requests
+        # rmw_fastrtps_cpp gives the time at which it was sent, by the caller's clock, for that at which it came.
+        return Request(taken.pop(), CALLER.pack(guid, number), time.time_ns(), source=source)
 
     def answer(self, caller: bytes, payload: bytes) -> None:
         """Answer a call; see `rsb_bridge.ros.ros_interface.ServiceServer.answer`.
@@ -184,41 +196,35 @@ class RawServiceServer(ServiceEndpoint):
         return not code
 
 
-class RawServiceClient(ServiceEndpoint):
-    """A raw client of a service."""
-
+class _Client(ServiceEndpoint):
     kind: Literal["client"] = "client"
+
+    @property
+    def ready(self) -> bool:
+        """Whether a server is matched; False once closed."""
+        try:
+            available: bool = self.handle.rclpy.service_server_is_available()
+        except RuntimeError:
+            return False
+        return available
+
+
+class RawServiceClient(_Client):
+    """A raw client of a service."""
 
     def __init__(self, handle: Handle, name: str) -> None:
         super().__init__(handle, name)
         self._info = ctypes.create_string_buffer(CALL_INFO.size)
 
-    @property
-    def ready(self) -> bool:
-        """Whether a server is matched; False once closed."""
-        return is_ready(self.handle)
-
-    def take(self, limit: int) -> list[Response]:
-        """Take up to `limit` answers.
-
-        Raises:
-            RosError: rcl failed at the first of them.
-        """
-        address, info = self.handle.address, self._info
+    def _take(self) -> Response | None:
         taken: list[bytes] = []
-        responses: list[Response] = []
-        for _ in range(limit):
-            code = take_response(address, info, id(taken))
-            if code == NO_RESPONSE:
-                break
-            if code:
-                failure = self._failure(code, "a response could not be taken")
-                if responses:  # DDS gives them no second time
-                    break
-                raise failure
-            _, stamp, _, number = CALL_INFO.unpack(info)
-            responses.append(Response(taken.pop(), number, stamp))
-        return responses
+        code = take_response(self.handle.address, self._info, id(taken))
+        if code == NO_RESPONSE:
+            return None
+        if code:
+            raise self._failure(code, "a response could not be taken")
+        _, stamp, _, number = CALL_INFO.unpack(self._info)
+        return Response(taken.pop(), number, stamp)
 
     def call(self, payload: bytes) -> int:
         """Send a request; see `rsb_bridge.ros.ros_interface.ServiceClient.call`.
@@ -235,15 +241,6 @@ class RawServiceClient(ServiceEndpoint):
             if code:
                 raise self._failure(code, "a request could not be sent")
         return number.value
-
-
-def is_ready(client: Handle) -> bool:
-    """Whether a client has a server that is matched; no once it is freed."""
-    try:
-        available: bool = client.rclpy.service_server_is_available()
-    except RuntimeError:
-        return False
-    return available
 
 
 class _Answer(NamedTuple):
@@ -329,25 +326,16 @@ class TypedServer(ServiceEndpoint):
         super().__init__(handle, name)
         self._request, self._response = service_class.Request, service_class.Response
 
-    def take(self, limit: int) -> list[Request]:
-        """Take up to `limit` calls."""
-        requests: list[Request] = []
-        for _ in range(limit):
-            try:
-                with _refused(self.name):
-                    message, info = self.handle.rclpy.service_take_request(self._request)
-            except RosError:
-                if requests:  # as `RawServiceServer.take`
-                    break
-                raise
-            if message is None:
-                break
-            caller = next(_numbers).to_bytes(8, "big")
-            _asked[caller] = info.request_id
-            requests.append(Request(serialize_message(message), caller, time.time_ns(), source=info.source_timestamp))
-        while len(_asked) > _CALLS_REMEMBERED:
+    def _take(self) -> Request | None:
+        with _refused(self.name):
+            message, info = self.handle.rclpy.service_take_request(self._request)
+        if message is None:
+            return None
+        caller = next(_numbers).to_bytes(8, "big")
+        _asked[caller] = info.request_id
+        if len(_asked) > _CALLS_REMEMBERED:
             _asked.popitem(last=False)
-        return requests
+        return Request(serialize_message(message), caller, time.time_ns(), source=info.source_timestamp)
 
     def answer(self, caller: bytes, payload: bytes) -> None:
         """Answer a call."""
@@ -358,36 +346,19 @@ class TypedServer(ServiceEndpoint):
                 self.handle.rclpy.service_send_response(message, request_id)
 
 
-class TypedClient(ServiceEndpoint):
+class TypedClient(_Client):
     """A client of a service; as `RawServiceClient`."""
-
-    kind: Literal["client"] = "client"
 
     def __init__(self, handle: Handle, name: str, service_class: Any) -> None:
         super().__init__(handle, name)
         self._request, self._response = service_class.Request, service_class.Response
 
-    @property
-    def ready(self) -> bool:
-        """Whether a server is matched; False once closed."""
-        return is_ready(self.handle)
-
-    def take(self, limit: int) -> list[Response]:
-        """Take up to `limit` answers."""
-        responses: list[Response] = []
-        for _ in range(limit):
-            try:
-                with _refused(self.name):
-                    info, message = self.handle.rclpy.take_response(self._response)
-            except RosError:
-                if responses:  # as `RawServiceClient.take`
-                    break
-                raise
-            if message is None:
-                break
-            number, stamp = info.request_id.sequence_number, info.received_timestamp
-            responses.append(Response(serialize_message(message), number, stamp))
-        return responses
+    def _take(self) -> Response | None:
+        with _refused(self.name):
+            info, message = self.handle.rclpy.take_response(self._response)
+        if message is None:
+            return None
+        return Response(serialize_message(message), info.request_id.sequence_number, info.received_timestamp)
 
     def call(self, payload: bytes) -> int:
         """Send a request."""

@@ -25,7 +25,7 @@ _EYE, _HEIGHT = 0.6, 2.4
 _FIELD = 0.9
 """Half of the camera's field of view, as a tangent."""
 _TILE = 1.0
-_FREE, _OCCUPIED, _UNKNOWN = 0, 100, -1
+_OCCUPIED, _UNKNOWN = 100, -1
 
 
 def _edges(left: float, bottom: float, right: float, top: float) -> list[tuple[float, float, float, float]]:

@@ -12,7 +12,7 @@ import secrets
 import threading
 import time
 from random import Random
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.ros_interface import (
         OnFailure,
         Publisher,
-        RequestSink,
-        ResponseSink,
         ServiceClient,
         ServiceServer,
         Sink,
@@ -103,29 +101,16 @@ class NoRos:
     def installed_service_hash(self, type_name: str) -> str | None:
         return None
 
-    def serve(
-        self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
-    ) -> ServiceServer:
+    def serve(self, *_: Any, **__: Any) -> ServiceServer:
         raise RosError("there is no ROS")
 
-    def call_service(
-        self, service: str, type_name: str, type_hash: str, sink: ResponseSink, on_failure: OnFailure | None = None
-    ) -> ServiceClient:
+    def call_service(self, *_: Any, **__: Any) -> ServiceClient:
         raise RosError("there is no ROS")
 
-    def subscribe(
-        self,
-        topic: str,
-        type_name: str,
-        type_hash: str,
-        qos: Qos,
-        sink: Sink,
-        origin: Hashable,
-        on_failure: OnFailure | None = None,
-    ) -> Subscription:
+    def subscribe(self, *_: Any, **__: Any) -> Subscription:
         raise RosError("there is no ROS")
 
-    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
+    def advertise(self, *_: Any, **__: Any) -> Publisher:
         raise RosError("there is no ROS")
 
 

@@ -142,12 +142,6 @@ class Arming:
         first: the lease's number when somebody armed it.
     """
 
-    __slots__ = (
-        "_answered", "_deadline", "_key_pressed", "_phase", "_seen_at", "by", "console", "deadman", "demanded_by",
-        "first", "lease", "limited_by", "own", "peer_limits", "peer_on_end", "question", "reason", "required",
-        "shared", "switched", "why",
-    )  # fmt: skip
-
     def __init__(self, *, required: bool = False, deadman: float = 0.0) -> None:
         self.required = required
         self.switched: Callable[[], None] = lambda: None

@@ -57,12 +57,10 @@ class Gated(Protocol):
     @property
     def stamp(self) -> int:
         """Time (ns) from which its age counts, by the clock of the side that took it from ROS."""
-        ...
 
     @property
     def lease(self) -> int:
         """The lease's number from when it was taken from ROS, or 0 for none."""
-        ...
 
 
 class Gate(Protocol[S_contra]):
@@ -74,7 +72,6 @@ class Gate(Protocol[S_contra]):
         Args:
             now: s, when this turn of the I/O loop began. Gates before which a turn may stand still read the clock.
         """
-        ...
 
 
 Gates: TypeAlias = "tuple[Gate[Gated], ...]"
@@ -191,7 +188,6 @@ class Carries(Protocol):
     @property
     def largest(self) -> int:
         """Bytes of the largest call that the transport carries."""
-        ...
 
 
 class SizeGate:
@@ -228,7 +224,6 @@ class Sieve(Protocol[S]):
 
     def passing(self, batch: Sequence[S], /) -> Sequence[S]:
         """Return the messages that pass, and count the others in the ledger."""
-        ...
 
 
 def sifting(first: Sieve[S], *others: Sieve[S]) -> Sift[S]:
@@ -352,7 +347,6 @@ class CarriesMessages(Carries, Protocol):
 
     def too_large(self, size: int, /) -> None:
         """Count a message of so many bytes that does not pass."""
-        ...
 
 
 class SizeSieve:

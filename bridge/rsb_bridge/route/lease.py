@@ -8,11 +8,12 @@ than that number. Neither a clock of the other side nor the order in which strea
 from __future__ import annotations
 
 from enum import Enum
-from typing import TYPE_CHECKING, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from rsb_bridge.ros.ros_interface import RawMessage, Request
     from rsb_bridge.ros.ros_thread import RosTurns
 
 LASTS = 1.0
@@ -41,13 +42,7 @@ class Standstill(Enum):
     PEER = "the other side or the link stood still"
 
 
-class Marked(Protocol):
-    """A message or a request from ROS: a named tuple with a field `lease`."""
-
-    def _replace(self, *, lease: int) -> Self: ...
-
-
-M = TypeVar("M", bound=Marked)
+M = TypeVar("M", "RawMessage", "Request")
 
 
 class LeaseHalf:
@@ -59,6 +54,8 @@ class LeaseHalf:
 
     Attributes:
         number: the newest that this side has sent.
+        begun: whether the two sides have answered each other in time since `begin`, as far as this one knows. The other
+            side has then heard that this one hears it, so it takes what is sent from now on.
         over: place where nothing moved, or None; the lease stays dead until `begin`.
         round_trip: s from the newest number that was answered to its answer.
     """
@@ -69,10 +66,10 @@ class LeaseHalf:
         self._ended = ended
         self.number = 0
         self.over: Standstill | None = None
-        self._on = False
+        self.is_on = False
         self._began = self._beaten = 0.0
         self._sent: dict[int, float] = {}  # when, by number
-        self._answered = self._begun = False
+        self._answered = self.begun = False
         self._newest_before = 0  # the newest number of this side before `begin`
         self._first_answer = 0  # the first number since `begin` that carried one of the other side's, or 0
         self._acknowledged = 0  # the newest number that the other side has heard
@@ -82,23 +79,19 @@ class LeaseHalf:
 
     # --- on and off
 
-    @property
-    def is_on(self) -> bool:
-        return self._on
-
     def begin(self) -> None:
         """Send numbers from now on. It is alive once the other side has answered one of them."""
         self._turns.watch(self)
-        self._on, self.over = True, None
+        self.is_on, self.over = True, None
         self._began = self._beaten = self._steady()
-        self._confirmed, self._answered, self._begun = float("-inf"), False, False
+        self._confirmed, self._answered, self.begun = float("-inf"), False, False
         self._first_answer = 0
         self._acknowledged = self._newest_before = self.number  # those up to this one do not count
 
     def end(self) -> None:
         """Send no more numbers, and forget the other side's."""
         self._turns.leave(self)
-        self._on = False
+        self.is_on = False
         self._heard = ()
 
     # --- numbers
@@ -126,24 +119,16 @@ class LeaseHalf:
         now = self._steady()
         # While it is off, a number that answers one of this side belongs to a lease that is over, and came late. If it
         # counted, the next lease could count as begun before the other side had begun it, and a goal would be refused.
-        if (self._on or not echo) and (not self._heard or number > self._heard[-1][0]):
+        if (self.is_on or not echo) and (not self._heard or number > self._heard[-1][0]):
             self._heard = (*self._heard[1 - _KEPT :], (number, now))
         sent = self._sent.get(echo)
         if sent is not None and echo > self._acknowledged:
             self._acknowledged, self._confirmed, self.round_trip = echo, sent, now - sent
             in_time = self.round_trip <= LASTS
             self._answered = self._answered or in_time
-            self._begun = self._begun or (in_time and 0 < self._first_answer <= echo)
+            self.begun = self.begun or (in_time and 0 < self._first_answer <= echo)
 
     # --- what it is asked
-
-    @property
-    def begun(self) -> bool:
-        """Whether the two sides have answered each other in time since `begin`, as far as this one knows.
-
-        The other side has then heard that this one hears it, so it takes what is sent from now on.
-        """
-        return self._begun
 
     @property
     def now(self) -> float:
@@ -154,7 +139,7 @@ class LeaseHalf:
     def alive(self) -> bool:
         """Whether the other side has heard a number that this side has sent within the last second."""
         self._end_at_standstill()
-        return self._on and self.over is None and self._steady() - self._confirmed <= LASTS
+        return self.is_on and self.over is None and self._steady() - self._confirmed <= LASTS
 
     @property
     def lasts_for(self) -> float:
@@ -182,7 +167,7 @@ class LeaseHalf:
 
     def _end_at_standstill(self) -> None:
         """End it if nothing has moved for too long."""
-        if not self._on or self.over is not None:
+        if not self.is_on or self.over is not None:
             return
         now = self._steady()
         # This side comes first: while it stands still, it hears nothing of the other one either.

@@ -64,6 +64,7 @@ class SourceTable:
         too_far: the publications that are left out for `MOST_HOPS` or `MOST_SOURCES`, or for the peer's limits.
         unexplained: publications whose hops have not been announced yet.
         flags: flags with the source's number, by publisher, for messages that may be sent now.
+        one_place: whether both sides are in one domain and have the same topic: the route itself is a loop.
     """
 
     def __init__(self) -> None:
@@ -74,7 +75,7 @@ class SourceTable:
         self.flags: dict[bytes, int] = {}
         self.moved = False  # a known publisher's messages have come to belong to another source
         self._hop = ""
-        self._one_place = False
+        self.one_place = False
         self._numbers: dict[bytes, int] = {}
         self._first_seen: dict[bytes, float] = {}
         self._described = 0
@@ -126,7 +127,7 @@ class SourceTable:
             # The peer has answered, and has no publisher for it.
             if self._accepted <= number < self._described and not self._answers_due:
                 too_far.append(each)
-        self._one_place = hop in there
+        self.one_place = hop in there
         self._hop = hop
         self.sources = tuple(Source(via=source.via, live=number in live) for number, source in enumerate(sources))
         self.echoes, self.too_far, self.unexplained = tuple(echoes), tuple(too_far), tuple(unexplained)
@@ -181,15 +182,10 @@ class SourceTable:
         return self._numbers.get(gid) == LEFT_OUT
 
     @property
-    def one_place(self) -> bool:
-        """Whether both sides are in one domain and have the same topic: the route itself is a loop."""
-        return self._one_place
-
-    @property
     def closes_loop(self) -> bool:
         """Whether all messages that the route could carry were in the peer's domain before."""
         others = any(source.live for source in self.sources) or self.unexplained or self.too_far
-        return self._one_place or (any(each.live for each in self.echoes) and not others)
+        return self.one_place or (any(each.live for each in self.echoes) and not others)
 
     @property
     def full(self) -> bool:

@@ -82,12 +82,10 @@ class Peekable(Protocol):
     @property
     def peer(self) -> Peer:
         """The other side of its link."""
-        ...
 
     @property
     def local_topic(self) -> str:
         """Its topic's name on this side."""
-        ...
 
 
 class Peeking:

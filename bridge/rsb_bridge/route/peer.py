@@ -91,22 +91,18 @@ class Peer(Protocol):
     @property
     def bridges(self) -> tuple[str, ...]:
         """Names of the bridge nodes in the peer's domain, its own first, or empty if not known yet."""
-        ...
 
     @property
     def connections(self) -> int:
         """Number of connections so far, which identifies the present one."""
-        ...
 
     @property
     def linked(self) -> bool:
         """Whether the peer is connected and authenticated."""
-        ...
 
     @property
     def instance(self) -> str:
         """Random id of the peer's present or last process, or an empty string before the first connection."""
-        ...
 
     @property
     def keepalive(self) -> PeerPings: ...
@@ -120,19 +116,15 @@ class Peer(Protocol):
     @property
     def down_reason(self) -> str:
         """Reason why it isn't linked, for an operator."""
-        ...
 
     def send(self, message: ControlMessage) -> None:
         """Send a control message; without a connection, nothing happens."""
-        ...
 
     def shared_port(self) -> int:
         """Return the port or channel of the link itself."""
-        ...
 
     def closed(self, route_id: int) -> None:
         """Note the end of a route's opening: control messages about it that still come are late."""
-        ...
 
 
 class TypeBudget:

@@ -5,7 +5,6 @@ The session may name the type, publishers have types, and the other side's graph
 
 from __future__ import annotations
 
-from collections import defaultdict
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
@@ -14,11 +13,11 @@ from rsb_bridge.model.names import expand_type_name
 from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause
-from rsb_bridge.route.topic_verdict import no_publisher
+from rsb_bridge.route.topic_verdict import no_publisher, nodes_by
 from rsb_bridge.route.type_versions import TypeVersion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
@@ -181,13 +180,13 @@ def choose_type(
     Raises:
         UnresolvedError: the publishers have no type that can be sent.
     """
-    types = _nodes_by(publishers, lambda publisher: publisher.type_name)
+    types = nodes_by(publishers, lambda publisher: publisher.type_name)
     if wanted and types and wanted not in types:
         raise _clash(f"publishers send {_named(types)}, not {wanted}: correct the type")
     name = wanted or (used.name if used.name in types else next(iter(types), hint.name))
     if not wanted and len(types) > 1 and name != used.name:
         raise _clash(f"publishers disagree on the type: {_named(types)}: set the topic's type")
-    versions = _nodes_by((each for each in publishers if each.type_name == name), lambda each: each.type_hash)
+    versions = nodes_by((each for each in publishers if each.type_name == name), lambda each: each.type_hash)
     if len(versions) > 1:  # DDS compares names only, and would mix their messages
         raise _clash(f"publishers have different versions of {name}: {_named(versions)}: install one version")
     if versions or not name:
@@ -201,11 +200,11 @@ def left_out(publishers: Sequence[Endpoint], wanted: str, sent: str) -> str:
 
     If the session names the type, publishers of other types are left out on purpose.
     """
-    types = _nodes_by(publishers, lambda each: each.type_name)
+    types = nodes_by(publishers, lambda each: each.type_name)
     others = {name: nodes for name, nodes in types.items() if name != sent}
     if wanted or not others:
         return ""
-    bridged = _named({sent: types.get(sent, [])})
+    bridged = _named({sent: types.get(sent, set())})
     verb = "is" if len(others) == 1 else "are"
     return f"publishers disagree on the type: {_named(others)} {verb} not bridged, only {bridged}: set the topic's type"
 
@@ -214,16 +213,8 @@ def _clash(why: str) -> UnresolvedError:
     return UnresolvedError(why, cause=Cause.TYPE_CONFLICT)
 
 
-def _nodes_by(publishers: Iterable[Endpoint], kind: Callable[[Endpoint], str]) -> dict[str, list[str]]:
-    """Return the nodes of the publishers by their `kind`. Publishers of an empty kind are left out."""
-    nodes: defaultdict[str, set[str]] = defaultdict(set)
-    for publisher in publishers:
-        if key := kind(publisher):
-            nodes[key].add(publisher.node)
-    return {key: sorted(filter(None, nodes[key])) for key in sorted(nodes)}
-
-
-def _named(nodes: dict[str, list[str]]) -> str:
+def _named(nodes: Mapping[str, Iterable[str]]) -> str:
     """Format types or versions, each with its nodes."""
-    parts = [f"{key} (from {join_first(names, _MOST_NODES)})" if names else key for key, names in nodes.items()]
+    known = {key: sorted(filter(None, names)) for key, names in nodes.items()}
+    parts = [f"{key} (from {join_first(names, _MOST_NODES)})" if names else key for key, names in known.items()]
     return join_first(parts, _MOST_TYPES)

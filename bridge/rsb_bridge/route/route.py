@@ -51,11 +51,9 @@ class Owner(Peer, Protocol):
 
     def report_soon(self, route: Route) -> None:
         """Send a route's counts before the next regular report. May be called for every batch."""
-        ...
 
     def open_channel(self, route: Route) -> None:
         """Begin to open `route.channel`. For streams, a server waits for the client's instead."""
-        ...
 
 
 class Route:

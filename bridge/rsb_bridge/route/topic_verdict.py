@@ -249,6 +249,15 @@ def named(nodes: Iterable[str]) -> str:
     return join_first(sorted({node or "a node that is not known yet" for node in nodes}), _NAMED) or "nobody"
 
 
+def nodes_by(endpoints: Iterable[Endpoint], what: Callable[[Endpoint], str]) -> dict[str, set[str]]:
+    """Group endpoints' nodes by a property of the endpoint. Endpoints without it are left out."""
+    nodes: dict[str, set[str]] = {}
+    for each in endpoints:
+        if key := what(each):
+            nodes.setdefault(key, set()).add(each.node)
+    return dict(sorted(nodes.items()))
+
+
 def types_and_nodes(endpoints: Iterable[Endpoint]) -> str:
     """``/a has pkg/msg/A and /b has pkg/msg/B``."""
     nodes: dict[str, list[str]] = {}

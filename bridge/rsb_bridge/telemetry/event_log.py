@@ -75,7 +75,8 @@ class EventLog:
         It goes to terminals and files from here, and may quote a peer: each text becomes one line of a limited length.
         """
         # Outside of the lock, so that a long text holds up no other thread.
-        event = replace(event, **_cleaned(event))
+        cleaned: dict[str, Any] = {name: _one_line(getattr(event, name), most) for name, most in _LENGTHS.items()}
+        event = replace(event, **cleaned)
         with self._news:
             self.last = next(self._numbers)
             self._events.append(replace(event, number=self.last))
@@ -106,10 +107,6 @@ class EventLog:
         """Make all callers of `wait` check whether to stop."""
         with self._news:
             self._news.notify_all()
-
-
-def _cleaned(event: Event) -> dict[str, Any]:
-    return {name: _one_line(getattr(event, name), length) for name, length in _LENGTHS.items()}
 
 
 def _one_line(text: str, limit: int) -> str:

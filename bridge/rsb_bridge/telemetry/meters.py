@@ -93,19 +93,9 @@ class RateMeter:
     """
 
     __slots__ = (
-        "_at_tick",
-        "_bytes_at_tick",
-        "_marks",
-        "_quiet",
-        "_smoothed",
-        "_ticked",
-        "_usual",
-        "bytes",
-        "count",
-        "history",
-        "last",
-        "rate",
-    )
+        "_at_tick", "_bytes_at_tick", "_marks", "_quiet", "_smoothed", "_ticked", "_usual", "bytes", "count", "history",
+        "last", "rate",
+    )  # fmt: skip
 
     def __init__(self, now: float) -> None:
         self.count = 0
@@ -204,17 +194,8 @@ class LatencyMeter:
     """
 
     __slots__ = (
-        "_counts",
-        "_fresh",
-        "_reported_for",
-        "_samples",
-        "_ticks",
-        "_transit",
-        "jitter",
-        "p50",
-        "p99",
-        "recent",
-    )
+        "_counts", "_fresh", "_reported_for", "_samples", "_ticks", "_transit", "jitter", "p50", "p99", "recent",
+    )  # fmt: skip
 
     def __init__(self, ticks: int = 0) -> None:
         self._samples: deque[float] = deque(maxlen=_LATENCIES)

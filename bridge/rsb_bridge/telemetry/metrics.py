@@ -24,6 +24,7 @@ from prometheus_client import CollectorRegistry, ProcessCollector, make_wsgi_app
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.registry import Collector
 
+from rsb_bridge.model.calls import Refused
 from rsb_bridge.model.figure_table import FIGURES, Of, Unit
 
 if TYPE_CHECKING:
@@ -43,12 +44,7 @@ DROPPED = frozenset(
         "too complex", "too large", "unknown source", "would loop",
     }
 )  # fmt: skip
-REFUSED = frozenset(
-    {
-        "bytes under way", "calls a second", "calls under way", "disarmed", "link silent", "malformed", "not arrived",
-        "not sent", "paused", "provider gone", "too complex", "too large", "too old",
-    }
-)  # fmt: skip
+REFUSED = frozenset(Refused) - {Refused.LOST, Refused.OTHER}
 _LINK = ("link",)
 _TOPIC = (*_LINK, "topic", "direction")
 _ROUTE = (*_TOPIC, "kind")

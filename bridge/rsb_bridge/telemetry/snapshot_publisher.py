@@ -43,14 +43,12 @@ class ShownRoute(Protocol):
 
     def snapshot(self) -> RouteSnapshot:
         """Return the route as it is now."""
-        ...
 
     purpose: Purpose
 
     @property
     def idle(self) -> bool:
         """Whether nothing has happened to it lately."""
-        ...
 
 
 class ShownLink(Protocol):
@@ -59,11 +57,9 @@ class ShownLink(Protocol):
     @property
     def routes(self) -> Mapping[str, ShownRoute]:
         """Its routes, by key."""
-        ...
 
     def snapshot(self) -> LinkSnapshot:
         """Return the link as it is now."""
-        ...
 
 
 class ShownBridge(Protocol):
@@ -71,11 +67,9 @@ class ShownBridge(Protocol):
 
     def links(self) -> Sequence[ShownLink]:
         """Return all links, up or down."""
-        ...
 
     def refused(self) -> tuple[RefusedClient, ...]:
         """Return the refused clients."""
-        ...
 
 
 class SnapshotPublisher:

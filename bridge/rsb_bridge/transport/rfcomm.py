@@ -54,9 +54,8 @@ class RfcommProblem(Wording):
 class RfcommStream(Stream):
     """An RFCOMM connection. It carries some 50 kB/s: what waits on it should be well below a second of that."""
 
-    batch_bytes = 2048
     high_water = 2048
-    """Both are 40 ms of 50 kB/s."""
+    """40 ms of 50 kB/s."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         sock: socket.socket = transport.get_extra_info("socket")

@@ -8,7 +8,7 @@ import errno
 import os
 import socket
 import struct
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
 from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.descriptors import MORE_DESCRIPTORS
@@ -21,8 +21,6 @@ Address: TypeAlias = tuple[Any, ...]
 
 CLOSED_BY_PEER = "closed by the other side"
 """The reason where a stream ended in order, which also happens when the other process is killed."""
-BATCH_BYTES = 256 * 1024
-"""As much as is worth one call, where the link is not slow. A round figure: nothing was measured."""
 
 _STRANGER_READS = 4096
 """Bytes that are read at a time from a stranger, so that few of them wait here during a handshake."""
@@ -86,29 +84,6 @@ class StreamProblem(Wording):
 _CLOSED_HERE = StreamProblem.CLOSED_HERE()
 
 
-@runtime_checkable
-class OpenNetworkTransport(Protocol):
-    """An asyncio transport in a network where anybody may send to either end.
-
-    Attributes:
-        when_doubted: called as soon as somebody says that the other end is gone, which is not proven.
-    """
-
-    when_doubted: Callable[[], None]
-
-    def begin_trial(self) -> None:
-        """Take several answers to this side's first bytes, each as if no other had come, until `adopt`."""
-        ...
-
-    def adopt(self) -> None:
-        """Go on with the answer that the protocol has just been given."""
-        ...
-
-    def authenticate(self, secret: bytes, *, opener: bool) -> None:
-        """Take only what the peer proves to have sent; `opener` says whether this side opened the stream."""
-        ...
-
-
 class StreamHandler:
     """Receives what happens on a stream, on the I/O loop. The base class ignores everything."""
 
@@ -132,7 +107,6 @@ class Stream(asyncio.Protocol):
     information, keeps to `set_write_buffer_limits`, and calls `pause_writing` and `resume_writing`.
 
     Attributes:
-        batch_bytes: bytes to write in one call.
         high_water: bytes that may wait for the kernel before the stream counts as congested.
         congested: whether more than `high_water` bytes wait for the kernel, so that writers should pause.
         received_at: time (s, on the loop's clock) of the last bytes, or of the connection.
@@ -141,7 +115,6 @@ class Stream(asyncio.Protocol):
         own_address: host or adapter of this end, or empty if unknown.
     """
 
-    batch_bytes: ClassVar[int] = BATCH_BYTES
     high_water: ClassVar[int] = 0
     """Not a byte waits here by choice: in the routes' queues, newer messages replace older ones."""
 
@@ -211,17 +184,11 @@ class Stream(asyncio.Protocol):
         """Read as much as comes: the other end has proven that it has the key. Until then, little is read at a time."""
         _read_at_a_time(self._transport, _READS)
 
-    def begin_trial(self) -> bool:
-        """Take several answers to this side's first bytes, until `adopt`; return False where only the peer answers."""
-        if isinstance(self._transport, OpenNetworkTransport):
-            self._transport.begin_trial()
-            return True
-        return False
+    def begin_trial(self) -> None:
+        """Take several answers to this side's first bytes, until `adopt`, where others than the peer may answer."""
 
     def adopt(self) -> None:
         """Go on with the answer that the handler has just been given."""
-        if isinstance(self._transport, OpenNetworkTransport):
-            self._transport.adopt()
 
     def authenticate(self, secret: bytes | None, *, opener: bool) -> None:
         """Take only what the peer proves to have sent, where others could send, too.
@@ -230,8 +197,6 @@ class Stream(asyncio.Protocol):
             secret: of both sides (`rsb_bridge.wire.sealing`), or None if the peer proves nothing.
             opener: this side opened the stream.
         """
-        if secret is not None and isinstance(self._transport, OpenNetworkTransport):
-            self._transport.authenticate(secret, opener=opener)
 
     def give_up_after(self, seconds: float) -> None:
         """Have the kernel give it up once nothing is acknowledged for so long; only TCP does. May be called again."""

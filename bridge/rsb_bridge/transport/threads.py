@@ -9,21 +9,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
-from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 T = TypeVar("T")
-
-
-@runtime_checkable
-class VisitableLoop(Protocol):
-    """A loop whose work other threads may do while it waits (`rsb_bridge.engine.io_loop`)."""
-
-    def do_now(self, work: Callable[[], object]) -> bool:
-        """Call `work` on this thread as if it were the loop's, or return False."""
-        ...
 
 
 async def in_thread(name: str, work: Callable[[], T], within: float) -> T:

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, TypeAlias
 
 from rsb_bridge.model.transports import TransportTraits
-from rsb_bridge.model.wording import Wording
 from rsb_bridge.transport.streams import Address, format_address
 
 if TYPE_CHECKING:
@@ -32,12 +31,6 @@ if TYPE_CHECKING:
 
 RECEIVE_BUFFER = 8 * 1024 * 1024
 """Bytes of the kernel's receive buffer that a datagram socket asks for."""
-
-
-class ServersFound(Wording):
-    """Servers that a client finds where it expects one."""
-
-    SEVERAL_WITH_ONE_KEY = "several servers have this link's key: {hosts}"
 
 
 class ListenError(Exception):
@@ -67,33 +60,26 @@ class DatagramSocket(Protocol):
     @property
     def port(self) -> int:
         """The local port, or 0 on a network that has none."""
-        ...
 
     @property
     def congested(self) -> bool:
         """Whether datagrams wait here for the network: better not to send now."""
-        ...
 
     @property
     def receive_buffer(self) -> int:
         """Bytes that the kernel grants of `RECEIVE_BUFFER`."""
-        ...
 
     def send(self, datagrams: Sequence[bytes], path: SendPath | None) -> None:
         """Send datagrams, along a path or, on a connected socket, None. Never waits; may lose them."""
-        ...
 
     def path(self, source: str, address: Address) -> SendPath:
         """Return the way from one of our addresses to a peer."""
-        ...
 
     def datagram_size(self, address: Address) -> int:
         """Return the bytes of the largest datagram that reaches `address` in one piece, by present knowledge."""
-        ...
 
     def close(self) -> None:
         """Close it; what waits is lost."""
-        ...
 
 
 Datagrams: TypeAlias = list[tuple[bytes | memoryview, Address]]
@@ -134,7 +120,6 @@ class Listener(Protocol):
 
     def close(self) -> None:
         """Free the port. Streams that it accepted stay open; datagram sockets are closed."""
-        ...
 
 
 class _Transport(TransportTraits, ABC):
@@ -198,7 +183,7 @@ class StreamTransport(_Transport):
 
     def several(self, hosts: Sequence[str]) -> str:
         """Return the text for operators about several servers that prove one key."""
-        return ServersFound.SEVERAL_WITH_ONE_KEY(hosts=", ".join(hosts))
+        raise NotImplementedError
 
     @property
     def announced_at(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from rsb_bridge.model.wording import Wording
 from rsb_bridge.view.drawing import Drawn, UndrawableError, View, nested, raw, text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from typing import Any
 
     from numpy.typing import NDArray
@@ -52,48 +51,13 @@ class ImageProblem(Wording):
     BROKEN = "the compressed image is damaged: {error}"
 
 
-class _Encoding(NamedTuple):
-    """A way to store pixels in rows (sensor_msgs/image_encodings.hpp).
-
-    Attributes:
-        dtype: of a channel, without byte order.
-        channels: of a pixel in the rows.
-        to_rgb: makes red, green and blue, from 0 to 255, of rows of pixels.
-    """
-
-    bytes: int
-    dtype: str
-    channels: int
-    to_rgb: Callable[[Array], Array]
-
-
-def _grey(pixels: Array) -> Array:
-    return np.repeat(pixels[:, :, :1], 3, axis=2)
-
-
-def _grey16(pixels: Array) -> Array:
-    return _grey(pixels >> 8)
-
-
-def _swapped(pixels: Array) -> Array:
-    return pixels[:, :, 2::-1]
-
-
-def _first_three(pixels: Array) -> Array:
-    return pixels[:, :, :3]
-
-
 ENCODINGS = {
-    "rgb8": _Encoding(3, "u1", 3, _first_three),
-    "bgr8": _Encoding(3, "u1", 3, _swapped),
-    "rgba8": _Encoding(4, "u1", 4, _first_three),
-    "bgra8": _Encoding(4, "u1", 4, _swapped),
-    "8UC3": _Encoding(3, "u1", 3, _swapped),
-    "8UC4": _Encoding(4, "u1", 4, _swapped),
-    "mono8": _Encoding(1, "u1", 1, _grey),
-    "8UC1": _Encoding(1, "u1", 1, _grey),
-    "mono16": _Encoding(2, "u2", 1, _grey16),
-}
+    "rgb8": ("u1", 3, (0, 1, 2)), "bgr8": ("u1", 3, (2, 1, 0)), "rgba8": ("u1", 4, (0, 1, 2)),
+    "bgra8": ("u1", 4, (2, 1, 0)), "8UC3": ("u1", 3, (2, 1, 0)), "8UC4": ("u1", 4, (2, 1, 0)),
+    "mono8": ("u1", 1, (0, 0, 0)), "8UC1": ("u1", 1, (0, 0, 0)), "mono16": ("u2", 1, (0, 0, 0)),
+}  # fmt: skip
+"""Encodings with all channels of a pixel in its place (sensor_msgs/image_encodings.hpp): the type of a channel, their
+number, and the places of red, green and blue."""
 _DEPTHS = {"16UC1": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
 """Encodings of depths (REP 118): the type, and m in one unit."""
 _YUV = {"yuv422": (1, 0), "uyvy": (1, 0), "yuv422_yuy2": (0, 1), "yuyv": (0, 1)}
@@ -133,10 +97,11 @@ class ImageView(View):
             picture, span = _depth(_reduced(depth[:, :, None], wish)[:, :, 0].astype(np.float32) * unit, wish)
             return Drawn(picture, (note, span) if span else (note,))
         if encoding in ENCODINGS:
-            known = ENCODINGS[encoding]
-            rows = _rows(data, width, height, step, known.bytes, encoding)
-            pixels = rows.view(order + known.dtype).reshape(height, width, known.channels)
-            return Drawn(_pixels(known.to_rgb(_reduced(pixels, wish)), wish), (note,))
+            dtype, channels, places = ENCODINGS[encoding]
+            size = int(dtype[1])
+            rows = _rows(data, width, height, step, channels * size, encoding)
+            pixels = _reduced(rows.view(order + dtype).reshape(height, width, channels), wish)[:, :, places]
+            return Drawn(_pixels(pixels >> 8 * (size - 1), wish), (note,))
         if encoding in _YUV:
             return Drawn(_pixels(_yuv(_rows(data, width, height, step, 2, encoding), encoding, wish), wish), (note,))
         if encoding in _BAYER:

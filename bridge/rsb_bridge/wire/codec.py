@@ -96,17 +96,12 @@ def encode(message: ControlMessage | Hello | Welcome) -> bytes:
     return _encoder.encode(message)
 
 
-def decode(data: bytes) -> ControlMessage:
-    """Return a control message from msgpack.
+def decode(data: bytes) -> ControlMessage | ReportParts | TopicListParts:
+    """Return a control message from msgpack. Entries of a long report or list are decoded later.
 
     Raises:
         ProtocolError: the message is invalid, or a field is out of its range.
     """
-    return _decode(_control, data)
-
-
-def decode_in_parts(data: bytes) -> ControlMessage | ReportParts | TopicListParts:
-    """Return a control message from msgpack; entries of a long report or list are decoded later. Errors as `decode`."""
     if len(data) <= WHOLE:
         return _decode(_control, data)
     return _decode(_parts, data)

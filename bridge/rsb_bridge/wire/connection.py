@@ -9,17 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of
-from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
-from rsb_bridge.wire.events import (
-    Accepted,
-    Attach,
-    DataFrame,
-    Established,
-    MessageReceived,
-    RefusalCode,
-    StreamRefused,
-    Undecoded,
-)
+from rsb_bridge.wire.codec import decode_hello, decode_welcome, encode
+from rsb_bridge.wire.events import Accepted, DataFrame, Established, MessageReceived, RefusalCode, StreamRefused
 from rsb_bridge.wire.framing import CONTROL, CONTROL_LIMIT, DATA, HEADER, pack_frame
 from rsb_bridge.wire.preamble import (
     MAGIC,
@@ -54,14 +45,8 @@ _CONTROL_HEADER = HEADER.pack(CONTROL, 0, 0, 0)
 
 
 class _Control(SealedStream):
-    """Either end of a control connection, in addition to its handshake.
+    """Either end of a control connection, in addition to its handshake."""
 
-    Attributes:
-        decodes: whether control messages are decoded as they come. If not, each is an `Undecoded` event, so that its
-            receiver can spread the work: a message of 1 MiB may take half a second.
-    """
-
-    decodes = True
     _multiplexed: bool
 
     def send(self, message: ControlMessage) -> bytes:
@@ -86,17 +71,21 @@ class _Control(SealedStream):
         return self.data_to_send()
 
     def _on_content(self, content: bytes) -> None:
-        self._events.append(MessageReceived(decode(content)) if self.decodes else Undecoded(content))
+        self._events.append(MessageReceived(content))
 
     def _on_other_frame(self, frame: memoryview) -> None:
         header = frame[: HEADER.size]
         if not self._multiplexed or len(header) < HEADER.size or header[0] != DATA:
             super()._on_other_frame(frame)  # raises
-        self._events.append(DataFrame(HEADER.unpack(header)[2], frame))
+        self._events.append(DataFrame(frame))
 
 
 class ClientConnection(_Control, ConnectingStream):
-    """The client's end of a control connection."""
+    """The client's end of a control connection.
+
+    Attributes:
+        suite: the cipher suite that was offered last; the server may have asked for another than at first.
+    """
 
     def __init__(self, hello: Hello, key: bytes | None, suite: CipherSuite, *, multiplexed: bool = False) -> None:
         """Prepare to connect.
@@ -110,13 +99,8 @@ class ClientConnection(_Control, ConnectingStream):
         self._multiplexed = multiplexed
         self._hello = hello
         self._key = key
-        self._suite = CipherSuite.PLAIN if key is None else suite
+        self.suite = CipherSuite.PLAIN if key is None else suite
         self._heard = False  # a sealed frame: so the server has this side's confirmation
-
-    @property
-    def suite(self) -> CipherSuite:
-        """The cipher suite that was offered last; the server may have asked for another than at first."""
-        return self._suite
 
     def start(self) -> bytes:
         """Return the bytes to write first.
@@ -125,17 +109,17 @@ class ClientConnection(_Control, ConnectingStream):
             ValueError: the name is too long.
         """
         mark = bytes(FINGERPRINT_LENGTH) if self._key is None else fingerprint_of(self._key)
-        header = control_header(self._suite, self._hello.name, mark)
-        return self._first_message(self._suite, self._key, header, encode(self._hello))
+        header = control_header(self.suite, self._hello.name, mark)
+        return self._first_message(self.suite, self._key, header, encode(self._hello))
 
     def _on_preamble(self, kind: PreambleKind, body: bytes, frame: bytes) -> None:
         # Only from AES-GCM, and only to ChaCha20: a forged one can neither loop nor take the encryption away.
         if (
             kind is PreambleKind.RETRY
-            and self._suite is CipherSuite.AESGCM
+            and self.suite is CipherSuite.AESGCM
             and parse_suite(body) is CipherSuite.CHACHAPOLY
         ):
-            self._suite = CipherSuite.CHACHAPOLY
+            self.suite = CipherSuite.CHACHAPOLY
             self._outbox += self.start()
         else:
             super()._on_preamble(kind, body, frame)
@@ -161,18 +145,22 @@ class ClientConnection(_Control, ConnectingStream):
     def _on_accept(self, message: bytes) -> None:
         welcome = decode_welcome(self._read_answer(message, RefusalText.ANSWER_SEALED_WITH_ANOTHER_KEY()))
         keys = self._handshake.split()
-        self._proven, self._at = self._key is not None, welcome.at
-        self._start_sealing(self._suite, keys)
+        self.proven, self.at = self._key is not None, welcome.at
+        self._start_sealing(self.suite, keys)
         self._confirm()  # also where it is refused: only then does the server know that it has the key
         if welcome.taken:
             raise Refusal(RefusalCode.NAME_TAKEN, welcome.taken)
         if welcome.shut_down:
             raise Refusal(RefusalCode.SHUT_DOWN, welcome.shut_down)
-        self._events.append(Established(welcome, SessionKeys(self._suite, keys.export, welcome.link_id)))
+        self._events.append(Established(welcome, SessionKeys(self.suite, keys.export, welcome.link_id)))
 
 
 class ServerConnection(AcceptingStream, _Control):
-    """The server's end of an inbound stream: a control connection, or a data stream to be attached."""
+    """The server's end of an inbound stream: a control connection, or a data stream to be attached.
+
+    Attributes:
+        fingerprint: of an accepted client's key, or empty without encryption.
+    """
 
     def __init__(
         self,
@@ -196,12 +184,7 @@ class ServerConnection(AcceptingStream, _Control):
         self._make_welcome = make_welcome
         self._aes = aes
         self._retried = False
-        self._fingerprint = b""
-
-    @property
-    def fingerprint(self) -> bytes:
-        """The fingerprint of an accepted client's key, or empty without encryption."""
-        return self._fingerprint
+        self.fingerprint = b""
 
     def accept_attach(self) -> bytes:
         """Accept the data stream; return the bytes to write. `leftover` has the bytes after the preamble."""
@@ -213,9 +196,8 @@ class ServerConnection(AcceptingStream, _Control):
             case PreambleKind.CONTROL:
                 self._on_offer(parse_control(frame))
             case PreambleKind.DATA:
-                link_id, name, header, proof = parse_data(frame)
+                self._events.append(parse_data(frame))
                 self._phase = PreamblePhase.HANDED_OVER
-                self._events.append(Attach(link_id, name, proof, header))
             case _:
                 raise ProtocolError(Broken.UNEXPECTED_IN_PREAMBLE(kind=kind.name))
 
@@ -263,7 +245,7 @@ class ServerConnection(AcceptingStream, _Control):
             outcome = StreamRefused(RefusalCode.SHUT_DOWN, welcome.shut_down, hello)
         else:
             outcome = Established(hello, SessionKeys(offer.suite, keys.export, welcome.link_id))
-        self._fingerprint = b"" if key is None else offer.fingerprint
+        self.fingerprint = b"" if key is None else offer.fingerprint
         self._accept(offer.suite, keys, answer, outcome)
 
 

@@ -7,7 +7,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
-    from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome
+    from rsb_bridge.wire.messages import Hello, Welcome
     from rsb_bridge.wire.sealing import SessionKeys
 
 
@@ -40,14 +40,7 @@ class Established:
 
 @dataclass(frozen=True, slots=True)
 class MessageReceived:
-    """A control message came."""
-
-    message: ControlMessage
-
-
-@dataclass(frozen=True, slots=True)
-class Undecoded:
-    """A received control message, for `rsb_bridge.wire.codec.decode_in_parts`."""
+    """A control message came, for `rsb_bridge.wire.codec.decode`, which may take a while: so its receiver calls it."""
 
     content: bytes
 
@@ -57,11 +50,9 @@ class DataFrame:
     """A data frame came on a multiplexed control stream.
 
     Attributes:
-        route: route id from its header; not authenticated yet.
         frame: for the route's `rsb_bridge.wire.framing.DataReader.open_frames`.
     """
 
-    route: int
     frame: memoryview
 
 
@@ -130,11 +121,10 @@ class Admitted:
     """An operator's connection is up, and the peer has proven that it has the operator's key.
 
     Attributes:
-        operator: on the engine, who it is; this and the rest are empty on the console.
-        host: the machine that they come from, as their console says.
+        host: on the engine, the machine that they come from, as their console says; this and the key are empty on the
+            console.
     """
 
-    operator: str = ""
     host: str = ""
     key: bytes = field(default=b"", repr=False)  # not in a log
 
@@ -147,14 +137,5 @@ class OperatorOpened:
 
 
 Event: TypeAlias = (
-    Established
-    | MessageReceived
-    | Undecoded
-    | DataFrame
-    | Attach
-    | Accepted
-    | StreamRefused
-    | Failed
-    | Admitted
-    | OperatorOpened
+    Established | MessageReceived | DataFrame | Attach | Accepted | StreamRefused | Failed | Admitted | OperatorOpened
 )

@@ -248,16 +248,6 @@ class DataWriter:
         self._sealer = sealer
         self._route = route
 
-    def write(self, payload: Buffer, stamp: int, flags: int = 0) -> bytes:
-        """Return one message as one frame.
-
-        Args:
-            payload: the serialized message; at most `MESSAGE_LIMIT` bytes.
-            stamp: ns since the epoch.
-            flags: `ZSTD`, `HISTORY`.
-        """
-        return self.write_many(((payload, stamp, flags),))
-
     def write_many(self, messages: Iterable[tuple[Buffer, int, int]]) -> bytes:
         """Several messages, each (payload, stamp, flags), as frames in one piece."""
         seal, pack_header, pack_length, route = self._sealer.seal, HEADER.pack, LENGTH.pack, self._route

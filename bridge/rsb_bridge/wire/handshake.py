@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 from collections import deque
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, TypeAlias
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
@@ -32,27 +32,6 @@ class HandshakeKeys(NamedTuple):
     client: bytes | None
     server: bytes | None
     export: bytes | None
-
-
-class Handshake(Protocol):
-    """One end of a handshake of two messages: the client writes then reads, the server reads then writes."""
-
-    def write(self, payload: bytes) -> bytes:
-        """Return this end's message."""
-        ...
-
-    def read(self, message: bytes) -> bytes:
-        """Return the payload of the other end's message.
-
-        Raises:
-            SealError: the other end has another key.
-            ProtocolError: the message is invalid.
-        """
-        ...
-
-    def split(self) -> HandshakeKeys:
-        """Return the keys, after both messages."""
-        ...
 
 
 class PlainHandshake:
@@ -157,6 +136,10 @@ class NoiseHandshake:
     def _mix_key_and_hash(self, material: bytes) -> None:
         self._ck, mixed, self._k = _hkdf(self._ck, material)
         self._mix_hash(mixed)
+
+
+Handshake: TypeAlias = PlainHandshake | NoiseHandshake
+"""One end of a handshake of two messages: the client writes then reads, the server reads then writes."""
 
 
 def _hkdf(chaining_key: bytes, material: bytes) -> tuple[bytes, bytes, bytes]:

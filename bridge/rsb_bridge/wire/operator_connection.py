@@ -150,8 +150,8 @@ class OperatorConsole(_Records, ConnectingStream):
 
     def _on_accept(self, message: bytes) -> None:
         wrong_key = RefusalText.ENGINE_SEALED_WITH_ANOTHER_KEY(fingerprint=format_fingerprint(self._mark))
-        self._at = self._read_answer(message, wrong_key)[:_AT_BYTES].decode(errors="replace")
-        self._proven = True
+        self.at = self._read_answer(message, wrong_key)[:_AT_BYTES].decode(errors="replace")
+        self.proven = True
         self._start_sealing(SUITE, self._handshake.split())
         self._confirm()
         self._events.append(Admitted())
@@ -191,5 +191,5 @@ class OperatorEngine(AcceptingStream, _Records):
         # After it has opened, or strangers could push all of the operator's messages out of the memory.
         self._check_new(replays, offer.message)
         answer = handshake.write(self._at.encode())
-        admitted = Admitted(offer.operator, sanitize_text(host.decode(errors="replace")), key)
+        admitted = Admitted(sanitize_text(host.decode(errors="replace")), key)
         self._accept(SUITE, handshake.split(), answer, admitted)

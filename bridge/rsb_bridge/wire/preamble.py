@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import struct
 from abc import ABC, abstractmethod
 from enum import Enum, IntEnum, auto
@@ -12,15 +11,12 @@ from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, fo
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.text import is_clean, sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.wire.events import Event, Failed, RefusalCode, StreamName, StreamRefused
+from rsb_bridge.wire.events import Attach, Event, Failed, RefusalCode, StreamName, StreamRefused
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, pack_frame
 from rsb_bridge.wire.protocol_error import Broken, ForeignProtocolError, Misuse, ProtocolError
 from rsb_bridge.wire.sealing import CipherSuite, SealError
 
 if TYPE_CHECKING:
-    from typing import Self
-
-    from rsb_bridge.wire.handshake import Handshake
     from rsb_bridge.wire.sealing import Buffer
 
 _HTTP = (b"HTTP", b"GET ", b"HEAD ", b"POST ", b"PUT ", b"DELETE ", b"OPTIONS ", b"CONNECT ", b"PATCH ", b"TRACE ")
@@ -160,21 +156,6 @@ class ControlPreamble(NamedTuple):
     message: bytes
 
 
-class DataPreamble(NamedTuple):
-    """A client's request for a data stream.
-
-    Attributes:
-        link_id: 8 bytes.
-        header: the frame up to the proof, which authenticates it.
-        proof: `rsb_bridge.wire.sealing.SessionKeys.attach_proof`.
-    """
-
-    link_id: bytes
-    name: StreamName
-    header: bytes
-    proof: bytes
-
-
 def take_frame(stream: bytearray) -> bytes | None:
     """Remove one frame of the handshake from the front of a stream's buffer.
 
@@ -267,7 +248,7 @@ def parse_control(frame: bytes) -> ControlPreamble:
     return ControlPreamble(parse_suite(body), name, body[name_end:end], frame[: PREFIX_LENGTH + end], body[end:])
 
 
-def parse_data(frame: bytes) -> DataPreamble:
+def parse_data(frame: bytes) -> Attach:
     """Read a DATA frame.
 
     Raises:
@@ -277,7 +258,7 @@ def parse_data(frame: bytes) -> DataPreamble:
     if len(frame) < end:
         raise ProtocolError(Broken.DATA_TOO_SHORT())
     link_id, *name = _DATA.unpack_from(frame, PREFIX_LENGTH)
-    return DataPreamble(link_id, StreamName(*name), frame[:end], frame[end:])
+    return Attach(link_id, StreamName(*name), frame[end:], frame[:end])
 
 
 def parse_suite(body: bytes) -> CipherSuite:
@@ -341,12 +322,6 @@ class PreambleStream(ABC):
             foreign = error.protocol if isinstance(error, ForeignProtocolError) else None
             self._end(Failed(str(error), foreign))
         return self._events
-
-    def _fork(self, handshake: Handshake) -> tuple[Self, Handshake]:
-        """Return a copy of a client's end that has sent its first message, and of its handshake."""
-        other = copy.copy(self)
-        other._inbox, other._outbox, other._events = bytearray(), bytearray(), []
-        return other, copy.copy(handshake)
 
     def data_to_send(self) -> bytes:
         """Return the bytes to write now; returned once."""

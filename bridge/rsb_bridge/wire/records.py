@@ -158,39 +158,23 @@ class LaneEntry(msgspec.Struct, frozen=True, omit_defaults=True):
         type: ``pkg/srv/Name``, of a service that belongs to an action ``pkg/action/Name_SendGoal``, or a message's.
         type_hash: ``RIHS01_...``; of a service, its own, which covers request and response; may be empty.
         providers: number of nodes that serve or publish it.
-        qos: the publishers', or None for a service and without publishers.
     """
 
     type: Name
     type_hash: Name = ""
     providers: Count = 0
-    qos: Qos | None = None
-
-    def __post_init__(self) -> None:
-        check_qos(self.qos)
 
 
 class CallsReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A side's counts of a route of calls (`rsb_bridge.model.snapshot.CallsSnapshot`).
+    """A side's report of a route of calls.
 
     Attributes:
-        asked: calls since the route was made, as all counts here.
-        answered: calls whose answers went back.
-        expired: calls given up after the timeout.
-        lost: calls given up because the link or the provider went.
-        in_flight: calls that wait for their answers.
         given: of the providing side, the number of the newest call of this opening that it gave to DDS, or 0 for none.
         offered: whether the callers' side offers it.
         nodes: some of the calling or providing nodes.
     """
 
     route: RouteId
-    asked: int = 0
-    answered: int = 0
-    expired: int = 0
-    refused: Causes = {}
-    lost: int = 0
-    in_flight: int = 0
     given: int = 0
     offered: bool = False
     verdict: VerdictRecord | None = None

@@ -5,6 +5,7 @@ A link's control connection and an operator's connection add their first message
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -50,6 +51,9 @@ class SealedStream(PreambleStream):
     Args:
         header: precedes the sealed content of each frame, and is authenticated with it.
         limit: bytes of a frame.
+
+    Attributes:
+        sample_secret: the secret of the stream's sample tags, or None before the handshake or without encryption.
     """
 
     def __init__(self, header: bytes, limit: int) -> None:
@@ -58,19 +62,14 @@ class SealedStream(PreambleStream):
         self._frames = FrameReader(limit)
         self._sealer: Sealer | None = None
         self._opener: StreamOpener | None = None
-        self._sample_secret: bytes | None = None
-
-    @property
-    def sample_secret(self) -> bytes | None:
-        """The secret of the stream's sample tags, or None before the handshake or without encryption."""
-        return self._sample_secret
+        self.sample_secret: bytes | None = None
 
     def _start_sealing(self, suite: CipherSuite, keys: HandshakeKeys) -> None:
         sending, receiving = (keys.server, keys.client) if self._is_server else (keys.client, keys.server)
         self._sealer, self._opener = Sealer(suite, sending), StreamOpener(suite, receiving)
         self._phase = PreamblePhase.SEALED
         if keys.export is not None:
-            self._sample_secret = derive_sample_secret(keys.export)
+            self.sample_secret = derive_sample_secret(keys.export)
 
     def _seal(self, content: Buffer) -> bytes:
         if self._sealer is None:
@@ -105,28 +104,24 @@ class SealedStream(PreambleStream):
 
 
 class ConnectingStream(SealedStream):
-    """The end that sends the first message."""
+    """The end that sends the first message.
+
+    Attributes:
+        proven: whether the server has proven that it has the key, and all that came is authentic.
+        at: the server's address in a Zenoh network, as it says, or an empty string.
+    """
 
     def __init__(self, header: bytes, limit: int) -> None:
         super().__init__(header, limit)
         self._handshake: Handshake  # from the first message on
-        self._proven = False
-        self._at = ""
-
-    @property
-    def proven(self) -> bool:
-        """Whether the server has proven that it has the key, and all that came is authentic."""
-        return self._proven
-
-    @property
-    def at(self) -> str:
-        """The server's address in a Zenoh network, as it says, or an empty string."""
-        return self._at
+        self.proven = False
+        self.at = ""
 
     def fork(self) -> Self:
         """Return a copy to take one of several answers to the first message, which strangers may answer, too."""
-        other, handshake = self._fork(self._handshake)
-        other._handshake = handshake
+        other = copy.copy(self)
+        other._inbox, other._outbox, other._events = bytearray(), bytearray(), []
+        other._handshake = copy.copy(self._handshake)
         return other
 
     def _first_message(self, suite: CipherSuite, key: bytes | None, header: bytes, payload: bytes) -> bytes:
@@ -158,7 +153,7 @@ class ConnectingStream(SealedStream):
 
     def _end(self, event: Event) -> None:
         if isinstance(event, Failed):
-            self._proven = False  # somebody may have added bytes to the answer of the server
+            self.proven = False  # somebody may have added bytes to the answer of the server
         super()._end(event)
 
 

@@ -6,7 +6,7 @@ import hmac
 import struct
 import zlib
 from enum import IntEnum
-from typing import Literal, Protocol, TypeAlias
+from typing import Literal, TypeAlias
 
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
@@ -59,16 +59,6 @@ class SealError(Exception):
     """A seal is invalid: forged, damaged, out of order or replayed; the message names the reason if it can."""
 
 
-class _Cipher(Protocol):
-    def encrypt(self, nonce: bytes, data: Buffer, associated_data: Buffer) -> bytes: ...
-
-    def decrypt(self, nonce: bytes, data: Buffer, associated_data: Buffer) -> bytes: ...
-
-    def encrypt_into(self, nonce: bytes, data: Buffer, associated_data: Buffer, buf: memoryview) -> int: ...
-
-    def decrypt_into(self, nonce: bytes, data: Buffer, associated_data: Buffer, buf: memoryview) -> int: ...
-
-
 class _Checksum:
     """Takes the AEAD's place on a link without encryption: CRC-32 detects damage, but no attack."""
 
@@ -97,6 +87,8 @@ class _Checksum:
     def _tag(nonce: bytes, data: Buffer, associated_data: Buffer) -> bytes:
         return zlib.crc32(data, zlib.crc32(associated_data, zlib.crc32(nonce))).to_bytes(4, "big")
 
+
+_Cipher: TypeAlias = AESGCM | ChaCha20Poly1305 | _Checksum
 
 _NONCES = {
     CipherSuite.PLAIN: struct.Struct(">Q").pack,

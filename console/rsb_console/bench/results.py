@@ -248,15 +248,12 @@ class BenchEnds(Protocol):
             BenchError: the run fails.
             StoppedError: nothing more may be sent.
         """
-        ...
 
     def most(self, size: int, /) -> float:
         """Return the highest rate (Hz) that may be tried with messages of a size."""
-        ...
 
     def wire(self, rate: float, seconds: float, size: int) -> Run | None:
         """Do as `send` and count the bytes on the wire, at some cost in time; None if they cannot be counted."""
-        ...
 
     def sides(self, idle: float) -> tuple[Side, Side]:
         """Return the present figures of the sending and the receiving bridge.
@@ -264,7 +261,6 @@ class BenchEnds(Protocol):
         Args:
             idle: seconds without messages to measure their idle use, or 0 to skip that.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,11 +277,9 @@ class BenchPlace(Protocol):
     @property
     def ways(self) -> list[Way]:
         """Return the transports and directions to measure, in order."""
-        ...
 
     def baseline(self, sizes: list[int]) -> AbstractContextManager[BenchEnds] | None:
         """Open the ends without a bridge for comparison, or return None if that is impossible."""
-        ...
 
     def open(self, way: Way, sizes: list[int]) -> AbstractContextManager[BenchEnds]:
         """Set up the ends for one transport and direction.
@@ -294,8 +288,6 @@ class BenchPlace(Protocol):
             BenchError: it cannot be done.
             StoppedError: it may not be done.
         """
-        ...
 
     def many(self, count: int) -> Many | None:
         """Measure the cost of `count` topics, or return None if this place cannot."""
-        ...

@@ -104,7 +104,7 @@ def _serve(
     from rsb_bridge.control.bridges import AlreadyRunningError, serve  # noqa: PLC0415 -- keeps the start short
 
     try:
-        return serve(engine, session, file=path, control=control, has_console=True), None
+        return serve(engine, session, file=path, control=control), None
     except AlreadyRunningError as error:
         return None, error.bridge
 

@@ -25,7 +25,6 @@ class AddCommand(Protocol):
         self, name: str, run: Callable[[argparse.Namespace], int], summary: str, more: str = ""
     ) -> argparse.ArgumentParser:
         """Add a command by its name, the function that runs it, a summary and the end of its help."""
-        ...
 
 
 NO_BRIDGE = """\

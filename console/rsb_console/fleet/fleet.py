@@ -45,7 +45,6 @@ class FleetSource(Protocol):
     @property
     def problem(self) -> str:
         """The reason why the source has no current data, or an empty string."""
-        ...
 
     def start(self) -> None:
         """Connect to the source.
@@ -53,19 +52,15 @@ class FleetSource(Protocol):
         Raises:
             EngineError: the source cannot be used.
         """
-        ...
 
     def wait(self) -> None:
         """Wait at most some seconds for the state of each robot, or the reason for its lack."""
-        ...
 
     def stop(self) -> None:
         """Stop the source; `robots` keeps its last result."""
-        ...
 
     def robots(self) -> list[RobotSummary]:
         """Return the robots in their present state, including missing ones."""
-        ...
 
     def open(self, robot: str, *, read_only: bool) -> RemoteEngine:
         """Open an engine that shows and changes only one robot; the caller stops it.
@@ -75,7 +70,6 @@ class FleetSource(Protocol):
         Raises:
             EngineError: the engine cannot be opened.
         """
-        ...
 
 
 class UnknownRobotError(ValueError):

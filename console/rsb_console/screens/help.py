@@ -86,7 +86,6 @@ class LabelsKeys(Protocol):
 
     def key_labels(self, action: Action) -> list[str]:
         """Return the keys of an action, as written on a keyboard."""
-        ...
 
 
 class ActionsProvider(Provider):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from tests.fuzz.editing import behind, edit_bytes, split_frames
 from tests.fuzz.parser import Parser, check_text
-from tests.support.frames import StreamedReader, write_chunks
+from tests.support.frames import StreamedReader, write_chunks, write_frame
 
 from rsb_bridge.wire.framing import DATA, HEADER, HISTORY, MORE, Budget, DataWriter, FrameReader, pack_frame
 from rsb_bridge.wire.headers import CallFrame, HistoryHeader, What, split_history, unpack_call
@@ -100,7 +100,7 @@ def _round_trip(suite: CipherSuite, data: bytes) -> None:
     writer = DataWriter(Sealer(suite, _KEY), _ROUTE)
     reader = StreamedReader(StreamOpener(suite, _KEY), max(len(payload), 1))
     chunk = choice + 1
-    stream = writer.write(payload, 5, choice & 1) + b"".join(write_chunks(writer, payload, 2**64 - 1, 0, chunk))
+    stream = write_frame(writer, payload, 5, choice & 1) + b"".join(write_chunks(writer, payload, 2**64 - 1, 0, chunk))
     assert reader.receive_data(stream) == [(payload, 5, choice & 1), (payload, 2**64 - 1, 0)]
 
 
@@ -124,7 +124,7 @@ PARSERS = (
             b"\1" + _frame(0, b"a message") + _frame(HISTORY, _HISTORY + b"kept"),
             b"\1" + _frame(MORE, b"a ") + _frame(MORE, b"message ") + _frame(0, b"in chunks"),
             b"\7" + _frame(MORE, bytes(900)) + _frame(0, bytes(90)),
-            bytes(1) + DataWriter(Sealer(CipherSuite.PLAIN, None), _ROUTE).write(b"a message", 9),
+            bytes(1) + write_frame(DataWriter(Sealer(CipherSuite.PLAIN, None), _ROUTE), b"a message", 9),
         ),
         behind(1, edit_bytes),
     ),

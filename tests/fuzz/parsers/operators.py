@@ -48,7 +48,7 @@ def _check(events: list[Event]) -> None:
                 check_text(reason, MESSAGE_LIMIT)
             case StreamRefused(_, message, _):
                 check_text(message, 2 * MESSAGE_LIMIT)
-            case Admitted(_, host, _):
+            case Admitted(host, _):
                 check_text(host, HOST_BYTES)
             case OperatorOpened(content):
                 assert 0 < len(content) <= RECORD_CONTENT

@@ -19,7 +19,7 @@ from __future__ import annotations
 import ctypes
 import threading
 from functools import cache, partial
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
 from rsb_bridge.model.names import split_type_name
 from rsb_bridge.ros.distribution import package_of
@@ -86,20 +86,6 @@ class BorrowedType(NamedTuple):
 
     interface: type
     give_back: Callable[[], None]
-
-
-class NamedType(Protocol):
-    """A type support under a name and a hash that can be changed while no endpoint uses it.
-
-    Attributes:
-        interface: the class by which rclpy finds it.
-    """
-
-    interface: type
-
-    def rename(self, type_name: str, type_hash: str) -> None:
-        """Be another type."""
-        ...
 
 
 class NamedTypes:
@@ -197,17 +183,17 @@ class NamedSupport:
         self._hash.value[:] = bytes.fromhex(type_hash.removeprefix(HASH_PREFIX))
 
 
-class NamedMessage:
+class NamedMessage(NamedSupport):
     """A message type; see `NamedType`."""
 
     def __init__(self) -> None:
-        self._support = NamedSupport()
+        super().__init__()
         # What rclpy looks for in a message class's metaclass. It converts no message: they are raw.
         metaclass = type(
             "AnyType",
             (type,),
             {
-                "_TYPE_SUPPORT": capsule_of(self._support.type_support),
+                "_TYPE_SUPPORT": capsule_of(self.type_support),
                 "_CREATE_ROS_MESSAGE": None,
                 "_CONVERT_FROM_PY": None,
                 "_CONVERT_TO_PY": None,
@@ -215,7 +201,6 @@ class NamedMessage:
             },
         )
         self.interface: type = metaclass("Any", (), {})
-        self.rename = self._support.rename
 
 
 class _Callbacks(ctypes.Structure):
@@ -265,6 +250,13 @@ class NamedService:
         self._callbacks.namespace, self._callbacks.name = f"{package}::{kind}".encode(), name.encode()
         for part, ending, each in zip(self._parts, ("_Request", "_Response"), type_hash.split("+"), strict=True):
             part.rename(type_name + ending, each)
+
+
+NamedType: TypeAlias = NamedMessage | NamedService
+"""A type support under a name and a hash that can be changed while no endpoint uses it.
+
+Its `interface` is the class by which rclpy finds it.
+"""
 
 
 @cache

@@ -7,7 +7,7 @@ But the signatures of the extension module differ between distributions. So `Ext
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
@@ -80,43 +80,6 @@ def guard_condition(context: Context) -> Any:
     return _guard_condition(context.handle)
 
 
-class Entity(Protocol):
-    """An endpoint that a node has made.
-
-    Attributes:
-        rclpy: the extension module's object.
-    """
-
-    rclpy: Any
-
-    def destroy(self) -> None:
-        """Free it, once nobody uses it any more."""
-        ...
-
-
-class OwnNode(Protocol):
-    """A node without parameters, services and log topic.
-
-    Attributes:
-        handle: the extension module's object.
-    """
-
-    handle: Any
-
-    def create(self, kind: Kind, interface: type, name: str, qos: Qos) -> Entity:
-        """Create an endpoint.
-
-        Raises:
-            ValueError: the name is invalid.
-            RuntimeError: rcl refused it.
-        """
-        ...
-
-    def destroy(self) -> None:
-        """Leave the graph. To be called after its endpoints are destroyed."""
-        ...
-
-
 class _ExtensionEntity:
     def __init__(self, rclpy: Any) -> None:
         self.rclpy = rclpy
@@ -141,6 +104,12 @@ class ExtensionNode:
         self.destroy = self.handle.destroy_when_not_in_use
 
     def create(self, kind: Kind, interface: type, name: str, qos: Qos) -> Entity:
+        """Create an endpoint.
+
+        Raises:
+            ValueError: the name is invalid.
+            RuntimeError: rcl refused it.
+        """
         return _ExtensionEntity(_CLASSES[kind](self.handle, interface, name, rcl_profile(qos).get_c_qos_profile()))
 
 
@@ -198,6 +167,12 @@ class PublicNode:
             return _PublicEntity(create(interface, name, rcl_profile(qos)), destroy)
         except (AssertionError, TypeError, AttributeError) as error:  # it wants the layout of a type
             raise RuntimeError(str(error)) from error
+
+
+Entity: TypeAlias = _ExtensionEntity | _PublicEntity
+"""An endpoint that a node has made. Its `rclpy` is the extension module's object."""
+OwnNode: TypeAlias = ExtensionNode | PublicNode
+"""A node without parameters, services and log topic. Its `handle` is the extension module's object."""
 
 
 def _nothing(*_arguments: object) -> None:

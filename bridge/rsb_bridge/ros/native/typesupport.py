@@ -134,20 +134,17 @@ def _leave_out_generator() -> None:
     its parser. That takes 5 MB of memory and a tenth of the time in which a bridge starts.
     """
     with _leaving_out:
-        if _GENERATOR not in sys.modules:
-            _import_without_generator()
-
-
-def _import_without_generator() -> None:
-    part = f"{_GENERATOR}.generate_py_impl"
-    modules: dict[str, Any] = sys.modules
-    modules[part] = None  # which has its import fail
-    try:
-        importlib.import_module(_GENERATOR)
-    except ImportError:
-        pass  # its user reports that
-    finally:
-        del modules[part]
+        if _GENERATOR in sys.modules:
+            return
+        part = f"{_GENERATOR}.generate_py_impl"
+        modules: dict[str, Any] = sys.modules
+        modules[part] = None  # which has its import fail
+        try:
+            importlib.import_module(_GENERATOR)
+        except ImportError:
+            pass  # its user reports that
+        finally:
+            del modules[part]
 
 
 def _hash_of(type_support: TypeSupport) -> str:

@@ -74,7 +74,6 @@ class Closable(Protocol):
 
     def close(self) -> None:
         """Free its resources. May be called twice."""
-        ...
 
 
 class LaneSink(Generic[T]):

@@ -9,15 +9,13 @@ domain serves already.
 from __future__ import annotations
 
 import re
-from collections import defaultdict
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.sources import MOST_HOPS, Via, hop, node_of, place
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.calls.call_endpoints import name_of, route_type_of, type_of
 from rsb_bridge.route.calls.calls_verdict import Trouble
-from rsb_bridge.route.topic_verdict import named
+from rsb_bridge.route.topic_verdict import named, nodes_by
 from rsb_bridge.route.type_versions import TypeClash, hashes_text
 from rsb_bridge.wire.records import LaneEntry
 
@@ -100,7 +98,7 @@ def provision(
 
 
 def _service_entry(ros: RosInterface, servers: Sequence[Endpoint], service: str, wanted: str) -> LaneEntry:
-    types = _nodes_by(servers, lambda each: each.type_name)
+    types = nodes_by(servers, lambda each: each.type_name)
     if wanted and any(each != wanted for each in types):
         raise UnavailableError(
             Cause.TYPE_CONFLICT, f"{service} is served as {_with_nodes(types)}, not as {wanted}: correct the type"
@@ -109,7 +107,7 @@ def _service_entry(ros: RosInterface, servers: Sequence[Endpoint], service: str,
         text = f"the servers of {service} disagree on the type: {_with_nodes(types)}: stop one of them"
         raise UnavailableError(Cause.TYPE_CONFLICT, text)
     (type_name,) = types
-    versions = _nodes_by(servers, lambda each: each.type_hash)
+    versions = nodes_by(servers, lambda each: each.type_hash)
     if len(versions) > 1:
         text = f"the servers of {service} have different versions of {type_name}: {_with_nodes(versions)}: install one"
         raise UnavailableError(Cause.TYPE_CONFLICT, text)
@@ -129,8 +127,7 @@ def _topic_entry(ros: RosInterface, member: ServiceMember, topic: str, route_typ
     # Not if several versions are published: then the topic stays closed.
     if not hashes:
         type_hash = type_hash or ros.installed_hash(type_name) or ""
-    qos = match_publishers([each.qos for each in publishers]) if publishers else None
-    return LaneEntry(type_name, type_hash, len(publishers), qos)
+    return LaneEntry(type_name, type_hash, len(publishers))
 
 
 def _several(members: Sequence[ServiceMember], name: str, servers: Iterable[Endpoint]) -> Trouble | None:
@@ -199,20 +196,11 @@ def others_called(
 
 
 def _called_as_another_type(callers: Iterable[Endpoint], name: str, entry: LaneEntry) -> Trouble | None:
-    types = _nodes_by([each for each in callers if each.type_name != entry.type], lambda each: each.type_name)
+    types = nodes_by([each for each in callers if each.type_name != entry.type], lambda each: each.type_name)
     if not types:
         return None
     text = f"{name} is {entry.type}, but is called as {_with_nodes(types)}, which is not answered: correct the type"
     return Trouble(Cause.TYPE_CONFLICT, text)
-
-
-def _nodes_by(endpoints: Iterable[Endpoint], what: Callable[[Endpoint], str]) -> Mapping[str, set[str]]:
-    """Group endpoints' nodes by a property of the endpoint. Endpoints without it are left out."""
-    nodes: defaultdict[str, set[str]] = defaultdict(set)
-    for each in endpoints:
-        if key := what(each):
-            nodes[key].add(each.node)
-    return dict(sorted(nodes.items()))
 
 
 def _with_nodes(nodes: Mapping[str, set[str]]) -> str:

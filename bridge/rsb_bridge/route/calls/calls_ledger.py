@@ -9,7 +9,6 @@ from rsb_bridge.model.calls import CallsSnapshot, Refused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.telemetry.meters import LatencyMeter
-from rsb_bridge.wire.records import CallsReport, VerdictRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -148,20 +147,6 @@ class CallsLedger:
             way_p50=self.way.p50,
             way_p99=self.way.p99,
             last_failure=self.last_failure,
-        )
-
-    def report(self, route_id: int, verdict: VerdictRecord | None, nodes: tuple[str, ...]) -> CallsReport:
-        """Return the counts for the other side."""
-        return CallsReport(
-            route=route_id,
-            asked=self.asked,
-            answered=self.answered,
-            expired=self.expired,
-            refused={str(why): count for why, count in self.refused.items()},
-            lost=self.lost,
-            in_flight=self.in_flight,
-            verdict=verdict,
-            nodes=nodes,
         )
 
 

@@ -313,15 +313,20 @@ class CallsRoute(Route):
     # --- verdict and snapshot
 
     def reported(self, report: CallsReport) -> None:
-        """Take the peer's counts and verdict."""
+        """Take the peer's verdict, and how far its calls are."""
         self._report = report
         self.judged.receive(report.verdict, self.context.now())
 
     def news(self) -> CallsReport | None:
         """Return the report that the peer has not been sent yet, or None if nothing is new."""
         verdict = self.verdict()
-        report = self.calls.report(self.id, record_of(verdict), node_names(self.endpoints))
-        report = msgspec.structs.replace(report, offered=self.offered, given=self._given)
+        report = CallsReport(
+            route=self.id,
+            given=self._given,
+            offered=self.offered,
+            verdict=record_of(verdict),
+            nodes=node_names(self.endpoints),
+        )
         # Without the verdict's duration, which is another one each second.
         if report == self._last_report:
             return None

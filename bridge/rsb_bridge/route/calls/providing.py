@@ -398,7 +398,7 @@ class ProvidingRoute(CallsRoute):
         trouble = facts.unavailable
         if trouble is None or trouble.cause is not Cause.NO_SERVER or self._served_in or self.endpoints:
             return facts
-        hint = self.context.suggester.by(self.spec.kind, self.local_topic)
+        hint = self.context.suggester.of((self.spec.kind, self.local_topic))
         return facts._replace(unavailable=Trouble(trouble.cause, f"{trouble.text}; {hint}")) if hint else facts
 
     def progress(self) -> CallsProgress:

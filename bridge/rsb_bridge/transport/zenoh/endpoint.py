@@ -23,7 +23,7 @@ from urllib.parse import quote, unquote
 
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.wording import Wording
-from rsb_bridge.transport.threads import VisitableLoop, in_thread
+from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.zenoh.outbox import SampleOutbox
 from rsb_bridge.transport.zenoh.sample import LENGTHS, Header, SampleKind
 from rsb_bridge.wire.framing import STRANGER_LIMIT
@@ -112,15 +112,12 @@ class StreamEnd(Protocol):
 
     def arrived(self, header: Header, payload: bytes) -> None:
         """Take a sample."""
-        ...
 
     def cut_off(self, reason: str) -> None:
         """End: the other end is gone, or cannot be reached any more."""
-        ...
 
     def doubt(self, reason: str) -> None:
         """End unless a sample of the other side comes soon: somebody says that the other end is gone."""
-        ...
 
 
 class ZenohEndpoint:
@@ -160,7 +157,7 @@ class ZenohEndpoint:
         self._on_close = on_close
         self._directly = package.handlers.Callback
         self._loop = asyncio.get_running_loop()
-        self._do_now = self._loop.do_now if isinstance(self._loop, VisitableLoop) else None
+        self._do_now: Callable[[Callable[[], None]], bool] | None = getattr(self._loop, "do_now", None)
         self._streams: dict[tuple[str, str], StreamEnd] = {}
         self._peers: dict[str, int] = {}  # addresses, and how many trusted streams each has
         self._arrivals: deque[Callable[[], None]] = deque()

@@ -173,24 +173,11 @@ class Pipe(asyncio.Transport):
             self._resuming = True
             self._loop.call_soon(self._resume)  # not now: the protocol may be handling earlier data
 
-    def is_reading(self) -> bool:
-        return self._reading and not self._closing
-
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
         self._high = 64 * 1024 if high is None else high
 
     def get_write_buffer_size(self) -> int:
         return self._waiting_bytes
-
-    def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
-        assert isinstance(protocol, asyncio.Protocol)
-        self._protocol = protocol
-
-    def get_protocol(self) -> asyncio.BaseProtocol:
-        return self._protocol
-
-    def can_write_eof(self) -> bool:
-        return False
 
     # --- who sends
 

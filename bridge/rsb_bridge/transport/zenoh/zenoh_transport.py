@@ -74,6 +74,18 @@ class ZenohStream(Stream):
         if isinstance(self._transport, Pipe):
             self._transport.trust()
 
+    def begin_trial(self) -> None:
+        if isinstance(self._transport, Pipe):
+            self._transport.begin_trial()
+
+    def adopt(self) -> None:
+        if isinstance(self._transport, Pipe):
+            self._transport.adopt()
+
+    def authenticate(self, secret: bytes | None, *, opener: bool) -> None:
+        if secret is not None and isinstance(self._transport, Pipe):
+            self._transport.authenticate(secret, opener=opener)
+
     @property
     def peer(self) -> str:
         return _format_address(self.address)
