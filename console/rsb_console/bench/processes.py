@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from rsb_console.bench.results import BenchError, BenchProblem
+from rsb_console.bench.results import BenchError
 from rsb_console.child import ChildProcess
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ class Process:
         self.tell(line)
         answered = self.line()
         if not answered:
-            raise ChildError(BenchProblem.PROCESS_ENDED(name=self._name))
+            raise ChildError(f"{self._name} has ended by itself")
         answer: dict[str, float] = json.loads(answered)
         return answer
 
@@ -88,7 +88,7 @@ class Process:
             self._child.stdin.write(line + "\n")
             self._child.stdin.flush()
         except BrokenPipeError:
-            raise ChildError(BenchProblem.PROCESS_ENDED(name=self._name)) from None
+            raise ChildError(f"{self._name} has ended by itself") from None
 
     def signal(self, number: int) -> None:
         self._child.send_signal(number)

@@ -21,7 +21,7 @@ from rsb_bridge.ros.known_messages import BATTERY_STATE, STRING
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
 from rsb_console.bench.processes import Process
-from rsb_console.bench.results import BenchError, BenchProblem
+from rsb_console.bench.results import BenchError
 from rsb_console.bench.robots import RobotRecord, RobotRecords, RobotTraffic
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ class SimulatedFleet:
         for process in self.processes:
             answer = process.line()
             if not answer:
-                raise BenchError(BenchProblem.ROBOTS_ENDED())
+                raise BenchError("a process of robots has ended by itself")
             found |= msgspec.json.decode(answer, type=RobotRecords).robots
         return found
 
@@ -189,7 +189,7 @@ class SimulatedFleet:
                 return robots
             if time.monotonic() > deadline:
                 raise BenchError(
-                    BenchProblem.ROBOTS_LATE(late=len(late), count=len(robots), seconds=within, name=late[0])
+                    f"{len(late)} of {len(robots)} robots are not ready within {within:.0f} s: {late[0]}"
                 )
             time.sleep(_LOOK_EVERY)
 
@@ -276,7 +276,7 @@ def listening(process: Process, session: Path) -> float:
     deadline, before = time.monotonic() + _READY_WITHIN, time.time()
     while "listening on" not in (session.parent / "control.log").read_text(encoding="utf-8"):
         if time.monotonic() > deadline or not process.running:
-            raise BenchError(BenchProblem.NO_SERVER())
+            raise BenchError("the server of the benchmark does not start")
         time.sleep(0.01)
         before = time.time()
     return before
@@ -293,4 +293,4 @@ def _free_port() -> int:
             stream.bind((_HOST, port))
             datagrams.bind((_HOST, port))
             return port
-    raise BenchError(BenchProblem.NO_PORT())
+    raise BenchError("no port is free")

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 from textual import events
 from textual.screen import Screen
 
-from rsb_bridge.model.wording import Wording
 from rsb_console.terminal.pulse import FRESH_FOR, heard_before, is_from_terminal
 
 if TYPE_CHECKING:
@@ -23,12 +22,6 @@ SEEN_AFTER = 0.5
 """s from the picture of a question until its keys count: nobody reads and answers it earlier."""
 _TOLD_EVERY = 3.0
 """s between two notes about late keys, and for which one stays: a held key would fill the screen with them."""
-
-
-class LateInput(Wording):
-    """Texts about keys that came late."""
-
-    IGNORED = "keys came late: they are ignored"
 
 
 class GuardedScreen(Screen[Any]):
@@ -100,7 +93,7 @@ class InputGate:
             return not self._was_seen(screen, heard_before(event))
         if self._clock() - self._told_at > _TOLD_EVERY:
             self._told_at = self._clock()
-            self._app.notify(LateInput.IGNORED(), severity="warning", timeout=_TOLD_EVERY)
+            self._app.notify("keys came late: they are ignored", severity="warning", timeout=_TOLD_EVERY)
         return True
 
     def takes_keys(self, screen: GuardedScreen) -> bool:
