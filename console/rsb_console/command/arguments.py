@@ -99,7 +99,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     _import_arguments(
         command("import", local_commands.import_thesis, "convert the thesis's bringup.yaml to a session file")
     )
-    scan = command("bt-scan", local_commands.bt_scan, "list Bluetooth adapters and their busy RFCOMM channels")
+    scan = command("bt-scan", lazily("bt-scan", "bt_scan"), "list Bluetooth adapters and their busy RFCOMM channels")
     only = scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
     _complete(only, "adapters")
     scan.add_argument("--json", action="store_true", help="print JSON, for programs")
@@ -110,14 +110,14 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     demo.add_argument(
         "--robots", type=count, metavar="N", default=8, help="with --fleet: number of robots (%(default)s)"
     )
-    _service_arguments(command("service", local_commands.service, "run a session as a service of systemd"))
-    add_remote_commands(command, _complete, local_commands.attach, _console_options)
+    _service_arguments(command("service", lazily("show", "service"), "run a session as a service of systemd"))
+    add_remote_commands(command, _complete, _console_options)
     add_call_commands(command, _complete)
     add_client_commands(command, _complete)
     add_bench_command(command, _complete)
     add_fleet_commands(command, _complete, _console_options)
     summary = "print the completion script for a shell"
-    script = command("completion", lazily("script", "completion"), summary, _COMPLETION)
+    script = command("completion", local_commands.completion, summary, _COMPLETION)
     script.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "fish"), help="bash, zsh or fish")
     # A session file may take a command's place: `rsb-console SESSION` runs it.
     _complete(subparsers, "yaml_files")
@@ -169,13 +169,14 @@ def _run_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _service_arguments(parser: argparse.ArgumentParser) -> None:
-    actions = parser.add_subparsers(metavar="ACTION", required=True, dest="what")
+    actions = parser.add_subparsers(metavar="ACTION", required=True)
     for name, summary in (
         ("install", "write the session's unit and print the next commands"),
         ("show", "print the session's unit"),
         ("uninstall", "remove the session's unit"),
     ):
         action = actions.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
+        action.set_defaults(command=lazily(name, "service"))
         _complete(action.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
         action.add_argument("--system", action="store_true", help="a system service, not one of this user")
         if name != "show":

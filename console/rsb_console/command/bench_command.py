@@ -23,7 +23,7 @@ from rsb_console.bench.presentation import USUAL, as_svg, in_terminal, in_words,
 from rsb_console.bench.results import BenchError, BenchReport, as_json
 from rsb_console.bench.suite import FULL, QUICK, OverLink, Plan, Suite, loads_of, loads_of_all, ways_of
 from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, TERMINATED, USAGE, print_error, print_line, print_lines
-from rsb_console.command.target import UsageError, attached, check_link, failed, reported
+from rsb_console.command.target import UsageError, attached, check_link, failed
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -71,13 +71,13 @@ class Progress:
             self._stream.flush()
 
 
-def run(_: str, arguments: Namespace) -> int:
+def _bench(arguments: Namespace) -> int:
     """Measure and print the results. Return the exit code."""
     here = arguments.bridge is None and arguments.control is None and arguments.fleet is None
     if problem := _plot_problem(arguments.plot) or _misplaced(arguments, here=here):
         return failed(arguments, problem, USAGE)
     try:
-        return _on_this_machine(arguments) if here else reported(_over_link, arguments)
+        return _on_this_machine(arguments) if here else _over_link(arguments)
     except BenchError as error:
         return failed(arguments, str(error), FAILURE)
 
@@ -268,3 +268,6 @@ def _ending(report: BenchReport) -> list[str]:
     if report.ended == "time":
         return ["the time ended before everything was measured: raise --seconds"]
     return []
+
+
+COMMANDS = {"bench": _bench}

@@ -15,16 +15,7 @@ from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line, json_value
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
-from rsb_console.command.target import (
-    ANSWERED_WITHIN,
-    UsageError,
-    attached,
-    chosen_route,
-    done,
-    failed,
-    fields_from,
-    reported,
-)
+from rsb_console.command.target import ANSWERED_WITHIN, UsageError, attached, chosen_route, done, failed, fields_from
 from rsb_console.session.draft import suggestion
 from rsb_console.session.landing import answered
 from rsb_console.session.parameter_values import KIND_NAMES, KINDS, refusal, set_request, value_of
@@ -62,11 +53,6 @@ class CallProblem(Wording):
     PARAMETER_VALUE_INVALID = "{value}: {problem}"
     PARAMETERS_CUT = "{node} may have more parameters than the first {limit:,}"
     TOO_MUCH_TO_DUMP = "{node} has too much to dump: {note}"
-
-
-def run(name: str, arguments: Namespace) -> int:
-    """Run `call`, or `param NAME`. Return the exit code."""
-    return reported(COMMANDS[name], arguments)
 
 
 def _call(arguments: Namespace) -> int:

@@ -11,9 +11,8 @@ import msgspec
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.client_entries import ClientError, client_named
 from rsb_bridge.config.files import is_there, write_whole
-from rsb_bridge.config.keys import KeyFileError, fingerprint
+from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.config.rights import GrantError, typed_grants
-from rsb_bridge.config.session_file import SessionError, UnwritableError
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.session import Client, Grant
@@ -21,16 +20,8 @@ from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import clock, json_line
-from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line, print_lines
-from rsb_console.command.target import (
-    ANSWERED_WITHIN,
-    Asking,
-    NoBridgeError,
-    UsageError,
-    agreed,
-    chosen_bridge,
-    reported,
-)
+from rsb_console.command.shell import OK, print_error, print_line, print_lines
+from rsb_console.command.target import ANSWERED_WITHIN, Asking, NoBridgeError, UsageError, agreed, chosen_bridge
 from rsb_console.session import client_files
 from rsb_console.session.client_files import begin_rotation, finish_rotation
 
@@ -94,19 +85,6 @@ class ClientEffect(Wording):
     STEP_COPY = "copy the new key over the robot's: `scp -p {path} USER@ROBOT:{key_file}`"
     STEP_RELOAD = "on the robot: `rsb-console reload` (its link comes back at once)"
     STEP_FINISH = "here: `rsb-console client rekey {name} --finish` (the old key becomes invalid)"
-
-
-def run(name: str, arguments: Namespace) -> int:
-    """Run `client NAME`. Return the exit code."""
-    try:
-        return reported(COMMANDS[name], arguments)
-    except (ClientError, SessionError, KeyFileError) as error:
-        if arguments.json:
-            print_line(json_line({"ok": False, "error": str(error)}))
-        else:
-            print_error(str(error))
-        # A disk or a key that refuses is no wrong usage: the same words may work later.
-        return FAILURE if isinstance(error, UnwritableError | KeyFileError) else USAGE
 
 
 # --- the commands

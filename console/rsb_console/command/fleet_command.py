@@ -21,7 +21,7 @@ from rsb_bridge.model.text import plural
 from rsb_console.command.formatting import json_line
 from rsb_console.command.remote_arguments import IN_FLEET
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
-from rsb_console.command.target import NoBridgeError, UsageError, agreed, chosen_bridge, fleet_file, reported
+from rsb_console.command.target import NoBridgeError, UsageError, agreed, chosen_bridge, fleet_file
 from rsb_console.fleet.fleet import Memory, RobotFleet, UnknownRobotError, memory_path
 from rsb_console.fleet.rolling import Rollout, names_of, report, said, way_back
 from rsb_console.fleet.server_source import ServerFleet
@@ -35,11 +35,6 @@ if TYPE_CHECKING:
 
 _LOOK_EVERY = 0.5
 _NO_ROBOTS = "no robots given: name them, or use --group GROUP or --all"
-
-
-def run(name: str, arguments: Namespace) -> int:
-    """Run one of the commands. Return the exit code."""
-    return reported(_COMMANDS[name], arguments)
 
 
 def sources_of(arguments: Namespace) -> list[FleetSource]:
@@ -352,4 +347,4 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: RolloutOutcome, step
     return FAILURE if stopped or unreached else OK
 
 
-_COMMANDS: dict[str, Callable[[Namespace], int]] = {"show": _show, "dismiss": _dismiss, "exec": _exec, "edit": _edit}
+COMMANDS: dict[str, Callable[[Namespace], int]] = {"show": _show, "dismiss": _dismiss, "exec": _exec, "edit": _edit}

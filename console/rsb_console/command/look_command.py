@@ -25,7 +25,7 @@ from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.graphics import DETAIL, ImagePrinter, protocol_of_terminal, why_not
 from rsb_console.command.shell import OK, print_line
-from rsb_console.command.target import UsageError, attached, done, failed, other_side, reported
+from rsb_console.command.target import UsageError, attached, done, failed, other_side
 from rsb_console.look import formats
 from rsb_console.look.glyphs import to_ascii
 from rsb_console.look.picture_rows import COLOURS, UnreadableError, notes_line, picture_rows, reads_webp
@@ -64,11 +64,6 @@ class LookText(Wording):
     NOT_WRITTEN = "{file} cannot be written: {error}"
     AGE = "{age} old"
     NO_MESSAGE = "no message yet"
-
-
-def run(_: str, arguments: Namespace) -> int:
-    """Run the command. Return the exit code."""
-    return reported(_look, arguments)
 
 
 def _look(arguments: Namespace) -> int:
@@ -303,3 +298,6 @@ def _status(viewed: Viewed) -> str:
     age = LookText.AGE(age=formats.age(viewed.age)) if viewed.age is not None else ""
     parts = (where, age, notes_line(picture), picture.problem)
     return escape_text("  ".join(part for part in parts if part))
+
+
+COMMANDS = {"look": _look}

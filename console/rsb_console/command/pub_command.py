@@ -13,7 +13,7 @@ from rsb_bridge.model.text import escape_text
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_error, print_line, print_lines
-from rsb_console.command.target import UsageError, attached, done, fields_from, given_at, reported, result
+from rsb_console.command.target import UsageError, attached, done, fields_from, given_at, result
 from rsb_console.session.landing import REPORTED_WITHIN, Landing
 from rsb_console.session.manual_messages import TRIES, ByHandText
 
@@ -52,11 +52,6 @@ class PubText(Wording):
     TO_LINKS = ", and over the link to {links}"
     NOT_OVER = "not over the link {link}: {reason}"
     NOBODY = "nobody gets {topic}: it has no subscription here, and no link takes it"
-
-
-def run(_: str, arguments: Namespace) -> int:
-    """Run the command. Return the exit code."""
-    return reported(_pub, arguments)
 
 
 def _pub(arguments: Namespace) -> int:
@@ -193,3 +188,6 @@ def _print(engine: RemoteEngine, arguments: Namespace, published: Published, cou
     for route in _not_over(engine, published, arguments.topic):
         reason = escape_text(route.reason or route.state.value)
         print_error(PubText.NOT_OVER(link=escape_text(route.link), reason=reason))
+
+
+COMMANDS = {"pub": _pub}

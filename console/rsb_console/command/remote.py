@@ -53,7 +53,6 @@ from rsb_console.command.target import (
     failed,
     named,
     other_side,
-    reported,
     result,
 )
 from rsb_console.session.draft import TypedError, suggestion, typed_topic, values_of
@@ -120,11 +119,6 @@ class RemoteProblem(Wording):
     NOTHING_TO_REPORT = "no bridge runs here, and there is no history file that you may read"
     NOTHING_OF_BRIDGE_TO_REPORT = "no bridge named {name!r} runs here, and you may read no history file of that name"
     SEVERAL_TO_REPORT = "no bridge runs here, but several have history files; choose one:{found}"
-
-
-def run(name: str, arguments: Namespace) -> int:
-    """Run a command by its name. Return the exit code."""
-    return reported(COMMANDS[name], arguments)
 
 
 # --- looking

@@ -152,10 +152,7 @@ exit codes:
 
 
 def add_remote_commands(
-    command: AddCommand,
-    complete: Complete,
-    attach: Callable[[argparse.Namespace], int],
-    console_options: Callable[[argparse.ArgumentParser], None],
+    command: AddCommand, complete: Complete, console_options: Callable[[argparse.ArgumentParser], None]
 ) -> None:
     """Add the commands.
 
@@ -166,7 +163,9 @@ def add_remote_commands(
 
     def remote(name: str, summary: str, more: str = "", *, about_topic: bool = False) -> argparse.ArgumentParser:
         """Add a command for a running bridge, named by ``--bridge`` or, if it takes no other name, by a plain word."""
-        parser = command(name, attach if name == "attach" else lazily(name), summary, more or _EXIT)
+        parser = command(
+            name, lazily(name, "local_commands" if name == "attach" else "remote"), summary, more or _EXIT
+        )
         if not about_topic:
             alone = parser.add_argument(
                 "bridge", metavar="NAME", nargs="?", default=argparse.SUPPRESS, help="short for --bridge NAME"
@@ -416,11 +415,12 @@ def add_client_commands(command: AddCommand, complete: Complete) -> None:
 
 
 def lazily(name: str, module: str = "remote") -> Callable[[argparse.Namespace], int]:
-    """Import what the command needs only when it is run."""
+    """Return a function that imports what the command needs only when it is run, and reports its errors."""
 
     def run(arguments: argparse.Namespace) -> int:
-        code: int = import_module(f"rsb_console.command.{module}").run(name, arguments)
-        return code
+        from rsb_console.command.target import reported  # noqa: PLC0415 (only once a command runs)
+
+        return reported(import_module(f"rsb_console.command.{module}").COMMANDS[name], arguments)
 
     return run
 

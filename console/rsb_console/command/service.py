@@ -170,11 +170,6 @@ def _plain(text: str) -> str:
     return text.replace("%", "%%")
 
 
-def run(arguments: Namespace) -> int:
-    """Run `service`. Return the exit code."""
-    return {"install": _install, "show": _show, "uninstall": _uninstall}[arguments.what](arguments)
-
-
 def _install(arguments: Namespace) -> int:
     try:
         load(arguments.session)
@@ -284,3 +279,6 @@ def _folder(system: bool) -> Path:
 
 def _systemctl(system: bool) -> str:
     return "sudo systemctl" if system else "systemctl --user"
+
+
+COMMANDS = {"install": _install, "show": _show, "uninstall": _uninstall}

@@ -10,9 +10,10 @@ from functools import partial
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from rsb_bridge.api import EngineError, InvalidRequestError
+from rsb_bridge.config.client_entries import ClientError
 from rsb_bridge.config.keys import KeyFileError
+from rsb_bridge.config.session_file import SessionError, UnwritableError
 from rsb_bridge.config.topic_rules import A_KIND
-from rsb_bridge.config.yaml_text import SessionError
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.control_sockets import (
     AttachProblem,
@@ -90,22 +91,22 @@ class NoBridgeError(Exception):
     """The bridge that a command needs does not run; the message lists the running ones."""
 
 
-def what_to_attach(arguments: Namespace) -> Path | Attach | int:
+def what_to_attach(arguments: Namespace) -> Path | Attach:
     """Return the control socket of the bridge that the arguments name, or a function that attaches to it in its fleet.
 
-    If there is no such bridge, print the reason and return the exit code.
+    Raises:
+        ControlError: the socket that they name has no bridge.
+        NoBridgeError: there is no such bridge.
+        UsageError: there are several, or the fleet file has mistakes.
     """
     if arguments.fleet is None:
-        found = reported(chosen_bridge, arguments)
-        return found if isinstance(found, int) else found.path
-    file = reported(fleet_file, arguments)
-    if isinstance(file, int):
-        return file
+        return chosen_bridge(arguments).path
+    fleet_file(arguments)  # its mistakes come before the console opens
     return partial(attach_in_fleet, arguments, read_only=arguments.readonly)
 
 
-def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
-    """Do something; report an error, and return its exit code."""
+def reported(work: Callable[[Namespace], int], arguments: Namespace) -> int:
+    """Run a command; report an error. Return the exit code."""
     try:
         return work(arguments)
     # Most of these are EngineErrors, so that errors with an exit code of their own come first.
@@ -117,6 +118,10 @@ def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
         return failed(arguments, str(error), USAGE)
     except EngineError as error:
         return failed(arguments, str(error), FAILURE)
+    except (ClientError, SessionError, KeyFileError) as error:
+        # A disk or a key that refuses is no wrong usage: the same words may work later.
+        code = FAILURE if isinstance(error, UnwritableError | KeyFileError) else USAGE
+        return failed(arguments, str(error), code)
     except TimeoutError:
         return failed(arguments, AttachProblem.SILENT_FOR(seconds=ANSWERED_WITHIN), FAILURE)
 
