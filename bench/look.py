@@ -32,12 +32,13 @@ from tests.support.relay import Relay
 
 from bench import bed
 from rsb_bridge.control.bridges import running_bridges
-from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.pictures import Wish
+from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.pictures import Viewed
 
 ROUNDS = 3
@@ -126,13 +127,9 @@ def running(folder: Path, bytes_per_second: float = 0.0) -> Iterator[Bridge]:
             bed.headless(folder / "server.yaml", folder / "server.log") as server,
             bed.headless(folder / "client.yaml", folder / "client.log") as client,
         ):
-            engine = RemoteEngine(_socket("look-server"), read_only=True)
-            engine.start()
-            try:
+            with attach(_socket("look-server"), read_only=True) as engine:
                 _until(lambda: any(route.ledger.delivered for route in engine.snapshot().routes), folder)
                 yield Bridge(client, server, robot, engine, relay)
-            finally:
-                engine.stop()
 
 
 def _socket(name: str) -> Path:
