@@ -102,7 +102,6 @@ class Preferences:
 
     def __init__(self, config: Path, theme: str | None) -> None:
         self.problems: list[tuple[str, str]] = []
-        self.themes: dict[str, Theme] = {}
         self.keymap: dict[str, str] = {}
         self.theme = self._load_themes(config, theme)
         self._load_keys(config)
@@ -110,9 +109,7 @@ class Preferences:
         self._load_settings(config / "console.yaml")
 
     def _load_themes(self, config: Path, wanted: str | None) -> str:
-        loaded = load_themes(shipped_path(), config / "themes")
-        self.themes = loaded.found
-        problems = list(loaded.problems)
+        self.themes, problems = load_themes(shipped_path(), config / "themes")
         if wanted is not None and wanted not in self.themes:
             problems.append(PreferenceProblem.UNKNOWN_THEME(theme=wanted, themes=", ".join(self.themes)))
             wanted = None
