@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-    from textual.theme import Theme
-
     from rsb_console.actions import Action
 
 KEY_SIGNS = {

@@ -32,7 +32,7 @@ def contrast(one: str, other: str) -> float:
 
 def test_four_are_shipped_without_a_mistake() -> None:
     assert set(SHIPPED) == {"dark", "light", "high-contrast", "terminal"}
-    assert PROBLEMS == ()
+    assert PROBLEMS == []
 
 
 @pytest.mark.parametrize(("name", "least"), [("dark", 4.5), ("light", 4.5), ("high-contrast", 7.0)])
