@@ -207,7 +207,9 @@ def add_remote_commands(
         ("resume", "resume a paused topic or service; all routes of the name"),
     ):
         route_arguments(remote(name, summary, about_topic=True), complete)
-    _ack_arguments(remote("ack", "acknowledge a fault, until it changes", _EXIT_ACK, about_topic=True), complete)
+    ack = remote("ack", "acknowledge a fault, until it changes", _EXIT_ACK, about_topic=True)
+    route_arguments(ack, complete, metavar="TOPIC|LINK")
+    ack.add_argument("--undo", action="store_true", help="undo the acknowledgement")
     arm = remote("arm", "arm a topic, a service or an action while this command runs", _EXIT_ARM, about_topic=True)
     held = arm.add_mutually_exclusive_group()
     held.add_argument("--ask", action="store_true", help="ask whoever holds it; without an answer it goes over in 10 s")
@@ -237,7 +239,12 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
     )
     report.add_argument("--csv", action="store_true", help="print CSV, for a spreadsheet")
     wait = remote("wait", "wait until topics flow, a link is up, or the bridge has stopped", _WAIT)
-    _wait_arguments(wait, complete)
+    wanted = wait.add_argument(
+        "--for", dest="wanted", nargs="+", required=True, metavar=("WHAT", "NAME"),
+        help="flowing TOPIC, linked [CLIENT], or stopped",
+    )  # fmt: skip
+    complete(wanted, "awaited")
+    wait.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
     echo = remote("echo", "print a topic's messages, two a second at most", _EXIT_ECHO, about_topic=True)
     _echo_arguments(echo, complete)
     _look_arguments(
@@ -254,20 +261,6 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
 
 def _drop_arm(parser: argparse.ArgumentParser, about: str) -> None:
     parser.add_argument("--drop-arm", action="store_true", help=about)
-
-
-def _ack_arguments(ack: argparse.ArgumentParser, complete: Complete) -> None:
-    route_arguments(ack, complete, metavar="TOPIC|LINK")
-    ack.add_argument("--undo", action="store_true", help="undo the acknowledgement")
-
-
-def _wait_arguments(wait: argparse.ArgumentParser, complete: Complete) -> None:
-    wanted = wait.add_argument(
-        "--for", dest="wanted", nargs="+", required=True, metavar=("WHAT", "NAME"),
-        help="flowing TOPIC, linked [CLIENT], or stopped",
-    )  # fmt: skip
-    complete(wanted, "awaited")
-    wait.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
 
 
 def _echo_arguments(echo: argparse.ArgumentParser, complete: Complete) -> None:
