@@ -126,10 +126,10 @@ def running(folder: Path, bytes_per_second: float = 0.0) -> Iterator[Bridge]:
             bed.Process("-m", "bench.look_robot") as robot,
             bed.headless(folder / "server.yaml", folder / "server.log") as server,
             bed.headless(folder / "client.yaml", folder / "client.log") as client,
+            attach(_socket("look-server"), read_only=True) as engine,
         ):
-            with attach(_socket("look-server"), read_only=True) as engine:
-                _until(lambda: any(route.ledger.delivered for route in engine.snapshot().routes), folder)
-                yield Bridge(client, server, robot, engine, relay)
+            _until(lambda: any(route.ledger.delivered for route in engine.snapshot().routes), folder)
+            yield Bridge(client, server, robot, engine, relay)
 
 
 def _socket(name: str) -> Path:

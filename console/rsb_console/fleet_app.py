@@ -51,7 +51,7 @@ class FleetApp(TerminalApp["Robot"]):
     ) -> None:
         super().__init__(readonly=readonly, ascii_only=ascii_only, theme=theme, config=config)
         self._after_quit = after_quit
-        self.main = FleetScreen(self, fleet, view, self.exit)
+        self.main = FleetScreen(self, fleet, view, self._open)
         self.refresh_rate = SSH_RATE
 
     def get_default_screen(self) -> Screen[Any]:
@@ -65,6 +65,9 @@ class FleetApp(TerminalApp["Robot"]):
     def pull(self) -> None:
         if self.screen_stack:
             self.main.show()
+
+    def _open(self, robot: Robot) -> None:
+        self.exit(robot)
 
     @work(exclusive=True, group=DIALOG)
     async def action_quit(self) -> None:  # type: ignore[override]  # a worker, because it asks

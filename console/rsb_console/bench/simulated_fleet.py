@@ -137,9 +137,7 @@ class SimulatedFleet:
             if not late:
                 return robots
             if time.monotonic() > deadline:
-                raise BenchError(
-                    f"{len(late)} of {len(robots)} robots are not ready within {within:.0f} s: {late[0]}"
-                )
+                raise BenchError(f"{len(late)} of {len(robots)} robots are not ready within {within:.0f} s: {late[0]}")
             time.sleep(_LOOK_EVERY)
 
     def stop(self) -> None:

@@ -164,9 +164,7 @@ def add_remote_commands(
 
     def remote(name: str, summary: str, more: str = "", *, about_topic: bool = False) -> argparse.ArgumentParser:
         """Add a command for a running bridge, named by ``--bridge`` or, if it takes no other name, by a plain word."""
-        parser = command(
-            name, lazily(name, "local_commands" if name == "attach" else "remote"), summary, more or _EXIT
-        )
+        parser = command(name, lazily(name, "local_commands" if name == "attach" else "remote"), summary, more or _EXIT)
         if not about_topic:
             alone = parser.add_argument(
                 "bridge", metavar="NAME", nargs="?", default=argparse.SUPPRESS, help="short for --bridge NAME"
@@ -219,8 +217,7 @@ def add_remote_commands(
         remote("disarm", "disarm all routes of a name, also if others armed them", about_topic=True), complete
     )
     retry = remote("retry", "connect now instead of later, and open refused topics again")
-    only = "the link with this client only"
-    complete(retry.add_argument("--link", default="", metavar="CLIENT", help=only), "links")
+    complete(retry.add_argument("--link", default="", metavar="CLIENT", help="the link with this client only"), "links")
     remote("restart", "close the links on both sides and open them again")
     reload = remote("reload", "read the session file again, and change only what differs", _EXIT_RELOAD)
     reload.add_argument("--dry-run", action="store_true", help="only print what would change")
@@ -701,7 +698,7 @@ class CommandParser(argparse.ArgumentParser):
 class _FleetParser(CommandParser):
     """Leaves the words after ``--`` as they are: they have their own options."""
 
-    def parse_known_args(
+    def parse_known_args(  # type: ignore[override]  # as above
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
         own, words = list(args or ()), []
