@@ -21,13 +21,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench import bed
-from rsb_bridge.control.remote_engine import RemoteEngine
+from rsb_bridge.config import session_file
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
 from rsb_console.bench.results import BenchError
 from rsb_console.bench.robots import RobotTraffic
 from rsb_console.bench.simulated_fleet import USUAL, WAYS, SimulatedFleet, fleet, listening
 from rsb_console.command.shell import allow_many_descriptors
+from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -174,7 +175,9 @@ def measure(
         steady = _watch(running, control, listener, plan.watched)
         resident, proportional = control.memory(), _proportional(control.pid)
         a_robot = sum(_proportional(process.pid) for process in running.processes) / count
-        killed = running.kill_control()
+        control.signal(signal.SIGKILL)
+        killed = time.time()
+        control.stop()
         time.sleep(plan.down)
         control = running.start_control()
         returned = listening(control, running.session)
@@ -189,7 +192,7 @@ def measure(
             for name, robot in robots.items()
             if len(ups := [each for each in robot.up if each > killed]) > 1
         ]
-        routed = _without_router(running, plan.down) if running.router is not None else None
+        routed = _without_router(running, plan.down, stack) if running.router is not None else None
         _wait_until_heard(listener)
         time.sleep(plan.settles)
         before, since = running.records()[flooding].published, time.monotonic()
@@ -198,7 +201,7 @@ def measure(
         flood = (running.records()[flooding].published - before) / (time.monotonic() - since)
         return Figures(
             count,
-            running.routes,
+            count * load.routes,
             linked,
             flowing,
             steady,
@@ -217,12 +220,15 @@ def measure(
         )
 
 
-def _without_router(running: SimulatedFleet, down: float) -> Delays:
+def _without_router(running: SimulatedFleet, down: float, stack: ExitStack) -> Delays:
     """Kill the router, and start it again: until when all are linked, and all routes open."""
+    network = session_file.load(running.session).zenoh
+    assert network is not None
     assert running.router is not None
-    running.router.kill()
+    running.router.signal(signal.SIGKILL)
+    running.router.stop()
     time.sleep(down)
-    running.router.start()
+    stack.enter_context(loopback.router(network.connect[0]))
     returned, routes = time.time(), running.load.routes
     robots = running.wait(lambda robot: len(robot.open) >= 3 * routes, _WITHIN)
     return Delays.of((robot.up[-1] for robot in robots.values()), returned)
@@ -263,12 +269,8 @@ def _watch(running: SimulatedFleet, control: Process, listener: Process, seconds
 
 
 def _snapshot(running: SimulatedFleet) -> Snapshot:
-    engine = RemoteEngine(running.socket, read_only=True)
-    engine.start()
-    try:
+    with attach(running.socket, read_only=True) as engine:
         return engine.snapshot()
-    finally:
-        engine.stop()
 
 
 def _lost(running: SimulatedFleet, names: Sequence[str]) -> Counter[str]:

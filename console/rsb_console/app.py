@@ -216,7 +216,8 @@ class ConsoleApp(TerminalApp[None]):
 
     @work(group="session")
     async def _attach_to_bridge(self, to: Path | Attach) -> None:
-        from rsb_console.session.attaching import attach, attached  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.session.attaching import attach, file_here  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.session.saving import reopened  # noqa: PLC0415 -- keeps the start short
 
         open_it = partial(attach, to, read_only=self.readonly) if isinstance(to, Path) else to
         async with self._changing:
@@ -226,13 +227,15 @@ class ConsoleApp(TerminalApp[None]):
             self.main.reset()
             self.changes.clear()
             try:
-                known = attached(await asyncio.to_thread(open_it))
+                engine = await asyncio.to_thread(open_it)
             except EngineError as error:
                 self.note = "not attached"
                 self.notify(str(error), title="Not attached", severity="error", markup=False, timeout=30)
                 return
-            self.engine, self.attached_to, self.note = known.engine, known.name, ""
-            self.base, self.path, self.file, self.saved = known.base, known.path, known.file, known.saved
+            self.engine, self.attached_to, self.note = engine, engine.bridge.name, ""
+            self.base, self.path = Path(engine.bridge.base), file_here(engine)
+            self.file = None if self.path is None else reopened(self.path)
+            self.saved = None if self.file is None else self.file.session
 
     def stop(self) -> None:
         """Stop the engine, or detach from it, and close the session's resources; may take some seconds."""

@@ -16,7 +16,7 @@ from rsb_bridge.config.session_file import save
 from rsb_bridge.control.attached_console import RequestRefused
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.wire.operator_connection import RECORD_CONTENT
-from rsb_console.session.attaching import attach, attached
+from rsb_console.session.attaching import attach, file_here
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -102,5 +102,4 @@ def test_a_file_of_another_machine_is_not_taken_for_one_of_this(machine: Machine
     remote.stop()
     assert remote.read_only
     assert remote.bridge.file == str(here)
-    known = attached(remote)
-    assert (known.path, known.file, known.saved) == (None, None, None)
+    assert file_here(remote) is None

@@ -134,10 +134,8 @@ def _running(path: Path, environ: Mapping[str, str]) -> Snapshot | None:
         return None
     engine = RemoteEngine(bridge.path, read_only=True)
     engine.start()
-    try:
+    with engine:
         return engine.snapshot()
-    finally:
-        engine.stop()
 
 
 def _domain(session: Session, path: Path, environ: Mapping[str, str]) -> Iterator[Finding]:

@@ -440,4 +440,8 @@ class _InboundStream(PendingConnection, StreamHandler):
             return f"{message}: copy one side's key file to the other"
         if code is RefusalCode.UNKNOWN_NAME:
             return f"{message}: {self._admission.remedy_for_unknown(self.name)}"
+        if code is RefusalCode.ENCRYPTION_NOT_POSSIBLE:
+            return f"{message}: set use_encryption and its key_file here, or use_encryption: false there"
+        if code is RefusalCode.ENCRYPTION_REQUIRED:
+            return f"{message}: set use_encryption and key_file there, or use_encryption: false here"
         return message

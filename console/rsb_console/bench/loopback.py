@@ -14,17 +14,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control.control_sockets import ControlError
-from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.benchmark import BenchmarkStep
 from rsb_bridge.model.snapshot import State
-from rsb_console.bench.processes import Process, free_port
-from rsb_console.bench.results import BenchError, BenchProblem, Many, Run, Side, Way
+from rsb_console.bench.processes import Process
+from rsb_console.bench.results import BenchError, Many, Run, Side, Way
+from rsb_console.session.attaching import attach
+from rsb_console.session.demo_session import free_port
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from contextlib import AbstractContextManager
 
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.snapshot import Snapshot
     from rsb_console.bench.results import BenchEnds
 
@@ -125,15 +126,11 @@ def sent_bytes(socket: Path) -> int:
     Raises:
         BenchError: it does not answer.
     """
-    engine = RemoteEngine(socket, read_only=True)
     try:
-        engine.start()
-        try:
+        with attach(socket, read_only=True) as engine:
             return engine.bench(BenchmarkStep("measure")).result(_ANSWERS_WITHIN).usage.sent_bytes
-        finally:
-            engine.stop()
-    except (ControlError, EngineError, TimeoutError) as error:
-        raise BenchError(BenchProblem.NO_ANSWER(problem=error)) from None
+    except (EngineError, TimeoutError) as error:
+        raise BenchError(f"a bridge on this machine does not answer: {error}") from None
 
 
 @contextlib.contextmanager
@@ -246,7 +243,7 @@ def router(endpoint: str) -> Process:
     """Start a Zenoh router, and return it once it listens."""
     process = Process("-m", "rsb_console.bench.router", endpoint)
     if not process.line():
-        raise BenchError(BenchProblem.NO_ROUTER())
+        raise BenchError("the Zenoh router does not start: pip install 'rsb-console[zenoh]'")
     return process
 
 
@@ -264,7 +261,7 @@ def listening(server: Process, port: int) -> float:
             return before
         before = now
         time.sleep(0.01)
-    raise BenchError(BenchProblem.NO_SERVER())
+    raise BenchError("the server of the benchmark does not start")
 
 
 def ready(bed: Bed) -> Bed:
@@ -274,7 +271,9 @@ def ready(bed: Bed) -> Bed:
         bed.listener.ask("reset")
         while not bed.listener.ask("count")["count"]:
             if time.monotonic() > deadline:
-                raise BenchError(BenchProblem.NOTHING_ARRIVES())
+                raise BenchError(
+                    "no message gets through: check the ROS set-up, and that nothing filters the two domains"
+                )
             bed.talker.ask(f"send 100 2 100 {at}")
             time.sleep(_LOOK_EVERY)
         if bed.first is None and bed.between:
@@ -342,7 +341,7 @@ def _all_carry(bridge: Process, socket: Path, count: int, began: float) -> float
     finally:
         if engine is not None:
             engine.stop()
-    raise BenchError(BenchProblem.NOT_OPEN(count=count, seconds=_OPENED_WITHIN))
+    raise BenchError(f"{count} topics are not open within {_OPENED_WITHIN:.0f} s")
 
 
 def _carrying(snapshot: Snapshot) -> int:
@@ -350,12 +349,10 @@ def _carrying(snapshot: Snapshot) -> int:
 
 
 def _attached(socket: Path) -> RemoteEngine | None:
-    engine = RemoteEngine(socket, read_only=True)
     try:
-        engine.start()
-    except (ControlError, EngineError):
+        return attach(socket, read_only=True)
+    except EngineError:
         return None  # it has just started
-    return engine
 
 
 def machine() -> str:
@@ -370,4 +367,4 @@ def machine() -> str:
 def ros_problem() -> str:
     """Return the reason why no ROS node can run here, or an empty string."""
     found = subprocess.run([sys.executable, "-P", "-c", "import rclpy, std_msgs.msg"], capture_output=True, check=False)
-    return "" if found.returncode == 0 else BenchProblem.NO_ROS()
+    return "" if found.returncode == 0 else "no ROS here: source its setup file, or install rsb-console[ros]"

@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import socket
 import subprocess
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from rsb_console.bench.results import BenchError, BenchProblem
+from rsb_console.bench.results import BenchError
 from rsb_console.child import ChildProcess
 
 if TYPE_CHECKING:
@@ -73,7 +72,7 @@ class Process:
         self.tell(line)
         answered = self.line()
         if not answered:
-            raise ChildError(BenchProblem.PROCESS_ENDED(name=self._name))
+            raise ChildError(f"{self._name} has ended by itself")
         answer: dict[str, float] = json.loads(answered)
         return answer
 
@@ -88,7 +87,7 @@ class Process:
             self._child.stdin.write(line + "\n")
             self._child.stdin.flush()
         except BrokenPipeError:
-            raise ChildError(BenchProblem.PROCESS_ENDED(name=self._name)) from None
+            raise ChildError(f"{self._name} has ended by itself") from None
 
     def signal(self, number: int) -> None:
         self._child.send_signal(number)
@@ -111,10 +110,6 @@ class Process:
         status = Path(f"/proc/{self.pid}/status").read_text()
         return int(status.split("VmRSS:")[1].split()[0]) / 1000
 
-    def descriptors(self) -> int:
-        """Open file descriptors."""
-        return sum(1 for _ in Path(f"/proc/{self.pid}/fd").iterdir())
-
     @property
     def running(self) -> bool:
         return self._child.poll() is None
@@ -132,10 +127,3 @@ class Process:
                 with contextlib.suppress(BrokenPipeError):
                     if pipe is not None:
                         pipe.close()
-
-
-def free_port() -> int:
-    """Return a free TCP port of this machine."""
-    with socket.socket() as tcp:
-        tcp.bind(("127.0.0.1", 0))
-        return int(tcp.getsockname()[1])

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias
 import msgspec
 
 from rsb_bridge.model.text import escape_json
-from rsb_bridge.model.wording import Wording
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -46,21 +45,6 @@ class Run:
     @property
     def lossless(self) -> bool:
         return self.received >= self.sent
-
-    @property
-    def cpu(self) -> float:
-        """Processor time (s) of both bridges together."""
-        return sum(self.sides)
-
-    @property
-    def cpu_per_message(self) -> float:
-        """µs."""
-        return self.cpu / self.sent * 1e6
-
-    @property
-    def delivered(self) -> float:
-        """Received messages a second."""
-        return self.rate * self.received / self.sent if self.sent else 0.0
 
     @property
     def wire_per_byte(self) -> float | None:
@@ -203,31 +187,6 @@ class BenchReport:
 def as_json(report: BenchReport) -> str:
     """Format a report as one line of JSON."""
     return escape_json(msgspec.json.encode(report).decode())
-
-
-def from_json(text: str) -> BenchReport:
-    """Read a report from JSON; the inverse of `as_json`.
-
-    Raises:
-        msgspec.ValidationError: it is no report.
-    """
-    return msgspec.json.decode(text, type=BenchReport)
-
-
-class BenchProblem(Wording):
-    """Reasons why a benchmark cannot be run, or ends."""
-
-    NO_ANSWER = "a bridge on this machine does not answer: {problem}"
-    SILENT = "the bridge has not answered for {seconds:.0f} s"
-    NO_SERVER = "the server of the benchmark does not start"
-    NOTHING_ARRIVES = "no message gets through: check the ROS set-up, and that nothing filters the two domains"
-    NOT_OPEN = "{count} topics are not open within {seconds:.0f} s"
-    NO_ROS = "no ROS here: source its setup file, or install rsb-console[ros]"
-    NO_ROUTER = "the Zenoh router does not start: pip install 'rsb-console[zenoh]'"
-    NO_PORT = "no port is free"
-    PROCESS_ENDED = "{name} has ended by itself"
-    ROBOTS_ENDED = "a process of robots has ended by itself"
-    ROBOTS_LATE = "{late} of {count} robots are not ready within {seconds:.0f} s: {name}"
 
 
 class BenchError(Exception):

@@ -21,7 +21,7 @@ from rsb_bridge.ros.known_messages import BATTERY_STATE, STRING
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
 from rsb_console.bench.processes import Process
-from rsb_console.bench.results import BenchError, BenchProblem
+from rsb_console.bench.results import BenchError
 from rsb_console.bench.robots import RobotRecord, RobotRecords, RobotTraffic
 
 if TYPE_CHECKING:
@@ -42,60 +42,24 @@ _LOOK_EVERY = 0.25
 _READY_WITHIN = 60.0
 
 
-class Router:
-    """A Zenoh router in a separate process, which may be killed and started again.
-
-    Attributes:
-        endpoint: endpoint that it listens on.
-        process: the one that runs, or ran last.
-    """
-
-    def __init__(self) -> None:
-        self.endpoint = f"tcp/{_HOST}:{_free_port()}"
-        self.start()
-
-    def start(self) -> None:
-        """Start the router, and return once it listens."""
-        self.process = loopback.router(self.endpoint)
-
-    def kill(self) -> None:
-        """End it abruptly, like a power cut."""
-        self.process.signal(signal.SIGKILL)
-        self.process.stop()
-
-
-@dataclass(slots=True)
-class FleetNetwork:
-    """The network of the links.
-
-    Attributes:
-        fields: fields of all sessions.
-        router: router of the links, or None.
-    """
-
-    fields: dict[str, Any]
-    router: Router | None = None
-
-
 @contextlib.contextmanager
-def tcp() -> Iterator[FleetNetwork]:
+def tcp() -> Iterator[tuple[dict[str, Any], None]]:
     """Robots connect to the control side."""
-    yield FleetNetwork({"server_ip": _HOST, "server_port": _free_port()})
+    yield {"server_ip": _HOST, "server_port": _free_port()}, None
 
 
 @contextlib.contextmanager
-def zenoh() -> Iterator[FleetNetwork]:
+def zenoh() -> Iterator[tuple[dict[str, Any], Process]]:
     """Robots and the control side connect to a router."""
-    router = Router()
-    try:
-        settings = ZenohSettings((router.endpoint,), fleet="simulated")
-        yield FleetNetwork({"server_ip": ZENOH_HOST, "zenoh": settings}, router)
-    finally:
-        router.process.stop()
+    endpoint = f"tcp/{_HOST}:{_free_port()}"
+    with loopback.router(endpoint) as router:
+        yield {"server_ip": ZENOH_HOST, "zenoh": ZenohSettings((endpoint,), fleet="simulated")}, router
 
 
-WAYS: dict[str, Callable[[], AbstractContextManager[FleetNetwork]]] = {"tcp": tcp, "zenoh": zenoh}
-"""Networks of the links by name; each starts the processes that it needs."""
+WAYS: dict[str, Callable[[], AbstractContextManager[tuple[dict[str, Any], Process | None]]]] = {
+    "tcp": tcp, "zenoh": zenoh,
+}  # fmt: skip
+"""Networks of the links by name. Each starts the router that it may need, and gives the fields of all sessions, too."""
 
 
 @dataclass(slots=True)
@@ -109,7 +73,6 @@ class SimulatedFleet:
         session: the control side's session file.
         processes: processes of the robots.
         control: the control side's process.
-        started: start of the robots, s since the epoch.
         router: router of the links, or None.
         file: fleet file by which an operator's console reaches all engines over Zenoh, or None without operators.
     """
@@ -118,17 +81,11 @@ class SimulatedFleet:
     names: Sequence[str]
     load: RobotTraffic
     session: Path
-    command: Sequence[str]
-    router: Router | None = None
+    router: Process | None = None
     file: Path | None = None
     processes: list[Process] = field(default_factory=list)
     control: Process | None = None
-    started: float = 0.0
     _in: dict[str, Process] = field(default_factory=dict)
-
-    @property
-    def routes(self) -> int:
-        return len(self.names) * self.load.routes
 
     @property
     def socket(self) -> Path:
@@ -138,22 +95,14 @@ class SimulatedFleet:
         folder = self.folder
         apart = {"XDG_RUNTIME_DIR": str(folder), "XDG_STATE_HOME": str(folder)}
         arguments = ("--no-ui", "--control", str(self.socket), str(self.session))
-        self.control = Process(*self.command, "run", *arguments, log=folder / "control.log", environ=apart)
+        self.control = Process("-m", "rsb_console", "run", *arguments, log=folder / "control.log", environ=apart)
         return self.control
 
-    def kill_control(self) -> float:
-        """Kill the control side; return the time, s since the epoch."""
-        assert self.control is not None
-        self.control.signal(signal.SIGKILL)
-        killed = time.time()
-        self.control.stop()
-        return killed
-
-    def start_robots(self, names: Sequence[str], most: int = MOST_IN_ONE) -> None:
-        """Start robots, at most so many in a process."""
+    def start_robots(self, names: Sequence[str]) -> None:
+        """Start robots, at most `MOST_IN_ONE` in a process."""
         load = msgspec.json.encode(self.load).decode()
-        for first in range(0, len(names), most):
-            some = names[first : first + most]
+        for first in range(0, len(names), MOST_IN_ONE):
+            some = names[first : first + MOST_IN_ONE]
             process = Process("-m", ROBOTS, load, *(str(self.folder / f"{name}.yaml") for name in some))
             self.processes.append(process)
             self._in |= dict.fromkeys(some, process)
@@ -171,7 +120,7 @@ class SimulatedFleet:
         for process in self.processes:
             answer = process.line()
             if not answer:
-                raise BenchError(BenchProblem.ROBOTS_ENDED())
+                raise BenchError("a process of robots has ended by itself")
             found |= msgspec.json.decode(answer, type=RobotRecords).robots
         return found
 
@@ -188,9 +137,7 @@ class SimulatedFleet:
             if not late:
                 return robots
             if time.monotonic() > deadline:
-                raise BenchError(
-                    BenchProblem.ROBOTS_LATE(late=len(late), count=len(robots), seconds=within, name=late[0])
-                )
+                raise BenchError(f"{len(late)} of {len(robots)} robots are not ready within {within:.0f} s: {late[0]}")
             time.sleep(_LOOK_EVERY)
 
     def stop(self) -> None:
@@ -210,7 +157,6 @@ def fleet(
     domain: int,
     over: str = "tcp",
     load: RobotTraffic = USUAL,
-    control: Sequence[str] = ("-m", "rsb_console"),
     groups: Sequence[str] = (),
     operated: bool = False,
 ) -> Iterator[SimulatedFleet]:
@@ -219,7 +165,6 @@ def fleet(
     Args:
         domain: the control side's domain.
         over: network of the links, one of `WAYS`.
-        control: the Python command that runs the control side's `rsb-console`.
         groups: groups to assign to the robots in turn, or empty.
         operated: whether each engine accepts an operator over Zenoh.
     """
@@ -228,8 +173,7 @@ def fleet(
         *(Topic(topic=talk.topic, direction="transmit", type=talk.type) for talk in load.talks),
         *(Topic(topic=topic, direction="receive", type=STRING) for topic in load.hears),
     )
-    with WAYS[over]() as way:
-        common = dict(way.fields)
+    with WAYS[over]() as (common, router):
         if operated:
             write_key(folder / _OPERATOR_KEY)
             common["operators"] = (Operator(_OPERATOR, _OPERATOR_KEY, "change"),)
@@ -253,8 +197,8 @@ def fleet(
             name="control", role="server", domain_id=domain, use_name=True, clients=clients, **common
         )
         session_file.save(control_side, path)
-        file = _operators_file(folder, way.fields["zenoh"]) if operated else None
-        running = SimulatedFleet(folder, names, load, path, control, way.router, file)
+        file = _operators_file(folder, common["zenoh"]) if operated else None
+        running = SimulatedFleet(folder, names, load, path, router, file)
         try:
             yield running
         finally:
@@ -276,7 +220,7 @@ def listening(process: Process, session: Path) -> float:
     deadline, before = time.monotonic() + _READY_WITHIN, time.time()
     while "listening on" not in (session.parent / "control.log").read_text(encoding="utf-8"):
         if time.monotonic() > deadline or not process.running:
-            raise BenchError(BenchProblem.NO_SERVER())
+            raise BenchError("the server of the benchmark does not start")
         time.sleep(0.01)
         before = time.time()
     return before
@@ -293,4 +237,4 @@ def _free_port() -> int:
             stream.bind((_HOST, port))
             datagrams.bind((_HOST, port))
             return port
-    raise BenchError(BenchProblem.NO_PORT())
+    raise BenchError("no port is free")

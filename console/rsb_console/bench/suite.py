@@ -12,7 +12,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.benchmark import ENDED_BY_PEER, MOST_SECONDS, BenchmarkStep, Outcome
 from rsb_bridge.model.purposes import BENCH
 from rsb_bridge.model.transports import of_link
-from rsb_console.bench.results import BenchError, BenchProblem, Load, Point, Run, Side, StoppedError, Way
+from rsb_console.bench.results import BenchError, Load, Point, Run, Side, StoppedError, Way
 from rsb_console.look.formats import byte_count
 
 if TYPE_CHECKING:
@@ -380,7 +380,7 @@ def _result(engine: EngineApi, order: BenchmarkStep) -> Outcome:
             raise StoppedError(str(error)) from None
         raise BenchError(str(error)) from None
     except TimeoutError:
-        raise BenchError(BenchProblem.SILENT(seconds=_ANSWERED_WITHIN)) from None
+        raise BenchError(f"the bridge has not answered for {_ANSWERED_WITHIN:.0f} s") from None
 
 
 def ways_of(session: Session, transports: tuple[str, ...], directions: tuple[str, ...]) -> list[Way]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +12,7 @@ from rsb_console.command import local_commands
 from rsb_console.command.argument_values import TRANSPORTS, count, domains, seconds, sizes, topics, transports
 from rsb_console.command.check import check_session
 from rsb_console.command.remote_arguments import (
+    CommandParser,
     add_call_commands,
     add_client_commands,
     add_fleet_commands,
@@ -23,7 +23,7 @@ from rsb_console.command.remote_arguments import (
 from rsb_console.command.shell import print_line
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from rsb_console.command.remote_arguments import AddCommand, Complete
 
@@ -53,7 +53,7 @@ _DEBUG = "show a failure's traceback"
 
 def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     """Return the parser and the names of the commands; parsed arguments have the function to run as `command`."""
-    debug = _CommandParser(add_help=False)
+    debug = CommandParser(add_help=False)
     # Without SUPPRESS, the default of a command's parser would overwrite a --debug before the command.
     debug.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=_DEBUG)
     parser = argparse.ArgumentParser(
@@ -64,7 +64,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
         parents=[debug],
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
-    subparsers = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=_CommandParser)
+    subparsers = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=CommandParser)
 
     def command(
         name: str, run: Callable[[argparse.Namespace], int], summary: str, more: str = ""
@@ -99,7 +99,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     _import_arguments(
         command("import", local_commands.import_thesis, "convert the thesis's bringup.yaml to a session file")
     )
-    scan = command("bt-scan", local_commands.bt_scan, "list Bluetooth adapters and their busy RFCOMM channels")
+    scan = command("bt-scan", lazily("bt-scan", "bt_scan"), "list Bluetooth adapters and their busy RFCOMM channels")
     only = scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
     _complete(only, "adapters")
     scan.add_argument("--json", action="store_true", help="print JSON, for programs")
@@ -110,14 +110,14 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     demo.add_argument(
         "--robots", type=count, metavar="N", default=8, help="with --fleet: number of robots (%(default)s)"
     )
-    _service_arguments(command("service", local_commands.service, "run a session as a service of systemd"))
-    add_remote_commands(command, _complete, local_commands.attach, _console_options)
+    _service_arguments(command("service", lazily("show", "service"), "run a session as a service of systemd"))
+    add_remote_commands(command, _complete, _console_options)
     add_call_commands(command, _complete)
     add_client_commands(command, _complete)
     add_bench_command(command, _complete)
     add_fleet_commands(command, _complete, _console_options)
     summary = "print the completion script for a shell"
-    script = command("completion", lazily("script", "completion"), summary, _COMPLETION)
+    script = command("completion", local_commands.completion, summary, _COMPLETION)
     script.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "fish"), help="bash, zsh or fish")
     # A session file may take a command's place: `rsb-console SESSION` runs it.
     _complete(subparsers, "yaml_files")
@@ -169,13 +169,14 @@ def _run_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _service_arguments(parser: argparse.ArgumentParser) -> None:
-    actions = parser.add_subparsers(metavar="ACTION", required=True, dest="what")
+    actions = parser.add_subparsers(metavar="ACTION", required=True)
     for name, summary in (
         ("install", "write the session's unit and print the next commands"),
         ("show", "print the session's unit"),
         ("uninstall", "remove the session's unit"),
     ):
         action = actions.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
+        action.set_defaults(command=lazily(name, "service"))
         _complete(action.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
         action.add_argument("--system", action="store_true", help="a system service, not one of this user")
         if name != "show":
@@ -205,56 +206,6 @@ def _import_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-encryption", action="store_true", help="all data crosses unencrypted")
     parser.add_argument("-o", "--output", type=Path, metavar="SESSION", help="file to write; default: standard output")
     parser.add_argument("--force", action="store_true", help="replace an existing session file")
-
-
-class _CommandParser(argparse.ArgumentParser):
-    """Takes options in any place, and shows its own usage when it refuses something."""
-
-    _intermixes = False
-
-    def parse_known_args(  # type: ignore[override]  # argparse's is overloaded, by the kind of namespace
-        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
-    ) -> tuple[argparse.Namespace, list[str]]:
-        args = self._bridge_first(args)
-        if self._intermixes:  # argparse calls this for the options, then for the rest
-            return super().parse_known_args(args, namespace)
-        # argparse refuses to intermix options with the words of subcommands.
-        plain = self._subparsers or not {"-h", "--help"}.isdisjoint(
-            args or ()
-        )  # mixed, the help would leave things out
-        parse = super().parse_known_args if plain else self.parse_known_intermixed_args
-        self._intermixes = True
-        try:
-            found, unknown = parse(args, namespace)
-        finally:
-            self._intermixes = False
-        # The main parser would also refuse them, but with its own usage instead of this command's.
-        if unknown:
-            self.error(f"unrecognized arguments: {' '.join(unknown)}")
-        return found, []
-
-    def _bridge_first(self, args: Sequence[str] | None) -> Sequence[str] | None:
-        """Return arguments with ``--bridge`` before a bridge's name that stands first, as in ``pause NAME TOPIC``."""
-        if not args or "--bridge" not in self._option_string_actions or args[0].startswith(("-", "/")):
-            return args
-        return ["--bridge", *args] if self._begins_with_a_bridge(args) else args
-
-    def _begins_with_a_bridge(self, args: Sequence[str]) -> bool:
-        """Whether the first word names a bridge: a topic begins with a slash, and a bridge's name does not."""
-        words = [word for before, word in itertools.pairwise(("", *args)) if self._is_positional(before, word)]
-        own = [action for action in self._actions if not action.option_strings]
-        if self._subparsers is not None:  # `fleet NAME`; a command that is mistyped has words of its own
-            known = {name for action in own for name in action.choices or ()}
-            return words[0] not in known and known.issuperset(words[1:2])
-        if {action.dest for action in own}.isdisjoint(("topic", "topics")):
-            return False
-        # `ack NAME LINK` has no slash that gives the topic away: the number of words decides.
-        one_too_many = all(action.nargs is None for action in own) and len(words) == len(own) + 1
-        return one_too_many or any(word.startswith(("/", "*")) for word in words[1:])
-
-    def _is_positional(self, before: str, word: str) -> bool:
-        option = self._option_string_actions.get(before)
-        return not word.startswith("-") and (option is None or option.nargs == 0)
 
 
 class _Version(argparse.Action):

@@ -67,3 +67,6 @@ def _ranges(numbers: Iterable[int]) -> str:
         else:
             runs.append([number])
     return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs) or "none"
+
+
+COMMANDS = {"bt-scan": lambda arguments: run_bt_scan(arguments.adapter, arguments.json)}

@@ -11,28 +11,18 @@ import msgspec
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.client_entries import ClientError, client_named
 from rsb_bridge.config.files import is_there, write_whole
-from rsb_bridge.config.keys import KeyFileError, fingerprint
+from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.config.rights import GrantError, typed_grants
-from rsb_bridge.config.session_file import SessionError, UnwritableError
 from rsb_bridge.control.bridges import ask, running_bridges
-from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.session import Client, Grant
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import clock, json_line
-from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line, print_lines
-from rsb_console.command.target import (
-    ANSWERED_WITHIN,
-    Asking,
-    NoBridgeError,
-    UsageError,
-    agreed,
-    chosen_bridge,
-    reported,
-)
+from rsb_console.command.shell import OK, print_error, print_line, print_lines
+from rsb_console.command.target import ANSWERED_WITHIN, Asking, NoBridgeError, UsageError, agreed, chosen_bridge
 from rsb_console.session import client_files
-from rsb_console.session.client_files import begin_rotation, finish_rotation
+from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -49,23 +39,13 @@ class ClientCommandProblem(Wording):
     """Reasons why a change of a server's clients is refused."""
 
     OUTPUT_EXISTS = "{path} exists already: name another file for the robot's session"
-    OUTPUT_UNWRITABLE = "{path}: cannot be written: {reason}"
     OUTPUT_OF_ROTATION = "the client's session file stays as it is: leave out --output and --address"
     OLD_KEY_IN_USE = (
         "{name} is linked with its old key, {fingerprint}: not finished. Copy the new key over the robot's and "
         "run `rsb-console reload` there; or end its link now: `rsb-console client rekey {name}`"
     )
-    NEW_KEY_UNUSED = (
-        "{name} is not linked, and the server's log does not show that it has ever used the new key. Without it, it "
-        "cannot link any more. Finish?"
-    )
-    OLD_KEY_LAST = (
-        "{name} is not linked, and used its old key last, on {when}. Without the new one, it cannot link any more. "
-        "Finish?"
-    )
     NOT_FINISHED = "not finished: both keys of {name} stay valid"
     SESSION_UNKNOWN = "{problem}: name the server's session file"
-    SESSION_IN_NO_FILE = "{name} runs a session without a file: name the session file"
     BRIDGE_REFUSES = (
         "{path} is saved, but the bridge that runs it refuses: {reason}; restart it, or `rsb-console reload {name}`"
     )
@@ -75,7 +55,6 @@ class ClientEffect(Wording):
     """Effects of a change of clients on the server that runs the session, and the steps that follow."""
 
     NOT_RUNNING = "no server with this file runs here; the change takes effect at its next start"
-    RUNNING = "{name} runs (pid {pid}): {effect}"
     SAVED = "{path} is saved; {effect}"
     ADDED = "it accepts the client from now on"
     REKEYED = "only the new key counts now"
@@ -83,30 +62,9 @@ class ClientEffect(Wording):
     BOTH_KEYS = "both keys count from now on"
     BOTH_KEYS_LINK_STAYS = "both keys count from now on, and the link stays"
     USED = "{name} is not linked; it used the new key last, on {when}"
-    FINISHED = "only the new key counts now, and {name} needs it"
-    FINISHED_LINK_STAYS = "only the new key counts now, and the link stays"
     REMOVED = "{name} is no longer accepted, and was not linked"
     REMOVED_LINK_CLOSED = "{name} is no longer accepted, and its link is closed"
-    REMOVED_FROM = "{path}: {name} is removed{key}; {effect}"
-    KEY_FILE_STAYS = "; its key file {path} stays: remove it if nothing needs it"
-    KEY_IN = "{name}: {key} is in {path}, fingerprint {fingerprint}"
-    KEY = "{name}: key {path}, fingerprint {fingerprint}"
-    STEP_COPY = "copy the new key over the robot's: `scp -p {path} USER@ROBOT:{key_file}`"
-    STEP_RELOAD = "on the robot: `rsb-console reload` (its link comes back at once)"
     STEP_FINISH = "here: `rsb-console client rekey {name} --finish` (the old key becomes invalid)"
-
-
-def run(name: str, arguments: Namespace) -> int:
-    """Run `client NAME`. Return the exit code."""
-    try:
-        return reported(COMMANDS[name], arguments)
-    except (ClientError, SessionError, KeyFileError) as error:
-        if arguments.json:
-            print_line(json_line({"ok": False, "error": str(error)}))
-        else:
-            print_error(str(error))
-        # A disk or a key that refuses is no wrong usage: the same words may work later.
-        return FAILURE if isinstance(error, UnwritableError | KeyFileError) else USAGE
 
 
 # --- the commands
@@ -160,7 +118,7 @@ def _rekey(arguments: Namespace) -> int:
 
 
 def _begin_rotation(arguments: Namespace, path: Path) -> int:
-    changed = begin_rotation(path, arguments.name)
+    changed = client_files.begin_rotation(path, arguments.name)
     told = _tell(
         arguments,
         path,
@@ -170,8 +128,8 @@ def _begin_rotation(arguments: Namespace, path: Path) -> int:
     key_file = changed.client.key_file or changed.file.session.key_file or ""
     name = arguments.name
     steps = (
-        ClientEffect.STEP_COPY(path=changed.key_path, key_file=Path(key_file).name),
-        ClientEffect.STEP_RELOAD(),
+        f"copy the new key over the robot's: `scp -p {changed.key_path} USER@ROBOT:{Path(key_file).name}`",
+        "on the robot: `rsb-console reload` (its link comes back at once)",
         ClientEffect.STEP_FINISH(name=name),
     )
     return _rotated(arguments, changed, told, "the next key", steps)
@@ -186,12 +144,12 @@ def _finish_rotation(arguments: Namespace, path: Path) -> int:
     linked = link is not None and link.state is State.OK
     if not linked and not arguments.yes:
         _ask_to_finish(arguments, path, name)
-    changed = finish_rotation(path, name)
+    changed = client_files.finish_rotation(path, name)
     told = _tell(
         arguments,
         path,
         lambda engine: engine.change_client(changed.client),
-        lambda linked: (ClientEffect.FINISHED_LINK_STAYS if linked else ClientEffect.FINISHED)(name=name),
+        lambda linked: f"only the new key counts now, and {'the link stays' if linked else f'{name} needs it'}",
     )
     return _rotated(arguments, changed, told, "the key")
 
@@ -210,14 +168,15 @@ def _ask_to_finish(arguments: Namespace, path: Path, name: str) -> None:
     keys = (client_files.fingerprint_or_problem(place)[0] for place in client_files.key_places(file, client))
     old, new = ("" if key is None else fingerprint(key) for key in keys)
     used = _last_key(file.session.name, name, {old, new})
-    when = "" if used is None else clock(used.time)
     if used is not None and used.new == new:
-        print_error(ClientEffect.USED(name=name, when=when))
+        print_error(ClientEffect.USED(name=name, when=clock(used.time)))
         return
     if arguments.json:
         raise UsageError(Asking.NOBODY())
-    question = ClientCommandProblem.NEW_KEY_UNUSED if used is None else ClientCommandProblem.OLD_KEY_LAST
-    if not agreed(question(name=name, **({} if used is None else {"when": when}))):
+    last = "and the server's log does not show that it has ever used the new key. Without it, it"
+    if used is not None:
+        last = f"and used its old key last, on {clock(used.time)}. Without the new one, it"
+    if not agreed(f"{name} is not linked, {last} cannot link any more. Finish?"):
         raise EngineError(ClientCommandProblem.NOT_FINISHED(name=name))
 
 
@@ -243,7 +202,7 @@ def _rotated(arguments: Namespace, changed: ChangedFile, told: str, what: str, s
             )
         )  # fmt: skip
         return OK
-    print_error(ClientEffect.KEY_IN(name=client.name, key=what, path=key_at, fingerprint=fingerprint(key)))
+    print_error(f"{client.name}: {what} is in {key_at}, fingerprint {fingerprint(key)}")
     print_error(ClientEffect.SAVED(path=file.path, effect=told or ClientEffect.NOT_RUNNING()))
     for number, step in enumerate(steps, 1):
         print_error(f"{number}. {step}")
@@ -273,11 +232,9 @@ def _remove(arguments: Namespace) -> int:
     if arguments.json:
         print_line(json_line({"ok": True, "name": arguments.name, "running": told or None}))
         return OK
-    print_error(
-        ClientEffect.REMOVED_FROM(
-            path=path, name=arguments.name, key=_kept(changed.key_path), effect=told or ClientEffect.NOT_RUNNING()
-        )
-    )
+    key_at = changed.key_path
+    kept = f"; its key file {key_at} stays: remove it if nothing needs it" if key_at and is_there(key_at) else ""
+    print_error(f"{path}: {arguments.name} is removed{kept}; {told or ClientEffect.NOT_RUNNING()}")
     return OK
 
 
@@ -341,7 +298,7 @@ def _session_path(arguments: Namespace) -> Path:
     except NoBridgeError as error:
         raise NoBridgeError(ClientCommandProblem.SESSION_UNKNOWN(problem=error)) from None
     if bridge.info is None or bridge.info.file is None:
-        raise UsageError(ClientCommandProblem.SESSION_IN_NO_FILE(name=bridge.name))
+        raise UsageError(f"{bridge.name} runs a session without a file: name the session file")
     return Path(bridge.info.file)
 
 
@@ -393,17 +350,14 @@ def _tell(
     bridge = _server_of(path, arguments.control)
     if bridge is None:
         return ""
-    engine = RemoteEngine(bridge.path)
     try:
-        engine.start()
-        links = engine.snapshot().links
-        linked = any(link.name == arguments.name and link.state is State.OK for link in links)
-        command(engine).result(ANSWERED_WITHIN)
+        with attach(bridge.path, read_only=False) as engine:
+            links = engine.snapshot().links
+            linked = any(link.name == arguments.name and link.state is State.OK for link in links)
+            command(engine).result(ANSWERED_WITHIN)
     except EngineError as error:
         raise EngineError(ClientCommandProblem.BRIDGE_REFUSES(path=path, reason=error, name=bridge.name)) from None
-    finally:
-        engine.stop()
-    return ClientEffect.RUNNING(name=bridge.name, pid=bridge.pid, effect=done(linked))
+    return f"{bridge.name} runs (pid {bridge.pid}): {done(linked)}"
 
 
 def _links(path: Path, control: Path | None) -> dict[str, LinkSnapshot]:
@@ -411,14 +365,11 @@ def _links(path: Path, control: Path | None) -> dict[str, LinkSnapshot]:
     bridge = _server_of(path, control)
     if bridge is None:
         return {}
-    engine = RemoteEngine(bridge.path, read_only=True)
     try:
-        engine.start()
-        return {link.name: link for link in engine.snapshot().links}
+        with attach(bridge.path, read_only=True) as engine:
+            return {link.name: link for link in engine.snapshot().links}
     except EngineError:  # the file alone answers, without states
         return {}
-    finally:
-        engine.stop()
 
 
 def _handed_out(arguments: Namespace, changed: ChangedFile, told: str) -> int:
@@ -430,9 +381,7 @@ def _handed_out(arguments: Namespace, changed: ChangedFile, told: str) -> int:
         try:
             write_whole(output, text)
         except OSError as error:
-            raise ClientError(
-                ClientCommandProblem.OUTPUT_UNWRITABLE(path=output, reason=why_not_written(error, output))
-            ) from None
+            raise ClientError(f"{output}: cannot be written: {why_not_written(error, output)}") from None
     advice = client_files.copy_advice(client, key_at, output)
     mark = "" if key is None else fingerprint(key)
     if arguments.json:
@@ -447,12 +396,8 @@ def _handed_out(arguments: Namespace, changed: ChangedFile, told: str) -> int:
     if output is None:
         print_lines(text.removesuffix("\n"))
     if key is not None:
-        print_error(ClientEffect.KEY(name=client.name, path=key_at, fingerprint=mark))
+        print_error(f"{client.name}: key {key_at}, fingerprint {mark}")
     if arguments.saves:
         print_error(ClientEffect.SAVED(path=file.path, effect=told or ClientEffect.NOT_RUNNING()))
     print_error(f"for {client.name}: {advice}")
     return OK
-
-
-def _kept(key_at: Path | None) -> str:
-    return ClientEffect.KEY_FILE_STAYS(path=key_at) if key_at and is_there(key_at) else ""

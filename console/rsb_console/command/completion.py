@@ -41,9 +41,8 @@ _NOT_TYPED = ("direction", *NAME_KEYS.values())
 """Keys that have their own arguments in `add` and `edit`."""
 
 
-def run(name: str, arguments: Namespace) -> int:
+def script(arguments: Namespace) -> int:
     """Print the script that a shell sources to complete the command. Return the exit code."""
-    assert name == "script"
     for line in argcomplete.shellcode(["rsb-console"], shell=arguments.shell).strip("\n").splitlines():
         print_lines(line)
     return OK

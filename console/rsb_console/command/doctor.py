@@ -11,7 +11,6 @@ from rsb_bridge.config.session_file import SessionError, load
 from rsb_bridge.doctor import machine, ros_setup, session_needs
 from rsb_bridge.doctor.finding import Finding, Grade, examine, worst
 from rsb_bridge.model.text import plural
-from rsb_bridge.model.wording import Wording
 from rsb_console.command.check import print_mistakes
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, OK, print_line
@@ -27,12 +26,6 @@ _NOUNS = {Grade.ERROR: "error", Grade.WARNING: "warning"}
 _INDENT = 25
 _REMEDY = " " * 9 + "> "
 _NARROW, _WIDE = 60, 120  # columns between which the lines follow the terminal: round figures
-
-
-class DoctorText(Wording):
-    """Lines of `rsb-console doctor`."""
-
-    ALL_WELL = "nothing is wrong"
 
 
 def run_doctor(path: Path | None, more: Iterable[Check], *, as_json: bool) -> int:
@@ -79,7 +72,7 @@ def lines(findings: Iterable[Finding], columns: int) -> Iterator[str]:
     if any(count for count, _ in bad):
         yield ", ".join(f"{count} {plural(count, noun)}" for count, noun in bad if count)
     else:
-        yield DoctorText.ALL_WELL()
+        yield "nothing is wrong"
 
 
 def _wrapped(head: str, text: str, width: int) -> list[str]:

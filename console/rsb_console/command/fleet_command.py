@@ -18,11 +18,10 @@ from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.text import plural
-from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.remote_arguments import IN_FLEET
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
-from rsb_console.command.target import NoBridgeError, UsageError, agreed, chosen_bridge, fleet_file, reported
+from rsb_console.command.target import NoBridgeError, UsageError, agreed, chosen_bridge, fleet_file
 from rsb_console.fleet.fleet import Memory, RobotFleet, UnknownRobotError, memory_path
 from rsb_console.fleet.rolling import Rollout, names_of, report, said, way_back
 from rsb_console.fleet.server_source import ServerFleet
@@ -35,33 +34,7 @@ if TYPE_CHECKING:
     from rsb_console.fleet.rolling import RobotChange, RolloutOutcome
 
 _LOOK_EVERY = 0.5
-
-
-class FleetProblem(Wording):
-    """Reasons why a command for robots is refused."""
-
-    ROBOTS_MISSING = "no robots given: name them, or use --group GROUP or --all"
-    TWO_KINDS_OF_FLEET = "--fleet means bridges over Zenoh, --bridge and --control a server here: give one"
-    CLIENT_HAS_NO_ROBOTS = "{name} is a client and has no robots: name its server"
-    NO_SERVER = "no server runs here that you may attach to; `rsb-console status` lists the bridges"
-    NO_ENGINE = "no engine has announced itself in the fleet {fleet!r}"
-    COMMAND_MISSING = "no command: rsb-console fleet exec NAME ... -- COMMAND ..., as in -- pause /camera"
-    COMMAND_UNKNOWN = "{command} cannot run for a robot; these can: {known}"
-    EVENTS_ENDLESS = "events --follow does not end: follow one robot's server at a time"
-    ECHO_ENDLESS = "echo does not end: give --once, or --count N"
-    FIGURES_ENDLESS = "{command} does not end by itself: give --count N or --for N"
-    PUB_ENDLESS = "pub --rate does not end by itself: give --count N"
-    WAITS_ENDLESS = "{command} may wait for ever: give --timeout N"
-    ROBOT_AFTER_DASHES = "name the robots before --, and no bridge or link after it"
-    TOPIC_OR_CHANGE_MISSING = (
-        "the topic or the change is missing, for example: rsb-console fleet edit robot1 /camera max_rate=5"
-    )
-    JSON_CANNOT_ASK = "--json does not ask: give --yes, or --dry-run"
-
-
-def run(name: str, arguments: Namespace) -> int:
-    """Run one of the commands. Return the exit code."""
-    return reported(_COMMANDS[name], arguments)
+_NO_ROBOTS = "no robots given: name them, or use --group GROUP or --all"
 
 
 def sources_of(arguments: Namespace) -> list[FleetSource]:
@@ -73,18 +46,18 @@ def sources_of(arguments: Namespace) -> list[FleetSource]:
     """
     if arguments.fleet is not None:
         if arguments.bridge is not None or arguments.control is not None:
-            raise UsageError(FleetProblem.TWO_KINDS_OF_FLEET())
+            raise UsageError("--fleet means bridges over Zenoh, --bridge and --control a server here: give one")
         from rsb_console.fleet.zenoh_source import ZenohFleet  # noqa: PLC0415 -- not needed elsewhere
 
         return [ZenohFleet(fleet_file(arguments))]
     if arguments.bridge is not None or arguments.control is not None:
         named = chosen_bridge(arguments)
         if named.info is not None and named.info.role != "server":
-            raise UsageError(FleetProblem.CLIENT_HAS_NO_ROBOTS(name=named.name))
+            raise UsageError(f"{named.name} is a client and has no robots: name its server")
         return [ServerFleet(named.name, named.path)]
     servers = [bridge for bridge in running_bridges() if bridge.info is not None and bridge.info.role == "server"]
     if not servers:
-        raise NoBridgeError(FleetProblem.NO_SERVER())
+        raise NoBridgeError("no server runs here that you may attach to; `rsb-console status` lists the bridges")
     names: dict[str, int] = {}
     for server in servers:
         names[server.name] = names.get(server.name, 0) + 1
@@ -145,7 +118,7 @@ def _print(arguments: Namespace) -> int:
             time.sleep(min(_LOOK_EVERY, arguments.seconds))
             robots = fleet.robots()
     if not robots and arguments.fleet is not None:
-        raise NoBridgeError(FleetProblem.NO_ENGINE(fleet=fleet.sources[0].name))
+        raise NoBridgeError(f"no engine has announced itself in the fleet {fleet.sources[0].name!r}")
     wrong = [robot for robot in robots if robot.summary.state.is_wrong]
     states = [robot.summary.state for robot in robots if not robot.is_server]
     servers = len(robots) - len(states)
@@ -174,7 +147,7 @@ def _report(robot: Robot) -> dict[str, object]:
 def _dismiss(arguments: Namespace) -> int:
     with _fleet(arguments) as fleet:
         if not (arguments.names or arguments.group or arguments.everyone):
-            raise UsageError(FleetProblem.ROBOTS_MISSING())
+            raise UsageError(_NO_ROBOTS)
         gone = fleet.chosen(arguments.names, arguments.group, everyone=arguments.everyone, gone=True)
         fleet.dismiss(gone)
     if arguments.json:
@@ -188,9 +161,9 @@ def _dismiss(arguments: Namespace) -> int:
 def _exec(arguments: Namespace) -> int:
     words: list[str] = arguments.words
     if not words:
-        raise UsageError(FleetProblem.COMMAND_MISSING())
+        raise UsageError("no command: rsb-console fleet exec NAME ... -- COMMAND ..., as in -- pause /camera")
     if words[0] not in IN_FLEET:
-        raise UsageError(FleetProblem.COMMAND_UNKNOWN(command=words[0], known=", ".join(IN_FLEET)))
+        raise UsageError(f"{words[0]} cannot run for a robot; these can: {', '.join(IN_FLEET)}")
     command = _parsed(words)
     with _fleet(arguments) as fleet:
         robots = _chosen(fleet, arguments)
@@ -220,17 +193,17 @@ def _parsed(words: Sequence[str]) -> Namespace:
 
     parsed = parser_and_commands()[0].parse_args([*words])
     if words[0] == "events" and parsed.follow:
-        raise UsageError(FleetProblem.EVENTS_ENDLESS())
+        raise UsageError("events --follow does not end: follow one robot's server at a time")
     if words[0] == "echo" and not parsed.once and parsed.count is None:
-        raise UsageError(FleetProblem.ECHO_ENDLESS())
+        raise UsageError("echo does not end: give --once, or --count N")
     if words[0] in ("hz", "bw") and parsed.count is None and parsed.lasts is None:
-        raise UsageError(FleetProblem.FIGURES_ENDLESS(command=words[0]))
+        raise UsageError(f"{words[0]} does not end by itself: give --count N or --for N")
     if words[0] == "pub" and parsed.rate is not None and parsed.count is None:
-        raise UsageError(FleetProblem.PUB_ENDLESS())
+        raise UsageError("pub --rate does not end by itself: give --count N")
     if words[0] in ("echo", "wait") and parsed.timeout is None:
-        raise UsageError(FleetProblem.WAITS_ENDLESS(command=words[0]))
+        raise UsageError(f"{words[0]} may wait for ever: give --timeout N")
     if any(getattr(parsed, name, None) for name in ("bridge", "control", "fleet", "link")):
-        raise UsageError(FleetProblem.ROBOT_AFTER_DASHES())
+        raise UsageError("name the robots before --, and no bridge or link after it")
     for name in ("request", "message"):
         if getattr(parsed, name, None) == "-":  # it can be read once, for all robots
             setattr(parsed, name, sys.stdin.read(FIELDS_LENGTH + 1))
@@ -270,7 +243,7 @@ def _chosen(fleet: RobotFleet, arguments: Namespace) -> list[Robot]:
     if left_out := [each.name for each in gone if arguments.everyone or (each.group and each.group == arguments.group)]:
         print_error(f"not there, and left out: {', '.join(left_out)}")
     if not robots:
-        raise UsageError(FleetProblem.ROBOTS_MISSING())
+        raise UsageError(_NO_ROBOTS)
     return robots
 
 
@@ -283,9 +256,11 @@ def _edit(arguments: Namespace) -> int:
     keys = [word for word in words if "=" in word and not word.startswith("/")]
     arguments.names = [word for word in words if word not in topics and word not in keys]
     if len(topics) != 1 or not keys:
-        raise UsageError(FleetProblem.TOPIC_OR_CHANGE_MISSING())
+        raise UsageError(
+            "the topic or the change is missing, for example: rsb-console fleet edit robot1 /camera max_rate=5"
+        )
     if arguments.json and not (arguments.yes or arguments.dry_run):
-        raise UsageError(FleetProblem.JSON_CANNOT_ASK())
+        raise UsageError("--json does not ask: give --yes, or --dry-run")
     with _fleet(arguments) as fleet:
         robots = _chosen(fleet, arguments)
         rollout = Rollout(fleet, robots, topics[0], keys, arguments.settle, now=time.monotonic, sleep=time.sleep)
@@ -372,4 +347,4 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: RolloutOutcome, step
     return FAILURE if stopped or unreached else OK
 
 
-_COMMANDS: dict[str, Callable[[Namespace], int]] = {"show": _show, "dismiss": _dismiss, "exec": _exec, "edit": _edit}
+COMMANDS: dict[str, Callable[[Namespace], int]] = {"show": _show, "dismiss": _dismiss, "exec": _exec, "edit": _edit}

@@ -19,7 +19,6 @@ import tty
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Literal
 
-from rsb_bridge.model.wording import Wording
 from rsb_console.look.picture_rows import rgb_of
 from rsb_console.session.picture_files import png
 
@@ -47,16 +46,10 @@ _FINEST = 1200
 """Pixels in each direction of an image in sixels, which are large and slow to draw."""
 
 
-class GraphicsProblem(Wording):
-    """The reason why images are not shown as pixels."""
-
-    NO_SIXEL = "--graphics sixel needs textual-image and Pillow: pip install 'rsb-console[look]'"
-
-
 def why_not(protocol: Protocol) -> str:
     """Return the reason why this program cannot show images in a way, or an empty string."""
     lacks = protocol == "sixel" and not all(find_spec(each) for each in ("textual_image", "PIL"))
-    return GraphicsProblem.NO_SIXEL() if lacks else ""
+    return "--graphics sixel needs textual-image and Pillow: pip install 'rsb-console[look]'" if lacks else ""
 
 
 def protocol_of_terminal() -> Protocol:

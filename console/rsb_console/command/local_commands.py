@@ -1,4 +1,4 @@
-"""The commands `run`, `attach`, `keygen` and `import`; `bt-scan`, `service` and `demo`, which start other modules.
+"""The commands `run`, `attach`, `keygen` and `import`; `doctor`, `demo` and `completion`, which start other modules.
 
 Each command imports ROS, Textual or D-Bus itself if it needs them. So help, keygen, check and import answer at once,
 even on a machine without them.
@@ -98,8 +98,6 @@ def attach(arguments: Namespace) -> int:
     if not can_draw("rsb-console status"):
         return USAGE
     bridge = what_to_attach(arguments)
-    if isinstance(bridge, int):
-        return bridge
     from rsb_console.command.console_command import run_console  # noqa: PLC0415 (needs Textual)
 
     return run_console(
@@ -107,7 +105,6 @@ def attach(arguments: Namespace) -> int:
         readonly=arguments.readonly,
         ascii_only=arguments.ascii,
         theme=arguments.theme,
-        on_hangup="stop",
         mouse=not arguments.no_mouse,
         attach_to=bridge,
     )
@@ -133,18 +130,12 @@ def doctor(arguments: Namespace) -> int:
     return run_doctor(arguments.session, [terminal_check(os.environ)], as_json=arguments.json)
 
 
-def bt_scan(arguments: Namespace) -> int:
-    """List Bluetooth adapters and their busy channels."""
-    from rsb_console.command.bt_scan import run_bt_scan  # noqa: PLC0415 (needs D-Bus)
+def completion(arguments: Namespace) -> int:
+    """Print the completion script for a shell."""
+    # Not by `lazily`, which imports what attaches: each new shell waits for this.
+    from rsb_console.command.completion import script  # noqa: PLC0415 (not needed elsewhere)
 
-    return run_bt_scan(arguments.adapter, arguments.json)
-
-
-def service(arguments: Namespace) -> int:
-    """Write, show or remove the systemd unit of a session."""
-    from rsb_console.command.service import run as run_service  # noqa: PLC0415 (not needed elsewhere)
-
-    return run_service(arguments)
+    return script(arguments)
 
 
 def demo(arguments: Namespace) -> int:
@@ -221,3 +212,6 @@ def can_draw(instead: str) -> bool:
     if reason:
         print_error(reason)
     return reason is None
+
+
+COMMANDS = {"attach": attach}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias
@@ -151,10 +152,7 @@ exit codes:
 
 
 def add_remote_commands(
-    command: AddCommand,
-    complete: Complete,
-    attach: Callable[[argparse.Namespace], int],
-    console_options: Callable[[argparse.ArgumentParser], None],
+    command: AddCommand, complete: Complete, console_options: Callable[[argparse.ArgumentParser], None]
 ) -> None:
     """Add the commands.
 
@@ -165,7 +163,7 @@ def add_remote_commands(
 
     def remote(name: str, summary: str, more: str = "", *, about_topic: bool = False) -> argparse.ArgumentParser:
         """Add a command for a running bridge, named by ``--bridge`` or, if it takes no other name, by a plain word."""
-        parser = command(name, attach if name == "attach" else lazily(name), summary, more or _EXIT)
+        parser = command(name, lazily(name, "local_commands" if name == "attach" else "remote"), summary, more or _EXIT)
         if not about_topic:
             alone = parser.add_argument(
                 "bridge", metavar="NAME", nargs="?", default=argparse.SUPPRESS, help="short for --bridge NAME"
@@ -206,7 +204,9 @@ def add_remote_commands(
         ("resume", "resume a paused topic or service; all routes of the name"),
     ):
         route_arguments(remote(name, summary, about_topic=True), complete)
-    _ack_arguments(remote("ack", "acknowledge a fault, until it changes", _EXIT_ACK, about_topic=True), complete)
+    ack = remote("ack", "acknowledge a fault, until it changes", _EXIT_ACK, about_topic=True)
+    route_arguments(ack, complete, metavar="TOPIC|LINK")
+    ack.add_argument("--undo", action="store_true", help="undo the acknowledgement")
     arm = remote("arm", "arm a topic, a service or an action while this command runs", _EXIT_ARM, about_topic=True)
     held = arm.add_mutually_exclusive_group()
     held.add_argument("--ask", action="store_true", help="ask whoever holds it; without an answer it goes over in 10 s")
@@ -216,8 +216,7 @@ def add_remote_commands(
         remote("disarm", "disarm all routes of a name, also if others armed them", about_topic=True), complete
     )
     retry = remote("retry", "connect now instead of later, and open refused topics again")
-    only = "the link with this client only"
-    complete(retry.add_argument("--link", default="", metavar="CLIENT", help=only), "links")
+    complete(retry.add_argument("--link", default="", metavar="CLIENT", help="the link with this client only"), "links")
     remote("restart", "close the links on both sides and open them again")
     reload = remote("reload", "read the session file again, and change only what differs", _EXIT_RELOAD)
     reload.add_argument("--dry-run", action="store_true", help="only print what would change")
@@ -236,7 +235,12 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
     )
     report.add_argument("--csv", action="store_true", help="print CSV, for a spreadsheet")
     wait = remote("wait", "wait until topics flow, a link is up, or the bridge has stopped", _WAIT)
-    _wait_arguments(wait, complete)
+    wanted = wait.add_argument(
+        "--for", dest="wanted", nargs="+", required=True, metavar=("WHAT", "NAME"),
+        help="flowing TOPIC, linked [CLIENT], or stopped",
+    )  # fmt: skip
+    complete(wanted, "awaited")
+    wait.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
     echo = remote("echo", "print a topic's messages, two a second at most", _EXIT_ECHO, about_topic=True)
     _echo_arguments(echo, complete)
     _look_arguments(
@@ -253,20 +257,6 @@ def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Compl
 
 def _drop_arm(parser: argparse.ArgumentParser, about: str) -> None:
     parser.add_argument("--drop-arm", action="store_true", help=about)
-
-
-def _ack_arguments(ack: argparse.ArgumentParser, complete: Complete) -> None:
-    route_arguments(ack, complete, metavar="TOPIC|LINK")
-    ack.add_argument("--undo", action="store_true", help="undo the acknowledgement")
-
-
-def _wait_arguments(wait: argparse.ArgumentParser, complete: Complete) -> None:
-    wanted = wait.add_argument(
-        "--for", dest="wanted", nargs="+", required=True, metavar=("WHAT", "NAME"),
-        help="flowing TOPIC, linked [CLIENT], or stopped",
-    )  # fmt: skip
-    complete(wanted, "awaited")
-    wait.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
 
 
 def _echo_arguments(echo: argparse.ArgumentParser, complete: Complete) -> None:
@@ -415,11 +405,12 @@ def add_client_commands(command: AddCommand, complete: Complete) -> None:
 
 
 def lazily(name: str, module: str = "remote") -> Callable[[argparse.Namespace], int]:
-    """Import what the command needs only when it is run."""
+    """Return a function that imports what the command needs only when it is run, and reports its errors."""
 
     def run(arguments: argparse.Namespace) -> int:
-        code: int = import_module(f"rsb_console.command.{module}").run(name, arguments)
-        return code
+        from rsb_console.command.target import reported  # noqa: PLC0415 (only once a command runs)
+
+        return reported(import_module(f"rsb_console.command.{module}").COMMANDS[name], arguments)
 
     return run
 
@@ -653,27 +644,66 @@ def _add_fleet_command(
     return parser
 
 
-class _FleetParser(argparse.ArgumentParser):
-    """Leaves the words after ``--`` as they are: they have their own options."""
+class CommandParser(argparse.ArgumentParser):
+    """Takes options in any place, and shows its own usage when it refuses something."""
+
+    _intermixes = False
 
     def parse_known_args(  # type: ignore[override]  # argparse's is overloaded, by the kind of namespace
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        args = self._bridge_first(args)
+        if self._intermixes:  # argparse calls this for the options, then for the rest
+            return super().parse_known_args(args, namespace)
+        # argparse refuses to intermix options with the words of subcommands.
+        plain = self._subparsers or not {"-h", "--help"}.isdisjoint(
+            args or ()
+        )  # mixed, the help would leave things out
+        parse = super().parse_known_args if plain else self.parse_known_intermixed_args
+        self._intermixes = True
+        try:
+            found, unknown = parse(args, namespace)
+        finally:
+            self._intermixes = False
+        # The main parser would also refuse them, but with its own usage instead of this command's.
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return found, []
+
+    def _bridge_first(self, args: Sequence[str] | None) -> Sequence[str] | None:
+        """Return arguments with ``--bridge`` before a bridge's name that stands first, as in ``pause NAME TOPIC``."""
+        if not args or "--bridge" not in self._option_string_actions or args[0].startswith(("-", "/")):
+            return args
+        return ["--bridge", *args] if self._begins_with_a_bridge(args) else args
+
+    def _begins_with_a_bridge(self, args: Sequence[str]) -> bool:
+        """Whether the first word names a bridge: a topic begins with a slash, and a bridge's name does not."""
+        words = [word for before, word in itertools.pairwise(("", *args)) if self._is_positional(before, word)]
+        own = [action for action in self._actions if not action.option_strings]
+        if self._subparsers is not None:  # `fleet NAME`; a command that is mistyped has words of its own
+            known = {name for action in own for name in action.choices or ()}
+            return words[0] not in known and known.issuperset(words[1:2])
+        if {action.dest for action in own}.isdisjoint(("topic", "topics")):
+            return False
+        # `ack NAME LINK` has no slash that gives the topic away: the number of words decides.
+        one_too_many = all(action.nargs is None for action in own) and len(words) == len(own) + 1
+        return one_too_many or any(word.startswith(("/", "*")) for word in words[1:])
+
+    def _is_positional(self, before: str, word: str) -> bool:
+        option = self._option_string_actions.get(before)
+        return not word.startswith("-") and (option is None or option.nargs == 0)
+
+
+class _FleetParser(CommandParser):
+    """Leaves the words after ``--`` as they are: they have their own options."""
+
+    def parse_known_args(  # type: ignore[override]  # as above
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
         own, words = list(args or ()), []
         if "--" in own:
             at = own.index("--")
             own, words = own[:at], own[at + 1 :]
-        # As in `_CommandParser`: argparse intermixes no subcommands, and calls this for the options, then for the rest.
-        if self._subparsers is not None or not {"-h", "--help"}.isdisjoint(own) or self._mixes:
-            return super().parse_known_args(own, namespace)
-        self._mixes = True
-        try:
-            found, unknown = self.parse_known_intermixed_args(own, namespace)
-        finally:
-            self._mixes = False
-        if unknown:
-            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        found, unknown = super().parse_known_args(own, namespace)
         found.words = words
-        return found, []
-
-    _mixes = False
+        return found, unknown

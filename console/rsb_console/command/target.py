@@ -11,9 +11,10 @@ from functools import partial
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from rsb_bridge.api import EngineError, InvalidRequestError
+from rsb_bridge.config.client_entries import ClientError
 from rsb_bridge.config.keys import KeyFileError
+from rsb_bridge.config.session_file import SessionError, UnwritableError
 from rsb_bridge.config.topic_rules import A_KIND
-from rsb_bridge.config.yaml_text import SessionError
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.control_sockets import (
     AttachProblem,
@@ -23,7 +24,6 @@ from rsb_bridge.control.control_sockets import (
     run_as,
     user_name,
 )
-from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.names import other_side as other_side_of
@@ -33,6 +33,7 @@ from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, USAGE, print_error, print_line
+from rsb_console.session.attaching import attach
 from rsb_console.session.draft import suggestion
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.fleet_file import FleetFile
     from rsb_bridge.control.bridges import RunningBridge
-    from rsb_bridge.model.history import HistoryReport
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.snapshot import PatternSnapshot
 
@@ -61,9 +62,6 @@ class BridgeChoice(Wording):
     NONE_RUNS = "no bridge runs here that you may attach to"
     NONE_OF_YOURS_RUNS = "no bridge runs here that you may attach to; some may belong to {user}: {remedy}"
     UNKNOWN = "no bridge {name!r} runs here; these do:{running}"
-    SEVERAL_OF_ONE_NAME = "several bridges with this name run here; choose one:{options}"
-    SEVERAL = "several bridges run here; choose one with --bridge NAME:{running}"
-    UNUSABLE = "{name} (pid {pid}): {problem}"
 
 
 class RouteChoice(Wording):
@@ -72,8 +70,6 @@ class RouteChoice(Wording):
     SEVERAL = "{topic} is bridged {count} times; choose one: {options}"
     OF_ANOTHER_KIND = "{topic} is bridged as {actual}, and not as {wanted}"
     NOT_BRIDGED = "{topic} is not bridged{hint}"
-    SEVERAL_PATTERNS = "{topic} is followed {count} times; choose one: {options}"
-    UNKNOWN_PATTERN = "there is no pattern {topic}{hint}"
     UNKNOWN_LINK = "{bridge} has no link {name!r}, only {known}"
 
 
@@ -91,22 +87,22 @@ class NoBridgeError(Exception):
     """The bridge that a command needs does not run; the message lists the running ones."""
 
 
-def what_to_attach(arguments: Namespace) -> Path | Attach | int:
+def what_to_attach(arguments: Namespace) -> Path | Attach:
     """Return the control socket of the bridge that the arguments name, or a function that attaches to it in its fleet.
 
-    If there is no such bridge, print the reason and return the exit code.
+    Raises:
+        ControlError: the socket that they name has no bridge.
+        NoBridgeError: there is no such bridge.
+        UsageError: there are several, or the fleet file has mistakes.
     """
     if arguments.fleet is None:
-        found = reported(chosen_bridge, arguments)
-        return found if isinstance(found, int) else found.path
-    file = reported(fleet_file, arguments)
-    if isinstance(file, int):
-        return file
+        return chosen_bridge(arguments).path
+    fleet_file(arguments)  # its mistakes come before the console opens
     return partial(attach_in_fleet, arguments, read_only=arguments.readonly)
 
 
-def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
-    """Do something; report an error, and return its exit code."""
+def reported(work: Callable[[Namespace], int], arguments: Namespace) -> int:
+    """Run a command; report an error. Return the exit code."""
     try:
         return work(arguments)
     # Most of these are EngineErrors, so that errors with an exit code of their own come first.
@@ -118,6 +114,10 @@ def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
         return failed(arguments, str(error), USAGE)
     except EngineError as error:
         return failed(arguments, str(error), FAILURE)
+    except (ClientError, SessionError, KeyFileError) as error:
+        # A disk or a key that refuses is no wrong usage: the same words may work later.
+        code = FAILURE if isinstance(error, UnwritableError | KeyFileError) else USAGE
+        return failed(arguments, str(error), code)
     except TimeoutError:
         return failed(arguments, AttachProblem.SILENT_FOR(seconds=ANSWERED_WITHIN), FAILURE)
 
@@ -157,15 +157,15 @@ def chosen_bridge(arguments: Namespace) -> RunningBridge:
         raise NoBridgeError(BridgeChoice.UNKNOWN(name=name, running=running))
     if len({bridge.name for bridge in chosen}) < len(chosen):  # in folders of several users or services
         paths = "".join(f"\n  --control {bridge.path}  {bridge}" for bridge in chosen)
-        raise UsageError(BridgeChoice.SEVERAL_OF_ONE_NAME(options=paths))
+        raise UsageError(f"several bridges with this name run here; choose one:{paths}")
     if len(chosen) > 1:
-        raise UsageError(BridgeChoice.SEVERAL(running=running))
+        raise UsageError(f"several bridges run here; choose one with --bridge NAME:{running}")
     return _answering(chosen[0])
 
 
 def _answering(bridge: RunningBridge) -> RunningBridge:
     if bridge.info is None:
-        raise ControlError(BridgeChoice.UNUSABLE(name=bridge.name, pid=bridge.pid, problem=bridge.problem))
+        raise ControlError(f"{bridge.name} (pid {bridge.pid}): {bridge.problem}")
     return bridge
 
 
@@ -176,19 +176,16 @@ def attached(arguments: Namespace, *, read_only: bool = False, expires: bool = F
     Args:
         expires: whether the command must not be carried out late, counted from the start of its process.
     """
-    if (attach := getattr(arguments, "attach", None)) is not None:
-        engine = attach(read_only=read_only)
+    if (open_it := getattr(arguments, "attach", None)) is not None:
+        engine = open_it(read_only=read_only)
     elif getattr(arguments, "fleet", None) is not None:
         engine = attach_in_fleet(arguments, read_only=read_only)
     else:
-        engine = RemoteEngine(chosen_bridge(arguments).path, read_only=read_only)
-        engine.start()
-    if expires:
-        engine.given_at = given_at(arguments)
-    try:
+        engine = attach(chosen_bridge(arguments).path, read_only=read_only)
+    with engine:
+        if expires:
+            engine.given_at = given_at(arguments)
         yield engine
-    finally:
-        engine.stop()
 
 
 def attach_in_fleet(arguments: Namespace, *, read_only: bool) -> RemoteEngine:
@@ -201,8 +198,7 @@ def attach_in_fleet(arguments: Namespace, *, read_only: bool) -> RemoteEngine:
     from rsb_bridge.control.zenoh_fleet import FleetConnector  # noqa: PLC0415 -- not needed elsewhere
 
     way = FleetConnector(fleet_file(arguments), arguments.bridge or "")
-    engine = RemoteEngine(way, read_only=read_only)
-    engine.start()
+    engine = attach(way, read_only=read_only)
     if way.warning:
         print_error(way.warning)
     return engine
@@ -220,12 +216,6 @@ def fleet_file(arguments: Namespace) -> FleetFile:
         return load_fleet(arguments.fleet)
     except (SessionError, KeyFileError) as error:
         raise UsageError(str(error)) from None
-
-
-def ask_history(arguments: Namespace, seconds: float) -> HistoryReport:
-    """Return the history of the bridge that the arguments name, over the last `seconds`."""
-    with attached(arguments, read_only=True) as engine:
-        return result(engine.history(seconds))
 
 
 def given_at(arguments: Namespace) -> float:
@@ -338,7 +328,7 @@ def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | Patter
     if len(found) == 1:
         return found[0]
     options = (f"--link {each.link} --direction {each.spec.direction} --kind {each.spec.kind}" for each in found)
-    raise UsageError(RouteChoice.SEVERAL_PATTERNS(topic=arguments.topic, count=len(found), options="; ".join(options)))
+    raise UsageError(f"{arguments.topic} is followed {len(found)} times; choose one: {'; '.join(options)}")
 
 
 def all_chosen(engine: RemoteEngine, arguments: Namespace) -> Sequence[RouteSnapshot | PatternSnapshot]:
@@ -413,7 +403,7 @@ def _patterns_meant(engine: RemoteEngine, arguments: Namespace) -> list[PatternS
     if found:
         return found
     names = [each.spec.topic for each in known]
-    raise UsageError(RouteChoice.UNKNOWN_PATTERN(topic=arguments.topic, hint=suggestion(arguments.topic, names)))
+    raise UsageError(f"there is no pattern {arguments.topic}{suggestion(arguments.topic, names)}")
 
 
 def _which(route: RouteSnapshot, others: Sequence[RouteSnapshot]) -> str:

@@ -1,36 +1,14 @@
-"""Attaching to a bridge of another process: the engine, and what the console knows of its session's file."""
+"""Attaching to a bridge of another process, and the file of its session."""
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from rsb_bridge.config.session_file import SessionError, SessionFile, load_file
 from rsb_bridge.control.remote_engine import RemoteEngine
 
 if TYPE_CHECKING:
     from rsb_bridge.control.connectors import Connector
-    from rsb_bridge.model.session import Session
-
-
-class Attached(NamedTuple):
-    """An attached bridge.
-
-    Attributes:
-        name: name of its session.
-        base: the folder that its key files are relative to.
-        path: its session file, or None without a file on this machine.
-        file: that file's present content, or None if it is missing or has mistakes.
-        saved: the session in `file`, or None.
-    """
-
-    engine: RemoteEngine
-    name: str
-    base: Path
-    path: Path | None
-    file: SessionFile | None
-    saved: Session | None
 
 
 def attach(where: Path | Connector, *, read_only: bool) -> RemoteEngine:
@@ -44,13 +22,7 @@ def attach(where: Path | Connector, *, read_only: bool) -> RemoteEngine:
     return engine
 
 
-def attached(engine: RemoteEngine) -> Attached:
-    """Describe an attached engine for the console."""
-    bridge = engine.bridge
+def file_here(engine: RemoteEngine) -> Path | None:
+    """Return the path of an attached bridge's session file, or None without a file on this machine."""
     # A path of another machine may name another file here.
-    path = Path(bridge.file) if bridge.file is not None and engine.same_machine else None
-    file = None
-    if path is not None:
-        with contextlib.suppress(SessionError):  # it has been changed, or removed
-            file = load_file(path)
-    return Attached(engine, bridge.name, Path(bridge.base), path, file, None if file is None else file.session)
+    return Path(engine.bridge.file) if engine.bridge.file is not None and engine.same_machine else None

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeGuard, runtime_ch
 from textual import events
 from textual.screen import Screen
 
-from rsb_bridge.model.wording import Wording
 from rsb_console.terminal.pulse import FRESH_FOR, heard_before, is_from_terminal
 
 if TYPE_CHECKING:
@@ -23,13 +22,6 @@ SEEN_AFTER = 0.5
 """s from the picture of a question until its keys count: nobody reads and answers it earlier."""
 _TOLD_EVERY = 3.0
 """s between two notes about late keys, and for which one stays: a held key would fill the screen with them."""
-
-
-class LateInput(Wording):
-    """Texts about keys that came late."""
-
-    IGNORED = "keys came late: they are ignored"
-    LIST_MOVED = "the list has moved: look, and press the key again"
 
 
 class GuardedScreen(Screen[Any]):
@@ -47,13 +39,6 @@ class GuardedScreen(Screen[Any]):
     opens_itself = False
     seen_after = 0.0
     drawn_at: float | None = None
-
-
-@runtime_checkable
-class HasInputGate(Protocol):
-    """An app whose input goes through a gate."""
-
-    input_gate: InputGate
 
 
 class InputGate:
@@ -77,8 +62,8 @@ class InputGate:
     @classmethod
     def of(cls, app: App[Any]) -> InputGate:
         """Return the gate of an app."""
-        assert isinstance(app, HasInputGate)
-        return app.input_gate
+        gate: InputGate = app.input_gate  # type: ignore[attr-defined]  # `TerminalApp` is in a layer above
+        return gate
 
     @property
     def is_on(self) -> bool:
@@ -108,14 +93,14 @@ class InputGate:
             return not seen
         if self._clock() - self._told_at > _TOLD_EVERY:
             self._told_at = self._clock()
-            self._app.notify(LateInput.IGNORED(), severity="warning", timeout=_TOLD_EVERY)
+            self._app.notify("keys came late: they are ignored", severity="warning", timeout=_TOLD_EVERY)
         return True
 
     def was_seen(self, changed_at: float) -> bool:
         """Whether the operator may have seen what changed at a time (s); if not, they get a note."""
         if not self.is_on or self._clock() - changed_at >= SEEN_AFTER:
             return True
-        self._app.notify(LateInput.LIST_MOVED(), severity="warning", timeout=_TOLD_EVERY)
+        self._app.notify("the list has moved: look, and press the key again", severity="warning", timeout=_TOLD_EVERY)
         return False
 
     def takes_keys(self, screen: GuardedScreen) -> bool:
