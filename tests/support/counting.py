@@ -1,20 +1,20 @@
 """Messages counted outside of the bridge: a publisher, a listener and both bridges are processes of their own.
 
-`python -m tests.support.counting publish|listen DOMAIN TOPIC DEPTH` is a publisher or a listener. It prints ``ready``,
-and answers each line of its input with its count so far.
+`python -m tests.support.counting publish|listen DOMAIN TOPIC DEPTH` is a publisher or a listener, which answers each
+line of its input with its count so far.
 """
 
 from __future__ import annotations
 
 import itertools
 import json
-import select
 import signal
 import subprocess
 import sys
 import time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from tests.support.asked import Asked, answers
 from tests.support.forker import Forked
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -67,33 +67,9 @@ class Count(NamedTuple):
         return f"{self.published} published, {self.never_taken} never taken, {self.received} received; {figures}"
 
 
-class _Child:
-    """A process that answers lines with lines."""
-
-    def __init__(self, *arguments: object) -> None:
-        words = map(str, arguments)
-        self._process = Forked("tests.support.counting", *words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-
-    def read(self) -> str:
-        assert self._process.stdout is not None
-        return str(self._process.stdout.readline()).strip()
-
-    def ask(self, words: str = "count") -> Any:
-        """Send it a command, and return its count."""
-        assert self._process.stdin is not None
-        self._process.stdin.write(f"{words}\n")
-        self._process.stdin.flush()
-        return json.loads(self.read())
-
-    def freeze(self, seconds: float) -> None:
-        """Stop it for some time."""
-        self._process.send_signal(signal.SIGSTOP)
-        time.sleep(seconds)
-        self._process.send_signal(signal.SIGCONT)
-
-    def close(self) -> None:
-        with self._process:
-            self._process.kill()
+def _counter(*arguments: object) -> Asked:
+    words = map(str, arguments)
+    return Asked(Forked("tests.support.counting", *words, stdin=subprocess.PIPE, stdout=subprocess.PIPE))
 
 
 class _Bridge:
@@ -168,13 +144,12 @@ class CountedBridge:
             "server": {"domain_id": domains[1], "server_ip": address[0]},
             "client": {"domain_id": domains[0], "server_ip": address[1], "topics": (topic,)},
         }
-        self.listener = _Child("listen", domains[1], TOPIC, depth)
-        self.publisher = _Child("publish", domains[0], TOPIC, depth)
+        self.listener = _counter("listen", domains[1], TOPIC, depth)
+        self.publisher = _counter("publish", domains[0], TOPIC, depth)
         self.server, self.client = (
             _Bridge(folder, Session(**{**common, "role": role, **fields, **(settings or {})}))
             for role, fields in sides.items()
         )
-        assert self.listener.read() == self.publisher.read() == "ready"
 
     def __enter__(self) -> CountedBridge:
         return self
@@ -192,7 +167,7 @@ class CountedBridge:
             what=f"both ends; the client says {self.client.output()}",
         )
         before = self.listener.ask()["heard"]
-        self.publisher.ask(f"rate {rate}")
+        self.publisher.ask(rate=rate)
         eventually(
             lambda: self.listener.ask()["heard"] > before + 5,
             what=f"messages; the client says {self.client.output()}",
@@ -212,7 +187,7 @@ class CountedBridge:
 
     def settled(self) -> Count:
         """Stop publishing; the counts once they change no more."""
-        published = self.publisher.ask("rate 0")["published"]
+        published = self.publisher.ask(rate=0.0)["published"]
         last: Any = None
         since = time.monotonic()
 
@@ -226,7 +201,7 @@ class CountedBridge:
             return (heard, topic) if time.monotonic() - since > _QUIET else None
 
         heard, topic = eventually(quiet, within=30, what=f"a settled ledger; the last was {last}")
-        return Count(published, heard["heard"], heard["doubled"], self.listener.ask("gaps"), topic)
+        return Count(published, heard["heard"], heard["doubled"], self.listener.ask(gaps=True), topic)
 
 
 def _publish(domain_id: int, topic: str, depth: int) -> None:
@@ -235,17 +210,15 @@ def _publish(domain_id: int, topic: str, depth: int) -> None:
 
     domain = Domain(domain_id)
     publisher = domain.publisher(topic, qos=QoSProfile(depth=depth))
-    _say("ready")
     count, rate, due = 0, 0.0, time.monotonic()
-    while True:
-        wait = max(0.0, due - time.monotonic()) if rate else 1.0
-        if select.select([sys.stdin], [], [], wait)[0]:
-            line = sys.stdin.readline()
-            if not line:
-                return
-            if line.startswith("rate"):
-                rate, due = float(line.split()[1]), time.monotonic()
-            _say(json.dumps({"published": count, "matched": publisher.get_subscription_count()}))
+
+    def act(request: dict[str, Any]) -> object:
+        nonlocal rate, due
+        if "rate" in request:
+            rate, due = request["rate"], time.monotonic()
+        return {"published": count, "matched": publisher.get_subscription_count()}
+
+    while answers(act, max(0.0, due - time.monotonic()) if rate else 1.0):
         while rate and due <= time.monotonic():
             publisher.publish(text(f"{count}"))
             count += 1
@@ -260,29 +233,21 @@ def _listen(domain_id: int, topic: str, depth: int) -> None:
     listener = domain.listener(topic, qos=QoSProfile(depth=depth))
     heard: set[str] = set()
     doubled, newest = 0, -1
-    _say("ready")
-    while True:
+
+    def act(request: dict[str, Any]) -> object:
+        if "gaps" in request:
+            numbers = sorted(map(int, heard))
+            lengths = [after - before - 1 for before, after in itertools.pairwise([-1, *numbers])]
+            return sorted(filter(None, lengths), reverse=True)
+        return {"heard": len(heard), "doubled": doubled, "newest": newest, "matched": listener.matched}
+
+    while answers(act, 0.001):
         count = len(listener.payloads)  # takes what has come
         words = listener.texts(count) if count else []
         listener.forget()
         doubled += len(words) - len(set(words) - heard)
         heard.update(words)
         newest = max(newest, *map(int, words)) if words else newest
-        if select.select([sys.stdin], [], [], 0.001)[0]:
-            line = sys.stdin.readline()
-            if not line:
-                return
-            if line.startswith("gaps"):
-                numbers = sorted(map(int, heard))
-                lengths = [after - before - 1 for before, after in itertools.pairwise([-1, *numbers])]
-                _say(json.dumps(sorted(filter(None, lengths), reverse=True)))
-                continue
-            _say(json.dumps({"heard": len(heard), "doubled": doubled, "newest": newest, "matched": listener.matched}))
-
-
-def _say(line: str) -> None:
-    sys.stdout.write(f"{line}\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":
