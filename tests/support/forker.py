@@ -34,8 +34,10 @@ if TYPE_CHECKING:
 
 _ROOT = Path(__file__).parents[2]
 _FOR_ALL = ("rsb_bridge.ros.participant", "std_msgs.msg", "geometry_msgs.msg", "rclpy.node", "rclpy.executors")
+_RSB_CONSOLE = ("rsb_console.cli", "rsb_console.command.headless", "rsb_console.command.remote")
 _FOR_MODULE = {
-    "rsb_console": ("rsb_console.cli", "rsb_console.command.headless", "rsb_console.command.remote"),
+    "rsb_console": _RSB_CONSOLE,
+    "tests.system.torture.program": _RSB_CONSOLE,
     "tests.support.calls": ("nav_msgs.srv",),
     "tests.support.fibonacci": ("pytest", "rclpy.action", "test_msgs.action"),
 }
