@@ -29,9 +29,7 @@ SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit"))
 
 @pytest.fixture
 def engine(machine: Machine) -> ScriptedEngine:
-    made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,))
-    machine.serve(made)
-    return made
+    return machine.have(ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,)))
 
 
 def peeked(message: Any, **changes: Any) -> PeekedMessage:

@@ -62,9 +62,7 @@ SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit", max_rate=5.
 
 @pytest.fixture
 def engine(machine: Machine) -> ScriptedEngine:
-    made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,))
-    machine.serve(made)
-    return made
+    return machine.have(ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,)))
 
 
 def test_status_says_how_it_is_and_whether_something_is_wrong(ran: Any, engine: ScriptedEngine) -> None:
