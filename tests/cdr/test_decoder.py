@@ -7,8 +7,9 @@ import importlib
 import pkgutil
 import struct
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,9 +33,6 @@ from rsb_bridge.cdr.description import (
 )
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 PACKAGES = [
     "action_msgs", "actionlib_msgs", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "lifecycle_msgs",

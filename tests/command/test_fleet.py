@@ -265,7 +265,7 @@ def test_it_stops_after_the_robot_at_which_it_is_interrupted(machine: Machine, f
         return replace(route, state=State.OK, reason="")
 
     before = signal.getsignal(signal.SIGINT)
-    engine = machine.have(ServerEngine("robot1", "robot2", edited=edited))
+    machine.serve(ServerEngine("robot1", "robot2", edited=edited))
     ran = fleet("edit", "--all", "/camera", "max_rate=5", "--yes", "--json", *SETTLE)
     assert (ran.code, ran.json["done"], ran.json["left"]) == (1, ["robot1"], ["robot2"])
     assert signal.getsignal(signal.SIGINT) is before

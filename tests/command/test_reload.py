@@ -13,8 +13,9 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import pytest
@@ -27,10 +28,6 @@ from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.model.session import Session, Topic
 from rsb_console.command.shell import HUNG_UP
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
 ENDS_WITHIN = 60.0

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import ModuleType
 
 import pytest
 from tests.support.wording import says
 
 from rsb_bridge.model.wording import Wording
-
-if TYPE_CHECKING:
-    from types import ModuleType
 
 _DOCS = Path(__file__).parents[2] / "docs"
 

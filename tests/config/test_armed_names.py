@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -11,9 +11,6 @@ from rsb_bridge.config.session_file import SessionError, demand_places, load_fil
 from rsb_bridge.config.topic_rules import topic_problems
 from rsb_bridge.model.session import ArmedName, Session, Topic
 from rsb_console.command.check import SessionCheckText, hints, summary
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 FILE = """\
 name: pc

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -12,9 +12,6 @@ from tests.console.scripted import SESSION
 from rsb_bridge.config.difference import changes
 from rsb_bridge.config.session_file import SessionError, dump, load, parse, save, validate
 from rsb_bridge.config.validation import command_words, fault_command_warnings, program_path, program_problem
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.mark.parametrize(

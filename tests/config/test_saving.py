@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import pytest
@@ -33,9 +34,6 @@ from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.config.yaml_text import inline, read_yaml
 from rsb_bridge.model.qos import PROFILES
 from rsb_bridge.model.session import Client, Grant, Session, Topic
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 HEAD = "name: robot1\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 49152\nkey_file: key.txt\n"

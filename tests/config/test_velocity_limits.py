@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -13,9 +13,6 @@ from rsb_bridge.model.session import ArmedName, Session, Topic
 from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_console.command.check import SessionCheckText, summary
 from rsb_console.session.draft import problems_of, topic_of, values_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 FILE = """\
 name: r

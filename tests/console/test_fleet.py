@@ -572,7 +572,7 @@ async def test_read_only(bed: Bed) -> None:
 
 
 def test_the_console_on_a_robot_shows_that_one_and_leaves_with_escape(machine: Machine) -> None:
-    engine = machine.have(ServerEngine("robot1", "robot2"))
+    machine.serve(ServerEngine("robot1", "robot2"))
     fleet = ServerFleet("control", machine.folder / "control.sock")
     app = RobotApp(None, None, config=NOWHERE, theme="dark", attach_to=lambda: fleet.open("robot2", read_only=False))
 

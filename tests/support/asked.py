@@ -5,10 +5,8 @@ from __future__ import annotations
 import json
 import select
 import sys
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from collections.abc import Callable
+from typing import Any
 
 _ANSWERS_WITHIN = 180.0
 

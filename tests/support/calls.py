@@ -21,16 +21,14 @@ import sys
 import threading
 import time
 import zlib
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from tests.support.asked import Asked
 from tests.support.forker import Forked
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.text import keep_output_clean
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 TYPE = "nav_msgs/srv/LoadMap"
 DEEP = 5000

@@ -12,7 +12,9 @@ import signal
 import subprocess
 import sys
 import time
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
 
 from tests.support.asked import Asked, answers
 from tests.support.forker import Forked
@@ -23,10 +25,6 @@ from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.text import keep_output_clean
-
-if TYPE_CHECKING:
-    from pathlib import Path
-    from types import TracebackType
 
 TOPIC = "/count"
 _QUIET = 1.3

@@ -23,14 +23,12 @@ import sys
 import termios
 import threading
 import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from types import TracebackType
+from typing import IO, Any
 
 from tests.support.handles import Handle
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from types import TracebackType
 
 _ROOT = Path(__file__).parents[2]
 _FOR_ALL = ("rsb_bridge.ros.participant", "std_msgs.msg", "geometry_msgs.msg", "rclpy.node", "rclpy.executors")

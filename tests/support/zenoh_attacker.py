@@ -13,15 +13,13 @@ import sys
 import threading
 import time
 from collections import Counter, deque
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import zenoh
 
 from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 from rsb_bridge.wire.preamble import PreambleKind
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 TAG = bytes(16)
 KEPT = 1000

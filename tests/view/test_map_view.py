@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import pytest
@@ -13,16 +13,12 @@ from sensor_msgs.msg import LaserScan
 from tests.support.wording import has_text
 from tests.view.samples import task
 
-from rsb_bridge.cdr.decoder import Items
+from rsb_bridge.cdr.decoder import Items, Message
 from rsb_bridge.model.pictures import Cells, Picture, Wish
 from rsb_bridge.view.canvas import Canvas
-from rsb_bridge.view.drawing import TakenMessage
+from rsb_bridge.view.drawing import Drawn, TakenMessage
 from rsb_bridge.view.map_view import MapProblem, MapView, Transform
 from rsb_bridge.view.worker import Artist
-
-if TYPE_CHECKING:
-    from rsb_bridge.cdr.decoder import Message
-    from rsb_bridge.view.drawing import Drawn
 
 WISH = Wish(width=40, height=20)
 

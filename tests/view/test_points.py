@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -14,9 +14,6 @@ from tests.view.samples import drawn, task
 from rsb_bridge.model.pictures import Cells, Picture, Wish
 from rsb_bridge.view.points import PointsProblem
 from rsb_bridge.view.worker import Artist
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 WISH = Wish(width=41, height=21)
 

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 import pytest
 
 from rsb_bridge.bluetooth import hci
-
-if TYPE_CHECKING:
-    import socket
-    from collections.abc import Callable, Iterator
 
 _HOLDER = """
 import socket, sys

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import os
 import time
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.wording import pattern
@@ -18,9 +18,6 @@ from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.transport import Acceptor, ListenError
 
 from .conftest import holding
-
-if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable
 
 _DEADLINE = 20.0
 

@@ -7,14 +7,12 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tests.support.forker import Forked
 from tests.support.program import Program
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 _PR_SET_NAME = 15
 _ROOT = Path(__file__).parents[3]
