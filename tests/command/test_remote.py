@@ -16,19 +16,16 @@ import pytest
 from tests.console.scripted import ROUTES, SESSION, ScriptedEngine, route
 from tests.support import constants, replaced
 from tests.support.forker import Forked
-from tests.support.ports import free_port
 from tests.support.waiting import eventually
 from tests.support.wording import says
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.keys import write_key
-from rsb_bridge.config.session_file import save
 from rsb_bridge.control.bridges import SessionRuns, running_bridges
 from rsb_bridge.control.protocol import RequestProblem
 from rsb_bridge.model.by_hand import OLD_AFTER
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.commands import AskHolder, KeepArmed
-from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import (
     Acknowledgement,
     ArmingSnapshot,
@@ -462,25 +459,8 @@ def test_of_two_bridges_of_one_name_the_sockets_are_named(
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> Path:
-    """A client's, whose server does not run."""
-    pytest.importorskip("rclpy", reason="needs ROS 2")
-    write_key(tmp_path / "robot1.key")
-    path = tmp_path / "robot1.yaml"
-    topics = (Topic("/scan", "transmit"),)
-    save(
-        Session(
-            name="robot1", role="client", server_ip="127.0.0.1", server_port=free_port(), key_file="robot1.key",
-            domain_id=85, topics=topics,
-        ),
-        path,
-    )  # fmt: skip
-    return path
-
-
-@pytest.fixture
-def bridge(here: None, session: Path) -> Iterator[Forked]:
-    with start("run", "--no-ui", str(session)) as process:
+def bridge(here: None, path: Path) -> Iterator[Forked]:
+    with start("run", "--no-ui", str(path)) as process:
         assert "connecting" in process.stdout.readline()
         yield process
         process.kill()
@@ -490,9 +470,9 @@ def start(*arguments: str) -> Forked:
     return Forked("rsb_console", *arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
-def test_a_headless_bridge_is_attached_to_changed_and_stopped(ran: Any, bridge: Forked, session: Path) -> None:
+def test_a_headless_bridge_is_attached_to_changed_and_stopped(ran: Any, bridge: Forked, path: Path) -> None:
     status = ran("status", "--json").json
-    assert (status["pid"], status["file"]) == (bridge.pid, str(session))
+    assert (status["pid"], status["file"]) == (bridge.pid, str(path))
     with start("events", "--json", "--follow") as following:
         assert json.loads(following.stdout.readline())["code"] == "link.connecting"
         assert ran("add", "/map", "receive", "type=OccupancyGrid").code == 0
@@ -510,8 +490,8 @@ def test_a_headless_bridge_is_attached_to_changed_and_stopped(ran: Any, bridge: 
     assert ran("status").code == 3
 
 
-def test_a_session_is_not_started_twice(ran: Any, bridge: Forked, session: Path) -> None:
-    with start("run", "--no-ui", str(session)) as second:
+def test_a_session_is_not_started_twice(ran: Any, bridge: Forked, path: Path) -> None:
+    with start("run", "--no-ui", str(path)) as second:
         _, errors = second.communicate(60)
     assert second.returncode == 4
     assert says(errors, SessionRuns.ANSWERING, name="robot1", pid=bridge.pid)
@@ -519,7 +499,7 @@ def test_a_session_is_not_started_twice(ran: Any, bridge: Forked, session: Path)
     assert "Traceback" not in errors
     bridge.send_signal(signal.SIGKILL)
     bridge.wait()
-    with start("run", "--no-ui", str(session)) as third:
+    with start("run", "--no-ui", str(path)) as third:
         eventually(lambda: ran("status").code != 3, what="the dead one's socket is replaced")
         third.terminate()
         assert third.wait(60) == 0

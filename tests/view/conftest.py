@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+from tests.support.coroutines import pytest_pyfunc_call
 from tests.support.waiting import eventually
 
 from rsb_bridge.view.renderer import Renderer
+
+__all__ = ["pytest_pyfunc_call", "renderer"]
 
 
 @pytest.fixture

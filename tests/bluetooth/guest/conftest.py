@@ -11,9 +11,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import pytest
+from tests.support.coroutines import pytest_pyfunc_call
 
 from rsb_bridge.bluetooth import hci
 
+__all__ = ["addresses", "pytest_pyfunc_call"]
 _HOLDER = """
 import socket, sys
 held = []
