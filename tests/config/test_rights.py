@@ -29,7 +29,7 @@ from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import validate
 from rsb_bridge.link.proposals import use_of
 from rsb_bridge.model.benchmark import BenchmarkLimits
-from rsb_bridge.model.purposes import BENCH, VIEW
+from rsb_bridge.model.purposes import VIEW
 from rsb_bridge.model.session import Client, Grant, Session, Topic
 from rsb_bridge.wire.messages import Propose
 
@@ -264,12 +264,6 @@ def test_nobody_sends_pictures_unasked() -> None:
     refusal = on_server(bench=BenchmarkLimits()).purpose_refusal(VIEW, sends=True)
     assert refusal is not None
     assert says(refusal.reason, DeniedText.NO_SENDING, right="look", peer="robot1")
-
-
-def test_a_benchmark_without_permission_has_its_own_remedy() -> None:
-    refusal = on_server().purpose_refusal(BENCH, sends=True)
-    assert refusal is not None
-    assert says(refusal.remedy, DeniedRemedy.ADD_BENCH)
 
 
 @pytest.mark.parametrize(
