@@ -292,8 +292,7 @@ def test_a_command_that_began_long_ago_resumes_nothing(
 
 
 @pytest.mark.parametrize(
-    ("command", "given"),
-    [("disarm", ("disarm",)), ("pause", ("pause", True)), ("resume", ("pause", False))],
+    ("command", "given"), [("disarm", ("disarm",)), ("pause", ("pause", True)), ("resume", ("pause", False))]
 )
 def test_what_stops_a_name_stops_all_its_routes(
     command: str, given: tuple[Any, ...], ran: Any, engine: ScriptedEngine

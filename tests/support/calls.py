@@ -135,14 +135,7 @@ class CallNode(Asked):
         return time.monotonic() - began
 
     def begin(
-        self,
-        service: str,
-        count: int = 1,
-        *,
-        at_once: int = 1,
-        size: int = 0,
-        response: int = 0,
-        rate: float = 0.0,
+        self, service: str, count: int = 1, *, at_once: int = 1, size: int = 0, response: int = 0, rate: float = 0.0
     ) -> None:
         """Make calls, and go on with something else.
 

@@ -167,8 +167,7 @@ class CountedBridge:
         before = self.listener.ask()["heard"]
         self.publisher.ask(rate=rate)
         eventually(
-            lambda: self.listener.ask()["heard"] > before + 5,
-            what=f"messages; the client says {self.client.output()}",
+            lambda: self.listener.ask()["heard"] > before + 5, what=f"messages; the client says {self.client.output()}"
         )
 
     def freeze(self, seconds: float) -> None:

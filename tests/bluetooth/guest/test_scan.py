@@ -208,8 +208,7 @@ _BUS = """<busconfig><listen>unix:path={path}</listen>
 
 
 @pytest.mark.parametrize(
-    ("rule", "code"),
-    [('<allow receive_sender="*"/>', ScanProblem.BLUEZ_STOPPED), ("", ScanProblem.BLUEZ_SILENT)],
+    ("rule", "code"), [('<allow receive_sender="*"/>', ScanProblem.BLUEZ_STOPPED), ("", ScanProblem.BLUEZ_SILENT)]
 )
 def test_a_bus_without_bluez(rule: str, code: ScanProblem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A D-Bus daemon of the test's own, where nobody is org.bluez, and one that keeps its answers to itself."""
