@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import pytest
 from tests.channel.sides import Route, connected
@@ -11,8 +11,14 @@ from tests.support.coroutines import until
 from tests.support.session_keys import session_keys
 
 from rsb_bridge.channel.stream_channel import LARGE
-from rsb_bridge.wire.framing import DATA, HEADER, MOVED, DataWriter, Message, pack_frame
-from rsb_bridge.wire.sealing import CipherSuite, Role
+from rsb_bridge.wire.framing import DATA, HEADER, MOVED, DataWriter, pack_frame
+from rsb_bridge.wire.sealing import CipherSuite
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from rsb_bridge.wire.framing import Message
+    from rsb_bridge.wire.sealing import Role
 
 STREAMS = pytest.mark.parametrize("two", [False, True])
 
