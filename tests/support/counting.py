@@ -19,10 +19,10 @@ from typing import Any, NamedTuple
 from tests.support.asked import Asked, answers
 from tests.support.forker import Forked
 from tests.support.ports import free_port
+from tests.support.program import Programs
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import write_key
-from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.text import keep_output_clean
 
@@ -74,43 +74,23 @@ class _Bridge:
     """`rsb-console run`, which prints its status ten times a second."""
 
     def __init__(self, folder: Path, session: Session) -> None:
-        path = folder / f"{session.role}.yaml"
-        save(session, path)
-        self._arguments = ["run", str(path), "--no-ui", "--log-format", "json", "--status-every", "0.1"]
-        self._arguments += ["--control", f"{path}.sock"]
-        self._folder = folder
-        self._name = session.role
-        self._lives = 0
+        self._programs, self._session = Programs(folder), session
+        self._environ = {"XDG_STATE_HOME": str(folder / session.role)}
+        self.close = self._programs.close
         self.start()
 
     def start(self) -> None:
-        self._lives += 1
-        self._log = self._folder / f"{self._name}{self._lives}.log"
-        with self._log.open("w") as log:
-            environ = {"XDG_STATE_HOME": str(self._folder / self._name)}
-            self._process = Forked(
-                "rsb_console", *self._arguments, environ=environ, stdout=log, stderr=subprocess.STDOUT
-            )
-
-    def kill(self) -> None:
-        self._process.kill()
-        self._process.wait(10)
-
-    def signal(self, number: signal.Signals) -> None:
-        self._process.send_signal(number)
+        self.program = self._programs.start(self._session, "--status-every", "0.1", environ=self._environ)
 
     def topic(self) -> dict[str, Any] | None:
         """Return the topic of the newest status, or None before the first status."""
-        for line in reversed(self._log.read_text().splitlines(keepends=True)):
+        for line in reversed(self.program.output.splitlines(keepends=True)):
             if line.startswith("{") and line.endswith("}\n"):
                 found = json.loads(line)
                 for route in found.get("status", {}).get("routes", ()):
                     if route["topic"].endswith(TOPIC):
                         return dict(route)
         return None
-
-    def output(self) -> str:
-        return self._log.read_text()[-3000:]
 
 
 class CountedBridge:
@@ -153,32 +133,31 @@ class CountedBridge:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        for bridge in (self.server, self.client):
-            bridge.kill()
-        for child in (self.listener, self.publisher):
-            child.close()
+        for each in (self.server, self.client, self.listener, self.publisher):
+            each.close()
 
     def flows(self, rate: float) -> None:
         """Publish at `rate` Hz from now on; wait until more comes."""
         eventually(
             lambda: self.publisher.ask()["matched"] and self.listener.ask()["matched"],
-            what=f"both ends; the client says {self.client.output()}",
+            what=f"both ends; the client says {self.client.program.output[-3000:]}",
         )
         before = self.listener.ask()["heard"]
         self.publisher.ask(rate=rate)
         eventually(
-            lambda: self.listener.ask()["heard"] > before + 5, what=f"messages; the client says {self.client.output()}"
+            lambda: self.listener.ask()["heard"] > before + 5,
+            what=f"messages; the client says {self.client.program.output[-999:]}",
         )
 
     def freeze(self, seconds: float) -> None:
         """Stop the receiving bridge for some time."""
-        self.server.signal(signal.SIGSTOP)
+        self.server.program.signal(signal.SIGSTOP)
         time.sleep(seconds)
-        self.server.signal(signal.SIGCONT)
+        self.server.program.signal(signal.SIGCONT)
 
     def restart(self, after: float = 0.0) -> None:
         """Kill the receiving bridge, and start it again."""
-        self.server.kill()
+        self.server.program.kill()
         time.sleep(after)
         self.server.start()
 
