@@ -10,9 +10,8 @@ import resource
 import shlex
 import shutil
 import socket
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support import constants, replaced, surroundings
@@ -21,6 +20,9 @@ from rsb_bridge.doctor import machine
 from rsb_bridge.doctor.finding import Check, Finding, Grade, examine, worst
 from rsb_bridge.transport.transport import RECEIVE_BUFFER
 from rsb_bridge.transport.udp import enlarge_buffers
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def found(code: str, root: Path, environ: dict[str, str] | None = None) -> list[Finding]:
