@@ -229,10 +229,8 @@ def test_commands_do_what_they_say(ran: Any, engine: ScriptedEngine) -> None:
         (("edit", "/scan"), RemoteProblem.NOTHING_TO_CHANGE(topic="/scan")),
         (("retry", "--link", "robot7"), NO_LINK),
         (("pause", "/scan", "--link", "robot7"), NO_LINK),
-        (
-            ("add", "/map", "recieve"),
-            RemoteProblem.DIRECTION_UNKNOWN(topic="/map", word="recieve", hint="; did you mean receive?"),
-        ),
+        (("add", "/map", "recieve"),
+         RemoteProblem.DIRECTION_UNKNOWN(topic="/map", word="recieve", hint="; did you mean receive?")),
         (("add", "/map", "receive", "max_rate=fast"), "max_rate: "),
         (("add", "/scan", "transmit"), "topic: "),
         (("pause", "/scna"), NOT_BRIDGED),
@@ -240,7 +238,7 @@ def test_commands_do_what_they_say(ran: Any, engine: ScriptedEngine) -> None:
         (("wait", "--for", "linked", "robot7"), NO_LINK),
         (("wait", "--for", "happy"), RemoteProblem.CONDITION_UNKNOWN(condition="happy")),
     ],
-)
+)  # fmt: skip
 def test_what_is_not_valid_is_said_in_words(
     ran: Any, engine: ScriptedEngine, command: tuple[str, ...], words: str
 ) -> None:

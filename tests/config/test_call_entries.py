@@ -179,30 +179,18 @@ def test_a_mistake_of_an_entry_has_its_line_and_key(
     ("text", "place", "code", "parameters"),
     [
         (service("protocol: udp", BLUETOOTH), "7 services[0].protocol", TopicMistake.CALL_NEEDS_RELIABLE, {}),
-        (
-            service("protocol: tcp", BLUETOOTH),
-            "7 services[0].protocol",
-            TopicMistake.NOT_CROSSING,
-            {"protocol": "tcp", "crossing": "bluetooth"},
-        ),
-        (
-            service("protocol: zenoh"),
-            "7 services[0].protocol",
-            TopicMistake.NOT_CROSSING,
-            {"chosen_by": "server_ip: zenoh", "crossing": "tcp"},
-        ),
+        (service("protocol: tcp", BLUETOOTH), "7 services[0].protocol", TopicMistake.NOT_CROSSING,
+         {"protocol": "tcp", "crossing": "bluetooth"}),
+        (service("protocol: zenoh"), "7 services[0].protocol", TopicMistake.NOT_CROSSING,
+         {"chosen_by": "server_ip: zenoh", "crossing": "tcp"}),
         (entry("services", "/d"), "7 services[0]", ValueMistake.NOT_A_MAPPING, {}),
         (CLIENT + "services: /d\n", "6 services", ValueMistake.NOT_A_LIST, {"value": "'/d'"}),
         (CLIENT + "service: []\n", "6 service", ValueMistake.MISSPELT_KEY, {}),
         (SERVER + "services:\n  - {service: /d, provider: client}\n", "2 role", SessionMistake.TOPICS_OF_SERVER, {}),
-        (
-            SERVER + "clients:\n  - name: a\n    services:\n      - {service: /d, provider: client, timeout: -1}\n",
-            "9 clients[0].services[0].timeout",
-            TopicMistake.OUT_OF_RANGE,
-            {"value": -1.0},
-        ),
+        (SERVER + "clients:\n  - name: a\n    services:\n      - {service: /d, provider: client, timeout: -1}\n",
+         "9 clients[0].services[0].timeout", TopicMistake.OUT_OF_RANGE, {"value": -1.0}),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_has_its_line_and_place(text: str, place: str, code: Wording, parameters: dict[str, Any]) -> None:
     (problem,) = problems(text)
     assert f"{problem.line} {problem.location}" == place
@@ -214,13 +202,11 @@ def test_a_mistake_has_its_line_and_place(text: str, place: str, code: Wording, 
     [
         (DOCK + "  - {service: /d, provider: client}", SessionMistake.TOPIC_TWICE, {"name": "/d", "number": 1}),
         (DOCK + "  - {service: /d, provider: server}", TopicMistake.OTHER_PROVIDER, {"provider": "client"}),
-        (
-            "services: [{service: /n/set_parameters, provider: client}]\nparameters: [{node: /n, provider: client}]",
-            TopicMistake.BRIDGED_ALREADY,
-            {"service": "/n/set_parameters", "noun": "service", "name": "/n/set_parameters"},
-        ),
+        ("services: [{service: /n/set_parameters, provider: client}]\nparameters: [{node: /n, provider: client}]",
+         TopicMistake.BRIDGED_ALREADY,
+         {"service": "/n/set_parameters", "noun": "service", "name": "/n/set_parameters"}),
     ],
-)
+)  # fmt: skip
 def test_a_service_is_listed_once(entries: str, code: Wording, parameters: dict[str, Any]) -> None:
     (problem,) = problems(f"{CLIENT}{entries}\n")
     assert says(problem.message, code, **parameters)
@@ -261,11 +247,8 @@ def test_what_a_file_cannot_say_is_refused_where_a_session_is_made_otherwise(fie
             "timeout: 5.0}   # slow",
             "timeout: 9.0}   # slow",
         ),
-        (
-            lambda topics: (Topic("/b", "receive", kind="service"), *topics),
-            "    type: std_srvs/srv/Trigger\n",
-            "    type: std_srvs/srv/Trigger\n  - service: /b\n    provider: client\n",
-        ),
+        (lambda topics: (Topic("/b", "receive", kind="service"), *topics), "    type: std_srvs/srv/Trigger\n",
+         "    type: std_srvs/srv/Trigger\n  - service: /b\n    provider: client\n"),
     ],
     ids=["edited", "added first"],
 )  # fmt: skip

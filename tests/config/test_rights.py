@@ -167,34 +167,19 @@ REASONS = {DeniedRemedy.CHANGE_DENY: DeniedText.DENIED, DeniedRemedy.CHANGE_ALLO
     [
         (on_client, {}, Use("/cmd_vel", "publish"), DeniedRemedy.LIST, {"direction": "direction: receive"}),
         (on_client, {}, call("/navigate", "action"), DeniedRemedy.LIST, {"direction": "provider: client"}),
-        (
-            on_client,
-            {"allow": ("/a",)},
-            Use("/cmd_vel", "publish"),
-            DeniedRemedy.LIST_OR_ALLOW,
-            {"direction": "direction: receive", "entry": "{topics: /cmd_vel, may: publish}"},
-        ),
-        (
-            on_client,
-            {"allow": ("/a",)},
-            serve("/n", "parameters"),
-            DeniedRemedy.LIST_OR_ALLOW,
-            {"direction": "provider: server", "entry": "{services: /n, may: serve}"},
-        ),
+        (on_client, {"allow": ("/a",)}, Use("/cmd_vel", "publish"), DeniedRemedy.LIST_OR_ALLOW,
+         {"direction": "direction: receive", "entry": "{topics: /cmd_vel, may: publish}"}),
+        (on_client, {"allow": ("/a",)}, serve("/n", "parameters"), DeniedRemedy.LIST_OR_ALLOW,
+         {"direction": "provider: server", "entry": "{services: /n, may: serve}"}),
         (on_client, {"deny": ("/cmd*",)}, Use("/cmd_vel", "publish"), DeniedRemedy.CHANGE_DENY, {"entry": "/cmd*"}),
         (on_client, {"allow": (DRIVE,)}, Use("/cmd_vel", "publish", "tcp"), DeniedRemedy.CHANGE_ALLOW, {}),
-        (
-            on_server,
-            {"allow": ("/a",)},
-            Use("/b", "read"),
-            DeniedRemedy.ADD_ALLOW,
-            {"entry": "{topics: /b, may: read}"},
-        ),
+        (on_server, {"allow": ("/a",)}, Use("/b", "read"), DeniedRemedy.ADD_ALLOW,
+         {"entry": "{topics: /b, may: read}"}),
         (on_server, {"allow": ("/dock",)}, call("/dock"), DeniedRemedy.ADD_ALLOW, {"entry": CALL_ENTRY}),
         (on_server, {"deny": ("/d*",)}, call("/dock"), DeniedRemedy.CHANGE_DENY, {"entry": "/d*"}),
         (on_server, {"deny": (CALL,)}, call("/dock"), DeniedRemedy.CHANGE_DENY, {"entry": CALL_ENTRY}),
     ],
-)
+)  # fmt: skip
 def test_a_refusal_names_the_use_and_the_remedy(
     make: Callable[..., Rights], given: dict[str, Any], use: Use, remedy: DeniedRemedy, parameters: dict[str, str]
 ) -> None:
