@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.config.mistakes import BLUETOOTH, CLIENT, FILE, SERVER, has, problems
 from tests.support.wording import says
 
 from rsb_bridge.config.decoding import Hint, ValueMistake
@@ -17,25 +18,15 @@ from rsb_bridge.config.yaml_text import FileProblem, YamlMistake
 from rsb_bridge.model.limits import CHANNEL, DEPTH, DOMAIN, PORT, RATE
 from rsb_bridge.model.names import TypeNameProblem
 from rsb_bridge.model.qos import QosProblem
-from rsb_bridge.model.session import Problem, Session, Topic
+from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
 from rsb_bridge.model.topic_keys import RangeText
 from rsb_bridge.model.wording import Wording
 
-FILE = Path("robot1.yaml")
-CLIENT = "name: robot1\nrole: client\nserver_ip: 192.168.1.10\nserver_port: 49152\nkey_file: key.txt\n"
-SERVER = "name: control\nrole: server\nserver_ip: 0.0.0.0\nserver_port: 49152\nkey_file: key.txt\n"
-BLUETOOTH = "name: robot1\nrole: client\nserver_ip: 5C:F3:70:9A:1B:2E\nserver_port: 5\nkey_file: key.txt\n"
 CLOSE_TO_LASER_SCAN = " or ".join(
     f"sensor_msgs/msg/{name}" for name in ("LaserScan", "MultiEchoLaserScan", "LaserEcho")
 )
 MAC = "5C:F3:70:9A:1B:2E"
-
-
-def problems(text: str) -> tuple[Problem, ...]:
-    with pytest.raises(SessionError) as caught:
-        parse(text, FILE)
-    return caught.value.problems
 
 
 def refusals(text: str) -> list[str]:
@@ -331,10 +322,6 @@ def test_a_key_in_a_wrong_place_is_refused_without_being_quoted(
     found = problems(text.replace("KEY", key))
     assert any(has(problem, line, location, code, parameters) for problem in found), found
     assert key[:20] not in "".join(refusals(text.replace("KEY", key)))
-
-
-def has(problem: Problem, line: int | None, location: str, code: Wording, parameters: dict[str, Any]) -> bool:
-    return (problem.line, problem.location) == (line, location) and says(problem.message, code, **parameters)
 
 
 @pytest.mark.parametrize("text", ["name: !KEY! x\n", "name: *KEY\n"])

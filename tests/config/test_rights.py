@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.config.mistakes import has, problems
 from tests.support.wording import says
 
 from rsb_bridge.config.advice import Advice, advise
@@ -24,7 +25,7 @@ from rsb_bridge.config.rights import (
     rights_of_server,
     typed_grants,
 )
-from rsb_bridge.config.session_file import SessionError, dump, parse
+from rsb_bridge.config.session_file import dump, parse
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import validate
 from rsb_bridge.link.proposals import use_of
@@ -335,11 +336,8 @@ def test_whose_nodes_call_decides_what_a_proposal_asks_for(from_client: bool, is
 def test_a_mistake_has_its_place_and_words(
     entry: str, location: str, code: Wording, parameters: dict[str, Any]
 ) -> None:
-    with pytest.raises(SessionError) as raised:
-        parse(f"{HEAD}{entry}\n", Path("robot1.yaml"))
-    problem = raised.value.problems[0]
-    assert (problem.location, problem.line) == (location, 6)
-    assert says(problem.message, code, **parameters)
+    problem = problems(f"{HEAD}{entry}\n")[0]
+    assert has(problem, 6, location, code, parameters)
 
 
 def test_the_table_says_what_may_be_called_and_what_of_it_changes_a_robot() -> None:
