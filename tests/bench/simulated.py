@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
-from rsb_console.bench.results import BenchError, Many, Run, Side, StoppedError, Way
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from rsb_console.bench.results import BenchEnds
+from rsb_console.bench.results import BenchEnds, BenchError, Many, Run, Side, StoppedError, Way
 
 
 class SimulatedLink:

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
     from tests.bench.test_link import Pair
 
-from tests.bench.test_link import LEAVE, pair
+from tests.bench.test_link import LEAVE, linked, pair
 
-__all__ = ["pair"]
+__all__ = ["linked", "pair"]
 
 WITHIN = 240.0
 TINY = ("--sizes", "2500", "--seconds", "3", "--json")

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import pytest
 
 from rsb_bridge.model.purposes import BENCH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.internal_ends import BenchDrain, BenchSource, InternalEnds, Time, percentiles
-from rsb_bridge.ros.ros_interface import RosError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from rsb_bridge.ros.ros_interface import RawMessage
+from rsb_bridge.ros.ros_interface import RawMessage, RosError
 
 NAME = BENCH.route_name("tcp", "transmit")
 

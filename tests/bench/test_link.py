@@ -72,6 +72,25 @@ def on_bridge(engine: Engine, ask: Callable[[Bridge], Coroutine[None, None, T]])
     return asyncio.run_coroutine_threadsafe(ask(bridge), bridge.context.loop).result(WITHIN)
 
 
+@pytest.fixture
+def linked(tmp_path: Path) -> Iterator[Callable[..., list[Engine]]]:
+    """Makes engines of sessions, and waits until all links are up."""
+    started: list[Engine] = []
+
+    def make(*sessions: Session) -> list[Engine]:
+        common = {"server_ip": "127.0.0.1", "server_port": free_port(), "shutdown_topic": None}
+        for number, each in enumerate(sessions):
+            session = msgspec.structs.replace(each, domain_id=number, **common)
+            started.append(Engine(session, base=tmp_path, ros=QuietRos(f"{number:08x}")))
+            started[-1].start()
+        eventually(lambda: all(link.state is State.OK for each in started for link in each.snapshot().links), WITHIN)
+        return started
+
+    yield make
+    for engine in started:
+        engine.stop()
+
+
 class Pair:
     def __init__(self, server: Engine, client: Engine) -> None:
         self.server = server
@@ -91,30 +110,17 @@ class Pair:
 
 
 @pytest.fixture
-def pair(tmp_path: Path) -> Iterator[Callable[..., Pair]]:
+def pair(tmp_path: Path, linked: Callable[..., list[Engine]]) -> Callable[..., Pair]:
     """Makes a linked pair; what each gives the other leave for."""
-    started: list[Engine] = []
 
     def make(to_client: BenchmarkLimits | None = None, to_server: BenchmarkLimits | None = None) -> Pair:
         write_key(tmp_path / "k.key")
-        common: dict[str, Any] = {"server_ip": "127.0.0.1", "server_port": free_port(), "shutdown_topic": None}
-        server = Session(
-            name="pc", role="server", use_name=True, clients=(Client("robot1", "k.key", bench=to_client),), **common
-        )
-        client = Session(name="robot1", role="client", key_file="k.key", bench=to_server, **common)
-        engines = [
-            Engine(msgspec.structs.replace(session, domain_id=number), base=tmp_path, ros=QuietRos(f"{number:08x}"))
-            for number, session in enumerate((server, client))
-        ]
-        for engine in engines:
-            started.append(engine)
-            engine.start()
-        eventually(lambda: all(link.state is State.OK for each in engines for link in each.snapshot().links), WITHIN)
-        return Pair(*engines)
+        clients = (Client("robot1", "k.key", bench=to_client),)
+        server = Session(name="pc", role="server", server_ip="", use_name=True, clients=clients)
+        client = Session(name="robot1", role="client", server_ip="", key_file="k.key", bench=to_server)
+        return Pair(*linked(server, client))
 
-    yield make
-    for engine in started:
-        engine.stop()
+    return make
 
 
 @pytest.fixture
@@ -185,38 +191,24 @@ def test_a_server_measures_its_client_with_leave(pair: Callable[..., Pair]) -> N
     assert "bench/tcp/transmit" in both.topics()
 
 
-def test_without_leave_it_is_refused_in_a_plain_sentence(pair: Callable[..., Pair]) -> None:
-    both = pair()
-    for engine in (both.client, both.server):
-        assert "measure this link: add bench: {}" in both.refused(engine)
-
-
 @pytest.mark.usefixtures("patient")
-def test_two_clients_that_measure_at_once_have_their_own_figures(tmp_path: Path) -> None:
+def test_two_clients_that_measure_at_once_have_their_own_figures(
+    tmp_path: Path, linked: Callable[..., list[Engine]]
+) -> None:
     """Their routes have one name on the server."""
-    port, names = free_port(), ("robot1", "robot2")
-    for name in names:
-        write_key(tmp_path / f"{name}.key")
-    clients = tuple(Client(name, f"{name}.key", bench=LEAVE) for name in names)
-    common: dict[str, Any] = {"server_ip": "127.0.0.1", "server_port": port, "shutdown_topic": None}
-    sessions = [Session(name="pc", role="server", domain_id=1, clients=clients, **common)]
-    sessions += [
-        Session(name=name, role="client", domain_id=domain, key_file=f"{name}.key", **common)
-        for domain, name in enumerate(names, 2)
-    ]
-    engines = [Engine(session, base=tmp_path, ros=QuietRos(f"{number:08x}")) for number, session in enumerate(sessions)]
-    try:
-        for engine in engines:
-            engine.start()
-        eventually(lambda: all(link.state is State.OK for each in engines for link in each.snapshot().links), WITHIN)
-        for direction in ("transmit", "receive"):
-            orders = [BenchmarkStep("run", "", "tcp", direction, 2500, rate, 60) for rate in (50.0, 30.0)]
-            under_way = [engine.bench(order) for engine, order in zip(engines[1:], orders, strict=True)]
-            found = [each.result(WITHIN) for each in under_way]
-            assert [(each.sent, each.received) for each in found] == [(60, 60)] * 2
-    finally:
-        for engine in engines:
-            engine.stop()
+    keys = {name: f"{name}.key" for name in ("robot1", "robot2")}
+    for key in keys.values():
+        write_key(tmp_path / key)
+    server = Session(
+        name="pc", role="server", server_ip="", clients=tuple(Client(*each, bench=LEAVE) for each in keys.items())
+    )
+    sides = [Session(name=name, role="client", server_ip="", key_file=key) for name, key in keys.items()]
+    _, *clients = linked(server, *sides)
+    for direction in ("transmit", "receive"):
+        orders = [BenchmarkStep("run", "", "tcp", direction, 2500, rate, 60) for rate in (50.0, 30.0)]
+        under_way = [engine.bench(order) for engine, order in zip(clients, orders, strict=True)]
+        found = [each.result(WITHIN) for each in under_way]
+        assert [(each.sent, each.received) for each in found] == [(60, 60)] * 2
 
 
 def test_a_session_does_not_keep_the_topics(pair: Callable[..., Pair]) -> None:

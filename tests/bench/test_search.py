@@ -50,13 +50,13 @@ def test_one_loss_is_tried_again() -> None:
     assert highest_lossless(trial, first=100.0, most=100.0).limit == "leave"
 
 
-@pytest.mark.parametrize(("trials", "limit"), [(1, "time"), (3, "time")])
-def test_it_ends_when_the_time_is_up_with_what_was_found(trials: int, limit: str) -> None:
+@pytest.mark.parametrize("trials", [1, 3])
+def test_it_ends_when_the_time_is_up_with_what_was_found(trials: int) -> None:
     link = SimulatedLink(1e12, 1e9)
     found = highest_lossless(
         lambda rate: link.send(rate, 1.0, 100), first=10.0, goes_on=lambda: len(link.tried) < trials
     )
-    assert found.limit == limit
+    assert found.limit == "time"
     assert len(link.tried) == trials
     assert found.best is not None
 

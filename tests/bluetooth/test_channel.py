@@ -314,13 +314,10 @@ def test_all_that_wait_hear_why_there_is_no_connection(tmp_path: Path) -> None:
         ("called", _data_frame(1), InvalidSeal.FORGED(sequence=0)),
         ("accepted", _data_frame(1), Broken.DATA_AGAINST_ROUTE(route=1)),
         ("called", pack_frame(b"\1"), Broken.DATA_FRAME_TOO_SHORT(length=1, header=HEADER.size)),
-        (
-            "called",
-            LENGTH.pack(CONTROL_LIMIT + 1),
-            Broken.FRAME_TOO_LONG(length=CONTROL_LIMIT + 1, limit=CONTROL_LIMIT),
-        ),
+        ("called", LENGTH.pack(CONTROL_LIMIT + 1),
+         Broken.FRAME_TOO_LONG(length=CONTROL_LIMIT + 1, limit=CONTROL_LIMIT)),
     ],
-)
+)  # fmt: skip
 def test_what_has_no_place_on_it_ends_it_in_words(side: str, data: bytes, words: str, tmp_path: Path) -> None:
     """Routes 1 and 3 are on it; 5 is the TCP topic's, 7 is paused and not on it yet, and 9 was never opened."""
     topics = (on_channel("/map"), on_channel("/joy"), Topic("/odom", "transmit"), on_channel("/late", paused=True))

@@ -15,12 +15,7 @@ if TYPE_CHECKING:
 
 
 def test_no_answer_is_wrong_or_anothers_and_nothing_is_left_over(
-    bridge: Bridge,
-    programs: Programs,
-    near: CallNode,
-    far: CallNode,
-    another: Callable[[int], CallNode],
-    service: str,
+    bridge: Bridge, programs: Programs, near: CallNode, far: CallNode, another: Callable[[int], CallNode], service: str
 ) -> None:
     tally = kill(Killing(bridge, programs, far, (near, another(bridge.robot.id)), service), 3)
     assert tally.calls["answered"] > 15, "more than one of each caller after each start"

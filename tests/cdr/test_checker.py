@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import struct
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,9 +22,6 @@ from rsb_bridge.cdr.checker import STEPS, Checker, MalformedError, TooComplexErr
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import FieldType, MessageField, MessageType, TypeDescription
 from rsb_bridge.ros.native.typesupport import installed_class
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 EVERYTHING = 1 << 30
 CHECKERS: dict[str, Checker] = {}

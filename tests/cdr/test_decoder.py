@@ -7,8 +7,9 @@ import importlib
 import pkgutil
 import struct
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,9 +33,6 @@ from rsb_bridge.cdr.description import (
 )
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_bridge.ros.native.typesupport import hash_of, installed_class
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 PACKAGES = [
     "action_msgs", "actionlib_msgs", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "lifecycle_msgs",
@@ -195,13 +193,8 @@ EMPTY_ELEMENTS = TypeDescription(
         (("s", 17, 0, 0, ""), header(b"\x02\x00\x00\x00ab"), "s", Unreadable.STRING_WITHOUT_END, {}),
         (("s", 18, 0, 0, ""), header(b"\x01\x00\x00\x00\x00\x00\x01\x00"), "s", Unreadable.CHARACTER_TOO_WIDE, {}),
         (("s", 21, 0, 3, ""), header(b"\x05\x00\x00\x00abcd\x00"), "s", Unreadable.STRING_TOO_LONG, {"limit": 3}),
-        (
-            ("a", 102, 2, 0, ""),
-            header(b"\x03\x00\x00\x00" + bytes(12)),
-            "a",
-            Unreadable.SEQUENCE_TOO_LONG,
-            {"length": 3},
-        ),
+        (("a", 102, 2, 0, ""), header(b"\x03\x00\x00\x00" + bytes(12)), "a", Unreadable.SEQUENCE_TOO_LONG,
+         {"length": 3}),
         (("n", 1, 0, 0, "t/msg/None"), header(), "n", Unreadable.TYPE_MISSING, {"type": "t/msg/None"}),
         (("x", 12, 0, 0, ""), header(bytes(16)), "x", Unreadable.TYPE_UNKNOWN, {"type": 12}),
         (("x", 0, 0, 0, ""), header(bytes(16)), "x", Unreadable.TYPE_UNKNOWN, {"type": 0}),
@@ -209,7 +202,7 @@ EMPTY_ELEMENTS = TypeDescription(
         (ENDLESS, header(bytes(8)), None, Unreadable.TOO_DEEP, {"limit": 64}),
         (EMPTY_ELEMENTS, header(b"\xff\xff\xff\xff"), None, Unreadable.TOO_MANY_VALUES, {}),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_read_is_said(
     of_what: Any, payload: bytes, field: str | None, problem: Unreadable, parameters: dict[str, object]
 ) -> None:

@@ -23,30 +23,18 @@ def described(*fields: tuple[str, FieldType], **others: tuple[tuple[str, FieldTy
 @pytest.mark.parametrize(
     ("here", "there", "expected"),
     [
-        (
-            described(("x", FLOAT)),
-            described(("x", FLOAT), ("v", FLOAT)),
-            ("ONLY_THERE", {"field": "v", "type": "float32"}),
-        ),
-        (
-            described(("x", FLOAT), ("v", STRING)),
-            described(("x", FLOAT)),
-            ("ONLY_HERE", {"field": "v", "type": "string"}),
-        ),
-        (
-            described(("x", FLOAT)),
-            described(("x", INT)),
-            ("OTHER_TYPE", {"field": "x", "there": "int32", "here": "float32"}),
-        ),
+        (described(("x", FLOAT)), described(("x", FLOAT), ("v", FLOAT)),
+         ("ONLY_THERE", {"field": "v", "type": "float32"})),
+        (described(("x", FLOAT), ("v", STRING)), described(("x", FLOAT)),
+         ("ONLY_HERE", {"field": "v", "type": "string"})),
+        (described(("x", FLOAT)), described(("x", INT)),
+         ("OTHER_TYPE", {"field": "x", "there": "int32", "here": "float32"})),
         (described(("x", FLOAT), ("y", INT)), described(("y", INT), ("x", FLOAT)), ("ORDER", {"type": "a_msgs/msg/A"})),
-        (
-            described(("p", POINT), Point=(("x", FLOAT),)),
-            described(("p", POINT), Point=(("x", INT),)),
-            ("OTHER_TYPE", {"field": "Point.x", "there": "int32", "here": "float32"}),
-        ),
+        (described(("p", POINT), Point=(("x", FLOAT),)), described(("p", POINT), Point=(("x", INT),)),
+         ("OTHER_TYPE", {"field": "Point.x", "there": "int32", "here": "float32"})),
         (described(("p", POINT), Point=()), described(("p", POINT)), ("NO_FIELD", {})),
     ],
-)
+)  # fmt: skip
 def test_the_field_is_named(
     here: TypeDescription, there: TypeDescription, expected: tuple[str, dict[str, Any]]
 ) -> None:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.channel.datagram_radio import RadioChannel, datagrams_between, pass_time
 from tests.channel.sides import Radio, Route, Side, connected
-
-if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
 
 pytestmark = pytest.mark.usefixtures("loop")
 _TUNNEL = 5_000

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import socket
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from functools import partial
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.channel.sides import Route
@@ -25,19 +25,12 @@ from rsb_bridge.channel.udp_channel import (
     UdpChannel,
     UdpDemultiplexer,
 )
-from rsb_bridge.transport.streams import StreamHandler
-from rsb_bridge.transport.transport import Acceptor
+from rsb_bridge.transport.streams import Address, StreamHandler
+from rsb_bridge.transport.transport import Acceptor, DatagramSocket
 from rsb_bridge.transport.udp import Udp
 from rsb_bridge.wire.datagram import DatagramWriter, Probe
 from rsb_bridge.wire.framing import LEASED, Budget
-from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite
-
-if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Iterator, Sequence
-
-    from rsb_bridge.transport.streams import Address
-    from rsb_bridge.transport.transport import DatagramSocket
-    from rsb_bridge.wire.sealing import Role
+from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite, Role
 
 _HOST = "127.0.0.1"
 

@@ -6,13 +6,10 @@ import os
 import pty
 import signal
 import subprocess
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from tests.support.forker import Forked
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 MODULE = """
 import atexit, os, sys

@@ -65,17 +65,13 @@ def answer(engine: ScriptedEngine, text: str) -> None:
     [
         (("--service", "/map", "--provider", "server"), Topic("/map", "transmit", kind="service")),
         (("/map", "--kind", "service", "provider=client"), Topic("/map", "receive", kind="service")),
-        (
-            ("--action", "/go", "--provider", "client", "timeout=5", "remote_action=/far", "arm=yes"),
-            Topic("/go", "receive", kind="action", timeout=5.0, remote_topic="/far", arm=True),
-        ),
-        (
-            ("/map", "--service", "type=nav_msgs/srv/GetMap", "--provider", "client", "max_rate=2"),
-            Topic("/map", "receive", kind="service", type="nav_msgs/srv/GetMap", max_rate=2.0),
-        ),
+        (("--action", "/go", "--provider", "client", "timeout=5", "remote_action=/far", "arm=yes"),
+         Topic("/go", "receive", kind="action", timeout=5.0, remote_topic="/far", arm=True)),
+        (("/map", "--service", "type=nav_msgs/srv/GetMap", "--provider", "client", "max_rate=2"),
+         Topic("/map", "receive", kind="service", type="nav_msgs/srv/GetMap", max_rate=2.0)),
         (("--parameters", "/n", "provider=client"), Topic("/n", "receive", kind="parameters")),
     ],
-)
+)  # fmt: skip
 def test_what_is_called_is_added_with_its_provider(
     ran: Any, engine: ScriptedEngine, words: tuple[str, ...], topic: Topic
 ) -> None:
@@ -87,28 +83,22 @@ def test_what_is_called_is_added_with_its_provider(
     ("words", "why"),
     [
         (("--service", "/map"), RemoteProblem.PROVIDER_MISSING(topic="/map", kind="service")),
-        (
-            ("--service", "/map", "transmit"),
-            RemoteProblem.KEY_WITHOUT_VALUE(topic="/map", word="transmit", kind="service"),
-        ),
+        (("--service", "/map", "transmit"),
+         RemoteProblem.KEY_WITHOUT_VALUE(topic="/map", word="transmit", kind="service")),
         (("/map", "transmit", "--provider", "client"), RemoteProblem.PROVIDER_OF_A_TOPIC(topic="/map")),
-        (
-            ("--service", "/map", "provider=robot"),
-            f"provider: {ValueMistake.MISFIT(value=repr('robot'), expected='one of client, server', hint='')}",
-        ),
+        (("--service", "/map", "provider=robot"),
+         f"provider: {ValueMistake.MISFIT(value=repr('robot'), expected='one of client, server', hint='')}"),
         (("--service", "/map", "provider=client", "qos=5"), f"qos=5: {ForeignKey.QOS_OF_CALLED()} (keys"),
         (("--service", "/map", "provider=client", "timout=5"), "timout=5: unknown key; did you mean timeout?"),
         (("--service", "/map", "provider=client", "timeout=0"), "timeout: 0.0 is out of"),
         (("--service", "map", "provider=client"), "service: 'map' is not an"),
         (("--service", "/map", "provider=client", "remote_service=x"), "remote_service: 'x' is not an"),
         (("--service", "/map", "provider=client", "type=Trigger"), "type: 'Trigger' is no type"),
-        (
-            ("--service", "/dock", "provider=client"),
-            f"service: {SessionMistake.TOPIC_TWICE(name='/dock', end='provider: client', number=1)}",
-        ),
+        (("--service", "/dock", "provider=client"),
+         f"service: {SessionMistake.TOPIC_TWICE(name='/dock', end='provider: client', number=1)}"),
         (("/map", "transmit", "timeout=5"), f"timeout=5: {ForeignKey.TIMEOUT_OF_TOPIC()}"),
     ],
-)
+)  # fmt: skip
 def test_what_is_not_valid_is_said_in_words(ran: Any, engine: ScriptedEngine, words: tuple[str, ...], why: str) -> None:
     refused = ran("add", *words)
     assert (refused.code, why in refused.err) == (2, True), refused.err

@@ -94,8 +94,7 @@ def test_the_robots_file_is_written_where_it_is_wanted(path: Path, run: Run) -> 
 
 
 def test_a_running_server_is_told(path: Path, run: Run, machine: Machine) -> None:
-    engine = ScriptedEngine(SERVER)
-    machine.serve(engine, file=path)
+    engine = machine.have(ScriptedEngine(SERVER), file=path)
     ran = run("add", "robot2", "--json")  # the file is that of the bridge that runs
     assert ran.code == 0
     assert ran.json["session"] == str(path)
@@ -170,8 +169,7 @@ def test_a_bridge_is_named_as_elsewhere(path: Path, run: Run, machine: Machine, 
 
 def test_a_key_is_replaced_while_both_count(path: Path, run: Run, machine: Machine) -> None:
     old = read_key(path.with_name("robot1.key"))
-    engine = ScriptedEngine(SERVER)
-    machine.serve(engine, file=path)
+    engine = machine.have(ScriptedEngine(SERVER), file=path)
 
     begun = run("rekey", "robot1", str(path), "--keep-old")
     new = read_key(path.with_name("robot1-next.key"))

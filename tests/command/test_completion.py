@@ -91,10 +91,8 @@ def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], 
         ("rsb-console add --service /dock --provider ", {"client", "server"}),
         ("rsb-console add --service /dock time", {"timeout="}),
         ("rsb-console add --kind ", {"topic", "service", "action", "parameters"}),
-        (
-            "rsb-console edit /scan protocol=",
-            {"protocol=tcp", "protocol=udp", "protocol=bluetooth", "protocol=zenoh", "protocol=zenoh-drop"},
-        ),
+        ("rsb-console edit /scan protocol=",
+         {"protocol=tcp", "protocol=udp", "protocol=bluetooth", "protocol=zenoh", "protocol=zenoh-drop"}),
         ("rsb-console edit /scan priority=l", {"priority=low"}),
         ("rsb-console edit /scan paused=", {"paused=true", "paused=false"}),
         ("rsb-console edit /scan qos=sen", {"qos=sensor_data"}),
@@ -109,7 +107,7 @@ def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], 
         ("rsb-console import a.yaml --name ", set()),
         ("rsb-console run --control rob", {"robot1.key"}),
     ],
-)
+)  # fmt: skip
 def test_it_is_offered(line: str, expected: set[str], offered: Callable[[str], set[str]]) -> None:
     Path("robot1.key").touch()
     found = offered(line)

@@ -29,9 +29,7 @@ SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit"))
 
 @pytest.fixture
 def engine(machine: Machine) -> ScriptedEngine:
-    made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,))
-    machine.serve(made)
-    return made
+    return machine.have(ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,)))
 
 
 def peeked(message: Any, **changes: Any) -> PeekedMessage:
@@ -89,16 +87,13 @@ def test_for_programs_it_prints_one_object_a_message(ran: Any, engine: ScriptedE
     ("stamp", "changes", "words"),
     [
         (NOW + 5, {}, StampText.AHEAD(span="4.75 s")),
-        (
-            NOW + 5,
-            {"clock_offset": 5.0, "clock_uncertainty": 0.001},
-            StampText.AGE(stamp="header.stamp", span="250.0 ms", clocks=StampText.CLOCKS_OF_PEER()),
-        ),
+        (NOW + 5, {"clock_offset": 5.0, "clock_uncertainty": 0.001},
+         StampText.AGE(stamp="header.stamp", span="250.0 ms", clocks=StampText.CLOCKS_OF_PEER())),
         (NOW - 10_000, {}, StampText.OLD(age="3h")),
         (0, {}, StampText.NOT_SET()),
         (NOW, {"is_kept": True}, StampText.KEPT()),
     ],
-)
+)  # fmt: skip
 def test_a_stamp_that_says_no_latency_is_said_so(
     ran: Any, engine: ScriptedEngine, stamp: float, changes: dict[str, Any], words: str
 ) -> None:

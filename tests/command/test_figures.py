@@ -36,9 +36,7 @@ DOCK = route("/dock", spec=Topic("/dock", "transmit", kind="service"), outgoing=
 def engine(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> Running:
     constants.FIGURES_EVERY.set(monkeypatch, 0.05)
     constants.FIGURES_LEDGER_FROM.set(monkeypatch, 0.0)
-    made = Running(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN, DOCK))
-    machine.serve(made)
-    return made
+    return machine.have(Running(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN, DOCK)))
 
 
 def objects(done: Ran) -> list[dict[str, Any]]:

@@ -39,9 +39,7 @@ SETTLE = ("--settle", "0.2")
 
 @pytest.fixture
 def engine(machine: Machine) -> ServerEngine:
-    made = ServerEngine("robot1", "robot2", "robot3")
-    machine.serve(made)
-    return made
+    return machine.have(ServerEngine("robot1", "robot2", "robot3"))
 
 
 @pytest.fixture
@@ -253,8 +251,7 @@ def broken_at(name: str) -> ServerEngine:
 
 
 def test_it_stops_and_says_the_way_back(machine: Machine, fleet: Fleet) -> None:
-    engine = broken_at("robot2")
-    machine.serve(engine)
+    engine = machine.have(broken_at("robot2"))
     ran = fleet("edit", "--all", "/camera", "max_rate=5", "--yes", *SETTLE)
     assert ran.code == 1
     assert [each[1] for each in engine.commands] == ["robot1 /camera", "robot2 /camera"]
@@ -268,16 +265,14 @@ def test_it_stops_after_the_robot_at_which_it_is_interrupted(machine: Machine, f
         return replace(route, state=State.OK, reason="")
 
     before = signal.getsignal(signal.SIGINT)
-    engine = ServerEngine("robot1", "robot2", edited=edited)
-    machine.serve(engine)
+    machine.serve(ServerEngine("robot1", "robot2", edited=edited))
     ran = fleet("edit", "--all", "/camera", "max_rate=5", "--yes", "--json", *SETTLE)
     assert (ran.code, ran.json["done"], ran.json["left"]) == (1, ["robot1"], ["robot2"])
     assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_it_goes_back_by_itself(machine: Machine, fleet: Fleet) -> None:
-    engine = broken_at("robot2")
-    machine.serve(engine)
+    engine = machine.have(broken_at("robot2"))
     ran = fleet("edit", "--all", "/camera", "max_rate=5", "--yes", "--undo", "--json", *SETTLE)
     assert ran.code == 1
     assert (ran.json["done"], ran.json["failed"]["robot"], ran.json["left"]) == (["robot1"], "robot2", ["robot3"])
@@ -288,8 +283,7 @@ def test_it_goes_back_by_itself(machine: Machine, fleet: Fleet) -> None:
 
 
 def test_it_offers_to_go_back(machine: Machine, fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
-    engine = broken_at("robot1")
-    machine.serve(engine)
+    engine = machine.have(broken_at("robot1"))
     answers(monkeypatch, "y\ny\n")
     assert fleet("edit", "--all", "/camera", "max_rate=5", *SETTLE).code == 1
     assert [max_rate(each) for each in engine.commands] == [5.0, None]

@@ -8,7 +8,7 @@ import os
 import pty
 import re
 import threading
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import pytest
 from PIL import Image
@@ -17,9 +17,6 @@ from tests.support import constants, replaced, surroundings
 from rsb_bridge.model.pictures import Pixels
 from rsb_console.command import graphics
 from rsb_console.command.graphics import ImagePrinter, protocol_of_terminal, why_not
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 RED = Pixels(4, 2, b"\xff\0\0" * 8)
 _CELL = (10.0, 20.0)

@@ -121,9 +121,7 @@ CURVES = Series(0.0, 0.5, (Curve("x", (1.0, 2.0), (1.0, 3.0), 3.0, 2.0),))
 
 @pytest.fixture
 def engine(machine: Machine) -> ScriptedEngine:
-    made = ScriptedEngine()
-    machine.serve(made)
-    return made
+    return machine.have(ScriptedEngine())
 
 
 @pytest.fixture

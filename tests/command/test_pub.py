@@ -34,9 +34,7 @@ OLD = Published(is_done=False, ticket=7, type_name=STRING)
 
 @pytest.fixture
 def engine(machine: Machine, here: None) -> ScriptedEngine:
-    made = ScriptedEngine()
-    machine.serve(made)
-    return made
+    return machine.have(ScriptedEngine())
 
 
 @pytest.fixture

@@ -13,42 +13,25 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import pytest
 from tests.console.terminal import TAKE_TERMINAL
 from tests.support.commands import Ran
-from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
-from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import load, save
-from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.session import Topic
 from rsb_console.command.shell import HUNG_UP
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
 ENDS_WITHIN = 60.0
 
 
 pytestmark = pytest.mark.usefixtures("here")
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    """A client's session file, whose server does not run."""
-    pytest.importorskip("rclpy", reason="needs ROS 2")
-    write_key(tmp_path / "robot1.key")
-    made = tmp_path / "robot1.yaml"
-    common: dict[str, Any] = {"server_ip": "127.0.0.1", "server_port": free_port(), "domain_id": 85}
-    topics = (Topic("/scan", "transmit"),)
-    save(Session(name="robot1", role="client", key_file="robot1.key", topics=topics, **common), made)
-    return made
 
 
 class Systemd:

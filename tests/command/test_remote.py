@@ -16,19 +16,16 @@ import pytest
 from tests.console.scripted import ROUTES, SESSION, ScriptedEngine, route
 from tests.support import constants, replaced
 from tests.support.forker import Forked
-from tests.support.ports import free_port
 from tests.support.waiting import eventually
 from tests.support.wording import says
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.keys import write_key
-from rsb_bridge.config.session_file import save
 from rsb_bridge.control.bridges import SessionRuns, running_bridges
 from rsb_bridge.control.protocol import RequestProblem
 from rsb_bridge.model.by_hand import OLD_AFTER
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.commands import AskHolder, KeepArmed
-from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import (
     Acknowledgement,
     ArmingSnapshot,
@@ -62,9 +59,7 @@ SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit", max_rate=5.
 
 @pytest.fixture
 def engine(machine: Machine) -> ScriptedEngine:
-    made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,))
-    machine.serve(made)
-    return made
+    return machine.have(ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,)))
 
 
 def test_status_says_how_it_is_and_whether_something_is_wrong(ran: Any, engine: ScriptedEngine) -> None:
@@ -234,10 +229,8 @@ def test_commands_do_what_they_say(ran: Any, engine: ScriptedEngine) -> None:
         (("edit", "/scan"), RemoteProblem.NOTHING_TO_CHANGE(topic="/scan")),
         (("retry", "--link", "robot7"), NO_LINK),
         (("pause", "/scan", "--link", "robot7"), NO_LINK),
-        (
-            ("add", "/map", "recieve"),
-            RemoteProblem.DIRECTION_UNKNOWN(topic="/map", word="recieve", hint="; did you mean receive?"),
-        ),
+        (("add", "/map", "recieve"),
+         RemoteProblem.DIRECTION_UNKNOWN(topic="/map", word="recieve", hint="; did you mean receive?")),
         (("add", "/map", "receive", "max_rate=fast"), "max_rate: "),
         (("add", "/scan", "transmit"), "topic: "),
         (("pause", "/scna"), NOT_BRIDGED),
@@ -245,7 +238,7 @@ def test_commands_do_what_they_say(ran: Any, engine: ScriptedEngine) -> None:
         (("wait", "--for", "linked", "robot7"), NO_LINK),
         (("wait", "--for", "happy"), RemoteProblem.CONDITION_UNKNOWN(condition="happy")),
     ],
-)
+)  # fmt: skip
 def test_what_is_not_valid_is_said_in_words(
     ran: Any, engine: ScriptedEngine, command: tuple[str, ...], words: str
 ) -> None:
@@ -297,8 +290,7 @@ def test_a_command_that_began_long_ago_resumes_nothing(
 
 
 @pytest.mark.parametrize(
-    ("command", "given"),
-    [("disarm", ("disarm",)), ("pause", ("pause", True)), ("resume", ("pause", False))],
+    ("command", "given"), [("disarm", ("disarm",)), ("pause", ("pause", True)), ("resume", ("pause", False))]
 )
 def test_what_stops_a_name_stops_all_its_routes(
     command: str, given: tuple[Any, ...], ran: Any, engine: ScriptedEngine
@@ -464,25 +456,8 @@ def test_of_two_bridges_of_one_name_the_sockets_are_named(
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> Path:
-    """A client's, whose server does not run."""
-    pytest.importorskip("rclpy", reason="needs ROS 2")
-    write_key(tmp_path / "robot1.key")
-    path = tmp_path / "robot1.yaml"
-    topics = (Topic("/scan", "transmit"),)
-    save(
-        Session(
-            name="robot1", role="client", server_ip="127.0.0.1", server_port=free_port(), key_file="robot1.key",
-            domain_id=85, topics=topics,
-        ),
-        path,
-    )  # fmt: skip
-    return path
-
-
-@pytest.fixture
-def bridge(here: None, session: Path) -> Iterator[Forked]:
-    with start("run", "--no-ui", str(session)) as process:
+def bridge(here: None, path: Path) -> Iterator[Forked]:
+    with start("run", "--no-ui", str(path)) as process:
         assert "connecting" in process.stdout.readline()
         yield process
         process.kill()
@@ -492,9 +467,9 @@ def start(*arguments: str) -> Forked:
     return Forked("rsb_console", *arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
-def test_a_headless_bridge_is_attached_to_changed_and_stopped(ran: Any, bridge: Forked, session: Path) -> None:
+def test_a_headless_bridge_is_attached_to_changed_and_stopped(ran: Any, bridge: Forked, path: Path) -> None:
     status = ran("status", "--json").json
-    assert (status["pid"], status["file"]) == (bridge.pid, str(session))
+    assert (status["pid"], status["file"]) == (bridge.pid, str(path))
     with start("events", "--json", "--follow") as following:
         assert json.loads(following.stdout.readline())["code"] == "link.connecting"
         assert ran("add", "/map", "receive", "type=OccupancyGrid").code == 0
@@ -512,8 +487,8 @@ def test_a_headless_bridge_is_attached_to_changed_and_stopped(ran: Any, bridge: 
     assert ran("status").code == 3
 
 
-def test_a_session_is_not_started_twice(ran: Any, bridge: Forked, session: Path) -> None:
-    with start("run", "--no-ui", str(session)) as second:
+def test_a_session_is_not_started_twice(ran: Any, bridge: Forked, path: Path) -> None:
+    with start("run", "--no-ui", str(path)) as second:
         _, errors = second.communicate(60)
     assert second.returncode == 4
     assert says(errors, SessionRuns.ANSWERING, name="robot1", pid=bridge.pid)
@@ -521,7 +496,7 @@ def test_a_session_is_not_started_twice(ran: Any, bridge: Forked, session: Path)
     assert "Traceback" not in errors
     bridge.send_signal(signal.SIGKILL)
     bridge.wait()
-    with start("run", "--no-ui", str(session)) as third:
+    with start("run", "--no-ui", str(path)) as third:
         eventually(lambda: ran("status").code != 3, what="the dead one's socket is replaced")
         third.terminate()
         assert third.wait(60) == 0

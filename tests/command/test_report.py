@@ -41,8 +41,7 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_hand_over_begins_with_the_totals(ran: Any, machine: Machine) -> None:
-    engine = ScriptedEngine()
-    machine.serve(engine)
+    engine = machine.have(ScriptedEngine())
     report = ran("report", "--last", "1h")
     assert report.code == 0
     assert engine.commands == [("history", 3600.0)]

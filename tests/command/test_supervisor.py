@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import socket
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from tests.console.scripted import ScriptedEngine
 
 from rsb_console.command.headless import Supervisor
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.mark.parametrize("abstract", [False, True], ids=["path", "abstract"])

@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.util
+import runpy
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.wording import says
 
 from rsb_bridge.model.wording import Wording
 
-if TYPE_CHECKING:
-    from types import ModuleType
-
 _DOCS = Path(__file__).parents[2] / "docs"
 
 
-@pytest.fixture
-def texts() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("texts", _DOCS / "texts.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_it_has_texts_of_several_words_and_no_docstrings(texts: ModuleType) -> None:
-    found = texts.page().splitlines()
+def test_it_has_texts_of_several_words_and_no_docstrings() -> None:
+    found = runpy.run_path(str(_DOCS / "texts.py"))["page"]().splitlines()
     assert "# bridge/rsb_bridge/wire/protocol_error.py" in found
     assert not any(line.startswith("Attributes:") for line in found)
 

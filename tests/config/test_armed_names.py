@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import msgspec
 import pytest
+from tests.config.mistakes import problems
 
-from rsb_bridge.config.session_file import SessionError, demand_places, load_file, parse, save
+from rsb_bridge.config.session_file import demand_places, load_file, save
 from rsb_bridge.config.topic_rules import topic_problems
 from rsb_bridge.model.session import ArmedName, Session, Topic
 from rsb_console.command.check import SessionCheckText, hints, summary
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 FILE = """\
 name: pc
@@ -80,12 +78,9 @@ def test_what_is_saved_is_what_is_read(armed: tuple[str | ArmedName, ...], tmp_p
         ("[{name: /cmd_vel, on_end: {x: %s}}]" % ("1" * 200), "armed[0].on_end"),
     ],
 )
-def test_mistakes_are_located(armed: str, location: str, tmp_path: Path) -> None:
-    text = FILE.replace('[/cmd_vel, "/arm/**"]', armed)
-    with pytest.raises(SessionError) as error:
-        parse(text, tmp_path / "pc.yaml")
-    assert [problem.location for problem in error.value.problems] == [location]
-    assert error.value.problems[0].line == 7
+def test_mistakes_are_located(armed: str, location: str) -> None:
+    (problem,) = problems(FILE.replace('[/cmd_vel, "/arm/**"]', armed))
+    assert (problem.location, problem.line) == (location, 7)
 
 
 def test_check_names_the_line_that_demands(tmp_path: Path) -> None:

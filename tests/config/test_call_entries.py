@@ -9,16 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
+from tests.config.mistakes import BLUETOOTH, CLIENT, FILE, SERVER, has, problems
 from tests.support.wording import says
 
 from rsb_bridge.config.decoding import Hint, ValueMistake
 from rsb_bridge.config.difference import changes, described
 from rsb_bridge.config.file_form import KEYS, as_topic, as_written
-from rsb_bridge.config.session_file import SessionError, dump, load, load_file, parse, same, save, validate
+from rsb_bridge.config.session_file import dump, load, load_file, parse, same, save, validate
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import SessionMistake, validate_topic
 from rsb_bridge.model.limits import CALL_TIME, TOPIC_LENGTH
-from rsb_bridge.model.session import Client, Problem, Session, Topic
+from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.topic_keys import ForeignKey, RangeText
 from rsb_console.session.draft import problems_of
 from rsb_console.session.saving import unsaved
@@ -26,11 +27,7 @@ from rsb_console.session.saving import unsaved
 if TYPE_CHECKING:
     from rsb_bridge.model.wording import Wording
 
-FILE = Path("robot1.yaml")
 DOCS = Path(__file__).parents[2] / "docs"
-CLIENT = "name: robot1\nrole: client\nserver_ip: 192.168.1.10\nserver_port: 49152\nkey_file: key.txt\n"
-SERVER = "name: control\nrole: server\nserver_ip: 0.0.0.0\nserver_port: 49152\nkey_file: key.txt\n"
-BLUETOOTH = CLIENT.replace("192.168.1.10", "5C:F3:70:9A:1B:2E").replace("49152", "5")
 DOCK = "services:\n  - {service: /d, provider: client}\n"
 EVERY_KIND = """\
 topics:
@@ -54,12 +51,6 @@ def service(fields: str, base: str = CLIENT) -> str:
 
 def entry(name: str, fields: str) -> str:
     return f"{CLIENT}{name}:\n  - {fields}\n"
-
-
-def problems(text: str) -> tuple[Problem, ...]:
-    with pytest.raises(SessionError) as caught:
-        parse(text, FILE)
-    return caught.value.problems
 
 
 def test_a_session_lists_what_is_called_beside_its_topics() -> None:
@@ -137,8 +128,7 @@ def test_what_is_saved_is_read_again_in_the_lists_of_each_kind() -> None:
 )
 def test_a_mistake_of_a_service_has_its_line_and_key(fields: str, code: Wording, parameters: dict[str, Any]) -> None:
     (problem,) = problems(service(fields))
-    assert (problem.location, problem.line) == (f"services[0].{fields.partition(':')[0]}", 7)
-    assert says(problem.message, code, **parameters)
+    assert has(problem, 7, f"services[0].{fields.partition(':')[0]}", code, parameters)
 
 
 @pytest.mark.parametrize(
@@ -171,58 +161,35 @@ def test_a_mistake_of_an_entry_has_its_line_and_key(
     kind: str, fields: str, key: str, code: Wording, parameters: dict[str, Any]
 ) -> None:
     (problem,) = problems(entry(kind, fields))
-    assert (problem.location, problem.line) == (f"{kind}[0].{key}", 7)
-    assert says(problem.message, code, **parameters)
+    assert has(problem, 7, f"{kind}[0].{key}", code, parameters)
 
 
 @pytest.mark.parametrize(
     ("text", "place", "code", "parameters"),
     [
         (service("protocol: udp", BLUETOOTH), "7 services[0].protocol", TopicMistake.CALL_NEEDS_RELIABLE, {}),
-        (
-            service("protocol: tcp", BLUETOOTH),
-            "7 services[0].protocol",
-            TopicMistake.NOT_CROSSING,
-            {"protocol": "tcp", "crossing": "bluetooth"},
-        ),
-        (
-            service("protocol: zenoh"),
-            "7 services[0].protocol",
-            TopicMistake.NOT_CROSSING,
-            {"chosen_by": "server_ip: zenoh", "crossing": "tcp"},
-        ),
+        (service("protocol: tcp", BLUETOOTH), "7 services[0].protocol", TopicMistake.NOT_CROSSING,
+         {"protocol": "tcp", "crossing": "bluetooth"}),
+        (service("protocol: zenoh"), "7 services[0].protocol", TopicMistake.NOT_CROSSING,
+         {"chosen_by": "server_ip: zenoh", "crossing": "tcp"}),
         (entry("services", "/d"), "7 services[0]", ValueMistake.NOT_A_MAPPING, {}),
         (CLIENT + "services: /d\n", "6 services", ValueMistake.NOT_A_LIST, {"value": "'/d'"}),
         (CLIENT + "service: []\n", "6 service", ValueMistake.MISSPELT_KEY, {}),
         (SERVER + "services:\n  - {service: /d, provider: client}\n", "2 role", SessionMistake.TOPICS_OF_SERVER, {}),
-        (
-            SERVER + "clients:\n  - name: a\n    services:\n      - {service: /d, provider: client, timeout: -1}\n",
-            "9 clients[0].services[0].timeout",
-            TopicMistake.OUT_OF_RANGE,
-            {"value": -1.0},
-        ),
+        (SERVER + "clients:\n  - name: a\n    services:\n      - {service: /d, provider: client, timeout: -1}\n",
+         "9 clients[0].services[0].timeout", TopicMistake.OUT_OF_RANGE, {"value": -1.0}),
+        (f"{CLIENT}{DOCK}  - {{service: /d, provider: client}}\n", "8 services[1]", SessionMistake.TOPIC_TWICE,
+         {"name": "/d", "number": 1}),
+        (f"{CLIENT}{DOCK}  - {{service: /d, provider: server}}\n", "8 services[1]",
+         TopicMistake.OTHER_PROVIDER, {"provider": "client"}),
+        (CLIENT + "services: [{service: /n/set_parameters, provider: client}]\n"
+         "parameters: [{node: /n, provider: client}]\n", "7 parameters[0]", TopicMistake.BRIDGED_ALREADY,
+         {"service": "/n/set_parameters", "noun": "service", "name": "/n/set_parameters"}),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_has_its_line_and_place(text: str, place: str, code: Wording, parameters: dict[str, Any]) -> None:
     (problem,) = problems(text)
     assert f"{problem.line} {problem.location}" == place
-    assert says(problem.message, code, **parameters)
-
-
-@pytest.mark.parametrize(
-    ("entries", "code", "parameters"),
-    [
-        (DOCK + "  - {service: /d, provider: client}", SessionMistake.TOPIC_TWICE, {"name": "/d", "number": 1}),
-        (DOCK + "  - {service: /d, provider: server}", TopicMistake.OTHER_PROVIDER, {"provider": "client"}),
-        (
-            "services: [{service: /n/set_parameters, provider: client}]\nparameters: [{node: /n, provider: client}]",
-            TopicMistake.BRIDGED_ALREADY,
-            {"service": "/n/set_parameters", "noun": "service", "name": "/n/set_parameters"},
-        ),
-    ],
-)
-def test_a_service_is_listed_once(entries: str, code: Wording, parameters: dict[str, Any]) -> None:
-    (problem,) = problems(f"{CLIENT}{entries}\n")
     assert says(problem.message, code, **parameters)
 
 
@@ -261,11 +228,8 @@ def test_what_a_file_cannot_say_is_refused_where_a_session_is_made_otherwise(fie
             "timeout: 5.0}   # slow",
             "timeout: 9.0}   # slow",
         ),
-        (
-            lambda topics: (Topic("/b", "receive", kind="service"), *topics),
-            "    type: std_srvs/srv/Trigger\n",
-            "    type: std_srvs/srv/Trigger\n  - service: /b\n    provider: client\n",
-        ),
+        (lambda topics: (Topic("/b", "receive", kind="service"), *topics), "    type: std_srvs/srv/Trigger\n",
+         "    type: std_srvs/srv/Trigger\n  - service: /b\n    provider: client\n"),
     ],
     ids=["edited", "added first"],
 )  # fmt: skip

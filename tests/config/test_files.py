@@ -7,9 +7,9 @@ import csv
 import os
 import re
 import stat
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.console.scripted import ROUTES, route
@@ -23,9 +23,6 @@ from rsb_bridge.model.snapshot import Event, Level
 from rsb_bridge.model.text import is_clean
 from rsb_console.session.history_report import export_history, export_log, export_topics
 from rsb_console.terminal.driver import terminal_to_itself
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 EVIL = "\x1b]0;evil\x07\x1b[2J\u202eevil\u200b\x9b31m\n2026-01-01 forged\r"
 PACKAGES = [Path(__file__).parents[2] / each for each in ("bridge/rsb_bridge", "console/rsb_console")]

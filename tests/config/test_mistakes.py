@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.config.mistakes import BLUETOOTH, CLIENT, FILE, SERVER, has, problems
 from tests.support.wording import says
 
 from rsb_bridge.config.decoding import Hint, ValueMistake
@@ -17,25 +18,15 @@ from rsb_bridge.config.yaml_text import FileProblem, YamlMistake
 from rsb_bridge.model.limits import CHANNEL, DEPTH, DOMAIN, PORT, RATE
 from rsb_bridge.model.names import TypeNameProblem
 from rsb_bridge.model.qos import QosProblem
-from rsb_bridge.model.session import Problem, Session, Topic
+from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
 from rsb_bridge.model.topic_keys import RangeText
 from rsb_bridge.model.wording import Wording
 
-FILE = Path("robot1.yaml")
-CLIENT = "name: robot1\nrole: client\nserver_ip: 192.168.1.10\nserver_port: 49152\nkey_file: key.txt\n"
-SERVER = "name: control\nrole: server\nserver_ip: 0.0.0.0\nserver_port: 49152\nkey_file: key.txt\n"
-BLUETOOTH = "name: robot1\nrole: client\nserver_ip: 5C:F3:70:9A:1B:2E\nserver_port: 5\nkey_file: key.txt\n"
 CLOSE_TO_LASER_SCAN = " or ".join(
     f"sensor_msgs/msg/{name}" for name in ("LaserScan", "MultiEchoLaserScan", "LaserEcho")
 )
 MAC = "5C:F3:70:9A:1B:2E"
-
-
-def problems(text: str) -> tuple[Problem, ...]:
-    with pytest.raises(SessionError) as caught:
-        parse(text, FILE)
-    return caught.value.problems
 
 
 def refusals(text: str) -> list[str]:
@@ -105,24 +96,12 @@ def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, p
         (topic("qos: {reliability: reliabel}"), "7 topics[0].qos.reliability", ValueMistake.MISFIT, {}),
         (topic("qos: {realiability: reliable}"), "7 topics[0].qos.realiability", ValueMistake.MISSPELT_KEY, {}),
         (topic("port: 31", BLUETOOTH), "7 topics[0].port", TopicMistake.INVALID_PORT, {}),
-        (
-            topic("protocol: udp", BLUETOOTH),
-            "7 topics[0].protocol",
-            TopicMistake.NOT_CROSSING,
-            {"crossing": "bluetooth"},
-        ),
-        (
-            topic("protocol: bluetooth", f"{CLIENT}bluetooth_address: {MAC}\n"),
-            "8 topics[0].port",
-            TopicMistake.NEEDS_CHANNEL,
-            {"range": CHANNEL},
-        ),
-        (
-            topic("protocol: bluetooth, port: 31", f"{CLIENT}bluetooth_address: {MAC}\n"),
-            "8 topics[0].port",
-            TopicMistake.INVALID_PORT,
-            {"port": 31},
-        ),
+        (topic("protocol: udp", BLUETOOTH), "7 topics[0].protocol", TopicMistake.NOT_CROSSING,
+         {"crossing": "bluetooth"}),
+        (topic("protocol: bluetooth", f"{CLIENT}bluetooth_address: {MAC}\n"), "8 topics[0].port",
+         TopicMistake.NEEDS_CHANNEL, {"range": CHANNEL}),
+        (topic("protocol: bluetooth, port: 31", f"{CLIENT}bluetooth_address: {MAC}\n"), "8 topics[0].port",
+         TopicMistake.INVALID_PORT, {"port": 31}),
         (f"{CLIENT}bluetooth_address: 10.0.0.1\n", "6 bluetooth_address", SessionMistake.ADAPTER_INVALID, {}),
         (f"{BLUETOOTH}bluetooth_address: {MAC}\n", "6 bluetooth_address", SessionMistake.ADAPTER_TWICE, {}),
         (CLIENT + "stale_after: 1e300\n", "6 stale_after", TopicMistake.OUT_OF_RANGE, {"value": 1e300}),
@@ -158,13 +137,9 @@ def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, p
                 ("/shutdown", "", "the shutdown_topic"),
             )
         ),
-        (
-            SERVER + "use_name: true\ndriver_topic: /robot1/cmd_vel\n"
-            "clients: [{name: robot1, topics: [{topic: /cmd_vel, direction: receive}]}]\n",
-            "7 driver_topic",
-            SessionMistake.DRIVER_TOPIC_TAKEN,
-            {"name": "/robot1/cmd_vel", "use": "bridged"},
-        ),
+        (SERVER + "use_name: true\ndriver_topic: /robot1/cmd_vel\n"
+         "clients: [{name: robot1, topics: [{topic: /cmd_vel, direction: receive}]}]\n", "7 driver_topic",
+         SessionMistake.DRIVER_TOPIC_TAKEN, {"name": "/robot1/cmd_vel", "use": "bridged"}),
         (CLIENT + "metrics: 9464\n", "6 metrics", ValueMistake.MISFIT, {"value": 9464, "expected": "text"}),
         (CLIENT + "metrics: '9464'\n", "6 metrics", AddressProblem.NOT_ADDRESS_AND_PORT, {"address": "9464"}),
         (CLIENT + "metrics: ':9464'\n", "6 metrics", AddressProblem.NO_ADDRESS, {"address": ":9464", "port": 9464}),
@@ -189,50 +164,26 @@ def test_a_mistake_of_a_topic_has_its_line_and_key(fields: str, code: Wording, p
         (clients('{name: a, allow: ["/\\ud800"]}'), "7 clients[0].allow[0]", RightsMistake.NO_MATCH, {}),
         (SERVER + "topics: [{topic: /a, direction: receive}]\n", "2 role", SessionMistake.TOPICS_OF_SERVER, {}),
         (clients("{name: a}\n  - {name: a}"), "8 clients[1].name", SessionMistake.CLIENT_TWICE, {}),
-        (
-            SERVER + "clients:\n  - name: a\n    topics:\n      - {topic: /b, direction: transmit, protocol: tpc}\n",
-            "9 clients[0].topics[0].protocol",
-            ValueMistake.MISFIT,
-            {"value": "'tpc'"},
-        ),
-        (
-            SERVER + "clients:\n  - name: a\n    topics:" + 2 * "\n    - {topic: /b, direction: transmit}",
-            "10 clients[0].topics[1]",
-            SessionMistake.TOPIC_TWICE,
-            {"name": "/b", "end": "transmit", "number": 1},
-        ),
+        (SERVER + "clients:\n  - name: a\n    topics:\n      - {topic: /b, direction: transmit, protocol: tpc}\n",
+         "9 clients[0].topics[0].protocol", ValueMistake.MISFIT, {"value": "'tpc'"}),
+        (SERVER + "clients:\n  - name: a\n    topics:" + 2 * "\n    - {topic: /b, direction: transmit}",
+         "10 clients[0].topics[1]", SessionMistake.TOPIC_TWICE, {"name": "/b", "end": "transmit", "number": 1}),
         (clients("{name: a, allow: [scan]}"), "7 clients[0].allow[0]", RightsMistake.NO_MATCH, {}),
         (clients("{name: a, deny: scan}"), "7 clients[0].deny", ValueMistake.NOT_A_LIST, {}),
         (clients("{name: a b, use_name: true}"), "7 clients[0].name", SessionMistake.NAME_NOT_A_PREFIX, {}),
-        (
-            SERVER.replace("key_file: key.txt\n", "clients: [{name: a}]\n"),
-            "5 clients[0].key_file",
-            SessionMistake.KEY_FILE_MISSING,
-            {},
-        ),
+        (SERVER.replace("key_file: key.txt\n", "clients: [{name: a}]\n"), "5 clients[0].key_file",
+         SessionMistake.KEY_FILE_MISSING, {}),
         (SERVER + "next_key_file: key.txt\n", "6 next_key_file", SessionMistake.NEXT_KEY_IS_CURRENT, {}),
         (SERVER + "next_key_file: ''\n", "6 next_key_file", SessionMistake.KEY_FILE_INVALID, {"name": "''"}),
         (CLIENT + "next_key_file: new.key\n", "6 next_key_file", SessionMistake.NEXT_KEY_ON_CLIENT, {}),
-        (
-            SERVER.replace("key_file: key.txt", "next_key_file: b\nclients: [{name: a, key_file: a.key}]"),
-            "5 next_key_file",
-            SessionMistake.NEXT_KEY_ALONE,
-            {},
-        ),
-        (
-            clients("{name: a, key_file: a.key, next_key_file: a.key}"),
-            "7 clients[0].next_key_file",
-            SessionMistake.NEXT_KEY_IS_CURRENT,
-            {"name": "'a.key'"},
-        ),
-        (
-            clients("{name: a, next_key_file: key.txt}"),
-            "7 clients[0].next_key_file",
-            SessionMistake.NEXT_KEY_IS_CURRENT,
-            {"name": "'key.txt'"},
-        ),
+        (SERVER.replace("key_file: key.txt", "next_key_file: b\nclients: [{name: a, key_file: a.key}]"),
+         "5 next_key_file", SessionMistake.NEXT_KEY_ALONE, {}),
+        (clients("{name: a, key_file: a.key, next_key_file: a.key}"), "7 clients[0].next_key_file",
+         SessionMistake.NEXT_KEY_IS_CURRENT, {"name": "'a.key'"}),
+        (clients("{name: a, next_key_file: key.txt}"), "7 clients[0].next_key_file", SessionMistake.NEXT_KEY_IS_CURRENT,
+         {"name": "'key.txt'"}),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_has_its_line_and_place(text: str, place: str, code: Wording, parameters: dict[str, Any]) -> None:
     (problem,) = problems(text)
     assert f"{problem.line} {problem.location}" == place
@@ -265,16 +216,13 @@ def test_a_mistake_says_what_can_be_written_instead(text: str, words: str) -> No
         (CLIENT + "topics[2]server_ip: x\n", 6, "topics[2]server_ip"),
         (SERVER + "ports: [12001, 80]\n", 6, "ports[1]"),
         (SERVER + "clients:\n  - {name: a, allow: [scan]}\n", 7, "client a, allow[0]"),
-        (
-            SERVER + "clients:\n  - name: a\n    topics:\n      - {topic: /b, direction: transmit, protocol: tpc}\n",
-            9,
-            "client a, topic /b, protocol",
-        ),
+        (SERVER + "clients:\n  - name: a\n    topics:\n      - {topic: /b, direction: transmit, protocol: tpc}\n", 9,
+         "client a, topic /b, protocol"),
         (CLIENT + "services:\n  - {service: /d, provider: robot}\n", 7, "service /d, provider"),
         (CLIENT + "services:\n  - /d\n", 7, "service 1"),
         (CLIENT + "parameters:\n  - {node: n, provider: client}\n", 7, "parameters of n, node"),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_names_its_entry(text: str, line: int, place: str) -> None:
     (refusal,) = refusals(text)
     assert refusal.startswith(f"robot1.yaml:{line}: {place}: ")
@@ -374,10 +322,6 @@ def test_a_key_in_a_wrong_place_is_refused_without_being_quoted(
     found = problems(text.replace("KEY", key))
     assert any(has(problem, line, location, code, parameters) for problem in found), found
     assert key[:20] not in "".join(refusals(text.replace("KEY", key)))
-
-
-def has(problem: Problem, line: int | None, location: str, code: Wording, parameters: dict[str, Any]) -> bool:
-    return (problem.line, problem.location) == (line, location) and says(problem.message, code, **parameters)
 
 
 @pytest.mark.parametrize("text", ["name: !KEY! x\n", "name: *KEY\n"])

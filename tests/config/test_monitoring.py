@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 import yaml
@@ -14,9 +15,6 @@ from tests.support.captured import captured
 
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.telemetry.metrics import DROPPED, FAMILIES
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _CONFIGS = Path(__file__).parents[2] / "configs"
 _RULES = _CONFIGS / "prometheus-alerts.yml"

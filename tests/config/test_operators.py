@@ -6,26 +6,25 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from tests.config.mistakes import CLIENT, FILE, problems
 
 from rsb_bridge.config.keys import Key, KeyFileError, copy_key, key_users, unshared_keys, write_key
 from rsb_bridge.config.rights import Granted, granted_operators, operator_changes
-from rsb_bridge.config.session_file import SessionError, dump, load_file, parse, save, validate
+from rsb_bridge.config.session_file import dump, load_file, parse, save, validate
 from rsb_bridge.model.limits import OPERATORS
 from rsb_bridge.model.session import Operator, Session
 
-FILE = Path("robot1.yaml")
-BASE = "name: robot1\nrole: client\nserver_ip: 192.168.1.10\nserver_port: 49152\nkey_file: key.txt\n"
 ANNA = Operator("anna", "anna.key", "take")
 BOB = Operator("bob", "bob.key")
 
 
 def with_operators(*operators: Operator) -> Session:
-    return msgspec.structs.replace(parse(BASE, FILE), operators=operators)
+    return msgspec.structs.replace(parse(CLIENT, FILE), operators=operators)
 
 
 def test_operators_are_read_and_written() -> None:
     text = (
-        f"{BASE}operators:\n  - {{name: anna, key_file: anna.key, may: take}}\n  - {{name: bob, key_file: bob.key}}\n"
+        f"{CLIENT}operators:\n  - {{name: anna, key_file: anna.key, may: take}}\n  - {{name: bob, key_file: bob.key}}\n"
     )
     session = parse(text, FILE)
     assert session.operators == (ANNA, BOB)
@@ -49,9 +48,7 @@ def test_operators_are_read_and_written() -> None:
     ],
 )
 def test_mistakes_name_their_place(entry: str, location: str) -> None:
-    with pytest.raises(SessionError) as caught:
-        parse(f"{BASE}operators: [{entry}]\n", FILE)
-    (problem,) = caught.value.problems
+    (problem,) = problems(f"{CLIENT}operators: [{entry}]\n")
     assert (problem.location, problem.line) == (location, 6)
 
 
@@ -61,7 +58,7 @@ def test_as_many_as_there_may_be() -> None:
 
 def test_a_save_keeps_what_is_said_of_operators(tmp_path: Path) -> None:
     path = tmp_path / "robot1.yaml"
-    path.write_text(f"{BASE}operators:  # the shift\n  - name: anna  # by day\n    key_file: anna.key\n")
+    path.write_text(f"{CLIENT}operators:  # the shift\n  - name: anna  # by day\n    key_file: anna.key\n")
     opened = load_file(path)
     changed = msgspec.structs.replace(opened.session, stale_after=3.0)
     save(changed, path, opened)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.config.mistakes import has, problems
 from tests.support.wording import says
 
 from rsb_bridge.config.advice import Advice, advise
@@ -24,12 +25,12 @@ from rsb_bridge.config.rights import (
     rights_of_server,
     typed_grants,
 )
-from rsb_bridge.config.session_file import SessionError, dump, parse
+from rsb_bridge.config.session_file import dump, parse
 from rsb_bridge.config.topic_rules import TopicMistake
 from rsb_bridge.config.validation import validate
 from rsb_bridge.link.proposals import use_of
 from rsb_bridge.model.benchmark import BenchmarkLimits
-from rsb_bridge.model.purposes import BENCH, VIEW
+from rsb_bridge.model.purposes import VIEW
 from rsb_bridge.model.session import Client, Grant, Session, Topic
 from rsb_bridge.wire.messages import Propose
 
@@ -167,34 +168,19 @@ REASONS = {DeniedRemedy.CHANGE_DENY: DeniedText.DENIED, DeniedRemedy.CHANGE_ALLO
     [
         (on_client, {}, Use("/cmd_vel", "publish"), DeniedRemedy.LIST, {"direction": "direction: receive"}),
         (on_client, {}, call("/navigate", "action"), DeniedRemedy.LIST, {"direction": "provider: client"}),
-        (
-            on_client,
-            {"allow": ("/a",)},
-            Use("/cmd_vel", "publish"),
-            DeniedRemedy.LIST_OR_ALLOW,
-            {"direction": "direction: receive", "entry": "{topics: /cmd_vel, may: publish}"},
-        ),
-        (
-            on_client,
-            {"allow": ("/a",)},
-            serve("/n", "parameters"),
-            DeniedRemedy.LIST_OR_ALLOW,
-            {"direction": "provider: server", "entry": "{services: /n, may: serve}"},
-        ),
+        (on_client, {"allow": ("/a",)}, Use("/cmd_vel", "publish"), DeniedRemedy.LIST_OR_ALLOW,
+         {"direction": "direction: receive", "entry": "{topics: /cmd_vel, may: publish}"}),
+        (on_client, {"allow": ("/a",)}, serve("/n", "parameters"), DeniedRemedy.LIST_OR_ALLOW,
+         {"direction": "provider: server", "entry": "{services: /n, may: serve}"}),
         (on_client, {"deny": ("/cmd*",)}, Use("/cmd_vel", "publish"), DeniedRemedy.CHANGE_DENY, {"entry": "/cmd*"}),
         (on_client, {"allow": (DRIVE,)}, Use("/cmd_vel", "publish", "tcp"), DeniedRemedy.CHANGE_ALLOW, {}),
-        (
-            on_server,
-            {"allow": ("/a",)},
-            Use("/b", "read"),
-            DeniedRemedy.ADD_ALLOW,
-            {"entry": "{topics: /b, may: read}"},
-        ),
+        (on_server, {"allow": ("/a",)}, Use("/b", "read"), DeniedRemedy.ADD_ALLOW,
+         {"entry": "{topics: /b, may: read}"}),
         (on_server, {"allow": ("/dock",)}, call("/dock"), DeniedRemedy.ADD_ALLOW, {"entry": CALL_ENTRY}),
         (on_server, {"deny": ("/d*",)}, call("/dock"), DeniedRemedy.CHANGE_DENY, {"entry": "/d*"}),
         (on_server, {"deny": (CALL,)}, call("/dock"), DeniedRemedy.CHANGE_DENY, {"entry": CALL_ENTRY}),
     ],
-)
+)  # fmt: skip
 def test_a_refusal_names_the_use_and_the_remedy(
     make: Callable[..., Rights], given: dict[str, Any], use: Use, remedy: DeniedRemedy, parameters: dict[str, str]
 ) -> None:
@@ -264,12 +250,6 @@ def test_nobody_sends_pictures_unasked() -> None:
     refusal = on_server(bench=BenchmarkLimits()).purpose_refusal(VIEW, sends=True)
     assert refusal is not None
     assert says(refusal.reason, DeniedText.NO_SENDING, right="look", peer="robot1")
-
-
-def test_a_benchmark_without_permission_has_its_own_remedy() -> None:
-    refusal = on_server().purpose_refusal(BENCH, sends=True)
-    assert refusal is not None
-    assert says(refusal.remedy, DeniedRemedy.ADD_BENCH)
 
 
 @pytest.mark.parametrize(
@@ -356,11 +336,8 @@ def test_whose_nodes_call_decides_what_a_proposal_asks_for(from_client: bool, is
 def test_a_mistake_has_its_place_and_words(
     entry: str, location: str, code: Wording, parameters: dict[str, Any]
 ) -> None:
-    with pytest.raises(SessionError) as raised:
-        parse(f"{HEAD}{entry}\n", Path("robot1.yaml"))
-    problem = raised.value.problems[0]
-    assert (problem.location, problem.line) == (location, 6)
-    assert says(problem.message, code, **parameters)
+    problem = problems(f"{HEAD}{entry}\n")[0]
+    assert has(problem, 6, location, code, parameters)
 
 
 def test_the_table_says_what_may_be_called_and_what_of_it_changes_a_robot() -> None:

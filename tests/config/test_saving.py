@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import pytest
@@ -33,9 +34,6 @@ from rsb_bridge.config.validation import SessionMistake
 from rsb_bridge.config.yaml_text import inline, read_yaml
 from rsb_bridge.model.qos import PROFILES
 from rsb_bridge.model.session import Client, Grant, Session, Topic
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 HEAD = "name: robot1\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 49152\nkey_file: key.txt\n"
@@ -126,10 +124,8 @@ JSON = """\
             BLOCKS, topics((0, {"protocol": "tcp"})),
             "      protocol: udp         # loses some\n", "      protocol: tcp         # loses some\n", id="value",
         ),
-        pytest.param(
-            BLOCKS, topics((0, {"max_rate": 20.0})),
-            "      qos: sensor_data\n", "      qos: sensor_data\n      max_rate: 20.0\n", id="new key",
-        ),
+        pytest.param(BLOCKS, topics((0, {"max_rate": 20.0})),
+                     "      qos: sensor_data\n", "      qos: sensor_data\n      max_rate: 20.0\n", id="new key"),
         pytest.param(
             BLOCKS, topics((0, {"protocol": None})), "      protocol: udp         # loses some\n", "", id="gone"
         ),
@@ -152,39 +148,25 @@ JSON = """\
             BLOCKS, topics((0, None), (1, None)), BLOCKS[BLOCKS.index("topics:") : BLOCKS.index("    # not now")],
             "topics: []\n    # the laser\n\n", id="all removed",
         ),
-        pytest.param(
-            BLOCKS, lambda session: replace(session, domain_id=3, key_file="no"), "key_file: key.txt\n",
-            "domain_id: 3\nkey_file: 'no'\n", id="top",
-        ),
+        pytest.param(BLOCKS, lambda session: replace(session, domain_id=3, key_file="no"), "key_file: key.txt\n",
+                     "domain_id: 3\nkey_file: 'no'\n", id="top"),
         pytest.param(
             BLOCKS.replace("qos: sensor_data", "qos:  # why\n        depth: 5   # few\n        lifespan: 1.0"),
             topics((0, {"qos": {"depth": 7, "deadline": 0.5}})),
             "        depth: 5   # few\n        lifespan: 1.0\n", "        depth: 7   # few\n        deadline: 0.5\n",
             id="policies",
         ),
-        pytest.param(
-            BLOCKS.replace("qos: sensor_data", "qos:\n        depth: 5"), topics((0, {"qos": "latched"})),
-            "qos:\n        depth: 5\n", "qos: latched\n", id="policies to a profile",
-        ),
-        pytest.param(
-            FLOWS, topics((0, {"max_rate": 7.0, "paused": True})),
-            "max_rate: 5}", "max_rate: 7.0, paused: true}", id="flow",
-        ),
+        pytest.param(BLOCKS.replace("qos: sensor_data", "qos:\n        depth: 5"), topics((0, {"qos": "latched"})),
+                     "qos:\n        depth: 5\n", "qos: latched\n", id="policies to a profile"),
+        pytest.param(FLOWS, topics((0, {"max_rate": 7.0, "paused": True})),
+                     "max_rate: 5}", "max_rate: 7.0, paused: true}", id="flow"),
         pytest.param(FLOWS, topics((0, {"max_rate": None})), ",  max_rate: 5}", "}", id="flow, gone"),
-        pytest.param(
-            FLOWS, topics((1, None)), "- { topic: /goal, direction: receive }\n", "", id="flow, removed"
-        ),
-        pytest.param(
-            FLOWS, topics((2, {"paused": False})), "   paused: true}\n", "   }\n", id="flow on lines, gone"
-        ),
-        pytest.param(
-            FLOWS, topics((3, Topic("/a", "receive"))),
-            "   paused: true}\n", "   paused: true}\n- {topic: /a, direction: receive}\n", id="flow, added",
-        ),
-        pytest.param(
-            JSON, topics((2, Topic("/a", "receive"))), "\"direction\": \"transmit\"}\n ]",
-            "\"direction\": \"transmit\"},\n   {topic: /a, direction: receive}\n ]", id="JSON, added",
-        ),
+        pytest.param(FLOWS, topics((1, None)), "- { topic: /goal, direction: receive }\n", "", id="flow, removed"),
+        pytest.param(FLOWS, topics((2, {"paused": False})), "   paused: true}\n", "   }\n", id="flow on lines, gone"),
+        pytest.param(FLOWS, topics((3, Topic("/a", "receive"))),
+                     "   paused: true}\n", "   paused: true}\n- {topic: /a, direction: receive}\n", id="flow, added"),
+        pytest.param(JSON, topics((2, Topic("/a", "receive"))), "\"direction\": \"transmit\"}\n ]",
+                     "\"direction\": \"transmit\"},\n   {topic: /a, direction: receive}\n ]", id="JSON, added"),
         pytest.param(JSON, topics((0, {"paused": False})), ", \"paused\": true", "", id="JSON, gone"),
         pytest.param(
             JSON, topics((1, None)), "   {\"topic\": \"/map\", \"direction\": \"transmit\"}\n", "", id="JSON, removed"
@@ -194,14 +176,10 @@ JSON = """\
             HEAD + "topics: []   # none yet\n", topics((0, Topic("/a", "receive"))), "topics: []   # none yet\n",
             "topics:   # none yet\n  - {topic: /a, direction: receive}\n", id="the first",
         ),
-        pytest.param(
-            HEAD, topics((0, Topic("/a", "receive"))), "key_file: key.txt\n",
-            "key_file: key.txt\ntopics:\n  - {topic: /a, direction: receive}\n", id="the first of all",
-        ),
-        pytest.param(
-            HEAD.rstrip("\n"), topics((0, Topic("/a", "receive"))), "key_file: key.txt",
-            "key_file: key.txt\ntopics:\n  - {topic: /a, direction: receive}", id="no line break at the end",
-        ),
+        pytest.param(HEAD, topics((0, Topic("/a", "receive"))), "key_file: key.txt\n",
+                     "key_file: key.txt\ntopics:\n  - {topic: /a, direction: receive}\n", id="the first of all"),
+        pytest.param(HEAD.rstrip("\n"), topics((0, Topic("/a", "receive"))), "key_file: key.txt",
+                     "key_file: key.txt\ntopics:\n  - {topic: /a, direction: receive}", id="no line break at the end"),
         pytest.param(
             HEAD + "domain_id:   # the robot's\n", lambda session: replace(session, domain_id=7),
             "domain_id:   # the robot's\n", "domain_id: 7 # the robot's\n", id="an empty value",
@@ -210,14 +188,10 @@ JSON = """\
             HEAD + "topics:\n- paused: true\n  # seldom\n  topic: /a\n  direction: receive\n",
             topics((0, {"paused": False})), "- paused: true\n", "-\n", id="the first key goes",
         ),
-        pytest.param(
-            HEAD + "topics:\n- paused: true\n  topic: /a\n  direction: receive\n",
-            topics((0, {"paused": False})), "paused: true\n  ", "", id="the next key takes its place",
-        ),
-        pytest.param(
-            "\ufeff" + FLOWS.replace("\n", "\r\n"), topics((3, Topic("/a", "receive"))), "paused: true}\r\n",
-            "paused: true}\r\n- {topic: /a, direction: receive}\r\n", id="as Windows writes it",
-        ),
+        pytest.param(HEAD + "topics:\n- paused: true\n  topic: /a\n  direction: receive\n",
+                     topics((0, {"paused": False})), "paused: true\n  ", "", id="the next key takes its place"),
+        pytest.param("\ufeff" + FLOWS.replace("\n", "\r\n"), topics((3, Topic("/a", "receive"))), "paused: true}\r\n",
+                     "paused: true}\r\n- {topic: /a, direction: receive}\r\n", id="as Windows writes it"),
     ],
 )  # fmt: skip
 def test_only_what_changed_changes(
@@ -315,19 +289,13 @@ clients:
 @pytest.mark.parametrize(
     ("change", "old", "new"),
     [
-        pytest.param(
-            lambda one, two: (replace(one, topics=(*one.topics, Topic("/a", "transmit"))), two),
-            "        direction: receive\n",
-            "        direction: receive\n      - topic: /a\n        direction: transmit\n", id="added",
-        ),
-        pytest.param(
-            lambda one, two: (replace(one, topics=(replace(one.topics[0], max_rate=1.0), one.topics[1])), two),
-            "direction: transmit}", "direction: transmit, max_rate: 1.0}", id="edited",
-        ),
-        pytest.param(
-            lambda one, two: (replace(one, topics=one.topics[:1]), two),
-            "      - topic: /goal\n        direction: receive\n", "", id="removed",
-        ),
+        pytest.param(lambda one, two: (replace(one, topics=(*one.topics, Topic("/a", "transmit"))), two),
+                     "        direction: receive\n",
+                     "        direction: receive\n      - topic: /a\n        direction: transmit\n", id="added"),
+        pytest.param(lambda one, two: (replace(one, topics=(replace(one.topics[0], max_rate=1.0), one.topics[1])), two),
+                     "direction: transmit}", "direction: transmit, max_rate: 1.0}", id="edited"),
+        pytest.param(lambda one, two: (replace(one, topics=one.topics[:1]), two),
+                     "      - topic: /goal\n        direction: receive\n", "", id="removed"),
         pytest.param(
             lambda one, two: (one, replace(two, topics=(Topic("/a", "transmit"),))),
             "[/camera/*]}", "[/camera/*], topics: [{topic: /a, direction: transmit}]}", id="the first, in braces",

@@ -47,31 +47,18 @@ qos = st.one_of(
     st.fixed_dictionaries({}, optional={"profile": st.sampled_from(list(PROFILES)), "depth": st.integers(1, 99)}),
 )
 topics = st.builds(
-    Topic,
-    topic=topic_names,
-    direction=st.sampled_from(["transmit", "receive"]),
-    type=st.sampled_from(["auto", "LaserScan", "nav_msgs/Odometry", "my_msgs/msg/Thing2"]),
-    qos=qos,
-    remote_topic=st.none() | topic_names,
-    compression=st.sampled_from([None, "none", "zstd"]),
-    max_rate=rates,
-    expected_rate=rates,
-    stale_after=st.none() | waits,
-    paused=st.booleans(),
-    arm=st.just(True),
+    Topic, topic=topic_names, direction=st.sampled_from(["transmit", "receive"]),
+    type=st.sampled_from(["auto", "LaserScan", "nav_msgs/Odometry", "my_msgs/msg/Thing2"]), qos=qos,
+    remote_topic=st.none() | topic_names, compression=st.sampled_from([None, "none", "zstd"]), max_rate=rates,
+    expected_rate=rates, stale_after=st.none() | waits, paused=st.booleans(), arm=st.just(True),
     deadman=st.none() | st.just(0.0) | st.floats(2, 86_400),
-)
+)  # fmt: skip
 patterns = st.lists(topic_names.map(lambda name: f"{name}/*"), max_size=2).map(tuple)
 next_key_files = st.none() | names.map("{}.next".format)
 allowed = st.builds(
-    Client,
-    name=names,
-    key_file=st.none() | names,
-    next_key_file=next_key_files,
-    use_name=st.just(False),
-    allow=patterns,
-    deny=patterns,
-)
+    Client, name=names, key_file=st.none() | names, next_key_file=next_key_files, use_name=st.just(False),
+    allow=patterns, deny=patterns,
+)  # fmt: skip
 common = {
     "name": names,
     "domain_id": st.none() | st.integers(0, 232),
@@ -87,26 +74,18 @@ common = {
 }
 sessions = st.one_of(
     st.builds(
-        Session,
-        role=st.just("client"),
-        server_ip=st.sampled_from(["10.0.0.1", "fe80::1%eth0", "robot-1.local"]),
+        Session, role=st.just("client"), server_ip=st.sampled_from(["10.0.0.1", "fe80::1%eth0", "robot-1.local"]),
         server_port=st.integers(1, 65535),
-        topics=st.lists(topics, max_size=5, unique_by=(lambda topic: topic.identity, called)).map(tuple),
-        **common,
+        topics=st.lists(topics, max_size=5, unique_by=(lambda topic: topic.identity, called)).map(tuple), **common,
     ),
     st.builds(Session, role=st.just("client"), server_ip=macs, server_port=st.integers(1, 30), **common),
     st.builds(
-        Session,
-        role=st.just("server"),
-        server_ip=st.sampled_from(["0.0.0.0", "::"]),
-        server_port=st.integers(1, 65535),
-        next_key_file=next_key_files,
-        shared_keys=st.booleans(),
+        Session, role=st.just("server"), server_ip=st.sampled_from(["0.0.0.0", "::"]),
+        server_port=st.integers(1, 65535), next_key_file=next_key_files, shared_keys=st.booleans(),
         ports=st.none() | st.just("none") | st.lists(st.integers(1024, 65535), max_size=3).map(tuple),
-        clients=st.lists(allowed, max_size=3, unique_by=lambda client: client.name).map(tuple),
-        **common,
+        clients=st.lists(allowed, max_size=3, unique_by=lambda client: client.name).map(tuple), **common,
     ),
-)
+)  # fmt: skip
 
 
 @given(sessions)

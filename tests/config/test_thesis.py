@@ -118,37 +118,25 @@ def test_what_changed_is_said(bringup: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "line", "location", "code", "parameters"),
     [
-        (
-            "'TCP', 'UDP', 'TCP'", "'TCP', 'TPC', 'TCP'",
-            15, "transmit_protocols[1]", ValueMistake.MISFIT, {"value": "'tpc'"},
-        ),
-        (
-            "[12002, 12012]", "[12002]",
-            8, "receive_ports", BringupMistake.LENGTHS_DIFFER, {"count": 1, "topics": 2, "list": "receive_topics"},
-        ),
+        ("'TCP', 'UDP', 'TCP'", "'TCP', 'TPC', 'TCP'",
+         15, "transmit_protocols[1]", ValueMistake.MISFIT, {"value": "'tpc'"}),
+        ("[12002, 12012]", "[12002]",
+         8, "receive_ports", BringupMistake.LENGTHS_DIFFER, {"count": 1, "topics": 2, "list": "receive_topics"}),
         ("[12002, 12012]", "12002", 8, "receive_ports", BringupMistake.NOT_A_LIST, {"value": 12002}),
         ("'10'", "'qos_sensor'", 10, "receive_qos[1]", QosProblem.UNKNOWN_NAME, {"value": "qos_sensor"}),
-        (
-            "'Odometry'", "'Odometri'",
-            13, "transmit_msg_types[1]", TypeNameProblem.SHORT_NAME_MISSPELT, {"name": "Odometri"},
-        ),
+        ("'Odometry'", "'Odometri'",
+         13, "transmit_msg_types[1]", TypeNameProblem.SHORT_NAME_MISSPELT, {"name": "Odometri"}),
         ("'goal_pose'", "'goal-pose'", 6, "receive_topics[1]", TopicMistake.NOT_ABSOLUTE, {"name": "'/goal-pose'"}),
         ("12006", "12004", 14, "transmit_ports[2]", SessionMistake.PORT_TAKEN, {"protocol": "tcp", "port": 12004}),
-        (
-            "'192.168.10.250'", "'192.168.10'",
-            3, "server_ip", SessionMistake.ADDRESS_INVALID, {"address": "'192.168.10'"},
-        ),
+        ("'192.168.10.250'", "'192.168.10'",
+         3, "server_ip", SessionMistake.ADDRESS_INVALID, {"address": "'192.168.10'"}),
         ("ros__parameters", "parameters", None, None, BringupMistake.NO_NODE, {}),
-        (
-            CLIENT,
-            "client_node:\n  ros__parameters:\n    server_ip: '10.0.0.1'\n    server_port: 3000\n    topics: [scan]\n",
-            2, "", BringupMistake.NO_TOPICS, {},
-        ),
+        (CLIENT,
+         "client_node:\n  ros__parameters:\n    server_ip: '10.0.0.1'\n    server_port: 3000\n    topics: [scan]\n",
+         2, "", BringupMistake.NO_TOPICS, {}),
         (CLIENT, "- a list\n", None, None, BringupMistake.NO_NODE, {}),
-        (
-            CLIENT, CLIENT + SERVER,
-            None, None, BringupMistake.SEVERAL_NODES, {"count": 2, "nodes": "client_node, server_node"},
-        ),
+        (CLIENT, CLIENT + SERVER,
+         None, None, BringupMistake.SEVERAL_NODES, {"count": 2, "nodes": "client_node, server_node"}),
     ],
 )  # fmt: skip
 def test_mistakes_are_placed_in_the_thesis_file(

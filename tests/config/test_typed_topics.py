@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import msgspec
 import pytest
@@ -15,13 +15,10 @@ from rsb_bridge.config.file_form import LISTS
 from rsb_bridge.config.keys import generate
 from rsb_bridge.config.topic_rules import entry_problems
 from rsb_bridge.config.validation import validate
-from rsb_bridge.model.session import RANKS, Direction, Session, Topic
+from rsb_bridge.model.session import RANKS, Direction, Problem, Session, Topic
 from rsb_bridge.model.topic_keys import TOPIC_KEYS
 from rsb_bridge.model.transports import Protocol
 from rsb_bridge.model.velocity_limits import VelocityLimits
-
-if TYPE_CHECKING:
-    from rsb_bridge.model.session import Problem
 
 KEY = generate().decode()
 PARTS = ("a", "scan", "_hidden", "_action", "*", "**", "a*", "1a", "", "rsb", "ä", "a b", "\0", "\n", "a" * 250, KEY)

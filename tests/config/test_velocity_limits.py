@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import msgspec
 import pytest
+from tests.config.mistakes import problems
 
-from rsb_bridge.config.session_file import SessionError, demand_places, load_file, parse, save
+from rsb_bridge.config.session_file import demand_places, load_file, save
 from rsb_bridge.model.demands import Demands, as_armed, kept, lines_of, outliving, sources_of
 from rsb_bridge.model.session import ArmedName, Session, Topic
 from rsb_bridge.model.velocity_limits import VelocityLimits
 from rsb_console.command.check import SessionCheckText, summary
 from rsb_console.session.draft import problems_of, topic_of, values_of
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 FILE = """\
 name: r
@@ -66,11 +64,9 @@ def test_what_is_saved_is_what_is_read(path: Path) -> None:
         ("type: ackermann_msgs/msg/AckermannDrive, limits: {linear: 0.5}", "limits"),
     ],
 )
-def test_mistakes_are_located(entry: str, key: str, path: Path) -> None:
-    text = FILE.replace("arm: true, limits: {linear: 0.5, angular: 1}", entry)
-    with pytest.raises(SessionError) as error:
-        parse(text, path)
-    assert {(each.location, each.line) for each in error.value.problems} == {(f"topics[0].{key}", 8)}
+def test_mistakes_are_located(entry: str, key: str) -> None:
+    found = problems(FILE.replace("arm: true, limits: {linear: 0.5, angular: 1}", entry))
+    assert {(each.location, each.line) for each in found} == {(f"topics[0].{key}", 8)}
 
 
 @pytest.mark.parametrize(
@@ -85,10 +81,8 @@ def test_mistakes_are_located(entry: str, key: str, path: Path) -> None:
          "services[0].limits"),
     ],
 )  # fmt: skip
-def test_only_velocities_have_limits(old: str, new: str, location: str, path: Path) -> None:
-    with pytest.raises(SessionError) as error:
-        parse(FILE.replace(old, new), path)
-    assert [each.location for each in error.value.problems] == [location]
+def test_only_velocities_have_limits(old: str, new: str, location: str) -> None:
+    assert [each.location for each in problems(FILE.replace(old, new))] == [location]
 
 
 def test_check_shows_the_smallest_with_their_lines(path: Path) -> None:

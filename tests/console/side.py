@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 import time
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from tests.console.live import COMMAND
 from tests.console.tmux import Tmux
 from tests.support.commands import rsb_console
 from tests.support.waiting import eventually
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _LOOK_EVERY = 0.25
 """s between two looks, each of which starts a process."""

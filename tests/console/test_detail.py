@@ -3,18 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from tests.console.driving import (
-    NARROW,
-    engine_of,
-    gone,
-    on_main,
-    put,
-    selected_topic,
-    settled,
-    shown,
-    text,
-    until,
-)
+from tests.console.driving import NARROW, engine_of, gone, on_main, put, selected_topic, settled, shown, text, until
 from tests.console.scripted import ROUTES, route
 from textual.pilot import Pilot
 
@@ -155,11 +144,7 @@ def test_what_is_unknown_is_neither_delivered_nor_dropped() -> None:
 EVIL = "/ev\x1b[2Jil\x9b\n\x07\u202e"
 
 
-@on_main(
-    NARROW,
-    landmark="/ev[2Jil",
-    routes=(route(EVIL, State.DOWN, reason=f"because {EVIL}", type_name=EVIL),),
-)
+@on_main(NARROW, landmark="/ev[2Jil", routes=(route(EVIL, State.DOWN, reason=f"because {EVIL}", type_name=EVIL),))
 async def test_control_characters_never_go_out(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await settled(pilot)
     assert all(line.isprintable() for line in text(app).split("\n"))

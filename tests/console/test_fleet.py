@@ -577,8 +577,7 @@ async def test_read_only(bed: Bed) -> None:
 
 
 def test_the_console_on_a_robot_shows_that_one_and_leaves_with_escape(machine: Machine) -> None:
-    engine = ServerEngine("robot1", "robot2")
-    machine.serve(engine)
+    machine.serve(ServerEngine("robot1", "robot2"))
     fleet = ServerFleet("control", machine.folder / "control.sock")
     app = RobotApp(None, None, config=NOWHERE, theme="dark", attach_to=lambda: fleet.open("robot2", read_only=False))
 
@@ -643,8 +642,7 @@ def test_in_a_terminal(machine: Machine, tmp_path: Path, monkeypatch: pytest.Mon
         pytest.skip("needs tmux")
     monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
     monkeypatch.setenv("RSB_CONSOLE_ISOLATED", "1")
-    engine = ServerEngine("robot1", "robot2")
-    machine.serve(engine)
+    engine = machine.have(ServerEngine("robot1", "robot2"))
     engine.now = replace(engine.now, time=NOW + 1)
     command = (
         f"PYTHONPATH={os.environ.get('PYTHONPATH', '')} {sys.executable} -m rsb_console fleet --theme dark; sleep 60"

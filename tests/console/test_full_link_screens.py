@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -17,9 +17,6 @@ from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_both_first_screens_say_that_the_link_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

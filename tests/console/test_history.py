@@ -147,8 +147,7 @@ async def test_export_as_text_and_csv(
 
 
 def test_attached_and_readonly(machine: Machine) -> None:
-    engine = ScriptedEngine()
-    machine.serve(engine)
+    engine = machine.have(ScriptedEngine())
     app: ConsoleApp = scripted_app(session=None, path=None, attach_to=machine.folder / "robot1.sock", readonly=True)
 
     async def steps(pilot: Pilot[None]) -> None:

@@ -5,19 +5,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from tests.console.driving import (
-    NARROW,
-    WIDE,
-    engine_of,
-    fill,
-    form_of,
-    gone,
-    on_main,
-    put,
-    shown,
-    text,
-    until,
-)
+from tests.console.driving import NARROW, WIDE, engine_of, fill, form_of, gone, on_main, put, shown, text, until
 from tests.console.scripted import LINK, SESSION
 from tests.support import replaced
 from tests.support.long import long

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from tests.console.scripted import ScriptedEngine, call_route, route
 from tests.support.wording import says
 
-from rsb_bridge.model.snapshot import Ledger
+from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, Snapshot
 from rsb_console.session.landing import Landing, LandingText
-
-if TYPE_CHECKING:
-    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
 
 ROUTE = route("/cmd", outgoing=True, ledger=Ledger(offered=7, delivered=5, dropped={"disarmed": 2}), latency_p50=0.012)
 LINKS = ("robot1",)

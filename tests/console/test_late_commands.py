@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from concurrent.futures import Future
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from tests.support import replaced
@@ -16,9 +17,6 @@ from rsb_bridge.model.pictures import Scale
 from rsb_console.command import pub_command
 from rsb_console.screens.drive_screen import Steering
 from rsb_console.session import manual_messages
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 class Slow:

@@ -5,17 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from tests.console.driving import (
-    NARROW,
-    engine_of,
-    gone,
-    on_main,
-    put,
-    shown,
-    shown_at_the_end,
-    text,
-    until,
-)
+from tests.console.driving import NARROW, engine_of, gone, on_main, put, shown, shown_at_the_end, text, until
 from tests.console.scripted import NOW, ScriptedEngine, route
 from tests.support import replaced
 from tests.support.wording import says

@@ -6,19 +6,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from tests.console.driving import (
-    AppSteps,
-    engine_of,
-    fill,
-    form_of,
-    gone,
-    listed,
-    on_main,
-    put,
-    shown,
-    text,
-    until,
-)
+from tests.console.driving import AppSteps, engine_of, fill, form_of, gone, listed, on_main, put, shown, text, until
 from tests.console.scripted import LINK, SESSION, refused, route
 from textual.pilot import Pilot
 

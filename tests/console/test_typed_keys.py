@@ -9,7 +9,7 @@ import select
 import sys
 import termios
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import pytest
 from tests.console.test_late_input import Time
@@ -17,9 +17,6 @@ from tests.support import surroundings
 
 from rsb_console.terminal.pulse import ANSWERS_WITHIN, FRESH_FOR
 from rsb_console.terminal.typed_keys import TypedKeys
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _LOCAL_MODES = 3
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.machinery
 import importlib.util
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from tests.support import constants, surroundings
@@ -13,9 +13,6 @@ from tests.support.wording import says
 
 from rsb_bridge.doctor import ros_setup
 from rsb_bridge.doctor.finding import Finding, Grade, examine
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def found(code: str, environ: dict[str, str] | None = None, program: str | None = None) -> list[Finding]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import random
 import zlib
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from rclpy.serialization import serialize_message
 from tests.support import replaced
-from tests.support.bridge import carries, happened, heard, link, protocol_of, route, settled
-from tests.support.domain import text
+from tests.support.bridge import Bridge, carries, happened, heard, link, protocol_of, route, settled
+from tests.support.domain import Domain, text
 from tests.support.filled import filled
 from tests.support.long import long, long_cases
 from tests.support.participants import KnownNode, agree
@@ -22,12 +23,6 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.native.typesupport import installed_class
 from rsb_bridge.wire.sealing import CipherSuite
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from tests.support.bridge import Bridge
-    from tests.support.domain import Domain
 
 INSTALLED: dict[str, Any] = {name: found for name in SHORT_NAMES.values() if (found := installed_class(name))}
 MADE_UP_HASH = "RIHS01_" + "5a" * 32

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 from collections import defaultdict
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.support import constants
@@ -17,9 +18,6 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.ros.ros_interface import Endpoint, RawMessage
 from rsb_bridge.ros.stand_in import NoRos
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _TYPE, _HASH, _GID = "std_msgs/msg/String", "RIHS01_" + "1" * 64, b"talker".ljust(16, b"\0")
 _TOPICS = [f"/churn{number}" for number in range(4)]

@@ -8,25 +8,20 @@ import os
 import socket
 import threading
 import time
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from tests.support import replaced
-from tests.support.bridge import carries, heard, protocol_of, settled
-from tests.support.domain import text
+from tests.support.bridge import Bridge, carries, heard, protocol_of, settled
+from tests.support.domain import Domain, text
 from tests.support.inside import inside
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.engine.io_loop import IoLoop
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.ros_thread import RosToLoopQueue
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from tests.support.bridge import Bridge
-    from tests.support.domain import Domain
 
 
 def wants_its_turn(loop: IoLoop) -> bool:

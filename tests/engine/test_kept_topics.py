@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
-from tests.support.bridge import carries, find, happened, heard, linked, route
-from tests.support.domain import text
+from tests.support.bridge import Bridge, carries, find, happened, heard, linked, route
+from tests.support.domain import Domain, text
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
 
@@ -16,12 +16,6 @@ from rsb_bridge.config.session_file import load_file, save
 from rsb_bridge.link.errors import Denied
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.support.bridge import Bridge
-    from tests.support.domain import Domain
 
 CHAT = Topic("/chat", "transmit")
 

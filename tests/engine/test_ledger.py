@@ -5,12 +5,7 @@ from __future__ import annotations
 import random
 from typing import TYPE_CHECKING
 
-from tests.support.bridge import (
-    balance,
-    carries,
-    route,
-    settled,
-)
+from tests.support.bridge import balance, carries, route, settled
 from tests.support.domain import text
 from tests.support.relay import message_number
 from tests.support.waiting import eventually

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -11,9 +11,6 @@ from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Session
 from rsb_bridge.model.snapshot import Level
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_a_missing_key_is_in_the_log(tmp_path: Path) -> None:

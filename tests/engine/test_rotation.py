@@ -35,11 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.engine import Engine
     from rsb_bridge.wire.events import Event
 
-OLD, BOTH, NEW = (
-    Client("robot1", "old.key"),
-    Client("robot1", "old.key", "new.key"),
-    Client("robot1", "new.key"),
-)
+OLD, BOTH, NEW = (Client("robot1", "old.key"), Client("robot1", "old.key", "new.key"), Client("robot1", "new.key"))
 STRING = ("std_msgs/msg/String", "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18")
 
 

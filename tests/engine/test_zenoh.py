@@ -19,18 +19,7 @@ from rsb_bridge.wire.preamble import RefusalText
 pytest.importorskip("zenoh")  # an extra
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from tests.support.bridge import (
-    balance,
-    carries,
-    connections,
-    happened,
-    heard,
-    link,
-    linked,
-    outgoing,
-    route,
-    settled,
-)
+from tests.support.bridge import balance, carries, connections, happened, heard, link, linked, outgoing, route, settled
 from tests.support.domain import LATCHED, text
 from tests.support.inside import ledger_of
 from tests.support.ports import free_port

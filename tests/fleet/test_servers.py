@@ -24,9 +24,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def engine(machine: Machine) -> ServerEngine:
-    made = ServerEngine("robot1", "robot2", "robot3")
-    machine.serve(made)
-    return made
+    return machine.have(ServerEngine("robot1", "robot2", "robot3"))
 
 
 @pytest.fixture

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from random import Random
 
 from tests.fuzz.editing import edit_bytes
 
 from rsb_bridge.model.text import is_clean
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from random import Random
 
 CORPUS = Path(__file__).with_name("corpus")
 LONGEST = 4096

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
+from random import Random
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.fuzz.parser import CORPUS, LONGEST
 from tests.fuzz.parsers import load_parsers
-
-if TYPE_CHECKING:
-    from pathlib import Path
-    from random import Random
 
 PARSERS = load_parsers()
 KEPT = [path for parser in PARSERS.values() for path in parser.kept()]

@@ -222,11 +222,7 @@ class Control:
     ("retry_after", "soonest", "latest"), [(0.0, 0.25, 0.75), (40.0, 40.0, 40.0), (1e9, 60.0, 60.0), (None, 24.0, 36.0)]
 )
 def test_a_server_cannot_keep_a_client_away_for_years(
-    loop: VirtualLoop,
-    make_context: Callable[..., Context],
-    retry_after: float | None,
-    soonest: float,
-    latest: float,
+    loop: VirtualLoop, make_context: Callable[..., Context], retry_after: float | None, soonest: float, latest: float
 ) -> None:
     """For all its reasons to end a link, also if it reports that an operator has shut the link down."""
     network = SaysGoodbye(loop, retry_after)

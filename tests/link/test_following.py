@@ -57,11 +57,7 @@ def test_the_first_answer_has_all_there_is_and_the_next_ones_what_changes() -> N
     names: Names = {**topics("/a/x", "/a/y", "/b/x", "/a/secret", "/s/topic"), ("service", "/s/call"): ""}
     (told,) = side.look(names)
     assert (told.request, told.gone, told.more) == (1, (), 0)
-    assert set(told.present) == {
-        FoundName("/a/x", TYPE),
-        FoundName("/a/y", TYPE),
-        FoundName("/s/call", "", "service"),
-    }
+    assert set(told.present) == {FoundName("/a/x", TYPE), FoundName("/a/y", TYPE), FoundName("/s/call", "", "service")}
     assert side.look(names) == []
     del names["topic", "/a/x"]
     names["topic", "/a/y"] = "another/msg/Type"
@@ -116,12 +112,7 @@ def test_a_name_that_was_not_asked_for_is_no_topic(name: str) -> None:
     ],
 )
 def test_the_server_s_names_are_those_that_the_route_will_have(
-    remote: str | None,
-    prefixed: bool,
-    always_prefixed: bool,
-    source: str,
-    name: str,
-    made: tuple[str, str | None],
+    remote: str | None, prefixed: bool, always_prefixed: bool, source: str, name: str, made: tuple[str, str | None]
 ) -> None:
     pattern = Topic("/a/*", "receive", remote_topic=remote)
     entry = PatternEntry(pattern, client="robot1", prefixed=prefixed, always_prefixed=always_prefixed)

@@ -144,9 +144,7 @@ def half_of(type_name: str, *fields: MessageField) -> str:
 
 REQUEST = half_of(f"{SET}_Request", NUMBER)
 RESPONSE = half_of(f"{SET}_Response", UNIT)
-IN_REQUEST = TypeDifference.IN_REQUEST(
-    difference=TypeDifference.OTHER_TYPE(field="data", there="bool", here="int32"),
-)
+IN_REQUEST = TypeDifference.IN_REQUEST(difference=TypeDifference.OTHER_TYPE(field="data", there="bool", here="int32"))
 IN_RESPONSE = TypeDifference.IN_RESPONSE(
     difference=join_first(
         [

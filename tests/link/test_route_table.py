@@ -220,11 +220,7 @@ steps = st.lists(st.tuples(st.booleans(), st.sampled_from(OPERATIONS)), max_size
 @given(steps, st.sampled_from(["client", "server", "nobody"]), st.booleans())
 @settings(max_examples=settings().max_examples * 3, deadline=None, suppress_health_check=_ANY_MACHINE)
 def test_both_sides_end_up_with_the_same_routes_in_the_same_state(
-    make_pair: Callable[[], Pair],
-    loop: VirtualLoop,
-    taken: list[tuple[bool, str]],
-    adds: str,
-    linked_first: bool,
+    make_pair: Callable[[], Pair], loop: VirtualLoop, taken: list[tuple[bool, str]], adds: str, linked_first: bool
 ) -> None:
     client, server = pair = make_pair()
     if adds != "nobody":

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
-from tests.support.bridge import happened, linked, route, says
+from tests.support.bridge import Bridge, happened, linked, route, says
 from tests.support.ports import free_port
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
@@ -19,9 +19,6 @@ from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.transports import named
 from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire.messages import Accept, Close, Propose, Refuse
-
-if TYPE_CHECKING:
-    from tests.support.bridge import Bridge
 
 TCP, UDP, RFCOMM = (named(name)() for name in ("tcp", "udp", "bluetooth"))
 SESSION = Session(name="pc", role="server", server_ip="0.0.0.0", server_port=7060)

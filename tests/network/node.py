@@ -6,22 +6,19 @@ Every message says its number and when it was published, and has a checksum.
 
 from __future__ import annotations
 
-import json
 import random
-import select
 import subprocess
 import sys
 import time
 import zlib
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from tests.support.asked import Asked, answers
 from tests.support.waiting import eventually
 
 if TYPE_CHECKING:
     from tests.network.hosts import Host
     from tests.support.domain import Domain
-
-_ANSWERS_WITHIN = 60.0
 
 
 class Heard(NamedTuple):
@@ -43,11 +40,10 @@ class Heard(NamedTuple):
         return (self.came - self.sent) / 1e9
 
 
-class Node:
+class Node(Asked):
     def __init__(self, host: Host, domain_id: int) -> None:
-        self._process = host.start(
-            sys.executable, "-m", "tests.network.node", str(domain_id), stdin=subprocess.PIPE, stdout=subprocess.PIPE
-        )
+        command = sys.executable, "-m", "tests.network.node", str(domain_id)
+        super().__init__(host.start(*command, stdin=subprocess.PIPE, stdout=subprocess.PIPE))
 
     def talk(
         self, topic: str, *, rate: float, size: int = 100, count: int | None = None, latched: bool = False
@@ -60,27 +56,27 @@ class Node:
             count: how many, or None until `hush`.
             latched: late joiners get the last one.
         """
-        self._ask(do="talk", topic=topic, rate=rate, size=size, count=count, latched=latched)
+        self.ask(do="talk", topic=topic, rate=rate, size=size, count=count, latched=latched)
 
     def said(self) -> dict[str, int]:
         """How many messages have been published, by topic."""
-        said: dict[str, int] = self._ask(do="count")
+        said: dict[str, int] = self.ask(do="count")
         return said
 
     def hush(self) -> dict[str, int]:
         """Stop all talkers. Returns what each has `said`."""
-        self._ask(do="hush")
+        self.ask(do="hush")
         return self.said()
 
     def listen(self, *topics: str) -> None:
         """Subscribe, and wait for publishers."""
         for topic in topics:
-            self._ask(do="listen", topic=topic)
-        eventually(lambda: all(self._ask(do="matched", topic=topic) for topic in topics), what=f"published: {topics}")
+            self.ask(do="listen", topic=topic)
+        eventually(lambda: all(self.ask(do="matched", topic=topic) for topic in topics), what=f"published: {topics}")
 
     def heard(self, topic: str) -> list[Heard]:
         """All that came so far; AssertionError where a message is not as it was published."""
-        return [Heard(*each) for each in self._ask(do="tell", topic=topic)]
+        return [Heard(*each) for each in self.ask(do="tell", topic=topic)]
 
     def hears(self, topic: str, within: float = 180.0, *, after: float | None = None) -> Heard:
         """Wait for a message published later than `after` (s since the epoch, now by default)."""
@@ -93,17 +89,6 @@ class Node:
 
     def close(self) -> None:
         self._process.communicate(timeout=60)
-
-    def _ask(self, **request: Any) -> Any:
-        stdin, stdout = self._process.stdin, self._process.stdout
-        assert stdin is not None
-        assert stdout is not None
-        stdin.write(json.dumps(request) + "\n")
-        stdin.flush()
-        assert select.select([stdout], [], [], _ANSWERS_WITHIN)[0], f"the node does not answer {request}"
-        answer = json.loads(stdout.readline())
-        assert "broken" not in answer, answer
-        return answer["is"]
 
 
 # --- the node's own process
@@ -181,20 +166,11 @@ def _main(domain_id: int) -> None:
                 return ears[request["topic"]].heard()
         return None
 
-    while True:
-        due = min([talker.due for talker in talkers.values()], default=float("inf"))
-        if select.select([sys.stdin], [], [], min(max(0.0, due - time.monotonic()), 0.1))[0]:
-            line = sys.stdin.readline()
-            if not line:
-                break
-            try:
-                answer = {"is": act(json.loads(line))}
-            except ValueError as error:
-                answer = {"broken": str(error)}
-            sys.stdout.write(json.dumps(answer) + "\n")
-            sys.stdout.flush()
+    due = 0.0
+    while answers(act, min(max(0.0, due - time.monotonic()), 0.1)):
         for talker in talkers.values():
             talker.work()
+        due = min([talker.due for talker in talkers.values()], default=float("inf"))
     domain.close()
 
 

@@ -16,10 +16,7 @@ _MEGABYTE = 1_000_000
 
 @pytest.mark.parametrize(
     ("mtu", "address", "fragments"),
-    [
-        (1500, "10.99.1.9", ("IpFragCreates", "IpReasmReqds")),
-        (1280, "fd99::9", ("Ip6FragCreates", "Ip6ReasmReqds")),
-    ],
+    [(1500, "10.99.1.9", ("IpFragCreates", "IpReasmReqds")), (1280, "fd99::9", ("Ip6FragCreates", "Ip6ReasmReqds"))],
 )
 def test_every_size_crosses_and_no_packet_is_fragmented(
     network: Network, robot: Host, pc: Host, cable: Cable, mtu: int, address: str, fragments: tuple[str, ...]

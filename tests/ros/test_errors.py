@@ -6,7 +6,8 @@ import contextlib
 import itertools
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import pytest
 from tests.ros.domains import ANOTHER
@@ -19,9 +20,6 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.ros.participant import Participant
 from rsb_bridge.ros.ros_interface import RosError, RosProblem
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
 
 STRING, SET = "std_msgs/msg/String", "std_srvs/srv/SetBool"
 

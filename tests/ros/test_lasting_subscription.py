@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.virtual_time import virtual_loop
 
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
-from rsb_bridge.ros.ros_interface import RosError
-
-if TYPE_CHECKING:
-    from rsb_bridge.ros.ros_interface import OnFailure
+from rsb_bridge.ros.ros_interface import OnFailure, RosError
 
 
 class _Opened:

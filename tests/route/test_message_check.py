@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import struct
+from collections.abc import Callable, Coroutine
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import pytest
@@ -21,9 +22,6 @@ from rsb_bridge.ros.ros_interface import Endpoint
 from rsb_bridge.ros.stand_in import NoRos
 from rsb_bridge.ros.type_descriptions import TypeCheckers, TypeDescriptions
 from rsb_bridge.route.message_check import CHECKED_A_SECOND, CHECKED_AT_ONCE, MessageCheck
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine
 
 NAMES = "made_up_msgs/msg/Names"
 TEXT = text_of(TypeDescription(MessageType(NAMES, (MessageField("all", FieldType(161, 0, 0, "")),)), ()))

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import pytest
 
 from rsb_bridge.channel.channel import Pace
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.route.ledger import RouteLedger
-from rsb_bridge.route.sending import Outbox, Overload
+from rsb_bridge.route.sending import Outbox, Overload, QueueLimits
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.messages import Propose
-
-if TYPE_CHECKING:
-    from rsb_bridge.route.sending import QueueLimits
 
 AUTO = Qos(depth=500)
 """As the engine chooses it before it knows the rate."""
@@ -58,11 +53,7 @@ def test_live_topic_sends_nothing_old(pace: Pace) -> None:
 
 
 @pytest.mark.parametrize(
-    ("own", "qos"),
-    [
-        (Qos(depth=20), Qos(depth=20)),
-        (None, Qos(depth=20, durability="transient_local")),
-    ],
+    ("own", "qos"), [(Qos(depth=20), Qos(depth=20)), (None, Qos(depth=20, durability="transient_local"))]
 )
 def test_depths_that_are_promised_are_kept(own: Qos | None, qos: Qos) -> None:
     box = outbox(own)

@@ -76,13 +76,7 @@ def make_subscription(
     context: Context, owner: Owner, qos: Qos, *, automatic: bool, expected_rate: float | None = None
 ) -> TopicSubscription:
     subscription = TopicSubscription(
-        context,
-        context.ros,
-        cast("OutgoingPath", Path()),
-        TypeBudget(),
-        owner.meter,
-        owner.log,
-        lambda: None,
+        context, context.ros, cast("OutgoingPath", Path()), TypeBudget(), owner.meter, owner.log, lambda: None
     )
     spec = SubscriptionSpec("/fast", "std_msgs/msg/String", "", qos, "robot1")
     subscription.begin(spec, automatic=automatic, expected_rate=expected_rate, known={})

@@ -114,13 +114,8 @@ def test_a_route_that_flows_is_fine() -> None:
         (SENDER, {"path": LARGE, "loss": LOST}, State.SLOW, Cause.NO_PATH, ["MTU"]),
         (SENDER, {"path": LARGE, "late": LATE}, State.LATE, Cause.LATE, []),
         (SENDER, {"path": SILENT, "no_path": "stuck"}, State.WAITING, Cause.AWAITS_LINK, [SILENT.text]),
-        (
-            SENDER,
-            {"path": SILENT, "refusal": DATA_OUT, "reopens": True},
-            State.WAITING,
-            Cause.AWAITS_LINK,
-            [SILENT.text],
-        ),
+        (SENDER, {"path": SILENT, "refusal": DATA_OUT, "reopens": True}, State.WAITING, Cause.AWAITS_LINK,
+         [SILENT.text]),
         (RECEIVER, STALE | {"path": SILENT}, State.WAITING, Cause.AWAITS_LINK, [SILENT.text]),
         (SENDER, {"path": SILENT, "late": LATE}, State.WAITING, Cause.AWAITS_LINK, [SILENT.text]),
         (SENDER, {"loop": "round"}, State.DOWN, Cause.LOOP, ["round"]),
@@ -129,13 +124,8 @@ def test_a_route_that_flows_is_fine() -> None:
         (SENDER, {"subscribe_failed": "rcl"}, State.DOWN, Cause.SUBSCRIBE_FAILED, ["rcl"]),
         (SENDER, STALE | NEVER | LOOSE, State.DOWN, Cause.QOS_INCOMPATIBLE, [*OFFERED, "qos: auto"]),
         (SENDER, {"endpoints": [TALKER, *LOOSE["endpoints"]]}, State.UNHEARD, Cause.QOS_INCOMPATIBLE, OFFERED),
-        (
-            SENDER,
-            {"endpoints": BOTH, "qos": LATCHED},
-            State.DOWN,
-            Cause.QOS_INCOMPATIBLE,
-            ["/b and /talker", "volatile"],
-        ),
+        (SENDER, {"endpoints": BOTH, "qos": LATCHED}, State.DOWN, Cause.QOS_INCOMPATIBLE,
+         ["/b and /talker", "volatile"]),
         (SENDER, {"left_out": f"{INT} of /b"}, State.UNHEARD, Cause.TYPE_CONFLICT, [f"{INT} of /b"]),
         (SENDER, unresolved(Cause.TYPE_CONFLICT), State.DOWN, Cause.TYPE_CONFLICT, ["as told"]),
         (SENDER, GONE | unresolved(Cause.NO_PUBLISHER), State.WAITING, Cause.NO_PUBLISHER, ["as told"]),
@@ -147,13 +137,8 @@ def test_a_route_that_flows_is_fine() -> None:
         (SENDER, NEVER | {"flowing": False, "accepted": None}, State.WAITING, Cause.NO_MESSAGE, [ACCEPTED]),
         (SENDER, STOPPED, State.STOPPED, Cause.PUBLISHER_SILENT, ["3 s", "10 Hz", f"/talker {STOPPED_PUBLISHING[0]}"]),
         (SENDER, STOPPED | GONE, State.STOPPED, Cause.PUBLISHER_GONE, ["/chat", "domain 2"]),
-        (
-            SENDER,
-            STOPPED | STALE | {"stopped_since": NOW - 20.0},
-            State.STOPPED,
-            Cause.PUBLISHER_SILENT,
-            ["20 s", "10 Hz"],
-        ),
+        (SENDER, STOPPED | STALE | {"stopped_since": NOW - 20.0}, State.STOPPED, Cause.PUBLISHER_SILENT,
+         ["20 s", "10 Hz"]),
         (SENDER, STALE, State.STALE, Cause.PUBLISHER_SILENT, ["20 s", "/talker"]),
         (SENDER, STALE | GONE, State.STALE, Cause.PUBLISHER_GONE, ["/chat"]),
         (SENDER, STALE | GONE | NEVER, State.STALE, Cause.NO_PUBLISHER, ["/chat"]),
@@ -175,16 +160,11 @@ def test_a_route_that_flows_is_fine() -> None:
         (SENDER, {"limit": 5.0}, State.OK, Cause.THROTTLED, ["5 Hz"]),
         (RECEIVER, GONE, State.UNHEARD, Cause.NO_SUBSCRIBER, ["/robot1/chat", "domain 3"]),
         (RECEIVER, {"qos": BEST_EFFORT}, State.UNHEARD, Cause.QOS_INCOMPATIBLE, ["/rviz ", "reliable", "best_effort"]),
-        (
-            RECEIVER,
-            {"endpoints": [TALKER, MAPPER]},
-            State.UNHEARD,
-            Cause.QOS_INCOMPATIBLE,
-            ["/map ", "transient_local"],
-        ),
+        (RECEIVER, {"endpoints": [TALKER, MAPPER]}, State.UNHEARD, Cause.QOS_INCOMPATIBLE,
+         ["/map ", "transient_local"]),
         (RECEIVER, {"endpoints": [ODD]}, State.UNHEARD, Cause.TYPE_CONFLICT, ["/odd ", INT, STRING]),
     ],
-)
+)  # fmt: skip
 def test_each_cause_is_named_in_words(
     facts: Facts, changes: dict[str, Any], state: State, cause: Cause, words: list[str]
 ) -> None:

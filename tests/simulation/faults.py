@@ -8,14 +8,14 @@ other; faults of different robots, and the server's, overlap.
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import msgspec
 
 from rsb_bridge.config.keys import Key
 
 if TYPE_CHECKING:
-    from collections.abc import Coroutine, Iterator
+    from collections.abc import Callable, Coroutine, Iterator, Sequence
     from random import Random
 
     from tests.simulation.action_flow import ActionFlow
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from tests.simulation.services import Client, Server
     from tests.simulation.topic_flow import TopicFlow
     from tests.simulation.world import Robot, World
+
+    Fault: TypeAlias = Callable[[World, Any, Random], Coroutine[None, None, None]]
 
 _MINUTE, _HOUR = 60.0, 3600.0
 _NIGHT = 7.5 * _HOUR
@@ -132,35 +134,43 @@ async def move(world: World, robot: Robot, random: Random) -> None:
 # --- machines and processes
 
 
-async def kill(world: World, robot: Robot, random: Random) -> None:
-    with world.trouble("client killed", robot):
-        robot.host.kill()
+def _machine(world: World, robot: Robot | None) -> tuple[EngineHost, Sequence[Robot]]:
+    """Return a robot's machine, or the server's, and the robots that lose their link with it."""
+    return (world.server, world.robots) if robot is None else (robot.host, (robot,))
+
+
+async def kill(world: World, robot: Robot | None, random: Random) -> None:
+    host, concerned = _machine(world, robot)
+    with world.trouble("killed", *concerned):
+        host.kill()
         await asyncio.sleep(random.choice((0.0, duration(random))))
-        robot.host.start()
+        host.start()
 
 
-async def power_cut(world: World, robot: Robot, random: Random) -> None:
-    with world.trouble("client switched off", robot):
-        robot.host.power_off()
+async def power_cut(world: World, robot: Robot | None, random: Random) -> None:
+    host, concerned = _machine(world, robot)
+    with world.trouble("switched off", *concerned):
+        host.power_off()
         await asyncio.sleep(duration(random))
-        robot.host.machine.power_on()
+        host.machine.power_on()
         await asyncio.sleep(random.choice((0.0, random.uniform(0.0, 30.0))))
-        robot.host.start()
+        host.start()
+
+
+async def upgrade(world: World, robot: Robot | None, random: Random) -> None:
+    host, concerned = _machine(world, robot)
+    with world.trouble("restarted", *concerned):
+        await host.stop()
+        await asyncio.sleep(duration(random))
+        host.start()
 
 
 async def night(world: World, robot: Robot, random: Random) -> None:
-    with world.trouble("client switched off for the night", robot):
+    with world.trouble("switched off for the night", robot):
         await robot.host.stop()
         robot.host.power_off()
         await asyncio.sleep(random.uniform(0.4, 1.6) * _NIGHT)
         robot.host.machine.power_on()
-        robot.host.start()
-
-
-async def upgrade(world: World, robot: Robot, random: Random) -> None:
-    with world.trouble("client restarted", robot):
-        await robot.host.stop()
-        await asyncio.sleep(duration(random))
         robot.host.start()
 
 
@@ -191,29 +201,6 @@ async def wrong_key(world: World, robot: Robot, random: Random) -> None:
         await host.stop()
         host.session, host.keys = session, keys
         host.start()
-
-
-async def server_killed(world: World, random: Random) -> None:
-    with world.trouble("server killed", *world.robots):
-        world.server.kill()
-        await asyncio.sleep(random.choice((0.0, duration(random))))
-        world.server.start()
-
-
-async def server_off(world: World, random: Random) -> None:
-    with world.trouble("server switched off", *world.robots):
-        world.server.power_off()
-        await asyncio.sleep(duration(random))
-        world.server.machine.power_on()
-        await asyncio.sleep(random.choice((0.0, random.uniform(0.0, 30.0))))
-        world.server.start()
-
-
-async def server_upgrade(world: World, random: Random) -> None:
-    with world.trouble("server restarted", *world.robots):
-        await world.server.stop()
-        await asyncio.sleep(duration(random))
-        world.server.start()
 
 
 # --- clocks
@@ -313,7 +300,7 @@ async def busy_ros(world: World, flow: TopicFlow, random: Random) -> None:
 
 # --- all of it
 
-_ROBOT = {
+_ROBOT: dict[Fault, int] = {
     cut: 8,
     cut_one_way: 3,
     flap: 2,
@@ -327,21 +314,32 @@ _ROBOT = {
     twin: 1,
     wrong_key: 1,
 }
-_SERVER = {server_killed: 3, server_off: 2, server_upgrade: 2}
-_EXCHANGE = {server_ends: 3, server_dies: 3, server_hesitates: 3, caller_restarts: 2, offer_fails: 1}
-_FLOW = {publisher_gone: 4, listener_gone: 2, type_differs: 1, take_fails: 1, busy_ros: 4}
+_SERVER: dict[Fault, int] = {kill: 3, power_cut: 2, upgrade: 2}
+_EXCHANGE: dict[Fault, int] = {server_ends: 3, server_dies: 3, server_hesitates: 3, caller_restarts: 2, offer_fails: 1}
+_FLOW: dict[Fault, int] = {publisher_gone: 4, listener_gone: 2, type_differs: 1, take_fails: 1, busy_ros: 4}
 
 
 def of(world: World) -> Iterator[Coroutine[None, None, None]]:
     pause = world.conditions.faults
     if pause:
-        yield _befall_server(world, 5 * pause)
+        yield _befall(world, "the server", 5 * pause, _SERVER, lambda _: None)
         yield _set_clocks(world, 3 * pause)
         for robot in world.robots:
             yield _befall_robot(world, robot, pause)
-            yield _befall_topics(world, robot, pause)
+            yield _befall_flows(world, robot, pause)
             if robot.service_flows or robot.action_flows:
                 yield _befall_services(world, robot, pause)
+
+
+async def _befall(
+    world: World, whose: str, pause: float, faults: dict[Fault, int], victim: Callable[[Random], object]
+) -> None:
+    """One fault after another, with a pause (s, on average) between them."""
+    random = world.random(f"faults of {whose}")
+    while True:
+        await asyncio.sleep(random.expovariate(1 / pause))
+        (fault,) = random.choices(tuple(faults), tuple(faults.values()))
+        await fault(world, victim(random), random)
 
 
 async def _befall_robot(world: World, robot: Robot, pause: float) -> None:
@@ -356,29 +354,16 @@ async def _befall_robot(world: World, robot: Robot, pause: float) -> None:
             await night(world, robot, random)
 
 
-async def _befall_server(world: World, pause: float) -> None:
-    random = world.random("faults of the server")
-    while True:
-        await asyncio.sleep(random.expovariate(1 / pause))
-        (fault,) = random.choices(tuple(_SERVER), tuple(_SERVER.values()))
-        await fault(world, random)
+def _befall_flows(world: World, robot: Robot, pause: float) -> Coroutine[None, None, None]:
+    whose = f"{robot.name}'s topics"
+    return _befall(world, whose, pause, _FLOW, lambda random: random.choice(robot.topic_flows))
 
 
-async def _befall_topics(world: World, robot: Robot, pause: float) -> None:
-    random = world.random(f"faults of {robot.name}'s topics")
-    while True:
-        await asyncio.sleep(random.expovariate(1 / pause))
-        (fault,) = random.choices(tuple(_FLOW), tuple(_FLOW.values()))
-        await fault(world, random.choice(robot.topic_flows), random)
+def _befall_services(world: World, robot: Robot, pause: float) -> Coroutine[None, None, None]:
+    def victim(random: Random) -> ServiceFlow | ActionFlow:
+        return random.choice([*robot.service_flows, *robot.action_flows])
 
-
-async def _befall_services(world: World, robot: Robot, pause: float) -> None:
-    random = world.random(f"faults of {robot.name}'s services")
-    while True:
-        await asyncio.sleep(random.expovariate(1 / pause))
-        (fault,) = random.choices(tuple(_EXCHANGE), tuple(_EXCHANGE.values()))
-        called: list[ServiceFlow | ActionFlow] = [*robot.service_flows, *robot.action_flows]
-        await fault(world, random.choice(called), random)
+    return _befall(world, f"{robot.name}'s services", pause, _EXCHANGE, victim)
 
 
 async def _set_clocks(world: World, pause: float) -> None:

@@ -18,11 +18,9 @@ import heapq
 import itertools
 import math
 from collections import deque
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, TypeVarTuple
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine, Generator
-    from random import Random
+from collections.abc import Callable, Coroutine, Generator
+from random import Random
+from typing import Any, Protocol, TypeVar, TypeVarTuple
 
 T = TypeVar("T")
 Ts = TypeVarTuple("Ts")

@@ -17,10 +17,10 @@ from collections import defaultdict, deque
 from typing import TYPE_CHECKING
 
 import msgspec
-from tests.simulation.services import Client, Server, Services
+from tests.simulation.services import Client, Server, Services, Taker
 
 from rsb_bridge.model.qos import Qos, incompatible
-from rsb_bridge.ros.ros_interface import RawMessage, RosError
+from rsb_bridge.ros.ros_interface import RawMessage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -37,7 +37,6 @@ _DISCOVERY = (0.001, 0.05)
 _TAKING = (0.0001, 0.002)
 _LEASE = (10.0, 40.0)
 """s, between which a process that has died is still seen."""
-_BATCH = 64
 _KEEP_ALL = 5000
 _OF_NOBODY = contextvars.Context()
 
@@ -135,9 +134,9 @@ class Domain:
 
     def forget_later(self, end: Writer | Reader | Server | Client) -> None:
         """Drop an endpoint whose process has died, once its lease is over."""
-        self.loop.call_later(self.random.uniform(*_LEASE), self._forget, end, context=_OF_NOBODY)
+        self.loop.call_later(self.random.uniform(*_LEASE), self.forget, end, context=_OF_NOBODY)
 
-    def _forget(self, end: Writer | Reader | Server | Client) -> None:
+    def forget(self, end: Writer | Reader | Server | Client) -> None:
         if isinstance(end, Writer):
             self.remove_writer(end)
         elif isinstance(end, Reader):
@@ -155,7 +154,7 @@ class Domain:
         writer.matched[reader] = None
         if reader.qos.durability == "transient_local":
             for sample in writer.kept:
-                reader.put(writer, sample)
+                reader.hear(writer, sample)
 
 
 class Writer:
@@ -197,7 +196,7 @@ class Writer:
             self.on_publish(payload)
         for reader in self.matched:
             if not reader.closed:
-                reader.put(self, sample)
+                reader.hear(self, sample)
 
     @property
     def subscriber_count(self) -> int:
@@ -218,13 +217,12 @@ class Writer:
             self._domain.remove_writer(self)
 
 
-class Reader:
+class Reader(Taker[RawMessage]):
     """A subscription of any node's: `rsb_bridge.ros.ros_interface.Subscription`.
 
     Attributes:
         lost: messages that came and could not be kept until they were taken.
         on_take: told of each batch, before the sink.
-        stalled: whether the taking thread is stopped; arriving messages are kept as usual.
     """
 
     def __init__(
@@ -239,42 +237,24 @@ class Reader:
         origin: Hashable = None,
         on_failure: OnFailure | None = None,
     ) -> None:
-        self.gid = domain.new_gid()
-        self.node = node
+        super().__init__(domain, node, topic, type_name, type_hash, sink, on_failure)
         self.topic = topic
-        self.type_name = type_name
-        self.type_hash = type_hash
         self.qos = qos
         self.seen_qos = msgspec.structs.replace(qos, depth=0)
         self.lost = 0
         self.taken = 0
-        self.closed = False
-        self.stalled = False
         self.on_take: Callable[[list[RawMessage]], None] | None = None
         self._origin = (node, origin)
-        self._sink = sink
-        self._on_failure = on_failure
-        self._pending: deque[RawMessage] = deque()
         self._depth = _KEEP_ALL if qos.history == "keep_all" else max(1, qos.depth)
-        self._draining = False
-        self._domain = domain
-        self._context = contextvars.copy_context()
         domain.add_reader(self)
 
-    def put(self, writer: Writer, sample: RawMessage) -> None:
+    def hear(self, writer: Writer, sample: RawMessage) -> None:
         if writer.origin == self._origin:
             return
         if len(self._pending) >= self._depth:
             self._pending.popleft()
             self.lost += 1
-        self._pending.append(sample)
-        self._drain_soon()
-
-    def _drain_soon(self) -> None:
-        if not self._draining:
-            self._draining = True
-            domain = self._domain
-            domain.loop.call_later(domain.random.uniform(*domain.taking), self._drain, context=self._context)
+        self.put(sample)
 
     def go_on(self) -> None:
         """Take again what has come meanwhile, soon."""
@@ -282,33 +262,10 @@ class Reader:
         if self._pending:
             self._drain_soon()
 
-    def _drain(self) -> None:
-        self._draining = False
-        if self.closed or self.stalled:
-            return
+    def _take(self, batch: list[RawMessage]) -> None:
         now = self._domain.wall_ns()  # a process that was frozen receives then what arrived meanwhile
-        batch = [each._replace(stamp=now) for each in itertools.islice(self._pending, _BATCH)]
-        for _ in batch:
-            self._pending.popleft()
-        if self._pending:
-            self._drain_soon()
+        batch = [each._replace(stamp=now) for each in batch]
         self.taken += len(batch)
         if self.on_take is not None:
             self.on_take(batch)
         self._sink(batch)
-
-    def close(self, *, killed: bool = False) -> None:
-        if self.closed:
-            return
-        self.closed = True
-        if killed:
-            self._domain.forget_later(self)
-        else:
-            self._domain.remove_reader(self)
-
-    def fail(self) -> None:
-        """Let the next take fail: the subscription is over."""
-        if not self.closed:
-            self.close()
-            if self._on_failure is not None:
-                self._context.run(self._on_failure, RosError(f"{self.topic}: taking failed"))

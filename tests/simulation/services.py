@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextvars
 from collections import defaultdict, deque
 from functools import partial
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import Request, Response, RosError
@@ -47,17 +47,17 @@ class Services:
         ends: list[Server | Client] = [end for servers in self.servers.values() for end in servers]
         ends += [end for clients in self.clients.values() for end in clients]
         for end in ends:
-            found.setdefault(end.service, set()).add(end.type_name)
+            found.setdefault(end.name, set()).add(end.type_name)
         return found
 
     def add(self, end: Server | Client) -> None:
         if isinstance(end, Server):
-            self.servers[end.service].append(end)
-            pairs = [(client, end) for client in self.clients[end.service]]
+            self.servers[end.name].append(end)
+            pairs = [(client, end) for client in self.clients[end.name]]
         else:
-            self.clients[end.service].append(end)
+            self.clients[end.name].append(end)
             self._by_gid[end.gid] = end
-            pairs = [(end, server) for server in self.servers[end.service]]
+            pairs = [(end, server) for server in self.servers[end.name]]
         self.domain.changed()
         for client, server in pairs:
             if client.type_name == server.type_name:
@@ -72,12 +72,12 @@ class Services:
         if isinstance(end, Client):
             if self._by_gid.pop(end.gid, None) is None:
                 return
-            self.clients[end.service].remove(end)
+            self.clients[end.name].remove(end)
         else:
-            if end not in self.servers[end.service]:
+            if end not in self.servers[end.name]:
                 return
-            self.servers[end.service].remove(end)
-            for client in self.clients[end.service]:
+            self.servers[end.name].remove(end)
+            for client in self.clients[end.name]:
                 client.matched.pop(end, None)
         self.domain.changed()
 
@@ -94,34 +94,37 @@ class Services:
             self.domain.loop.call_later(_WAITS, later, context=_OF_NOBODY)
 
 
-class _End(Generic[T]):
-    """The common part of servers and clients."""
+class Taker(Generic[T]):
+    """What a node takes from in batches: a subscription, or its end of a service.
+
+    Attributes:
+        stalled: whether the taking thread is stopped; what arrives is kept as usual.
+    """
 
     def __init__(
         self,
-        services: Services,
+        domain: Domain,
         node: str,
-        service: str,
+        name: str,
         type_name: str,
         type_hash: str,
         sink: Callable[[Sequence[T]], None],
         on_failure: OnFailure | None = None,
     ) -> None:
-        self.gid = services.domain.new_gid()
+        self.gid = domain.new_gid()
         self.node = node
-        self.service = service
+        self.name = name
         self.type_name = type_name
         self.type_hash = type_hash
         self.seen_qos = SEEN
         self.closed = False
-        self._services = services
+        self.stalled = False
+        self._domain = domain
         self._sink = sink
         self._on_failure = on_failure
         self._pending: deque[T] = deque()
         self._draining = False
         self._context = contextvars.copy_context()
-        self.matched: dict[Server, None] = {}  # of a client: the servers that its calls reach
-        services.add(self)  # type: ignore[arg-type]
 
     def put(self, each: T) -> None:
         self._pending.append(each)
@@ -130,16 +133,19 @@ class _End(Generic[T]):
     def _drain_soon(self) -> None:
         if not self._draining:
             self._draining = True
-            domain = self._services.domain
+            domain = self._domain
             domain.loop.call_later(domain.random.uniform(*domain.taking), self._drain, context=self._context)
 
     def _drain(self) -> None:
         self._draining = False
-        if self.closed or not self._pending:
+        if self.closed or self.stalled:
             return
         batch = [self._pending.popleft() for _ in range(min(_BATCH, len(self._pending)))]
         if self._pending:
             self._drain_soon()
+        self._take(batch)
+
+    def _take(self, batch: list[T]) -> None:
         self._sink(batch)
 
     def fail(self) -> None:
@@ -147,7 +153,7 @@ class _End(Generic[T]):
         if not self.closed:
             self.close()
             if self._on_failure is not None:
-                self._context.run(self._on_failure, RosError(f"{self.service}: taking failed"))
+                self._context.run(self._on_failure, RosError(f"{self.name}: taking failed"))
 
     def close(self, *, killed: bool = False) -> None:
         """Free it; where its process is killed, others see it for a while."""
@@ -155,9 +161,19 @@ class _End(Generic[T]):
             return
         self.closed = True
         if killed:
-            self._services.domain.forget_later(self)  # type: ignore[arg-type]
+            self._domain.forget_later(self)  # type: ignore[arg-type]
         else:
-            self._services.remove(self)  # type: ignore[arg-type]
+            self._domain.forget(self)  # type: ignore[arg-type]
+
+
+class _End(Taker[T]):
+    """The common part of servers and clients."""
+
+    def __init__(self, services: Services, *what: Any) -> None:
+        super().__init__(services.domain, *what)
+        self._services = services
+        self.matched: dict[Server, None] = {}  # of a client: the servers that its calls reach
+        services.add(self)  # type: ignore[arg-type]
 
 
 class Server(_End[Request]):
@@ -165,7 +181,7 @@ class Server(_End[Request]):
 
     @property
     def seen(self) -> bool:
-        return self in self._services.servers[self.service]
+        return self in self._services.servers[self.name]
 
     def answer(self, caller: bytes, payload: bytes) -> None:
         if not self.closed:
@@ -183,7 +199,7 @@ class Client(_End[Response]):
 
     def call(self, payload: bytes) -> int:
         self.called += 1
-        request = Request(payload, self.gid + self.called.to_bytes(8, "big"), self._services.domain.wall_ns())
+        request = Request(payload, self.gid + self.called.to_bytes(8, "big"), self._domain.wall_ns())
         for server in self.matched:
             if not server.closed:
                 server.put(request)

@@ -13,18 +13,14 @@ import errno
 import socket as real
 import sys
 from collections import deque
-from typing import TYPE_CHECKING, Any, TypeAlias
+from collections.abc import Callable, Iterator, Sequence
+from types import ModuleType
+from typing import Any, TypeAlias
 
 from tests.simulation.loop import PROGRAM
-from tests.simulation.machine import ANY, Process, os_error
+from tests.simulation.machine import ANY, Machine, Process, os_error
 from tests.simulation.network import is_numeric
 from tests.simulation.streams import StreamTransport
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from types import ModuleType
-
-    from tests.simulation.machine import Machine
 
 Address: TypeAlias = tuple[Any, ...]
 

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 _OWN = ("rsb_bridge.", "tests.simulation.engine_host")
 _NOT_HELD = (asyncio.Future, asyncio.AbstractEventLoop, type)

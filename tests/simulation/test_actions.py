@@ -235,7 +235,7 @@ def test_nothing_is_left_over_after_a_course_of_faults(seed: int) -> None:
             lambda: faults.cut(world, court.robot, random),
             lambda: faults.cut(world, court.robot, random),
             lambda: faults.kill(world, court.robot, random),
-            lambda: faults.server_killed(world, random),
+            lambda: faults.kill(world, None, random),
             lambda: faults.server_ends(world, action, random),
             lambda: faults.server_dies(world, action, random),
             lambda: faults.offer_fails(world, action, random),

@@ -186,11 +186,7 @@ _matching = replaced.DEMANDS_MATCHING.value
 
 @pytest.mark.parametrize(
     ("owner", "name", "mistake"),
-    [
-        (RunningDemands, "_keep", _forgotten),
-        (LinkArming, "_own", _of_the_entry),
-        (Demands, "_matching", _first),
-    ],
+    [(RunningDemands, "_keep", _forgotten), (LinkArming, "_own", _of_the_entry), (Demands, "_matching", _first)],
     ids=["edits drop demands", "only the route's own entry", "patterns do not count"],
 )
 def test_a_mistake_is_found(owner: type, name: str, mistake: Callable[..., object]) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Coroutine
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.simulation.conditions import STILL
@@ -12,10 +12,6 @@ from tests.simulation.world import World
 from tests.support.long import long
 
 from rsb_bridge.model.codes import EventCode
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine
-
 
 _TIMES = 3
 _CONDITIONS = replace(STILL, topics=(8,), periods=(0.5, 2.0))

@@ -302,10 +302,7 @@ class Armed:
     async def _live(self, life: Coroutine[Any, Any, None], *others: Coroutine[Any, Any, None]) -> None:
         tasks = [asyncio.ensure_future(each) for each in (self.watch(), self.keep(), *others)]
         await asyncio.sleep(8.0)
-        with (
-            self.world.trouble("standstills", self.robot),
-            self.world.flow_trouble(self.flow, "armed at times"),
-        ):
+        with self.world.trouble("standstills", self.robot), self.world.flow_trouble(self.flow, "armed at times"):
             try:
                 await life
                 await asyncio.sleep(5.0)

@@ -9,22 +9,11 @@ from pathlib import Path
 import pytest
 from tests.simulation.world import Violation, World
 
-DAYS = {
-    1: 0.2,
-    3: 0.4,
-    5: 0.35,
-    6: 0.4,
-    8: 0.2,
-    58: 0.02,
-}
+DAYS = {1: 0.2, 3: 0.4, 5: 0.35, 6: 0.4, 8: 0.2, 58: 0.02}
 """Simulated days by seed: robots that are used now and then (3, 6) or all the time (1, 5), a world where something
 happens every few seconds (8), and many robots on one server (58)."""
 
-BEGINNINGS = {
-    3: 0.02,
-    8: 0.01,
-    58: 0.002,
-}
+BEGINNINGS = {3: 0.02, 8: 0.01, 58: 0.002}
 """What `make test` plays of these worlds."""
 
 

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from random import Random
 
+    from tests.soak.network import Condition
     from tests.soak.processes import Process
     from tests.soak.stage import Stage
 
@@ -56,28 +57,14 @@ def _frozen(stage: Stage, place: int, seconds: float) -> None:
     stage.programs[place].thaw()
 
 
-def _cut(stage: Stage, place: int, seconds: float) -> None:
-    """Drop everything, silently."""
-    path = stage.network[place - 1]
-    path.become("cut")
-    stage.live(seconds)
-    path.become("whole")
+def _network(condition: Condition) -> Callable[[Stage, int, float], None]:
+    def strike(stage: Stage, place: int, seconds: float) -> None:
+        path = stage.network[place - 1]
+        path.become(condition)
+        stage.live(seconds)
+        path.become("whole")
 
-
-def _stalled(stage: Stage, place: int, seconds: float) -> None:
-    """TCP is not carried, UDP is."""
-    path = stage.network[place - 1]
-    path.become("stalled")
-    stage.live(seconds)
-    path.become("whole")
-
-
-def _refused(stage: Stage, place: int, seconds: float) -> None:
-    """Connections are reset, and new ones refused."""
-    path = stage.network[place - 1]
-    path.become("refusing")
-    stage.live(seconds)
-    path.become("whole")
+    return strike
 
 
 def _flapping(stage: Stage, place: int, seconds: float) -> None:
@@ -94,9 +81,9 @@ ACTS: dict[str, Callable[[Stage, int, float], None]] = {
     "kill -9": _killed,
     "talkers killed": _talkers_killed,
     "frozen": _frozen,
-    "cut": _cut,
-    "stalled": _stalled,
-    "refused": _refused,
+    "cut": _network("cut"),
+    "stalled": _network("stalled"),
+    "refused": _network("refusing"),
     "flapping": _flapping,
 }
 _ON_THE_NETWORK = {"cut", "stalled", "refused", "flapping"}

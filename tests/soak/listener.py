@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from tests.soak.messages import Kind, decode
-from tests.support.domain import BEST_EFFORT, RELIABLE
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from tests.support.domain import Domain
+from tests.support.domain import BEST_EFFORT, RELIABLE, Domain
 
 _LATCHED = QoSProfile(depth=100, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 

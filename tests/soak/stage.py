@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import yaml
 from tests.soak.listener import TopicListener
@@ -15,10 +16,6 @@ from tests.support.ports import free_port
 from tests.support.program import free_shared_memory
 
 from rsb_bridge.config.keys import write_key
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-    from pathlib import Path
 
 _STARTS_WITHIN = 120.0
 _SAMPLE_EVERY = 1.0

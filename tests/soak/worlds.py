@@ -5,12 +5,9 @@ from __future__ import annotations
 import subprocess
 import threading
 import time
-from typing import TYPE_CHECKING
+from random import Random
 
 from tests.soak.processes import spawn
-
-if TYPE_CHECKING:
-    from random import Random
 
 _DAYS = (0.25, 1.0, 1.0, 3.0)
 """The ages of worlds: many young ones find faults of the beginning, a few old ones find growth."""

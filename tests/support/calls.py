@@ -21,20 +21,18 @@ import sys
 import threading
 import time
 import zlib
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
+from tests.support.asked import Asked
 from tests.support.forker import Forked
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.text import keep_output_clean
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 TYPE = "nav_msgs/srv/LoadMap"
 DEEP = 5000
 """Of 1,000 requests at once rclpy's own depth of 10 loses most in DDS, bridge or not."""
-_ANSWERS_WITHIN = 60.0
 
 
 class Outcome(NamedTuple):
@@ -79,14 +77,14 @@ class Served(NamedTuple):
     waiting: int
 
 
-class CallNode:
+class CallNode(Asked):
     """The process, told what to do."""
 
     def __init__(self, domain_id: int, start: Callable[..., subprocess.Popen[str]] | None = None) -> None:
         """Begin it, on another machine where `start` starts programs there (`tests.network.hosts.Host.start`)."""
         command = ("tests.support.calls", str(domain_id))
         pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-        self._process: Any = start(sys.executable, "-m", *command, **pipes) if start else Forked(*command, **pipes)
+        super().__init__(start(sys.executable, "-m", *command, **pipes) if start else Forked(*command, **pipes))
 
     @property
     def pid(self) -> int:
@@ -108,20 +106,20 @@ class CallNode:
             gather: answer none before there are so many calls, and then in random order.
         """
         for service in services:
-            self._ask(do="serve", service=service, node=node, delay=delay, gather=gather, depth=depth)
+            self.ask(do="serve", service=service, node=node, delay=delay, gather=gather, depth=depth)
 
     def unserve(self, *services: str) -> None:
         """Serve these no more."""
         for service in services:
-            self._ask(do="unserve", service=service)
+            self.ask(do="unserve", service=service)
 
     def served(self, service: str) -> Served:
         """Return the requests that a server has received so far."""
-        return Served(*self._ask(do="served", service=service))
+        return Served(*self.ask(do="served", service=service))
 
     def ready(self, *services: str) -> bool:
         """Whether all have a server, as a client sees it."""
-        ready: bool = self._ask(do="ready", service=services)
+        ready: bool = self.ask(do="ready", service=services)
         return ready
 
     def waits_for(self, *services: str, within: float = 180.0) -> float:
@@ -137,14 +135,7 @@ class CallNode:
         return time.monotonic() - began
 
     def begin(
-        self,
-        service: str,
-        count: int = 1,
-        *,
-        at_once: int = 1,
-        size: int = 0,
-        response: int = 0,
-        rate: float = 0.0,
+        self, service: str, count: int = 1, *, at_once: int = 1, size: int = 0, response: int = 0, rate: float = 0.0
     ) -> None:
         """Make calls, and go on with something else.
 
@@ -154,17 +145,16 @@ class CallNode:
             response: bytes of a response beyond its name.
             rate: Hz, or 0 for as many as `at_once` allows.
         """
-        self._ask(
-            do="call", service=service, count=count, at_once=at_once, size=size, response=response, rate=rate
-        )  # fmt: skip
+        how = {"at_once": at_once, "size": size, "response": response, "rate": rate}
+        self.ask(do="call", service=service, count=count, **how)
 
     def outcome(self, service: str) -> Outcome:
         """Return the outcomes of the last calls so far."""
-        return Outcome(*self._ask(do="outcome", service=service))
+        return Outcome(*self.ask(do="outcome", service=service))
 
     def give_up(self, service: str) -> Outcome:
         """Forget its client, with all calls that have no answer yet. Return their outcomes."""
-        return Outcome(*self._ask(do="give up", service=service))
+        return Outcome(*self.ask(do="give up", service=service))
 
     def settled(self, service: str, quiet: float = 60.0) -> Outcome:
         """Wait until all calls are answered, or none has been for so long (s)."""
@@ -184,7 +174,7 @@ class CallNode:
 
     def clear(self) -> None:
         """Forget all servers and clients."""
-        self._ask(do="clear", service="")
+        self.ask(do="clear", service="")
 
     def kill(self) -> None:
         self._process.kill()
@@ -193,17 +183,6 @@ class CallNode:
     def close(self) -> None:
         if self._process.returncode is None:
             self._process.communicate(timeout=60)
-
-    def _ask(self, **request: Any) -> Any:
-        stdin, stdout = self._process.stdin, self._process.stdout
-        assert stdin is not None
-        assert stdout is not None
-        stdin.write(json.dumps(request) + "\n")
-        stdin.flush()
-        assert select.select([stdout], [], [], _ANSWERS_WITHIN)[0], f"the node does not answer {request}"
-        answer = json.loads(stdout.readline())
-        assert "broken" not in answer, answer
-        return answer["is"]
 
 
 # --- the node's own process

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from tests.console.scripted import ScriptedEngine
 
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.control.control_server import ControlServer
+
+E = TypeVar("E")
 
 
 class Machine:
@@ -44,6 +46,11 @@ class Machine:
         self.engines.append(engine)
         self._resources.callback(server.close)
         return server
+
+    def have(self, engine: E, **changes: Any) -> E:
+        """Serve an engine; return it."""
+        self.serve(engine, **changes)
+        return engine
 
     def attach(self, name: str = "robot1", *, read_only: bool = False) -> RemoteEngine:
         remote = RemoteEngine(self.folder / f"{name}.sock", read_only=read_only)

@@ -1,32 +1,30 @@
 """Messages counted outside of the bridge: a publisher, a listener and both bridges are processes of their own.
 
-`python -m tests.support.counting publish|listen DOMAIN TOPIC DEPTH` is a publisher or a listener. It prints ``ready``,
-and answers each line of its input with its count so far.
+`python -m tests.support.counting publish|listen DOMAIN TOPIC DEPTH` is a publisher or a listener, which answers each
+line of its input with its count so far.
 """
 
 from __future__ import annotations
 
 import itertools
 import json
-import select
 import signal
 import subprocess
 import sys
 import time
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
 
+from tests.support.asked import Asked, answers
 from tests.support.forker import Forked
 from tests.support.ports import free_port
+from tests.support.program import Programs
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import write_key
-from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.text import keep_output_clean
-
-if TYPE_CHECKING:
-    from pathlib import Path
-    from types import TracebackType
 
 TOPIC = "/count"
 _QUIET = 1.3
@@ -67,76 +65,32 @@ class Count(NamedTuple):
         return f"{self.published} published, {self.never_taken} never taken, {self.received} received; {figures}"
 
 
-class _Child:
-    """A process that answers lines with lines."""
-
-    def __init__(self, *arguments: object) -> None:
-        words = map(str, arguments)
-        self._process = Forked("tests.support.counting", *words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-
-    def read(self) -> str:
-        assert self._process.stdout is not None
-        return str(self._process.stdout.readline()).strip()
-
-    def ask(self, words: str = "count") -> Any:
-        """Send it a command, and return its count."""
-        assert self._process.stdin is not None
-        self._process.stdin.write(f"{words}\n")
-        self._process.stdin.flush()
-        return json.loads(self.read())
-
-    def freeze(self, seconds: float) -> None:
-        """Stop it for some time."""
-        self._process.send_signal(signal.SIGSTOP)
-        time.sleep(seconds)
-        self._process.send_signal(signal.SIGCONT)
-
-    def close(self) -> None:
-        with self._process:
-            self._process.kill()
+def _counter(*arguments: object) -> Asked:
+    words = map(str, arguments)
+    return Asked(Forked("tests.support.counting", *words, stdin=subprocess.PIPE, stdout=subprocess.PIPE))
 
 
 class _Bridge:
     """`rsb-console run`, which prints its status ten times a second."""
 
     def __init__(self, folder: Path, session: Session) -> None:
-        path = folder / f"{session.role}.yaml"
-        save(session, path)
-        self._arguments = ["run", str(path), "--no-ui", "--log-format", "json", "--status-every", "0.1"]
-        self._arguments += ["--control", f"{path}.sock"]
-        self._folder = folder
-        self._name = session.role
-        self._lives = 0
+        self._programs, self._session = Programs(folder), session
+        self._environ = {"XDG_STATE_HOME": str(folder / session.role)}
+        self.close = self._programs.close
         self.start()
 
     def start(self) -> None:
-        self._lives += 1
-        self._log = self._folder / f"{self._name}{self._lives}.log"
-        with self._log.open("w") as log:
-            environ = {"XDG_STATE_HOME": str(self._folder / self._name)}
-            self._process = Forked(
-                "rsb_console", *self._arguments, environ=environ, stdout=log, stderr=subprocess.STDOUT
-            )
-
-    def kill(self) -> None:
-        self._process.kill()
-        self._process.wait(10)
-
-    def signal(self, number: signal.Signals) -> None:
-        self._process.send_signal(number)
+        self.program = self._programs.start(self._session, "--status-every", "0.1", environ=self._environ)
 
     def topic(self) -> dict[str, Any] | None:
         """Return the topic of the newest status, or None before the first status."""
-        for line in reversed(self._log.read_text().splitlines(keepends=True)):
+        for line in reversed(self.program.output.splitlines(keepends=True)):
             if line.startswith("{") and line.endswith("}\n"):
                 found = json.loads(line)
                 for route in found.get("status", {}).get("routes", ()):
                     if route["topic"].endswith(TOPIC):
                         return dict(route)
         return None
-
-    def output(self) -> str:
-        return self._log.read_text()[-3000:]
 
 
 class CountedBridge:
@@ -168,51 +122,48 @@ class CountedBridge:
             "server": {"domain_id": domains[1], "server_ip": address[0]},
             "client": {"domain_id": domains[0], "server_ip": address[1], "topics": (topic,)},
         }
-        self.listener = _Child("listen", domains[1], TOPIC, depth)
-        self.publisher = _Child("publish", domains[0], TOPIC, depth)
+        self.listener = _counter("listen", domains[1], TOPIC, depth)
+        self.publisher = _counter("publish", domains[0], TOPIC, depth)
         self.server, self.client = (
             _Bridge(folder, Session(**{**common, "role": role, **fields, **(settings or {})}))
             for role, fields in sides.items()
         )
-        assert self.listener.read() == self.publisher.read() == "ready"
 
     def __enter__(self) -> CountedBridge:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        for bridge in (self.server, self.client):
-            bridge.kill()
-        for child in (self.listener, self.publisher):
-            child.close()
+        for each in (self.server, self.client, self.listener, self.publisher):
+            each.close()
 
     def flows(self, rate: float) -> None:
         """Publish at `rate` Hz from now on; wait until more comes."""
         eventually(
             lambda: self.publisher.ask()["matched"] and self.listener.ask()["matched"],
-            what=f"both ends; the client says {self.client.output()}",
+            what=f"both ends; the client says {self.client.program.output[-3000:]}",
         )
         before = self.listener.ask()["heard"]
-        self.publisher.ask(f"rate {rate}")
+        self.publisher.ask(rate=rate)
         eventually(
             lambda: self.listener.ask()["heard"] > before + 5,
-            what=f"messages; the client says {self.client.output()}",
+            what=f"messages; the client says {self.client.program.output[-999:]}",
         )
 
     def freeze(self, seconds: float) -> None:
         """Stop the receiving bridge for some time."""
-        self.server.signal(signal.SIGSTOP)
+        self.server.program.signal(signal.SIGSTOP)
         time.sleep(seconds)
-        self.server.signal(signal.SIGCONT)
+        self.server.program.signal(signal.SIGCONT)
 
     def restart(self, after: float = 0.0) -> None:
         """Kill the receiving bridge, and start it again."""
-        self.server.kill()
+        self.server.program.kill()
         time.sleep(after)
         self.server.start()
 
     def settled(self) -> Count:
         """Stop publishing; the counts once they change no more."""
-        published = self.publisher.ask("rate 0")["published"]
+        published = self.publisher.ask(rate=0.0)["published"]
         last: Any = None
         since = time.monotonic()
 
@@ -226,7 +177,7 @@ class CountedBridge:
             return (heard, topic) if time.monotonic() - since > _QUIET else None
 
         heard, topic = eventually(quiet, within=30, what=f"a settled ledger; the last was {last}")
-        return Count(published, heard["heard"], heard["doubled"], self.listener.ask("gaps"), topic)
+        return Count(published, heard["heard"], heard["doubled"], self.listener.ask(gaps=True), topic)
 
 
 def _publish(domain_id: int, topic: str, depth: int) -> None:
@@ -235,17 +186,15 @@ def _publish(domain_id: int, topic: str, depth: int) -> None:
 
     domain = Domain(domain_id)
     publisher = domain.publisher(topic, qos=QoSProfile(depth=depth))
-    _say("ready")
     count, rate, due = 0, 0.0, time.monotonic()
-    while True:
-        wait = max(0.0, due - time.monotonic()) if rate else 1.0
-        if select.select([sys.stdin], [], [], wait)[0]:
-            line = sys.stdin.readline()
-            if not line:
-                return
-            if line.startswith("rate"):
-                rate, due = float(line.split()[1]), time.monotonic()
-            _say(json.dumps({"published": count, "matched": publisher.get_subscription_count()}))
+
+    def act(request: dict[str, Any]) -> object:
+        nonlocal rate, due
+        if "rate" in request:
+            rate, due = request["rate"], time.monotonic()
+        return {"published": count, "matched": publisher.get_subscription_count()}
+
+    while answers(act, max(0.0, due - time.monotonic()) if rate else 1.0):
         while rate and due <= time.monotonic():
             publisher.publish(text(f"{count}"))
             count += 1
@@ -260,29 +209,21 @@ def _listen(domain_id: int, topic: str, depth: int) -> None:
     listener = domain.listener(topic, qos=QoSProfile(depth=depth))
     heard: set[str] = set()
     doubled, newest = 0, -1
-    _say("ready")
-    while True:
+
+    def act(request: dict[str, Any]) -> object:
+        if "gaps" in request:
+            numbers = sorted(map(int, heard))
+            lengths = [after - before - 1 for before, after in itertools.pairwise([-1, *numbers])]
+            return sorted(filter(None, lengths), reverse=True)
+        return {"heard": len(heard), "doubled": doubled, "newest": newest, "matched": listener.matched}
+
+    while answers(act, 0.001):
         count = len(listener.payloads)  # takes what has come
         words = listener.texts(count) if count else []
         listener.forget()
         doubled += len(words) - len(set(words) - heard)
         heard.update(words)
         newest = max(newest, *map(int, words)) if words else newest
-        if select.select([sys.stdin], [], [], 0.001)[0]:
-            line = sys.stdin.readline()
-            if not line:
-                return
-            if line.startswith("gaps"):
-                numbers = sorted(map(int, heard))
-                lengths = [after - before - 1 for before, after in itertools.pairwise([-1, *numbers])]
-                _say(json.dumps(sorted(filter(None, lengths), reverse=True)))
-                continue
-            _say(json.dumps({"heard": len(heard), "doubled": doubled, "newest": newest, "matched": listener.matched}))
-
-
-def _say(line: str) -> None:
-    sys.stdout.write(f"{line}\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -23,19 +23,19 @@ import sys
 import termios
 import threading
 import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from types import TracebackType
+from typing import IO, Any
 
 from tests.support.handles import Handle
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from types import TracebackType
-
 _ROOT = Path(__file__).parents[2]
 _FOR_ALL = ("rsb_bridge.ros.participant", "std_msgs.msg", "geometry_msgs.msg", "rclpy.node", "rclpy.executors")
+_RSB_CONSOLE = ("rsb_console.cli", "rsb_console.command.headless", "rsb_console.command.remote")
 _FOR_MODULE = {
-    "rsb_console": ("rsb_console.cli", "rsb_console.command.headless", "rsb_console.command.remote"),
+    "rsb_console": _RSB_CONSOLE,
+    "tests.system.torture.program": _RSB_CONSOLE,
     "tests.support.calls": ("nav_msgs.srv",),
     "tests.support.fibonacci": ("pytest", "rclpy.action", "test_msgs.action"),
 }

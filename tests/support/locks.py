@@ -7,14 +7,10 @@ import fcntl
 import functools
 import os
 import tempfile
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tests.support.waiting import eventually
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
 
 _DOMAINS = range(2, 80, 2)
 """`tests/network` has 80 and 81, and the demo, which knows nothing of these locks, those above."""

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from typing import Any
 
 from rsb_bridge.model.codes import EventCode
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 _ADDRESS = re.compile(r" at (\d+\.\d+\.\d+\.\d+|\[[0-9a-f:]+\])(:\d+)?\b")
 _WARNINGS = frozenset(

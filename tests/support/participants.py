@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from weakref import WeakKeyDictionary
 
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
@@ -22,9 +23,6 @@ from tests.support.waiting import pauses
 
 from rsb_bridge.ros.memory import profile_variable
 from rsb_bridge.ros.node import RosNode
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 _KNOWN_WITHIN = 15.0
 """s; DDS announces a participant five times at once, and then as often as the profile says."""

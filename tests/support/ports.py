@@ -5,14 +5,11 @@ from __future__ import annotations
 import functools
 import itertools
 import socket
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 from tests.support.locks import locked
 
 from rsb_bridge.model.limits import discovery_domain
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _BLOCK = 130
 _BLOCKS = range(27_400, 32_600, _BLOCK)

@@ -34,22 +34,21 @@ class Programs:
         self._programs: list[Program] = []
         self._start = start
 
-    def start(self, session: Session, descriptors: tuple[int, int] | None = None) -> Program:
-        """Run a session; its key files are relative to the folder.
+    def start(self, session: Session, *arguments: str, **how: Any) -> Program:
+        """Run a session with further arguments; its key files are relative to the folder.
 
         Args:
-            descriptors: the process's soft and hard limits of descriptors, or None to inherit them.
+            how: as `Forked` takes it.
         """
         number = len(self._programs)
         path, log = self._folder / f"{session.role}{number}.yaml", self._folder / f"{session.role}{number}.log"
         save(session, path)
         # A socket of its own: some tests run one session twice, as two machines may.
         options = ("--no-ui", "--log-format", "json", "--control", f"{path}.sock")
-        limits = {"descriptors": descriptors} if descriptors else {}
         with log.open("a") as output:
             process = self._start(
-                "rsb_console", "run", str(path), *options,
-                stdin=subprocess.DEVNULL, stdout=output, stderr=output, **limits,
+                "rsb_console", "run", str(path), *options, *arguments,
+                stdin=subprocess.DEVNULL, stdout=output, stderr=output, **how,
             )  # fmt: skip
         program = Program(process.pid, log, process.wait)
         self._programs.append(program)

@@ -17,15 +17,12 @@ import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 from tests.support.ports import free_port
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 Stream: TypeAlias = Literal["control", "data", "datagrams"]
 Fate: TypeAlias = Callable[[bytes], list[bytes]]

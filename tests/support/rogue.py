@@ -47,13 +47,7 @@ class Rogue:
     """
 
     def __init__(
-        self,
-        port: int,
-        key: bytes | None,
-        name: str = "robot1",
-        *,
-        host: str = "127.0.0.1",
-        timeout: float = 60.0,
+        self, port: int, key: bytes | None, name: str = "robot1", *, host: str = "127.0.0.1", timeout: float = 60.0
     ) -> None:
         self._address = (host, port)
         self._timeout = timeout

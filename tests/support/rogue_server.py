@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from tests.support.rogue import whole
 
@@ -12,11 +12,8 @@ from rsb_bridge.wire.connection import ServerConnection
 from rsb_bridge.wire.events import Established, MessageReceived
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.handshake import ReplayCache
-from rsb_bridge.wire.messages import Hello, Welcome
+from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome
 from rsb_bridge.wire.sealed_stream import Credential
-
-if TYPE_CHECKING:
-    from rsb_bridge.wire.messages import ControlMessage
 
 
 class RogueServer:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
 
 from rsb_bridge.wire.sealing import CipherSuite, SessionKeys
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 
 def propose(keys: SessionKeys, routes: Iterable[int]) -> SessionKeys:

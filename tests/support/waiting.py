@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator
+from typing import TypeAlias, TypeVar
 
 T = TypeVar("T")
 Condition: TypeAlias = "Callable[..., T | None]"

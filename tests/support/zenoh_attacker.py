@@ -13,15 +13,13 @@ import sys
 import threading
 import time
 from collections import Counter, deque
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import zenoh
 
 from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 from rsb_bridge.wire.preamble import PreambleKind
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 TAG = bytes(16)
 KEPT = 1000
@@ -107,30 +105,6 @@ def reverse(key: str) -> str:
     return "/".join((*root, sender, to, stream))
 
 
-def ends(stranger: Stranger) -> None:
-    stranger.both(SampleKind.END, lambda newest: newest + 1)
-
-
-def first_ends(stranger: Stranger) -> None:
-    stranger.both(SampleKind.END, lambda _: 0, b"there is no such stream any more")
-
-
-def firsts(stranger: Stranger) -> None:
-    stranger.both(SampleKind.DATA, lambda _: 0, b"forged")
-
-
-def following(stranger: Stranger) -> None:
-    stranger.both(SampleKind.DATA, lambda newest: newest + 1, b"forged")
-
-
-def ahead(stranger: Stranger) -> None:
-    stranger.both(SampleKind.DATA, lambda newest: newest + 1000, b"forged")
-
-
-def windows(stranger: Stranger) -> None:
-    stranger.both(SampleKind.WINDOW, lambda _: 2**62)
-
-
 def deletes(stranger: Stranger) -> None:
     """Declare the very tokens of others, and undeclare them."""
     for key in tuple(stranger.tokens):
@@ -166,7 +140,15 @@ def answers(stranger: Stranger) -> None:
 
 
 ATTACKS: dict[str, Callable[[Stranger], None]] = {
-    attack.__name__: attack for attack in (ends, first_ends, firsts, following, ahead, windows, deletes, churn, answers)
+    "ends": lambda stranger: stranger.both(SampleKind.END, lambda newest: newest + 1),
+    "first_ends": lambda stranger: stranger.both(SampleKind.END, lambda _: 0, b"there is no such stream any more"),
+    "firsts": lambda stranger: stranger.both(SampleKind.DATA, lambda _: 0, b"forged"),
+    "following": lambda stranger: stranger.both(SampleKind.DATA, lambda newest: newest + 1, b"forged"),
+    "ahead": lambda stranger: stranger.both(SampleKind.DATA, lambda newest: newest + 1000, b"forged"),
+    "windows": lambda stranger: stranger.both(SampleKind.WINDOW, lambda _: 2**62),
+    "deletes": deletes,
+    "churn": churn,
+    "answers": answers,
 }
 
 

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import pytest
-from tests.support.counting import TOPIC, CountedBridge
+from tests.support.counting import TOPIC, Count, CountedBridge
 from tests.support.locks import domains_of
 from tests.support.long import long
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic, ZenohSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from tests.support.counting import Count
 
 RATE = 400.0
 _TOLERANCE = int(1.5 * RATE)

@@ -13,16 +13,13 @@ from tests.support.long import long
 from tests.system.torture import hands
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from tests.system.torture.hands import Place
 
 
 @pytest.mark.parametrize("place", ["direct", *long("behind-tmux")])
-def test_late_keys_do_nothing(place: Place, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_late_keys_do_nothing(place: Place, tmp_path_factory: pytest.TempPathFactory) -> None:
     if place == "behind-tmux" and shutil.which("tmux") is None:
         pytest.skip("needs tmux")
-    monkeypatch.setenv("RSB_CONSOLE_ISOLATED", "1")
-    with hands.Bed(place, tmp_path, hands.PROGRAM) as bed:
+    with hands.Bed(place, tmp_path_factory.mktemp("hands")) as bed:
         found = {name: bed.late(hands.CASES[name], 2.5) for name in ("3 keys", "arm and drive")}
     assert {name: result for name, result in found.items() if not result.is_harmless} == {}

@@ -11,19 +11,14 @@ import signal
 import subprocess
 import sys
 import termios
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
-from tests.support.bridge import happened, linked
+from tests.support.bridge import Bridge, happened, linked
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tests.support.bridge import Bridge
 
 ENDS_WITHIN = 60.0
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import pytest
 from tests.support.coroutines import pytest_pyfunc_call
 from tests.support.virtual_time import VirtualLoop, virtual_loop
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 __all__ = ["loop", "pytest_pyfunc_call"]
 

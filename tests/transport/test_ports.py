@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import pytest
 from tests.support.wording import pattern
@@ -14,9 +15,6 @@ from rsb_bridge.transport.ports import PortProblem, Ports
 from rsb_bridge.transport.registry import Transports
 from rsb_bridge.transport.transport import Acceptor, Listener, ListenError
 from rsb_bridge.transport.udp import Udp
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 SESSION = Session(name="control", role="server", server_ip="127.0.0.1", server_port=9000)
 

@@ -9,9 +9,9 @@ import gc
 import os
 import socket
 import threading
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.support import constants, replaced
@@ -24,9 +24,6 @@ from rsb_bridge.transport.listening import bind
 from rsb_bridge.transport.streams import Stream, StreamHandler, StreamProblem, os_error_message
 from rsb_bridge.transport.tcp import Tcp, TcpStream, congestion_control, prefer_bbr
 from rsb_bridge.transport.transport import ListenError
-
-if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Iterator
 
 _LIVE, _ALSO_LIVE, _SILENT, _REFUSING = (f"127.0.2.{n}" for n in range(1, 5))
 _UNREACHABLE = "255.255.255.255"  # connect(2) refuses a broadcast address at once

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING
+from collections.abc import Collection
 
 import pytest
 from tests.support.held import held_by
 
 from rsb_bridge.transport.trials import AT_ONCE, MOST_TRIED, Results, Trials, UnprovenError
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-
 
 pytestmark = pytest.mark.usefixtures("loop")
 

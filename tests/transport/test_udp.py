@@ -6,8 +6,9 @@ import asyncio
 import contextlib
 import errno
 import socket
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import pytest
 from tests.support import replaced
@@ -18,9 +19,6 @@ from rsb_bridge.transport import udp_segments
 from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import RECEIVE_BUFFER, Acceptor
 from rsb_bridge.transport.udp import Udp, UdpSocket
-
-if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Iterator
 
 HOSTS = pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
 

@@ -59,11 +59,7 @@ def router(_router: Router) -> Router:
 
 @contextlib.asynccontextmanager
 async def in_network(
-    router: Router,
-    service: str = "server",
-    *watched: str,
-    strangers: Strangers | None = None,
-    fleet: str = "fleet",
+    router: Router, service: str = "server", *watched: str, strangers: Strangers | None = None, fleet: str = "fleet"
 ) -> AsyncIterator[ZenohEndpoint]:
     """An endpoint of a network of its own, perhaps with a budget for strangers."""
     network = Network(ZenohSettings(connect=(router.endpoint,), fleet=fleet), Path())

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Iterator
+from typing import Any, cast
 
 import pytest
 from tests.support.virtual_time import VirtualLoop, virtual_loop
@@ -14,8 +15,6 @@ from rsb_bridge.transport.zenoh.sample import Header, SampleKind
 
 zenoh = pytest.importorskip("zenoh")
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 HERE = threading.get_ident
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import pytest
+from tests.support.coroutines import pytest_pyfunc_call
 from tests.support.waiting import eventually
 
 from rsb_bridge.view.renderer import Renderer
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+__all__ = ["pytest_pyfunc_call", "renderer"]
 
 
 @pytest.fixture

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 from rclpy.serialization import serialize_message
 
 from rsb_bridge.cdr.description import hash_of_text
+from rsb_bridge.model.pictures import Cells
 from rsb_bridge.ros.native.rosidl_descriptions import installed_description
 from rsb_bridge.view.worker import Artist, TakenSample, Task
 
 if TYPE_CHECKING:
     from rsb_bridge.model.pictures import Picture, Wish
+    from rsb_bridge.view.drawing import Drawn
 
 _NS = 10**9
 
@@ -42,3 +44,9 @@ def drawn(wish: Wish, *messages: Any, topic: str = "/topic") -> Picture:
     picture = Artist().do(task(wish, *messages, topic=topic))
     assert picture is not None
     return picture
+
+
+def cells_of(picture: Picture | Drawn) -> Cells:
+    """Return the content of a picture that consists of characters."""
+    assert isinstance(picture.content, Cells), picture.problem
+    return picture.content

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import io
 import json
 import socket
@@ -73,20 +72,15 @@ def test_what_draws_reaches_nothing(tried: dict[str, Any]) -> None:
         assert [tried[each] for each in ("connects", "listens")] == [True] * 2
 
 
-def test_the_drawing_process_is_confined_and_draws(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_drawing_process_is_confined_and_draws(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also what imports Pillow and numpy only then, which may take over 3 s at low priority."""
     constants.DRAWING_WITHIN.set(monkeypatch, 60.0)
     image = pytest.importorskip("PIL.Image")
     encoded = io.BytesIO()
     image.new("RGB", (8, 8), "red").save(encoded, "png")
     message = CompressedImage(format="png", data=encoded.getvalue())
-
-    async def draw() -> list[str]:
-        lists = await renderer.draw(task(Wish(how="tree"), Vector3(x=1.0), view=1))
-        picture = await renderer.draw(task(Wish(), message, view=2))
-        return [lists.problem, picture.problem]
-
-    assert asyncio.run(draw()) == ["", ""]
+    assert (await renderer.draw(task(Wish(how="tree"), Vector3(x=1.0), view=1))).problem == ""
+    assert (await renderer.draw(task(Wish(), message, view=2))).problem == ""
     status = dict(line.split(":\t", 1) for line in Path(f"/proc/{renderer.pid}/status").read_text().splitlines())
     assert status["NoNewPrivs"] == "1"
     assert {int(status[each], 16) for each in ("CapEff", "CapPrm", "CapInh", "CapAmb")} == {0}

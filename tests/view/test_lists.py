@@ -10,11 +10,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import Log
 from sensor_msgs.msg import NavSatFix
 from tests.support.wording import has_text
-from tests.view.samples import drawn, task
+from tests.view.samples import cells_of, drawn, task
 
 from rsb_bridge.cdr.decoder import Items
-from rsb_bridge.model.pictures import Cells, Picture, Wish
-from rsb_bridge.view.drawing import TakenMessage
+from rsb_bridge.model.pictures import Picture, Wish
+from rsb_bridge.view.drawing import Drawn, TakenMessage
 from rsb_bridge.view.tf_tree import TfTree, TreeProblem
 from rsb_bridge.view.track import TrackProblem
 from rsb_bridge.view.worker import Artist
@@ -22,9 +22,8 @@ from rsb_bridge.view.worker import Artist
 WISH = Wish(width=80, height=20)
 
 
-def rows(picture: Picture) -> list[str]:
-    assert isinstance(picture.content, Cells), picture.problem
-    return [row.rstrip() for row in picture.content.rows]
+def rows(picture: Picture | Drawn) -> list[str]:
+    return [row.rstrip() for row in cells_of(picture).rows]
 
 
 def transforms(*pairs: tuple[str, str], at: float = 0.0, topic: str = "/tf", author: str = "") -> TakenMessage:
@@ -41,8 +40,7 @@ def tree(*received: TakenMessage) -> tuple[list[str], str]:
     for each in received:
         view.receive(each)
     result = view.draw(WISH)
-    assert isinstance(result.content, Cells)
-    return [row.rstrip() for row in result.content.rows], result.problem
+    return rows(result), result.problem
 
 
 def test_frames_are_below_their_parents() -> None:
@@ -135,8 +133,7 @@ def test_frames_with_many_parents_are_drawn_once_below_one_of_them() -> None:
     view.receive(transforms(*pairs))
     picture = view.draw(Wish(width=80, height=100))
     assert picture.notes == ("160 frames",)
-    assert isinstance(picture.content, Cells)
-    assert len(picture.content.rows) == 100
+    assert len(rows(picture)) == 100
 
 
 def test_ages_of_frames_go_on_without_messages() -> None:
@@ -145,11 +142,9 @@ def test_ages_of_frames_go_on_without_messages() -> None:
     fresh = view.draw(WISH)
     view.now = 4.5
     old = view.draw(WISH)
-    assert isinstance(fresh.content, Cells)
-    assert isinstance(old.content, Cells)
-    assert "0.0 s" in fresh.content.rows[1]
-    assert "3.5 s" in old.content.rows[1]
-    assert "warning" in {old.content.palette[style] for style in old.content.styles}
+    assert "0.0 s" in rows(fresh)[1]
+    assert "3.5 s" in rows(old)[1]
+    assert "warning" in {cells_of(old).palette[style] for style in cells_of(old).styles}
 
 
 def test_statuses_become_stale_without_messages() -> None:

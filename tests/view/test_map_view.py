@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import pytest
@@ -11,18 +11,14 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from sensor_msgs.msg import LaserScan
 from tests.support.wording import has_text
-from tests.view.samples import task
+from tests.view.samples import cells_of, task
 
-from rsb_bridge.cdr.decoder import Items
-from rsb_bridge.model.pictures import Cells, Picture, Wish
+from rsb_bridge.cdr.decoder import Items, Message
+from rsb_bridge.model.pictures import Picture, Wish
 from rsb_bridge.view.canvas import Canvas
-from rsb_bridge.view.drawing import TakenMessage
+from rsb_bridge.view.drawing import Drawn, TakenMessage
 from rsb_bridge.view.map_view import MapProblem, MapView, Transform
 from rsb_bridge.view.worker import Artist
-
-if TYPE_CHECKING:
-    from rsb_bridge.cdr.decoder import Message
-    from rsb_bridge.view.drawing import Drawn
 
 WISH = Wish(width=40, height=20)
 
@@ -58,14 +54,9 @@ def pose(x: float, y: float, yaw: float, kind: type = PoseStamped, frame: str = 
     return message
 
 
-def content(of: Picture | Drawn) -> Cells:
-    assert isinstance(of.content, Cells), of.problem
-    return of.content
-
-
 def place(of: Picture, mark: str) -> tuple[float, float]:
     """Return the map's coordinates of a character."""
-    cells = content(of)
+    cells = cells_of(of)
     assert cells.scale is not None
     row = next(at for at, text in enumerate(cells.rows) if mark in text)
     column = cells.rows[row].index(mark)
@@ -75,7 +66,7 @@ def place(of: Picture, mark: str) -> tuple[float, float]:
 
 def styles(of: Picture | Drawn) -> dict[str, list[int]]:
     """Return the rows in which each style is."""
-    cells, at = content(of), 0
+    cells, at = cells_of(of), 0
     found: dict[str, list[int]] = {}
     for row, text in enumerate(cells.rows):
         for character, style in zip(text, cells.styles[at : at + len(text)], strict=True):
@@ -116,7 +107,7 @@ def test_a_scan_goes_along_with_the_robot() -> None:
     scan.header.frame_id = "base_link"
     result = picture(grid(), odometry, scan)
     assert result.problem == ""
-    cells = content(result)
+    cells = cells_of(result)
     assert cells.scale is not None
     row = styles(result)["scan"][0]
     assert abs(cells.scale.top - (row + 0.5) * cells.scale.row - 2.0) < 1.0
@@ -156,7 +147,7 @@ def test_a_grid_whose_size_is_a_lie() -> None:
 
 
 def test_zoom_shows_less() -> None:
-    wide, narrow = (content(picture(grid(), wish=Wish(width=40, height=20, zoom=zoom))).scale for zoom in (1.0, 4.0))
+    wide, narrow = (cells_of(picture(grid(), wish=Wish(width=40, height=20, zoom=zoom))).scale for zoom in (1.0, 4.0))
     assert wide is not None
     assert narrow is not None
     assert wide.column == pytest.approx(4 * narrow.column)

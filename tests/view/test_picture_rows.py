@@ -29,18 +29,14 @@ def webp(width: int, height: int, **how: object) -> bytes:
 @pytest.mark.parametrize(
     ("pixels", "expected"),
     [
-        (
-            Pixels(2, 2, RED + GREEN + BLUE + WHITE),
-            [(Part("▀", "#ff0000", "#0000ff"), Part("▀", "#00ff00", "#ffffff"))],
-        ),
-        (
-            Pixels(4, 2, RED * 3 + GREEN + BLUE * 4),
-            [(Part("▀▀▀", "#ff0000", "#0000ff"), Part("▀", "#00ff00", "#0000ff"))],
-        ),
+        (Pixels(2, 2, RED + GREEN + BLUE + WHITE),
+         [(Part("▀", "#ff0000", "#0000ff"), Part("▀", "#00ff00", "#ffffff"))]),
+        (Pixels(4, 2, RED * 3 + GREEN + BLUE * 4),
+         [(Part("▀▀▀", "#ff0000", "#0000ff"), Part("▀", "#00ff00", "#0000ff"))]),
         (Pixels(1, 3, RED + GREEN + BLUE), [(Part("▀", "#ff0000", "#00ff00"),), (Part("▀", "#0000ff", "#000000"),)]),
     ],
     ids=["each", "of the same colours", "an odd last row"],
-)
+)  # fmt: skip
 def test_a_cell_shows_one_pixel_above_another(pixels: Pixels, expected: list[tuple[Part, ...]]) -> None:
     assert picture_rows(pixels, 80, 24) == expected
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 from tests.support.wording import has_text
-from tests.view.samples import drawn, task
+from tests.view.samples import cells_of, drawn, task
 
-from rsb_bridge.model.pictures import Cells, Picture, Wish
+from rsb_bridge.model.pictures import Picture, Wish
 from rsb_bridge.view.points import PointsProblem
 from rsb_bridge.view.worker import Artist
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 WISH = Wish(width=41, height=21)
 
@@ -33,14 +30,9 @@ def cloud(points: Sequence[tuple[float, ...]], names: str = "xyz", **changes: in
     return PointCloud2(fields=fields, data=list(array.tobytes()), is_dense=True, **about)
 
 
-def cells(picture: Picture) -> Cells:
-    assert isinstance(picture.content, Cells), picture.problem
-    return picture.content
-
-
 def marked(picture: Picture) -> list[tuple[int, int]]:
     """Return columns and rows with points, which alone have colours."""
-    content, found, at = cells(picture), [], 0
+    content, found, at = cells_of(picture), [], 0
     for row, text in enumerate(content.rows):
         for column in range(len(text)):
             if content.palette[content.styles[at]].startswith("#"):
@@ -65,7 +57,7 @@ def test_invalid_ranges_are_left_out() -> None:
 
 def test_heights_have_colours() -> None:
     points = [(math.cos(a), math.sin(a), a) for a in np.linspace(0, 6, 100)]
-    content = cells(drawn(WISH, cloud(points)))
+    content = cells_of(drawn(WISH, cloud(points)))
     assert sum(colour.startswith("#") for colour in content.palette) > 5
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import pytest
 from hypothesis import given
@@ -13,9 +13,6 @@ from tests.support.wording import pattern
 from rsb_bridge.wire import headers
 from rsb_bridge.wire.headers import CALL_HEADER_LENGTH, MOST_TOOK, CallFrame, HistoryHeader, What
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 PUBLISHER = bytes(range(16))
 FRAMES = [

@@ -261,7 +261,6 @@ def test_a_recorded_first_message_played_again_establishes_nothing(suite: Cipher
     recording += client.data_to_send()
 
     event = the(Failed, make_server(suite).receive_data(recording))
-    assert isinstance(event, Failed)
     assert event.reason == InvalidSeal.FORGED(sequence=0)
 
 
@@ -399,11 +398,11 @@ def test_a_server_that_waited_in_vain_for_the_confirmation_is_understood() -> No
 )
 def test_any_other_frame_in_the_clear_breaks_the_format(frame: bytes) -> None:
     client, *_ = established()
-    assert isinstance(the(Failed, client.receive_data(pack_frame(frame))), Failed)
+    the(Failed, client.receive_data(pack_frame(frame)))
 
 
 def test_a_refusal_after_a_sealed_frame_breaks_the_format() -> None:
     client, server, *_ = established()
     client.receive_data(server.send(Ping(n=1, sent=1)))
     refusal = pack_frame(refuse_frame(RefusalCode.BUSY, "forged"))
-    assert isinstance(the(Failed, client.receive_data(refusal)), Failed)
+    the(Failed, client.receive_data(refusal))

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.wording import pattern
+from tests.wire.links import HELLO, WELCOME
 
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.velocity_limits import VelocityLimits
@@ -49,8 +50,6 @@ def filled(kind: msgspec.inspect.Type, default: object = None, *, all_fields: bo
 KINDS: tuple[type[messages.ControlMessage], ...] = typing.get_args(messages.ControlMessage)
 PLAIN = [filled(msgspec.inspect.type_info(kind), all_fields=each) for kind in KINDS for each in (True, False)]
 """Two of each message, as plain data."""
-HELLO = messages.Hello(version="0.1.0", name="robot1", instance="abc", domain_id=2)
-WELCOME = messages.Welcome(version="0.1.0", name="pc", link_id=b"linklink", instance="def", domain_id=0)
 
 
 @pytest.mark.parametrize("plain", PLAIN, ids=[f"{each['message']}{number % 2}" for number, each in enumerate(PLAIN)])
@@ -175,32 +174,16 @@ def test_a_field_out_of_its_range_gives_words(fields: dict[str, Any]) -> None:
     "change",
     [
         {"port": 65536},
-        {"max_rate": math.nan},
-        {"max_rate": 1e-310},
-        {"max_rate": 0.0009},
-        {"max_rate": 1e7},
-        {"max_rate": math.inf},
-        {"stale_after": -1.0},
         {"transport": "ip"},
-        {"qos": {"depth": -1}},
-        {"qos": {"depth": 2**31}},
-        {"qos": {"deadline": math.nan}},
-        {"qos": {"deadline": 1e-9}},
-        {"qos": {"lifespan": 1.1e9}},
-        {"qos": {"depth": 0}},
-        {"stale_after": 0.01},
-        {"stale_after": 2e6},
-        {"late_after": -1.0},
-        {"late_after": 0.001},
-        {"max_age": -1.0},
-        {"max_age": 0.001},
-        {"max_age": 1e5},
         {"arm": True, "deadman": 1.0},
         {"kind": "\x1b[2J"},
-        {"timeout": -1.0},
-        {"timeout": math.nan},
-        {"timeout": math.inf},
-        {"qos": {"surprise": 1}},
+        *({"max_rate": rate} for rate in (math.nan, 1e-310, 0.0009, 1e7, math.inf)),
+        *({"stale_after": after} for after in (-1.0, 0.01, 2e6)),
+        *({"late_after": after} for after in (-1.0, 0.001)),
+        *({"max_age": age} for age in (-1.0, 0.001, 1e5)),
+        *({"timeout": timeout} for timeout in (-1.0, math.nan, math.inf)),
+        *({"qos": {"depth": depth}} for depth in (-1, 0, 2**31)),
+        *({"qos": qos} for qos in ({"deadline": math.nan}, {"deadline": 1e-9}, {"lifespan": 1.1e9}, {"surprise": 1})),
         *({"limits": limits} for limits in ({"linear": 0}, {"angular": -1.0}, {"linear": math.nan}, {"linear": 1e9})),
     ],
 )

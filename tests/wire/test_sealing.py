@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from tests.support.held import held_by
 from tests.support.session_keys import session_keys as proposed
 from tests.support.wording import pattern
+from tests.wire.links import KEY, SUITES, key_for
 
 from rsb_bridge.wire.protocol_error import Misuse
 from rsb_bridge.wire.sealing import (
@@ -25,14 +26,8 @@ from rsb_bridge.wire.sealing import (
     StreamOpener,
 )
 
-KEY = bytes(range(32))
 EPOCH = 1 << EPOCH_BITS
-SUITES = pytest.mark.parametrize("suite", list(CipherSuite))
 ENCRYPTED = pytest.mark.parametrize("suite", [CipherSuite.AESGCM, CipherSuite.CHACHAPOLY])
-
-
-def key_for(suite: CipherSuite) -> bytes | None:
-    return None if suite is CipherSuite.PLAIN else KEY
 
 
 def sealed_at(suite: CipherSuite, sequence: int, content: bytes = b"content", associated: bytes = b"header") -> bytes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeGuard, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, TypeGuard
 
 from textual import events
 from textual.screen import Screen
@@ -22,6 +22,9 @@ SEEN_AFTER = 0.5
 """s from the picture of a question until its keys count: nobody reads and answers it earlier."""
 _TOLD_EVERY = 3.0
 """s between two notes about late keys, and for which one stays: a held key would fill the screen with them."""
+
+
+LIST_MOVED = "the list has moved: look, and press the key again"
 
 
 class GuardedScreen(Screen[Any]):
@@ -100,7 +103,7 @@ class InputGate:
         """Whether the operator may have seen what changed at a time (s); if not, they get a note."""
         if not self.is_on or self._clock() - changed_at >= SEEN_AFTER:
             return True
-        self._app.notify("the list has moved: look, and press the key again", severity="warning", timeout=_TOLD_EVERY)
+        self._app.notify(LIST_MOVED, severity="warning", timeout=_TOLD_EVERY)
         return False
 
     def takes_keys(self, screen: GuardedScreen) -> bool:

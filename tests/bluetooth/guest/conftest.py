@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.coroutines import pytest_pyfunc_call
 
 from rsb_bridge.bluetooth import hci
 
-if TYPE_CHECKING:
-    import socket
-    from collections.abc import Callable, Iterator
-
+__all__ = ["addresses", "pytest_pyfunc_call"]
 _HOLDER = """
 import socket, sys
 held = []

@@ -12,8 +12,9 @@ import secrets
 import threading
 import time
 from collections import defaultdict
+from collections.abc import Callable, Hashable
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import (
@@ -28,9 +29,6 @@ from rsb_bridge.ros.ros_interface import (
 )
 from rsb_bridge.ros.ros_thread import RosTurns
 from rsb_bridge.ros.stand_in import NoRos
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
 
 TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + 64 * "0"
 SERVICE_TYPE, SERVICE_HASH = "std_srvs/srv/Trigger", f"{HASH}+{HASH}"

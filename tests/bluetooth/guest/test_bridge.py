@@ -8,10 +8,12 @@ import struct
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from msgspec import structs
@@ -22,16 +24,10 @@ from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, State
 
 from .conftest import bare_rate, wait_until
 from .stand_in import StandIn
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot
 
 _CHANNEL = 10
 

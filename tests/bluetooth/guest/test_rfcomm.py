@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import os
 import time
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.wording import pattern
@@ -18,9 +18,6 @@ from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.transport import Acceptor, ListenError
 
 from .conftest import holding
-
-if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable
 
 _DEADLINE = 20.0
 
@@ -111,93 +108,74 @@ async def listening(address: str, channel: int, bind: str = "") -> AsyncIterator
                 end.stream.abort("test over")
 
 
-def test_both_ways_intact(addresses: tuple[str, str]) -> None:
-    async def main() -> None:
-        there, back = os.urandom(300_000), os.urandom(300_000)
-        async with listening(addresses[0], 4) as pair:
+async def test_both_ways_intact(addresses: tuple[str, str]) -> None:
+    there, back = os.urandom(300_000), os.urandom(300_000)
+    async with listening(addresses[0], 4) as pair:
+        client, server = await pair.connect()
+        assert client.stream is not None
+        assert server.stream is not None
+        assert client.stream.peer == f"{addresses[0]} channel 4"
+        assert server.stream.host == addresses[1]
+        await asyncio.gather(client.send(there), server.send(back))
+        for end in (client, server):
+            await end.until(lambda end: len(end.data) == 300_000)
+        assert bytes(client.data) == back
+        assert bytes(server.data) == there
+        client.stream.close("enough")
+        await client.until(lambda end: end.reason)
+        await server.until(lambda end: end.reason)
+        assert client.reason == "enough"
+        assert server.reason.startswith("Connection reset by peer: ")
+
+
+async def test_what_was_written_arrives_before_the_end(addresses: tuple[str, str]) -> None:
+    async with listening(addresses[0], 4) as pair:
+        client, server = await pair.connect()
+        assert client.stream is not None
+        client.stream.write(bytes(60_000))
+        client.stream.close("enough")
+        await server.until(lambda end: end.reason)
+        assert len(server.data) == 60_000
+
+
+async def test_reconnecting_at_once(addresses: tuple[str, str]) -> None:
+    async with listening(addresses[0], 5, bind=ANY_ADAPTER) as pair:
+        for turn in range(20):
             client, server = await pair.connect()
-            assert client.stream is not None
-            assert server.stream is not None
-            assert client.stream.peer == f"{addresses[0]} channel 4"
-            assert server.stream.host == addresses[1]
-            await asyncio.gather(client.send(there), server.send(back))
-            for end in (client, server):
-                await end.until(lambda end: len(end.data) == 300_000)
-            assert bytes(client.data) == back
-            assert bytes(server.data) == there
-            client.stream.close("enough")
-            await client.until(lambda end: end.reason)
-            await server.until(lambda end: end.reason)
-            assert client.reason == "enough"
-            assert server.reason.startswith("Connection reset by peer: ")
-
-    asyncio.run(main())
+            closes_first = client if turn % 2 else server
+            assert closes_first.stream is not None
+            closes_first.stream.abort("again")
+        await client.until(lambda end: end.reason)
+        assert len(pair.accepted) == 20
 
 
-def test_what_was_written_arrives_before_the_end(addresses: tuple[str, str]) -> None:
-    async def main() -> None:
-        async with listening(addresses[0], 4) as pair:
-            client, server = await pair.connect()
-            assert client.stream is not None
-            client.stream.write(bytes(60_000))
-            client.stream.close("enough")
-            await server.until(lambda end: end.reason)
-            assert len(server.data) == 60_000
-
-    asyncio.run(main())
+async def test_refusals_are_explained(addresses: tuple[str, str]) -> None:
+    started = time.monotonic()
+    with pytest.raises(OSError, match=pattern(RfcommProblem.NOBODY_LISTENS, channel=9)):
+        await Rfcomm().connect(addresses[0], 9, Recorder())
+    assert 1.0 < time.monotonic() - started < 5.0
+    async with listening(addresses[0], 7) as pair:
+        await pair.connect()
+        with pytest.raises(OSError, match=pattern(RfcommProblem.CHANNEL_IN_USE, channel=7)):
+            await Rfcomm().connect(addresses[0], 7, Recorder())
 
 
-def test_reconnecting_at_once(addresses: tuple[str, str]) -> None:
-    async def main() -> None:
-        async with listening(addresses[0], 5, bind=ANY_ADAPTER) as pair:
-            for turn in range(20):
-                client, server = await pair.connect()
-                closes_first = client if turn % 2 else server
-                assert closes_first.stream is not None
-                closes_first.stream.abort("again")
-            await client.until(lambda end: end.reason)
-            assert len(pair.accepted) == 20
-
-    asyncio.run(main())
-
-
-def test_refusals_are_explained(addresses: tuple[str, str]) -> None:
-    async def main() -> None:
-        started = time.monotonic()
-        with pytest.raises(OSError, match=pattern(RfcommProblem.NOBODY_LISTENS, channel=9)):
-            await Rfcomm().connect(addresses[0], 9, Recorder())
-        assert 1.0 < time.monotonic() - started < 5.0
-        async with listening(addresses[0], 7) as pair:
-            await pair.connect()
-            with pytest.raises(OSError, match=pattern(RfcommProblem.CHANNEL_IN_USE, channel=7)):
-                await Rfcomm().connect(addresses[0], 7, Recorder())
-
-    asyncio.run(main())
-
-
-def test_an_absent_peer_is_not_waited_for(addresses: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_absent_peer_is_not_waited_for(addresses: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rfcomm, "CONNECT_TIMEOUT", 2.0)
-
-    async def main() -> None:
-        started = time.monotonic()
-        with pytest.raises(OSError, match=pattern(RfcommProblem.NO_ANSWER)):
-            await Rfcomm().connect("00:11:22:33:44:55", 5, Recorder())
-        assert time.monotonic() - started < 4.0
-        async with listening(addresses[0], 5) as pair:  # and it leaves nothing behind that would be in the way
-            await pair.connect()
-
-    asyncio.run(main())
+    started = time.monotonic()
+    with pytest.raises(OSError, match=pattern(RfcommProblem.NO_ANSWER)):
+        await Rfcomm().connect("00:11:22:33:44:55", 5, Recorder())
+    assert time.monotonic() - started < 4.0
+    async with listening(addresses[0], 5) as pair:  # and it leaves nothing behind that would be in the way
+        await pair.connect()
 
 
-def test_what_cannot_be_bound(addresses: tuple[str, str]) -> None:
-    async def main() -> None:
-        absent = RfcommProblem.ANOTHER_ADAPTER(host="00:11:22:33:44:55", adapters=", ".join(addresses))
-        with pytest.raises(ListenError, match=absent):
-            await Rfcomm().listen("00:11:22:33:44:55", 3, _streams_to(Recorder))
-        with (
-            holding((addresses[0], 3, "listen")),
-            pytest.raises(ListenError, match=pattern(RfcommProblem.CHANNEL_TAKEN, channel=3)),
-        ):
-            await Rfcomm().listen(addresses[0].lower(), 3, _streams_to(Recorder))
-
-    asyncio.run(main())
+async def test_what_cannot_be_bound(addresses: tuple[str, str]) -> None:
+    absent = RfcommProblem.ANOTHER_ADAPTER(host="00:11:22:33:44:55", adapters=", ".join(addresses))
+    with pytest.raises(ListenError, match=absent):
+        await Rfcomm().listen("00:11:22:33:44:55", 3, _streams_to(Recorder))
+    with (
+        holding((addresses[0], 3, "listen")),
+        pytest.raises(ListenError, match=pattern(RfcommProblem.CHANNEL_TAKEN, channel=3)),
+    ):
+        await Rfcomm().listen(addresses[0].lower(), 3, _streams_to(Recorder))

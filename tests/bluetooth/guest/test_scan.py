@@ -6,8 +6,8 @@ import asyncio
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.wording import says
@@ -18,9 +18,6 @@ from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, ChannelUse, Scan, S
 from rsb_console.command.bt_scan import run_bt_scan
 
 from .conftest import holding, wait_until
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 
 def look(adapter: str | None = None, own: tuple[tuple[str, int], ...] = ()) -> Scan:
@@ -211,8 +208,7 @@ _BUS = """<busconfig><listen>unix:path={path}</listen>
 
 
 @pytest.mark.parametrize(
-    ("rule", "code"),
-    [('<allow receive_sender="*"/>', ScanProblem.BLUEZ_STOPPED), ("", ScanProblem.BLUEZ_SILENT)],
+    ("rule", "code"), [('<allow receive_sender="*"/>', ScanProblem.BLUEZ_STOPPED), ("", ScanProblem.BLUEZ_SILENT)]
 )
 def test_a_bus_without_bluez(rule: str, code: ScanProblem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A D-Bus daemon of the test's own, where nobody is org.bluez, and one that keeps its answers to itself."""

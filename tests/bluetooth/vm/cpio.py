@@ -6,10 +6,8 @@ The kernel unpacks archives that follow each other in one file over each other, 
 from __future__ import annotations
 
 import stat
-from typing import TYPE_CHECKING, BinaryIO
-
-if TYPE_CHECKING:
-    from pathlib import PurePosixPath
+from pathlib import PurePosixPath
+from typing import BinaryIO
 
 _BLOCK = 512
 

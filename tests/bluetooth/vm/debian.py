@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from typing import TYPE_CHECKING, NamedTuple
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from pathlib import Path
+from typing import NamedTuple
 
 # Not 6.1.0-55 and -56: there an RFCOMM connect to an absent peer hits a kernel BUG. The cloud kernels lack Bluetooth.
 KERNELS = (

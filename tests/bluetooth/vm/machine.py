@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _PROJECT = Path(__file__).parents[3]
 _TAKEN_ALONG = ("bridge/rsb_bridge", "console/rsb_console", "tests/bluetooth")
-_FILES_TAKEN_ALONG = ("pyproject.toml", "tests/support/wording.py")
+_FILES_TAKEN_ALONG = ("pyproject.toml", "tests/support/wording.py", "tests/support/coroutines.py")
 # What is switched off costs start-up time, or hides a fault (a kernel oops ends it).
 _KERNEL_OPTIONS = (
     "console=ttyS0 loglevel=5 panic=-1 oops=panic mitigations=off nokaslr random.trust_cpu=on audit=0"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tests.console.scripted import ScriptedEngine
 from tests.fuzz.editing import behind, edit_frames
@@ -30,9 +31,6 @@ from rsb_bridge.control.protocol import (
 from rsb_bridge.control.states import StateReceiver
 from rsb_bridge.model.commands import AddTopic, History, PauseTopics, Restart, Topics
 from rsb_bridge.model.session import Topic
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _INFO = BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "x", "0.1.0")
 

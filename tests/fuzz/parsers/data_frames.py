@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING
 
 from tests.fuzz.editing import behind, edit_bytes, split_frames
 from tests.fuzz.parser import Parser, check_text
@@ -13,9 +13,6 @@ from rsb_bridge.wire.framing import DATA, HEADER, HISTORY, MORE, Budget, DataWri
 from rsb_bridge.wire.headers import CallFrame, HistoryHeader, What, split_history, unpack_call
 from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.sealing import CipherSuite, Sealer, SealError, StreamOpener
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _KEY = bytes(range(32))
 _BUDGET = 3000

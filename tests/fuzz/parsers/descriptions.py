@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import zstandard
 from tests.fuzz.editing import edit_json
 from tests.fuzz.parser import LONGEST, Parser, check_text
 
 from rsb_bridge.cdr.checker import Checker, MalformedError, UncheckableError
-from rsb_bridge.cdr.decoder import Decoded, Items, decode
+from rsb_bridge.cdr.decoder import Decoded, Items, Value, decode
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT, DescriptionError, hash_of_text, read_description, text_of
 from rsb_bridge.link.questions import description_in
 from rsb_bridge.ros.parameter_events import ParameterEventError, node_of, with_node
-
-if TYPE_CHECKING:
-    from rsb_bridge.cdr.decoder import Value
 
 _ITEMS, _STEPS = 5, 300
 _EVERYTHING, *_DIGITS = (

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from tests.fuzz.editing import edit_text
 from tests.fuzz.parser import Parser, check_text
 from tests.fuzz.parsers.descriptions import DESCRIPTION, MESSAGE
 
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.config.fields_text import read_fields, write_fields
-from rsb_bridge.model.calls import FieldError
+from rsb_bridge.model.calls import FieldError, Fields
 from rsb_bridge.model.text import is_clean
-
-if TYPE_CHECKING:
-    from rsb_bridge.model.calls import Fields
 
 _DEPTH = 20
 

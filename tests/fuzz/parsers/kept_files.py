@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from functools import cache, partial
-from typing import TYPE_CHECKING
 
 import msgspec
 import zstandard
@@ -21,9 +21,6 @@ from rsb_bridge.history.timeline import Timeline
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_bridge.model.text import is_clean
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _NOW = EPOCH + 100
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING
 
 from tests.fuzz.editing import behind, edit_bytes
 from tests.fuzz.parser import Parser
@@ -18,6 +18,7 @@ from rsb_bridge.wire.events import (
     Attach,
     DataFrame,
     Established,
+    Event,
     Failed,
     MessageReceived,
     RefusalCode,
@@ -27,11 +28,6 @@ from rsb_bridge.wire.events import (
 from rsb_bridge.wire.framing import PREAMBLE_LIMIT, pack_frame
 from rsb_bridge.wire.preamble import MESSAGE_LIMIT, PreambleKind, data_header, preamble_frame, refuse_frame
 from rsb_bridge.wire.sealing import CipherSuite
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from rsb_bridge.wire.events import Event
 
 End = ClientConnection | ServerConnection | DataConnection
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 _TRANSPORTS = ("tcp", "udp", "zenoh", "zenoh-drop")
 _HEAD = ("attack", "over", "crossed", "old", "after", "unarmed", "oldest", "tolerance")
+_NOT_DONE = (AssertionError, EngineError, subprocess.TimeoutExpired)
 
 
 def main() -> int:
@@ -67,7 +69,7 @@ def _armed(nodes: Nodes, arguments: argparse.Namespace) -> int:
 def _case(name: str, transport: str, run: Callable[[], Findings]) -> int:
     try:
         found = run()
-    except (AssertionError, EngineError) as error:
+    except _NOT_DONE as error:
         print(f"{name:22}{transport:18}not done: {error}", flush=True)  # noqa: T201
         return 1
     figures = (found.crossed, found.old, found.after, found.unarmed, f"{found.oldest:.2f}", f"{found.tolerance:.2f}")
@@ -85,7 +87,7 @@ def _rests(nodes: Nodes, arguments: argparse.Namespace) -> int:
                 case = f"{name:22}{transport:12}{driver:16}"
                 try:
                     found = rests.run(nodes, name, transport, driver)
-                except (AssertionError, EngineError) as error:
+                except _NOT_DONE as error:
                     print(f"{case}not done: {error}", flush=True)  # noqa: T201
                     wrong += 1
                     continue

@@ -58,18 +58,15 @@ def freeze_pc(stage: Stage, seconds: float = FREEZE) -> None:
         time.sleep(seconds)
 
 
-def freeze_robot_briefly(stage: Stage) -> None:
-    """Freeze the robot's bridge for less than the link takes to notice."""
-    for _ in range(3):
-        freeze_robot(stage, 2.0)
-        time.sleep(0.5)
+def briefly(freeze: Callable[[Stage, float], None]) -> Attack:
+    """A bridge stands still for less than the link takes to notice."""
 
+    def attack(stage: Stage) -> None:
+        for _ in range(3):
+            freeze(stage, 2.0)
+            time.sleep(0.5)
 
-def freeze_pc_briefly(stage: Stage) -> None:
-    """Freeze the control PC's bridge for less than the link takes to notice."""
-    for _ in range(3):
-        freeze_pc(stage, 2.0)
-        time.sleep(0.5)
+    return attack
 
 
 def hold(order: Sequence[Stream], seconds: float = HOLD) -> Attack:
@@ -135,23 +132,18 @@ def disarm_while_held(stage: Stage) -> None:
         time.sleep(_STREAM_GAP)
 
 
-def disarm_while_data_is_held(stage: Stage) -> None:
-    """An operator disarms while the network holds the commands alone."""
-    stage.relay.hold(("data", "datagrams"))
-    time.sleep(0.7)
-    stage.disarm().wait(30)
-    stage.disarmed()
-    stage.relay.release()
+def disarm_while_held_in_part(*streams: Stream) -> Attack:
+    """An operator disarms while the network holds the commands alone, or the control connection alone."""
 
+    def attack(stage: Stage) -> None:
+        stage.relay.hold(streams)
+        time.sleep(0.5)
+        stage.disarm().wait(30)
+        stage.disarmed()
+        time.sleep(0.5)
+        stage.relay.release()
 
-def disarm_while_control_is_held(stage: Stage) -> None:
-    """An operator disarms while the network holds the control connection alone."""
-    stage.relay.hold(("control",))
-    time.sleep(0.3)
-    stage.disarm().wait(30)
-    stage.disarmed()
-    time.sleep(0.5)
-    stage.relay.release()
+    return attack
 
 
 def disarm_while_frozen(stage: Stage) -> None:
@@ -163,74 +155,49 @@ def disarm_while_frozen(stage: Stage) -> None:
         time.sleep(1.0)
 
 
-def disarm_at_once(stage: Stage) -> None:
+def disarm_at_once(side: Side) -> Attack:
     """Disarm on a network that takes 0.4 s: messages in flight are published before the answer, or never."""
-    stage.relay.delay = lambda: 0.4
-    time.sleep(1.0)
-    stage.disarm().wait(30)
-    stage.disarmed()
-    time.sleep(1.0)
-    stage.relay.delay = lambda: 0.0
+
+    def attack(stage: Stage) -> None:
+        stage.relay.delay = lambda: 0.4
+        time.sleep(1.0)
+        stage.disarm(stage.side(side)).wait(30)
+        stage.disarmed()
+        time.sleep(1.0)
+        stage.relay.delay = lambda: 0.0
+
+    return attack
 
 
-def disarm_on_the_robot(stage: Stage) -> None:
-    """Somebody disarms on the robot's side, over a network that takes 0.4 s."""
-    stage.relay.delay = lambda: 0.4
-    time.sleep(1.0)
-    stage.disarm(stage.robot).wait(30)
-    stage.disarmed()
-    time.sleep(1.0)
-    stage.relay.delay = lambda: 0.0
+def stop_thread(side: Side, name: str) -> Attack:
+    """One thread stands still (`ros` takes messages from ROS, `rsb-io` is the event loop); the others go on."""
+
+    def attack(stage: Stage) -> None:
+        with stopped(stage.side(side).command.pid, name):
+            time.sleep(5.0)
+
+    return attack
 
 
-def _stop_thread(bridge: Bridge, name: str, seconds: float) -> None:
-    with stopped(bridge.command.pid, name):
-        time.sleep(seconds)
+def crawl(side: Side) -> Attack:
+    """Give a bridge 30 ms of a processor, and then none for 0.8 s, again and again."""
 
+    def attack(stage: Stage) -> None:
+        deadline = time.monotonic() + 10.0
+        while time.monotonic() < deadline:
+            with stage.side(side).frozen():
+                time.sleep(0.8)
+            time.sleep(0.03)
 
-def stop_ros_of_pc(stage: Stage) -> None:
-    """The thread that takes messages from ROS stands still; the rest of the control PC's bridge goes on."""
-    _stop_thread(stage.pc, "ros", 5.0)
-
-
-def stop_ros_of_robot(stage: Stage) -> None:
-    """The robot's ROS thread stands still."""
-    _stop_thread(stage.robot, "ros", 5.0)
-
-
-def stop_loop_of_pc(stage: Stage) -> None:
-    """The control PC's event loop stands still; its ROS thread goes on."""
-    _stop_thread(stage.pc, "rsb-io", 5.0)
-
-
-def stop_loop_of_robot(stage: Stage) -> None:
-    """The robot's event loop stands still; its ROS thread goes on."""
-    _stop_thread(stage.robot, "rsb-io", 5.0)
-
-
-def _crawl(bridge: Bridge) -> None:
-    deadline = time.monotonic() + 10.0
-    while time.monotonic() < deadline:
-        with bridge.frozen():
-            time.sleep(0.8)
-        time.sleep(0.03)
-
-
-def crawl_pc(stage: Stage) -> None:
-    """Give the control PC's bridge 30 ms of a processor, and then none for 0.8 s, again and again."""
-    _crawl(stage.pc)
-
-
-def crawl_robot(stage: Stage) -> None:
-    """Give the robot's bridge 30 ms of a processor, and then none for 0.8 s, again and again."""
-    _crawl(stage.robot)
+    return attack
 
 
 def crawl_ros_of_pc(stage: Stage) -> None:
     """Stop the control PC's ROS thread for 0.8 s, again and again."""
     deadline = time.monotonic() + 10.0
     while time.monotonic() < deadline:
-        _stop_thread(stage.pc, "ros", 0.8)
+        with stopped(stage.pc.command.pid, "ros"):
+            time.sleep(0.8)
         time.sleep(0.005)
 
 
@@ -318,8 +285,8 @@ ATTACKS: dict[str, Attack] = {
     "freeze-robot": freeze_robot,
     "freeze-robot-often": freeze_robot_often,
     "freeze-pc": freeze_pc,
-    "freeze-robot-2s": freeze_robot_briefly,
-    "freeze-pc-2s": freeze_pc_briefly,
+    "freeze-robot-2s": briefly(freeze_robot),
+    "freeze-pc-2s": briefly(freeze_pc),
     "hold-data-first": hold(("data", "datagrams", "control")),
     "hold-control-first": hold(("control", "datagrams", "data")),
     "hold-datagrams-first": hold(("datagrams", "data", "control")),
@@ -328,17 +295,17 @@ ATTACKS: dict[str, Attack] = {
     "hold-control-only": hold_control_only,
     "add-up": add_up,
     "disarm-held": disarm_while_held,
-    "disarm-data-held": disarm_while_data_is_held,
-    "disarm-control-held": disarm_while_control_is_held,
+    "disarm-data-held": disarm_while_held_in_part("data", "datagrams"),
+    "disarm-control-held": disarm_while_held_in_part("control"),
     "disarm-frozen": disarm_while_frozen,
-    "disarm-0.4s": disarm_at_once,
-    "disarm-robot-0.4s": disarm_on_the_robot,
-    "ros-thread-pc": stop_ros_of_pc,
-    "ros-thread-robot": stop_ros_of_robot,
-    "loop-pc": stop_loop_of_pc,
-    "loop-robot": stop_loop_of_robot,
-    "crawl-pc": crawl_pc,
-    "crawl-robot": crawl_robot,
+    "disarm-0.4s": disarm_at_once("pc"),
+    "disarm-robot-0.4s": disarm_at_once("robot"),
+    "ros-thread-pc": stop_thread("pc", "ros"),
+    "ros-thread-robot": stop_thread("robot", "ros"),
+    "loop-pc": stop_thread("pc", "rsb-io"),
+    "loop-robot": stop_thread("robot", "rsb-io"),
+    "crawl-pc": crawl("pc"),
+    "crawl-robot": crawl("robot"),
     "crawl-ros-thread-pc": crawl_ros_of_pc,
     "router-stopped": stop_router,
     "router-killed": kill_router,

@@ -6,9 +6,6 @@
 
 from __future__ import annotations
 
-import json
-import os
-import select
 import struct
 import subprocess
 import sys
@@ -16,11 +13,15 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from tests.support.asked import Asked, answers
+from tests.system.torture.program import started
+
+from rsb_bridge.model.text import keep_output_clean
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from rclpy.publisher import Publisher
-    from rclpy.qos import QoSProfile
 
 WITNESS = "/witness"
 """Published in the robot's domain itself: the time that it takes is the harness's own."""
@@ -28,10 +29,9 @@ VELOCITY = 0.2
 """m/s of each numbered Twist."""
 
 _WITNESS_RATE = 50.0
-_ROOT = Path(__file__).parents[3]
 _ARRIVAL = struct.Struct("<HIddd")
 _POLL = 0.003
-_MARK = "answer "
+_PIPES = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
 
 
 class Arrival(NamedTuple):
@@ -52,39 +52,7 @@ class Arrival(NamedTuple):
     bridged: float
 
 
-class _Process:
-    """A process of this module, which answers each line with one."""
-
-    def __init__(self, *arguments: object, environ: Mapping[str, str] | None = None) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.system.torture.ends", *map(str, arguments)],
-            cwd=_ROOT,
-            env=os.environ | (environ or {}),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-
-    def ask(self, **order: Any) -> Any:
-        assert self._process.stdin is not None
-        self._process.stdin.write(json.dumps(order) + "\n")
-        self._process.stdin.flush()
-        return self.read()
-
-    def read(self) -> Any:
-        """Its next answer; Fast DDS writes there, too."""
-        assert self._process.stdout is not None
-        while line := self._process.stdout.readline():
-            if line.startswith(_MARK):
-                return json.loads(line.removeprefix(_MARK))
-        raise AssertionError("it has ended")
-
-    def close(self) -> None:
-        with self._process:
-            self._process.kill()
-
-
-class Talker(_Process):
+class Talker(Asked):
     """Publishes commands in the control PC's domain.
 
     Args:
@@ -94,20 +62,20 @@ class Talker(_Process):
     """
 
     def __init__(self, pc: int, robot: int, environ: Mapping[str, str] | None = None) -> None:
-        super().__init__("talk", pc, robot, environ=environ)
+        super().__init__(started(__name__, "talk", str(pc), str(robot), environ=environ, **_PIPES))
 
     def talk(self, topics: Iterable[str], rate: float, *, twist: bool = False) -> None:
         """Publish each topic at `rate` Hz from now on, and nothing else; with `twist`, as velocities."""
         self.ask(topics=[*topics], rate=rate, twist=twist)
 
 
-class Ear(_Process):
+class Ear(Asked):
     """Listens in the robot's domain."""
 
     def __init__(self, robot: int, file: Path) -> None:
         self._file = file
         self._topics: list[str] = []
-        super().__init__("listen", robot, file)
+        super().__init__(started(__name__, "listen", str(robot), str(file), **_PIPES))
 
     def listen(self, topics: Iterable[str], *, twist: bool = False) -> None:
         """Listen to these topics, as Twist or String, and to `WITNESS`, and forget all that was noted."""
@@ -157,21 +125,18 @@ def talk(pc: int, robot: int) -> None:
     domain, own = Domain(pc), Domain(robot)
     witness = _Voice(own.publisher(WITNESS), _WITNESS_RATE)
     voices: dict[str, _Voice] = {}
-    _say("ready")
-    while True:
-        due = min(each.due for each in (witness, *voices.values()))
-        if select.select([sys.stdin], [], [], max(0.0, due - time.monotonic()))[0]:
-            line = sys.stdin.readline()
-            if not line:
-                return
-            order = json.loads(line)
-            domain.clear()
-            twist = order["twist"]
-            kind = type(_twist()) if twist else String
-            voices = {
-                name: _Voice(domain.publisher(name, kind), order["rate"], twist=twist) for name in order["topics"]
-            }
-            _say("done")
+
+    def act(order: dict[str, Any]) -> None:
+        nonlocal voices
+        domain.clear()
+        twist = order["twist"]
+        kind = type(_twist()) if twist else String
+        voices = {name: _Voice(domain.publisher(name, kind), order["rate"], twist=twist) for name in order["topics"]}
+
+    def due() -> float:
+        return min(each.due for each in (witness, *voices.values()))
+
+    while answers(act, max(0.0, due() - time.monotonic())):
         now = time.monotonic()
         for voice in (witness, *voices.values()):
             if voice.due <= now:
@@ -187,21 +152,19 @@ def listen(robot: int, file: Path) -> None:
     subscriptions: list[Any] = []
     shift = time.time() - time.monotonic()
     output = file.open("wb", buffering=0)
-    _say("ready")
-    while True:
-        if select.select([sys.stdin], [], [], _POLL)[0]:
-            line = sys.stdin.readline()
-            if not line:
-                return
-            order = json.loads(line)
-            if "topics" in order:
-                domain.clear()
-                twist = type(_twist()) if order["twist"] else String
-                kinds = {name: String if name == WITNESS else twist for name in order["topics"]}
-                subscriptions = [_subscribe(domain, name, kind, RELIABLE) for name, kind in kinds.items()]
-                output.truncate(0)
-                output.seek(0)
-            _say("done")
+
+    def act(order: dict[str, Any]) -> None:
+        nonlocal subscriptions
+        if "topics" in order:
+            domain.clear()
+            twist = type(_twist()) if order["twist"] else String
+            kinds = {name: String if name == WITNESS else twist for name in order["topics"]}
+            subscribe = domain.node.create_subscription
+            subscriptions = [subscribe(kind, name, lambda _: None, RELIABLE) for name, kind in kinds.items()]
+            output.truncate(0)
+            output.seek(0)
+
+    while answers(act, _POLL):
         for index, subscription in enumerate(subscriptions):
             while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
                 message, info = taken
@@ -219,16 +182,8 @@ def _noted(message: Any) -> tuple[str | float, str | float]:
     return linear.y or float(any((linear.x, linear.z, angular.z))), linear.z
 
 
-def _subscribe(domain: Any, topic: str, kind: Any, qos: QoSProfile) -> Any:
-    return domain.node.create_subscription(kind, topic, lambda _: None, qos)
-
-
-def _say(answer: Any) -> None:
-    sys.stdout.write(f"{_MARK}{json.dumps(answer)}\n")
-    sys.stdout.flush()
-
-
 if __name__ == "__main__":
+    keep_output_clean()
     if sys.argv[1] == "talk":
         talk(int(sys.argv[2]), int(sys.argv[3]))
     else:

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import time
 from bisect import bisect_left, bisect_right
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from tests.system.torture.ends import WITNESS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from tests.system.torture.ends import Arrival
+from tests.system.torture.ends import WITNESS, Arrival
 
 OLDEST = 1.0
 """s: nothing older may reach a robot on a topic that has to be armed."""

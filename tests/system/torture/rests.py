@@ -13,19 +13,23 @@ import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
+import msgspec
 from tests.support.waiting import eventually
 from tests.system.torture.ends import VELOCITY
 from tests.system.torture.judge import CLOCK_TOLERANCE, Witness
-from tests.system.torture.stage import TOPIC, Stage
+from tests.system.torture.stage import TOPIC, TWIST, Stage
 
 from rsb_bridge.api import EngineError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from tests.support.zenoh_router import Router
     from tests.system.torture.ends import Arrival
-    from tests.system.torture.forker import Command
-    from tests.system.torture.stage import Bridge, Nodes, Transport
+    from tests.system.torture.program import Command
+    from tests.system.torture.stage import Bridge, Nodes, Side, Transport
+
+    from rsb_bridge.control.remote_engine import RemoteEngine
 
 Driver: TypeAlias = Literal["node", "hand", "hand on robot"]
 DRIVERS: tuple[Driver, ...] = ("node", "hand", "hand on robot")
@@ -39,7 +43,6 @@ _SIGNAL_WITHIN = 0.2
 _WATCHED = 3.5
 _DEADMAN = 2.0
 _KEYS = 10.0  # Hz
-_ENTRY = {"type": "geometry_msgs/msg/Twist"}
 
 
 @dataclass
@@ -75,80 +78,30 @@ class _Scene:
     """One case.
 
     Attributes:
+        bridge: of the ending's side.
         holder: the command that armed the topic.
     """
 
     stage: Stage
+    bridge: Bridge
     holder: Command
 
+    @property
+    def console(self) -> RemoteEngine:
+        return self.bridge.console
 
-def _key(bridge: Bridge) -> str:
-    return bridge.routes()[0].key
+    @property
+    def key(self) -> str:
+        return self.bridge.routes()[0].key
 
+    @property
+    def router(self) -> Router:
+        assert self.stage.router is not None
+        return self.stage.router
 
-def _disarm(scene: _Scene, bridge: Bridge) -> None:
-    bridge.console.disarm(_key(bridge)).result(30)
-
-
-def _pause(scene: _Scene, bridge: Bridge) -> None:
-    bridge.console.pause(_key(bridge), True).result(30)
-
-
-def _remove(scene: _Scene, bridge: Bridge) -> None:
-    bridge.console.remove_topic(_key(bridge)).result(30)
-
-
-def _edit(scene: _Scene, bridge: Bridge) -> None:
-    import msgspec
-
-    route = bridge.routes()[0]
-    bridge.console.edit_topic(route.key, msgspec.structs.replace(route.spec, compression="zstd")).result(30)
-
-
-def _reload(scene: _Scene, bridge: Bridge) -> None:
-    bridge.console.reload().result(30)
-
-
-def _restart(scene: _Scene, bridge: Bridge) -> None:
-    bridge.console.restart().result(30)
-
-
-def _term(scene: _Scene, bridge: Bridge) -> None:
-    bridge.command.signal(signal.SIGTERM)
-
-
-def _kill(scene: _Scene, bridge: Bridge) -> None:
-    bridge.command.signal(signal.SIGKILL)
-
-
-def _freeze(scene: _Scene, bridge: Bridge) -> None:
-    bridge.command.signal(signal.SIGSTOP)
-
-
-def _cut(scene: _Scene, _: Bridge) -> None:
-    scene.stage.relay.hold()
-
-
-def _console_killed(scene: _Scene, _: Bridge) -> None:
-    scene.holder.signal(signal.SIGKILL)
-
-
-def _console_frozen(scene: _Scene, _: Bridge) -> None:
-    scene.holder.signal(signal.SIGSTOP)
-
-
-def _deadman(scene: _Scene, _: Bridge) -> None:
-    """No key comes on the console that holds the topic."""
-
-
-def _router_killed(scene: _Scene, _: Bridge) -> None:
-    assert scene.stage.router is not None
-    scene.stage.router.kill()
-
-
-def _router_stopped(scene: _Scene, _: Bridge) -> None:
-    assert scene.stage.router is not None
-    scene.stage.router.pause()
+    def edit(self) -> None:
+        spec = self.bridge.routes()[0].spec
+        self.console.edit_topic(self.key, msgspec.structs.replace(spec, compression="zstd")).result(30)
 
 
 @dataclass(frozen=True)
@@ -162,35 +115,37 @@ class Ending:
         released: whether the network or the process goes on after a while, so that late messages come.
     """
 
-    does: Callable[[_Scene, Bridge], None]
-    side: Literal["pc", "robot"] = "pc"
+    does: Callable[[_Scene], object]
+    side: Side = "pc"
     within: float = WITHIN
     deadman: float = 0.0
     released: bool = False
 
 
 _BOTH: dict[str, Ending] = {
-    "disarm": Ending(_disarm),
-    "pause": Ending(_pause),
-    "remove": Ending(_remove),
-    "edit": Ending(_edit),
-    "reload": Ending(_reload),
-    "restart": Ending(_restart),
-    "SIGTERM": Ending(_term, within=_SIGNAL_WITHIN),
+    "disarm": Ending(lambda scene: scene.console.disarm(scene.key).result(30)),
+    "pause": Ending(lambda scene: scene.console.pause(scene.key, True).result(30)),
+    "remove": Ending(lambda scene: scene.console.remove_topic(scene.key).result(30)),
+    "edit": Ending(_Scene.edit),
+    "reload": Ending(lambda scene: scene.console.reload().result(30)),
+    "restart": Ending(lambda scene: scene.console.restart().result(30)),
+    "SIGTERM": Ending(lambda scene: scene.bridge.command.signal(signal.SIGTERM), within=_SIGNAL_WITHIN),
 }
 _SILENT_CONSOLE = 5.5
 """s after which a console counts as gone, and until that is noticed."""
+_KILLED = "pc: kill -9"
 ENDINGS: dict[str, Ending] = {
     **{f"pc: {name}": each for name, each in _BOTH.items()},
     **{f"robot: {name}": Ending(each.does, "robot", each.within) for name, each in _BOTH.items()},
-    "pc: kill -9": Ending(_kill),
-    "pc: frozen": Ending(_freeze, within=CUT_WITHIN, released=True),
-    "cut": Ending(_cut, within=CUT_WITHIN, released=True),
-    "console killed": Ending(_console_killed),
-    "console frozen": Ending(_console_frozen, within=_SILENT_CONSOLE + WITHIN),
-    "deadman": Ending(_deadman, within=_DEADMAN + WITHIN, deadman=_DEADMAN),
-    "router killed": Ending(_router_killed, within=CUT_WITHIN),
-    "router stopped": Ending(_router_stopped, within=CUT_WITHIN, released=True),
+    _KILLED: Ending(lambda scene: scene.bridge.command.signal(signal.SIGKILL)),
+    "pc: frozen": Ending(lambda scene: scene.bridge.command.signal(signal.SIGSTOP), within=CUT_WITHIN, released=True),
+    "cut": Ending(lambda scene: scene.stage.relay.hold(), within=CUT_WITHIN, released=True),
+    "console killed": Ending(lambda scene: scene.holder.signal(signal.SIGKILL)),
+    "console frozen": Ending(lambda scene: scene.holder.signal(signal.SIGSTOP), within=_SILENT_CONSOLE + WITHIN),
+    # no key comes on the console that holds the topic
+    "deadman": Ending(lambda _: None, within=_DEADMAN + WITHIN, deadman=_DEADMAN),
+    "router killed": Ending(lambda scene: scene.router.kill(), within=CUT_WITHIN),
+    "router stopped": Ending(lambda scene: scene.router.pause(), within=CUT_WITHIN, released=True),
 }
 
 
@@ -202,40 +157,38 @@ def fits(name: str, transport: Transport) -> bool:
 def run(nodes: Nodes, name: str, transport: Transport, driver: Driver) -> Rested:
     """End an arming, and note what the robot's node hears from then on."""
     ending = ENDINGS[name]
-    with Stage(nodes, transport, entry=_ENTRY | {"deadman": ending.deadman}) as stage:
+    with Stage(nodes, transport, entry=TWIST | {"deadman": ending.deadman}) as stage:
         stage.prepare(twist=True, talks=driver == "node")
         side = stage.robot if driver == "hand on robot" else stage.pc
         armed_at = time.monotonic()
         holder = side.run("arm", TOPIC)
-        scene = _Scene(stage, holder)
+        bridge = stage.side(ending.side)
         with _driven(side) if driver != "node" else contextlib.nullcontext():
             moving = _await_motion(stage, holder)
             armed_at = moving[0].arrived
-            bridge = stage.pc if ending.side == "pc" else stage.robot
             began = armed_at if ending.deadman else time.monotonic()
-            ending.does(scene, bridge)
-            within = CUT_WITHIN if ending.does is _kill and transport.startswith("zenoh") else ending.within
+            ending.does(_Scene(stage, bridge, holder))
+            within = CUT_WITHIN if name == _KILLED and transport.startswith("zenoh") else ending.within
             time.sleep(within + 0.5)
             if ending.released:
                 time.sleep(4.0)  # until the arming has ended for good: what comes from now on is late
                 stage.relay.release()
-                if ending.does is _freeze:
-                    bridge.command.signal(signal.SIGCONT)
-                if stage.router is not None and ending.does is _router_stopped:
+                bridge.command.signal(signal.SIGCONT)
+                if stage.router is not None:
                     stage.router.go_on()
             time.sleep(_WATCHED - 1.0)
         return _judge(stage, began, within)
 
 
 def _await_motion(stage: Stage, holder: Command) -> list[Arrival]:
+    def moving() -> list[Arrival] | None:
+        found = [each for each in stage.heard() if each.number]
+        return found if len(found) >= 3 else None
+
     try:
-        return eventually(lambda: _three([each for each in stage.heard() if each.number]), 30, "it moves")
+        return eventually(moving, 30, "it moves")
     except AssertionError as error:
-        raise AssertionError(f"{error}; {holder.code} {holder.output[-300:]}; {stage.describe()}") from None
-
-
-def _three(moving: list[Arrival]) -> list[Arrival] | None:
-    return moving if len(moving) >= 3 else None
+        raise AssertionError(f"{error}; running: {holder.running} {holder.output[-300:]}; {stage.describe()}") from None
 
 
 def _judge(stage: Stage, began: float, within: float) -> Rested:
@@ -269,7 +222,7 @@ def _driven(bridge: Bridge) -> Iterator[None]:
         while not over.wait(1 / _KEYS):
             try:
                 published = bridge.console.publish(
-                    TOPIC, f"linear: {{x: {VELOCITY}}}", _ENTRY["type"], ticket=ticket, rest="{}"
+                    TOPIC, f"linear: {{x: {VELOCITY}}}", TWIST["type"], ticket=ticket, rest="{}"
                 ).result(5)
                 ticket = published.ticket
                 if not published.is_done:

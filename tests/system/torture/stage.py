@@ -17,8 +17,8 @@ from tests.support.relay import Relay
 from tests.support.waiting import eventually
 from tests.system.torture.clock import SteppedClock
 from tests.system.torture.ends import Ear, Talker
-from tests.system.torture.forker import Command, Forker
 from tests.system.torture.judge import Findings, Window, judge
+from tests.system.torture.program import Command, Commands
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import write_key
@@ -36,6 +36,8 @@ Transport: TypeAlias = Literal["tcp", "udp", "zenoh", "zenoh-drop"]
 Side: TypeAlias = Literal["robot", "pc"]
 SIDES: tuple[Side, ...] = ("robot", "pc")
 TOPIC = "/cmd"
+TWIST = {"type": "geometry_msgs/msg/Twist"}
+"""Settings of its entry, if it carries velocities."""
 RATE = 100.0
 
 _SHOW_DISARMED = {"disarmed", "down"}
@@ -52,8 +54,8 @@ class Bridge:
         console: attached to it, from `attach` on.
     """
 
-    def __init__(self, forker: Forker, file: Path) -> None:
-        self._forker = forker
+    def __init__(self, commands: Commands, file: Path) -> None:
+        self._commands = commands
         self._file = file
         self.control = Path(f"{file}.sock")
         self.command: Command
@@ -63,7 +65,7 @@ class Bridge:
     def start(self) -> None:
         """Run the session."""
         options = ("--no-ui", "--log-format", "json", "--control", str(self.control))
-        self.command = self._forker.start("run", str(self._file), *options)
+        self.command = self._commands.start("run", str(self._file), *options)
 
     def kill(self) -> None:
         """kill -9."""
@@ -84,7 +86,7 @@ class Bridge:
 
     def run(self, command: str, *arguments: str) -> Command:
         """Begin ``rsb-console COMMAND`` for this bridge."""
-        return self._forker.start(command, "--control", str(self.control), *arguments)
+        return self._commands.start(command, "--control", str(self.control), *arguments)
 
     def routes(self, topic: str = TOPIC) -> list[RouteSnapshot]:
         """All routes of a topic, as its console shows them."""
@@ -125,7 +127,7 @@ class Nodes:
         domains: the robot's, and the control PC's.
         talker: publishes commands on the control PC's side.
         ear: listens on the robot's side.
-        forkers: start the programs of each side.
+        commands: start the programs of each side.
         clocks: of each side, or empty if both have the true one.
         stages: how many bridges these nodes have seen.
     """
@@ -133,7 +135,7 @@ class Nodes:
     domains: tuple[int, int]
     talker: Talker
     ear: Ear
-    forkers: dict[Side, Forker]
+    commands: dict[Side, Commands]
     folder: Path
     clocks: dict[Side, SteppedClock]
     stages: int = 0
@@ -149,19 +151,18 @@ class Nodes:
         clocks: dict[Side, SteppedClock] = {}
         if stepped:
             clocks = {"robot": SteppedClock(folder, "robot"), "pc": SteppedClock(folder, "pc")}
-        forkers: dict[Side, Forker] = {}
+        commands: dict[Side, Commands] = {}
         for side in SIDES:
             (folder / side).mkdir()
-            forkers[side] = Forker(folder / side, clocks[side].environ if stepped else None)
+            commands[side] = Commands(folder / side, clocks[side].environ if stepped else None)
         talker = Talker(first + 1, first, clocks["pc"].environ if stepped else None)
         ear = Ear(first, folder / "arrivals")
-        assert talker.read() == ear.read() == "ready"
-        return cls((first, first + 1), talker, ear, forkers, folder, clocks)
+        return cls((first, first + 1), talker, ear, commands, folder, clocks)
 
     def close(self) -> None:
         """End them."""
-        for forker in self.forkers.values():
-            forker.close()
+        for each in self.commands.values():
+            each.close()
         self.talker.close()
         self.ear.close()
         free_shared_memory()
@@ -243,7 +244,7 @@ class Stage:
             session = common | places[side] | {"domain_id": domain} | roles[side]
             file = folder / f"{side}.yaml"
             file.write_text(yaml.safe_dump(session, sort_keys=False))
-            bridges[side] = Bridge(nodes.forkers[side], file)
+            bridges[side] = Bridge(nodes.commands[side], file)
             self._resources.callback(bridges[side].kill)
         self.robot, self.pc = bridges["robot"], bridges["pc"]
         for bridge in (self.robot, self.pc):
@@ -253,6 +254,9 @@ class Stage:
         watching.start()
         self._resources.callback(watching.join)
         self._resources.callback(self._over.set)
+
+    def side(self, side: Side) -> Bridge:
+        return self.robot if side == "robot" else self.pc
 
     # --- what people do
 

@@ -19,10 +19,7 @@ import sys
 import termios
 import threading
 import tty
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+from collections.abc import Iterator
 
 _TAIL = 200_000
 _READ_SIZE = 65_536
