@@ -22,7 +22,7 @@ from rsb_console.screens.drive_screen import Steering
 from rsb_console.screens.links_screen import LinkText
 from rsb_console.screens.take_over import HandOverScreen
 from rsb_console.terminal.driver import KeyParser
-from rsb_console.terminal.input_gate import LIST_MOVED, SEEN_AFTER, GuardedScreen, InputGate, is_guarded
+from rsb_console.terminal.input_gate import SEEN_AFTER, GuardedScreen, InputGate, LateInput, is_guarded
 from rsb_console.terminal.pulse import ANSWERS_WITHIN, ASKED_EVERY, FRESH_FOR, WHO_ARE_YOU, Pulse, heard_before
 
 if TYPE_CHECKING:
@@ -455,7 +455,7 @@ async def test_a_key_is_not_for_a_topic_that_has_just_slid_under_the_cursor(
     app.input_gate.pulse = Pulse({}, Time())
     put(app, *engine_of(app).now.routes[1:])
     await pilot.press("p")
-    await notified(pilot, LIST_MOVED)
+    await notified(pilot, LateInput.LIST_MOVED)
     assert engine_of(app).commands == []
     app.main.topics._slid_at -= SEEN_AFTER
     await pilot.press("p")

@@ -176,7 +176,7 @@ class LeaseHalf:
         elif now - self._turns.at > LASTS:
             self.over = Standstill.ROS_THREAD
         elif (self._answered and now - self._confirmed > GIVEN_UP_AFTER) or (
-            not self._begun and now - self._began > _FIRST_WITHIN
+            not self.begun and now - self._began > _FIRST_WITHIN
         ):
             self.over = Standstill.PEER
         else:

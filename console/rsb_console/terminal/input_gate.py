@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeGuard
 from textual import events
 from textual.screen import Screen
 
+from rsb_bridge.model.wording import Wording
 from rsb_console.terminal.pulse import FRESH_FOR, heard_before, is_from_terminal
 
 if TYPE_CHECKING:
@@ -24,7 +25,10 @@ _TOLD_EVERY = 3.0
 """s between two notes about late keys, and for which one stays: a held key would fill the screen with them."""
 
 
-LIST_MOVED = "the list has moved: look, and press the key again"
+class LateInput(Wording):
+    """Texts about keys that do not count."""
+
+    LIST_MOVED = "the list has moved: look, and press the key again"
 
 
 class GuardedScreen(Screen[Any]):
@@ -103,7 +107,7 @@ class InputGate:
         """Whether the operator may have seen what changed at a time (s); if not, they get a note."""
         if not self.is_on or self._clock() - changed_at >= SEEN_AFTER:
             return True
-        self._app.notify(LIST_MOVED, severity="warning", timeout=_TOLD_EVERY)
+        self._app.notify(LateInput.LIST_MOVED(), severity="warning", timeout=_TOLD_EVERY)
         return False
 
     def takes_keys(self, screen: GuardedScreen) -> bool:
