@@ -284,6 +284,9 @@ def test_a_topic_that_goes_both_ways_has_to_be_named_with_its_direction(ran: Any
 def test_a_command_that_began_long_ago_resumes_nothing(
     ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
 ) -> None:
+    paused = msgspec.structs.replace(SCAN.spec, paused=True)
+    engine.session = msgspec.structs.replace(engine.session, topics=(paused,))
+    engine.now = replace(engine.now, routes=(replace(SCAN, spec=paused),))
     replaced.GIVEN_AT.set(monkeypatch, lambda _: Clock.steady() - OLD_AFTER - 0.1)
     assert says(ran(*command).err, RequestProblem.TOO_LATE)
     assert engine.commands == []

@@ -114,6 +114,7 @@ async def test_the_key_that_armed_a_topic_disarms_it_wherever_it_and_the_cursor_
     await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
     put(app, ARMED, camera)  # and goes below
     await shown(pilot, "◆ ARMED    /cmd_vel")
+    assert app.main.selected == ARMED
     for keys in (["A"], ["k", "A"]):
         await until(pilot, lambda: app.deadman.held, "an answer that this console holds it")
         engine_of(app).commands.clear()

@@ -71,7 +71,7 @@ def test_what_moves_a_robot_expires() -> None:
 
 
 def test_what_changes_a_bridge_states_its_effect() -> None:
-    kinds = [kind for kind in typing.get_args(commands.AnyCommand) if inspect.isclass(kind)]
+    kinds: list[Any] = [kind for kind in typing.get_args(commands.AnyCommand) if inspect.isclass(kind)]
     changing = [kind for kind in kinds if kind.right in (commands.Right.CHANGE, commands.Right.TAKE)]
     assert [kind for kind in changing if not {"always", "effect"} & vars(kind).keys()] == []
 

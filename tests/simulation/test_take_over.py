@@ -314,6 +314,7 @@ def test_the_holder_decides(asker: int, gives: bool) -> None:
         asking = asyncio.ensure_future(drivers.command(other, AskHolder))
         await until(lambda: drivers.is_asked(anna), 1.0)
         await drivers.do(anna, lambda route: AnswerAsker(route.key, gives=gives, who="another"))
+        assert drivers.is_asked(anna)
         assert not asking.done()
         await drivers.command(anna, partial(AnswerAsker, gives=gives))
         await asking
