@@ -47,7 +47,12 @@ def test_a_long_message_goes_record_by_record(machine: Machine, monkeypatch: pyt
 
     def measured(console: SealedConsole, transport: Any) -> None:
         write = transport.write
-        transport.write = lambda data: (lengths.append(len(data)), write(data))
+
+        def measure(data: bytes) -> None:
+            lengths.append(len(data))
+            write(data)
+
+        transport.write = measure
         connected(console, transport)
 
     replaced.CONSOLE_CONNECTED.set(monkeypatch, measured)
