@@ -341,3 +341,13 @@ def test_streams_arrive_in_any_order_and_each_number_counts_once(bridge: Bridge)
         assert not client.open_stream(large=False, number=2000)
         assert not client.open_stream(large=False, number=2000 - 1024), "so old numbers are forgotten"
         assert client.open_stream(large=False, number=1999)
+
+
+def test_a_client_opens_a_stream_again_that_the_server_takes_for_open(bridge: Bridge) -> None:
+    """A NAT may have forgotten it: the server's kernel finds that out half a minute later."""
+    bridge.server()
+    with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as client:
+        client.route("/beat", "tcp", Qos())
+        assert client.has_streams()
+        assert client.open_stream(large=True)
+        assert not client.streams[1].recv(1), "the server closes the old one"

@@ -53,7 +53,7 @@ class Admission(Protocol):
         """Give a stream to the route that it was opened for.
 
         Raises:
-            Refusal: no route waits for it.
+            Refusal: no route needs it.
         """
         ...
 
