@@ -12,6 +12,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import constants
 from tests.support.bridge import carries, happened, heard, link, linked, now, settled
 from tests.support.domain import text
 from tests.support.inside import inside
@@ -164,8 +165,9 @@ def talk(address: tuple[str, int], sent: bytes, source: str = "") -> bytes:
     return answer
 
 
-def test_half_a_handshake_and_then_nothing(friend: Any, bridge: Bridge) -> None:
+def test_half_a_handshake_and_then_nothing(friend: Any, bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     """A hundred slow strangers, more than one host may have: the server serves on and lets a friend in among them."""
+    constants.SERVER_HANDSHAKE_WITHIN.set(monkeypatch, 5.0)
     server, _, out, there = friend
     with contextlib.ExitStack() as crowd:
         strangers = [
