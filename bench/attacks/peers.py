@@ -14,7 +14,7 @@ from bench.attacks.target import Attack, paced
 from tests.support.frames import write_frame
 from tests.support.rogue import Rogue
 
-from rsb_bridge.model.limits import dds_ports
+from rsb_bridge.model.limits import ROUTES_PER_LINK, dds_ports
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.known_messages import STRING_HASH
 from rsb_bridge.wire.framing import ZSTD
@@ -30,9 +30,9 @@ from rsb_bridge.wire.messages import (
     Propose,
     Ready,
     Refuse,
-    TopicList,
+    Report,
 )
-from rsb_bridge.wire.records import Source, TopicEntry
+from rsb_bridge.wire.records import ReceivedReport, SentReport, Source
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -125,9 +125,10 @@ def questions(target: Target, tally: Tally) -> None:
 
 
 def oversize(target: Target, tally: Tally) -> None:
-    entry = TopicEntry("/t", "a/msg/B", "", Qos(depth=1), 1, 1)
-    # Just below 1 MiB, the limit of a control message.
-    large = TopicList(1, (entry,) * (950_000 // len(msgspec.msgpack.encode(entry))))
+    causes = {f"cause_{number:04}": number for number in range(32)}
+    # 0.8 MB of the 1 MiB that is the limit of a control message.
+    sent, received = SentReport(route=1, dropped=causes), ReceivedReport(route=1, dropped=causes)
+    large = Report(sent=(sent,) * ROUTES_PER_LINK, received=(received,) * ROUTES_PER_LINK)
 
     def say(rogue: Rogue) -> Iterable[ControlMessage]:
         _drained(rogue)
@@ -266,7 +267,7 @@ ATTACKS = {
     ),
     "escapes": Attack(escapes, "escape sequences and forged lines", {"texts": 10}),
     "reconnects": Attack(reconnects, "as many authenticated links one after another as it gets", {"links": 50}),
-    "oversize": Attack(oversize, "control messages of 1 MB", {"MB": 8}),
+    "oversize": Attack(oversize, "control messages of 0.8 MB", {"MB": 8}),
     "bombs": Attack(bombs, "compressed messages that expand to 60 MB", {"bombs": 10}),
     "pauses": Attack(pauses, "pauses and resumes without end", {"pauses": 1000}),
     "questions": Attack(questions, "questions for topics and types without end", {"questions": 1000}),

@@ -166,7 +166,7 @@ def test_one_client_that_takes_all_it_can_leaves_enough_for_the_next(
         assert hog.has_streams()
         for number in range(TOPICS):
             hog.route(f"/hogged{number}", "tcp", Qos())
-            assert not hog.open_stream(large=bool(number % 2))  # all routes share the two
+            assert hog.open_stream(large=bool(number % 2))  # in the place of one of the two that all routes share
         for _ in range(TOPICS):
             resources.enter_context(socket.create_connection(("127.0.0.1", bridge.port)))
         client = bridge.client(*(Topic(name, "transmit") for name in names), name="robot2", key_file="other.key")

@@ -23,17 +23,14 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.wire.codec import (
     WHOLE,
     ReportParts,
-    TopicListParts,
     decode,
     encode,
     report_entries,
-    topic_entries,
 )
 from rsb_bridge.wire.events import MessageReceived
-from rsb_bridge.wire.framing import CONTROL_LIMIT
-from rsb_bridge.wire.messages import ControlMessage, Describe, Ping, Report, TopicList
+from rsb_bridge.wire.messages import ControlMessage, Describe, Ping, Report
 from rsb_bridge.wire.protocol_error import ProtocolError
-from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport, Source, TopicEntry
+from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport, Source
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -80,7 +77,7 @@ class Peer:
         self._sliced = sliced
 
     def message(self, message: object) -> Any:
-        if isinstance(message, Report | ReportParts | TopicListParts):
+        if isinstance(message, Report | ReportParts):
             return self._sliced(message, self.done.append)
         self.done.append(message)
         return None
@@ -105,8 +102,7 @@ class Peer:
 
 
 def entries_of(message: Any, done: Callable[[object], None]) -> Any:
-    entries: Any = topic_entries(message) if isinstance(message, TopicListParts) else report_entries(message)
-    return in_slices(entries, done)
+    return in_slices(report_entries(message), done)
 
 
 def test_a_report_of_400_kb_is_worked_off_in_slices_and_in_order() -> None:
@@ -126,13 +122,10 @@ def test_a_report_of_400_kb_is_worked_off_in_slices_and_in_order() -> None:
     [
         Report(sent=(), received=(ReceivedReport(route=1),) * ROUTES_PER_LINK),
         Report(sent=(), received=(), calls=(CallsReport(route=1),) * 500),
-        TopicList(1, (TopicEntry("/a", "a/msg/B", "", None, 1, 1),) * 4000),
     ],
 )
 def test_short_entries_are_worked_off_by_number(message: Any) -> None:
-    entries = (
-        [*message.topics] if isinstance(message, TopicList) else [*message.sent, *message.received, *message.calls]
-    )
+    entries = [*message.sent, *message.received, *message.calls]
     peer = Peer([MessageReceived(encode(message))], entries_of)
     peer.run(len(entries))
     assert peer.done == entries
@@ -244,7 +237,7 @@ def test_all_other_lists_in_control_messages_are_short() -> None:
     """A new list needs a limit, or parts of its own (`rsb_bridge.wire.codec`)."""
     kinds = get_args(ControlMessage)
     found = {each for kind in kinds for each in unbounded(inspect.type_info(kind), kind.__name__)}
-    assert found == {"Report.sent", "Report.received", "Report.calls", "TopicList.topics"}
+    assert found == {"Report.sent", "Report.received", "Report.calls"}
 
 
 def test_a_real_link_takes_the_whole_of_a_long_report(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -259,12 +252,3 @@ def test_a_real_link_takes_the_whole_of_a_long_report(bridge: Bridge, monkeypatc
         assert linked(server)
         rogue.say(msgspec.structs.replace(report, sent=entries * 2))
         eventually(lambda: any(event.code == EventCode.LINK_LOST for event in server.events()))
-
-
-def test_the_longest_frames_need_no_long_turn() -> None:
-    """None of 131,000 entries, which are views of the frame, is decoded before its turn."""
-    many = (CONTROL_LIMIT - 100) // 8
-    data = msgspec.msgpack.encode({"message": "topiclist", "request": 1, "topics": [{}] * many})
-    parts = decode(data)
-    assert isinstance(parts, TopicListParts)
-    assert len(parts.topics) == many

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, get_args
 import pytest
 
 from rsb_bridge.link.roles import ClientRole, ServerRole
-from rsb_bridge.wire.codec import ReportParts, TopicListParts
+from rsb_bridge.wire.codec import ReportParts
 from rsb_bridge.wire.messages import ControlMessage
 
 if TYPE_CHECKING:
@@ -24,6 +24,6 @@ def link(request: pytest.FixtureRequest, make_context: Callable[..., Context]) -
 
 
 def test_each_control_message_has_one_handler(link: Link) -> None:
-    assert set(link.handlers) == {*get_args(ControlMessage), ReportParts, TopicListParts}
+    assert set(link.handlers) == {*get_args(ControlMessage), ReportParts}
     registered = [each for extension in link._extensions for each in extension.messages]
     assert len(registered) == len(set(registered))

@@ -12,6 +12,7 @@ from tests.support.wording import pattern
 from rsb_bridge.link.errors import Denied, LinkError
 from rsb_bridge.link.questions import QUESTIONS_KEPT, Questions, TopicLists
 from rsb_bridge.ros.stand_in import NoRos
+from rsb_bridge.wire.codec import pack_topics
 from rsb_bridge.wire.messages import AskType, ListTopics, TopicList, TypeText
 
 if TYPE_CHECKING:
@@ -60,14 +61,29 @@ async def test_who_lists_topics_meanwhile_shares_the_question(loop: VirtualLoop)
     asking = [asyncio.ensure_future(lists.ask()) for _ in range(3)]
     await asyncio.sleep(0.0)
     assert sent == [ListTopics(1)]
-    take(lists, TopicList(request=1, topics=()))
+    take(lists, TopicList(1, pack_topics([])))
     later = asyncio.ensure_future(lists.ask())
     assert await asyncio.gather(*asking) == [[], [], []]
     await asyncio.sleep(0.0)
     assert sent == [ListTopics(1), ListTopics(2)], "an answer that was there is not used again"
-    take(lists, TopicList(request=1, topics=()))
+    take(lists, TopicList(1, pack_topics([])))
     assert not later.done()
-    take(lists, TopicList(request=2, topics=()))
+    take(lists, TopicList(2, pack_topics([])))
+    assert await later == []
+
+
+async def test_a_list_that_takes_long_serves_those_who_ask_meanwhile(loop: VirtualLoop) -> None:
+    """On a thin link, each further list would come after the one that is under way."""
+    sent: list[Any] = []
+    lists = TopicLists(NoRos(), lambda *_: True, sent.append, loop.create_task)
+    gives_up = asyncio.ensure_future(lists.ask())
+    await asyncio.sleep(1.0)
+    gives_up.cancel()
+    await asyncio.sleep(1.0)
+    later = asyncio.ensure_future(lists.ask())
+    await asyncio.sleep(20.0)
+    assert sent == [ListTopics(1)]
+    take(lists, TopicList(1, pack_topics([])))
     assert await later == []
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -141,11 +142,11 @@ async def test_answers_are_given_one_at_a_time() -> None:
 async def test_nodes_that_know_nothing_are_asked_again_after_a_while() -> None:
     side = Side()
     side.ros.nodes = {f"/node{number}": TEXT.replace("x", "y") if number else None for number in range(9)}
-    for moment in (0.0, 9.0, 11.0):
+    for moment in (0.0, 9.0, 11.0, 30.0, 32.0, 43.0):
         side.time = moment
         assert await side.known.find("a_msgs/msg/B", HASH, "/b") is None
-    assert side.ros.asked == ["/node0", "/node1", "/node2"] * 2, "three at a time, and after 10 s again"
-    side.time, side.ros.fails = 30.0, True
+    assert side.ros.asked == ["/node0", "/node1", "/node2"] * 3, "three at a time, and after 10 s and 20 s again"
+    side.time, side.ros.fails = 130.0, True
     assert await side.known.find("a_msgs/msg/B", HASH, "/b") is None
 
 
@@ -189,6 +190,29 @@ def versions(*texts: str) -> tuple[MessageVersion, ...]:
 
 
 REQUEST, RESPONSE = described("a_msgs/srv/A_Request", "x"), described("a_msgs/srv/A_Response", "y")
+
+
+async def test_while_a_node_is_asked_nobody_waits_who_needs_none() -> None:
+    """A type that is installed, and one that nobody has described lately."""
+    asked, answered = threading.Event(), threading.Event()
+
+    class Slow(Installed):
+        def ask_description(self, *_: Any) -> None:
+            asked.set()
+            answered.wait(60.0)
+
+    side, unknown = Side(Slow(REQUEST)), hash_of_text(RESPONSE)
+    assert await side.known.find("a_msgs/srv/A_Response", unknown, "/b") is None
+    side.ros.nodes = {"/node": None}
+    asking = asyncio.ensure_future(side.known.find("a_msgs/msg/B", HASH, "/b"))
+    await asyncio.to_thread(asked.wait, 60.0)
+    assert await side.known.find("a_msgs/srv/A_Request", hash_of_text(REQUEST), "/b") == REQUEST
+    assert await side.known.find("a_msgs/srv/A_Response", unknown, "/b") is None
+    assert not asking.done()
+    answered.set()
+    assert await asking is None
+
+
 HERE = described("a_msgs/srv/A_Request", "z"), described("a_msgs/srv/A_Response", "z")
 
 

@@ -12,6 +12,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.support import constants
 from tests.support.bridge import carries, happened, heard, link, linked, now, settled
 from tests.support.domain import text
 from tests.support.inside import inside
@@ -164,8 +165,9 @@ def talk(address: tuple[str, int], sent: bytes, source: str = "") -> bytes:
     return answer
 
 
-def test_half_a_handshake_and_then_nothing(friend: Any, bridge: Bridge) -> None:
+def test_half_a_handshake_and_then_nothing(friend: Any, bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     """A hundred slow strangers, more than one host may have: the server serves on and lets a friend in among them."""
+    constants.SERVER_HANDSHAKE_WITHIN.set(monkeypatch, 5.0)
     server, _, out, there = friend
     with contextlib.ExitStack() as crowd:
         strangers = [
@@ -341,3 +343,13 @@ def test_streams_arrive_in_any_order_and_each_number_counts_once(bridge: Bridge)
         assert not client.open_stream(large=False, number=2000)
         assert not client.open_stream(large=False, number=2000 - 1024), "so old numbers are forgotten"
         assert client.open_stream(large=False, number=1999)
+
+
+def test_a_client_opens_a_stream_again_that_the_server_takes_for_open(bridge: Bridge) -> None:
+    """A NAT may have forgotten it: the server's kernel finds that out half a minute later."""
+    bridge.server()
+    with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as client:
+        client.route("/beat", "tcp", Qos())
+        assert client.has_streams()
+        assert client.open_stream(large=True)
+        assert not client.streams[1].recv(1), "the server closes the old one"

@@ -25,6 +25,6 @@ def test_a_silent_name_server_is_named_and_holds_up_no_stop(robot: Host, tmp_pat
         "add rule inet wall in udp dport 53 drop"
     )
     client = Program(robot, Sessions(tmp_path, "pc.example", domains=(80, 81)).client)
-    client.happens(EventCode.LINK_UNREACHABLE, LookUpProblem.NO_NAME_SERVER(seconds=3))
+    client.happens(EventCode.LINK_UNREACHABLE, LookUpProblem.NO_NAME_SERVER(seconds=5))
     client.happens(EventCode.LINK_CONNECTING)
     client.close()

@@ -13,8 +13,8 @@ from tests.ros.domains import ANOTHER
 from rsb_bridge.model.qos import Qos, clamp_qos, match_publishers, match_subscriptions
 from rsb_bridge.ros.native.rclpy_extension import endpoint_of
 from rsb_bridge.ros.participant import Participant
-from rsb_bridge.wire.codec import decode, encode
-from rsb_bridge.wire.messages import Describe, Report, TopicList
+from rsb_bridge.wire.codec import decode, encode, pack_topics, topic_entries
+from rsb_bridge.wire.messages import Describe, Report
 from rsb_bridge.wire.records import ReceivedReport, SentReport, Source, TopicEntry
 
 STRING = "std_msgs/msg/String"
@@ -57,9 +57,10 @@ def test_a_qos_is_clamped_to_what_every_message_takes(announced: Qos, clamped: Q
         for message in (
             Describe(route=1, type=STRING, type_hash="", qos=qos, sources=(Source(("rsb_a/x",)),)),
             Report(sent=(sent,), received=(received,)),
-            TopicList(request=1, topics=(TopicEntry("/chat", STRING, "", qos, 1, 1),)),
         ):
             assert decode(encode(message)) == message
+        entry = TopicEntry("/chat", STRING, "", qos, 1, 1)
+        assert [each for each, _ in topic_entries(pack_topics([entry]))] == [entry]
 
 
 @pytest.mark.parametrize("nanoseconds", [1, 500_000, 2**63 - 2])

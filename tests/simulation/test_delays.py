@@ -6,6 +6,7 @@ import asyncio
 from dataclasses import replace
 
 import pytest
+from tests.simulation.beds import until
 from tests.simulation.conditions import STILL
 from tests.simulation.episodes import delayed
 from tests.simulation.invariants import route_of
@@ -61,5 +62,21 @@ def test_both_sides_say_that_messages_are_late(seed: int, protocol: str, directi
         assert max(said.values()) <= _SAID_WITHIN, said
         assert set(content) == {True, False}, content
         assert max(content.values()) - mended_at <= _OVER_WITHIN, (content, mended_at)
+
+    world.play(life=live())
+
+
+def test_a_link_comes_up_over_a_way_of_two_seconds() -> None:
+    """And stays up: a packet's answer takes almost as long as a peer may be silent."""
+    world = World(1, STILL)
+    (robot,) = world.robots
+    for path in world.network.both_ways(robot.host.machine, world.server.machine):
+        path.latency = (2.0, 2.01)
+
+    async def live() -> None:
+        with world.trouble("delayed", robot):
+            await until(lambda: (ends := world.link_ends(robot)) and all(link.linked for link in ends), 15.0)
+            await asyncio.sleep(30.0)
+            assert [link.connections for link in world.link_ends(robot) or ()] == [1, 1]
 
     world.play(life=live())

@@ -9,17 +9,18 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.wire.codec import (
     WHOLE,
     ReportParts,
-    TopicListParts,
     decode,
     encode,
+    pack_topics,
     report_entries,
     topic_entries,
 )
-from rsb_bridge.wire.messages import Report, TopicList
+from rsb_bridge.wire.messages import Report
 from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport, TopicEntry
 
 SENT, RECEIVED, CALLS = SentReport(route=1, offered=5), ReceivedReport(route=2, received=7), CallsReport(route=3)
+TOPIC = TopicEntry("/a", "a/msg/B", "", Qos(depth=1), 1, 1)
 
 
 @pytest.mark.parametrize("times", [1, 500])
@@ -35,12 +36,24 @@ def test_the_entries_are_those_of_the_whole(times: int) -> None:
     assert sum(size for _, size in found) < len(data)
 
 
-@pytest.mark.parametrize("times", [1, 500])
-def test_so_are_those_of_a_list_of_topics(times: int) -> None:
-    topics = TopicList(7, (TopicEntry("/a", "a/msg/B", "", Qos(depth=1), 1, 1),) * times)
-    parts = decode(encode(topics))
-    assert isinstance(parts, TopicList | TopicListParts)
-    assert tuple(entry for entry, _ in topic_entries(parts)) == topics.topics
+def test_so_are_those_of_a_list_of_topics() -> None:
+    topics = [TOPIC] * 500
+    assert [entry for entry, _ in topic_entries(pack_topics(topics))] == topics
+
+
+@pytest.mark.parametrize(
+    "packed",
+    [
+        b"",
+        b"garbage",
+        pack_topics([TOPIC] * 4001),
+        pack_topics([TopicEntry("x" * 255, "y" * 255, "", None, 1, 1)] * 4000),
+    ],
+    ids=["empty", "garbage", "too many", "too long"],
+)
+def test_a_list_that_is_damaged_or_too_long_is_refused(packed: bytes) -> None:
+    with pytest.raises((ProtocolError, msgspec.DecodeError)):
+        next(topic_entries(packed))
 
 
 def test_an_entry_that_is_invalid_is_found_when_it_is_reached() -> None:

@@ -36,9 +36,8 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Hello, Propose
     from rsb_bridge.wire.sealing import CipherSuite
 
-_HANDSHAKE_TIMEOUT = 5.0
-"""s for an answer, as long as a server waits for a handshake (`pending_connections`). A round figure: nothing was
-measured."""
+_HANDSHAKE_TIMEOUT = 10.0
+"""s for an answer, as long as a server waits for a handshake (`pending_connections`)."""
 _FIRST_DELAY = 0.5
 """s before the first further attempt. A round figure; `_LONGEST_DELAY_UNREACHED` bounds the next ones."""
 _JITTER = 0.5

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Mapping
 
     from rsb_bridge.channel.data_stream import DataStream
-    from rsb_bridge.wire.codec import ReportParts, TopicListParts
+    from rsb_bridge.wire.codec import ReportParts
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
     from rsb_bridge.wire.messages import ControlMessage, UrgentMessage
 
@@ -244,7 +244,7 @@ class ControlChannel(StreamHandler):
                 self.abort(reason)
         return 1
 
-    def _take_message(self, message: ControlMessage | ReportParts | TopicListParts) -> int:
+    def _take_message(self, message: ControlMessage | ReportParts) -> int:
         self._work = self._handlers[type(message)](message)
         return len(message.sources) if isinstance(message, Describe) else 1
 

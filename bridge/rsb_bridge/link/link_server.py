@@ -235,7 +235,7 @@ class Server:
         return control
 
     def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
-        """Attach a stream that was opened for routes' data; raise Refusal if none awaits it."""
+        """Attach a stream that was opened for routes' data; raise Refusal if none needs it."""
         link = self._link_of(event.link_id)
         if link is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)

@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from rsb_bridge.model.budgets import Strangers
     from rsb_bridge.model.codes import EventCode
 
-_HANDSHAKE_WITHIN = 5.0
-"""s, as long as a client waits for an answer (`client_link`). A round figure: nothing was measured."""
+_HANDSHAKE_WITHIN = 10.0
+"""s, as long as a client waits for an answer (`client_link`). On a path with 2 s each way, a handshake takes 4 s, or 8
+if the server asks for another cipher suite."""
 
 
 class Rejected(Wording):

@@ -24,9 +24,10 @@ from rsb_bridge.model.calls import MOST_LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.ros.ros_graph import CALLED, graph_of
-from rsb_bridge.wire.codec import TopicListParts, topic_entries
+from rsb_bridge.wire.codec import MOST_TOPICS, pack_topics, topic_entries, unpack
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.messages import AskType, ListTopics, TopicList, TypeText
+from rsb_bridge.wire.protocol_error import ProtocolError
 from rsb_bridge.wire.records import TopicEntry
 
 if TYPE_CHECKING:
@@ -240,19 +241,13 @@ class TypeQuestions(Extension):
 def description_in(compressed: bytes) -> str | None:
     """Return an answer's texts, one a line, without a check of their types, or None if it is empty or invalid."""
     try:
-        # Before anything is unpacked: a few bytes can become gigabytes.
-        size = zstandard.frame_content_size(compressed) if compressed else 0
-        if not 0 < size <= DESCRIPTION_LIMIT:
-            return None
-        return zstandard.ZstdDecompressor().decompress(compressed).decode()
-    except (zstandard.ZstdError, UnicodeDecodeError):
+        return unpack(compressed, DESCRIPTION_LIMIT).decode() or None
+    except (ProtocolError, UnicodeDecodeError):
         return None
 
 
-_LISTED_WITHIN = 5.0
-"""s. A round figure: nothing was measured; the other side looks at its own graph only."""
-_MOST_ENTRIES = 4000
-"""Entries of one list, which is one control frame: it holds about 5,000 with usual names, or 1,400 with the longest."""
+_LISTED_WITHIN = 30.0
+"""s. A made-up robot's list of 190 names had 35 kB, or 3.4 kB compressed, which may take seconds on a thin link."""
 _MOST_BYTES = CONTROL_LIMIT - 4096
 
 
@@ -272,8 +267,9 @@ class TopicLists(Extension):
     ) -> None:
         self._ros = ros
         self._shows = shows
+        self._spawn = spawn
         self._request = 0  # the number of the last question
-        self.messages = {ListTopics: self._asked, TopicList: self._answered, TopicListParts: self._answered}
+        self.messages = {ListTopics: self._asked, TopicList: self._answered}
         self._questions: Questions[tuple[TopicEntry, ...]] = Questions(send, spawn, _LISTED_WITHIN)
 
     def disconnected(self) -> None:
@@ -282,18 +278,18 @@ class TopicLists(Extension):
     def _asked(self, question: ListTopics) -> None:
         self._questions.answer(question.request, partial(self._find, question))
 
-    def _answered(self, message: TopicList | TopicListParts) -> Slices:
-        if not self._questions.awaited(message.request):  # a list that nobody waits for is not even decoded
+    def _answered(self, message: TopicList) -> Slices:
+        if not self._questions.awaited(message.request):  # a list that nobody waits for is not even unpacked
             return 0
         entries: list[TopicEntry] = []
-        last = yield from in_slices(topic_entries(message), entries.append)
+        last = yield from in_slices(topic_entries(message.topics), entries.append)
         self._questions.answered(message.request, tuple(entries))
         return last
 
     async def _find(self, question: ListTopics) -> TopicList:
-        return TopicList(question.request, tuple(await asyncio.to_thread(self._local_entries)))
+        return TopicList(question.request, await asyncio.to_thread(self._packed_entries))
 
-    def _local_entries(self) -> list[TopicEntry]:
+    def _packed_entries(self) -> bytes:
         """Return the entries that the peer may know, as many as one message holds."""
         # For a longer text the other side would end the connection (PROTOCOL.md, 3).
         shown = [
@@ -301,14 +297,14 @@ class TopicLists(Extension):
             for entry in graph_of(self._ros, CALLED)
             if max(len(entry.topic), len(entry.type_name)) <= TEXT_LENGTH and self._shows(entry.topic, entry.kind)
         ]
-        most = _MOST_ENTRIES
+        most = MOST_TOPICS
         while True:
             entries = [
                 TopicEntry(e.topic, e.type_name, e.type_hash, e.qos, e.publishers, e.subscriptions, e.kind)
                 for e in _shared_out(shown, most)
             ]
             if len(msgspec.msgpack.encode(entries)) <= _MOST_BYTES:
-                return entries
+                return pack_topics(entries)
             most //= 2
 
     async def ask(self) -> list[TopicInfo]:
@@ -319,12 +315,19 @@ class TopicLists(Extension):
         """
         if not self._questions.awaited(self._request):
             self._request += 1
+            self._spawn(self._outwait(self._request))
         entries = await self._questions.ask(self._request, ListTopics(self._request))
         return [
             TopicInfo(e.topic, e.type, e.type_hash, e.qos, e.publishers, e.subscriptions, kind)
             for e in entries
             if (kind := KINDS.get(e.kind)) is not None
         ]
+
+    async def _outwait(self, request: int) -> None:
+        """Wait although all who asked may give up: those who ask next get the list, and no second one is sent."""
+        if self._questions.awaited(request):  # else it was answered before this began
+            with contextlib.suppress(LinkError):
+                await self._questions.ask(request, ListTopics(request))
 
 
 def _shared_out(entries: list[TopicInfo], room: int) -> Iterator[TopicInfo]:

@@ -423,19 +423,21 @@ class ServerLink(Link):
     @property
     def streams_awaited(self) -> int:
         """Number of permitted streams that the client has yet to open."""
-        awaited = sum(1 if transport.multiplexed else 2 for transport, _ in self._awaited())
+        waiting = (transport for (transport, _), waits in self._stream_users().items() if waits)
+        awaited = sum(1 if transport.multiplexed else 2 for transport in waiting)
         return min(awaited, max(0, self.descriptors.room)) if awaited else 0  # the room costs a call of the kernel
 
-    def _awaited(self) -> set[tuple[StreamTransport, int]]:
-        """Return the transports and ports of routes that wait for streams."""
-        return {
-            (route.transport, route.proposal.port or self.shared_port())
-            for route in self.ids.open_routes()
-            if route.channel is None and isinstance(route.transport, StreamTransport)
-        }
+    def _stream_users(self) -> dict[tuple[StreamTransport, int], bool]:
+        """Return the transports and ports of routes over streams, and whether one of these waits for them."""
+        users: dict[tuple[StreamTransport, int], bool] = {}
+        for route in self.ids.open_routes():
+            if isinstance(route.transport, StreamTransport):
+                at = route.transport, route.proposal.port or self.shared_port()
+                users[at] = users.get(at, False) or route.channel is None
+        return users
 
     def take_stream(self, event: Attach) -> tuple[StreamTransport, int]:
-        """Return the transport and the port of a stream that the client opens; raise Refusal if no route awaits it."""
+        """Return the transport and the port of a stream that the client opens; raise Refusal if no route needs it."""
         if self.keys is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)
         try:
@@ -445,15 +447,17 @@ class ServerLink(Link):
         shared = self.shared_port()
         port = event.name.port or shared
         is_own = not event.name.port  # a channel of another transport may have the number of the link's own port
-        transports = [
-            transport
-            for transport, at in self._awaited()
+        # Of those that have their streams, too: the client may have lost one, and the kernel here not know that yet.
+        fitting = [
+            (transport, waits)
+            for (transport, at), waits in self._stream_users().items()
             if at == port and (port != shared or is_own == (transport is self.transport))
         ]
-        if not transports or not self.channels.is_new(event.name):
+        if not fitting or not self.channels.is_new(event.name):
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE, self.name)
         # Several transports may have the port: the choice must not depend on the order of the routes.
-        return min(transports, key=lambda each: (each is not self.transport, each.name)), port
+        transport, _ = min(fitting, key=lambda each: (not each[1], each[0] is not self.transport, each[0].name))
+        return transport, port
 
     def open_udp_channel(self, transport: DatagramTransport, port: int) -> None:
         """Do nothing: the client's first probe opens them."""

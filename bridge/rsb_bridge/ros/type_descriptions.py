@@ -18,8 +18,9 @@ _KEPT = 4 << 20
 """Characters of all descriptions together; a whole robot's take some 100,000."""
 _NODES = 3
 """Nodes that are asked for one description. Each may take 2.5 s (`rosidl_descriptions.ask_node`)."""
-_ASKS_AGAIN_AFTER = 10.0
-"""s: longer than it takes to ask three nodes that do not answer. One that starts later may have the answer."""
+_FIRST_PAUSE, _LONGEST_PAUSE = 10.0, 120.0
+"""s until nodes are asked again: one that starts later may have the answer. It doubles, as other types wait meanwhile:
+seven types that nobody describes take 10 s each time if each has three nodes that lack the service."""
 _REMEMBERED = 1000
 """Types that nobody could describe. A round figure: a peer names them."""
 
@@ -35,7 +36,7 @@ class TypeDescriptions:
         self._ros = ros
         self._now = now
         self._texts: dict[str, str] = {}  # in the order of use, the newest last
-        self._unknown: dict[str, float] = {}
+        self._unknown: dict[str, tuple[float, float]] = {}  # when to ask again, and the pause before
         self._asking = asyncio.Lock()
         self._closed = False
 
@@ -69,28 +70,38 @@ class TypeDescriptions:
         """The text of a type's description: as installed here, or as announced by a node that uses the type on a topic.
 
         None: nobody on this side knows it. That may take some seconds to find out, and is then taken for true for a
-        while. One type is looked for at a time.
+        while. Nodes are asked for one type at a time.
         """
-        if (text := self.known(type_hash)) is not None:
+        if self._is_settled(type_hash):
+            return self.known(type_hash)
+        text = await asyncio.to_thread(self._installed, type_name, type_hash)
+        if text is not None and self.add(text, type_hash):
             return text
         async with self._asking:
-            # Somebody else may have found it while this one waited.
-            text = self.known(type_hash)
-            if text is not None or self._now() < self._unknown.get(type_hash, 0.0):
-                return text
-            text = await asyncio.to_thread(self._find, type_name, type_hash, topic)
+            if self._is_settled(type_hash):  # somebody else has asked for it while this one waited
+                return self.known(type_hash)
+            text = await asyncio.to_thread(self._ask_nodes, type_name, type_hash, topic)
             if text is not None and self.add(text, type_hash):
                 return text
+            _, pause = self._unknown.pop(type_hash, (0.0, _FIRST_PAUSE / 2))
             if len(self._unknown) >= _REMEMBERED:
                 self._unknown.clear()
-            self._unknown[type_hash] = self._now() + _ASKS_AGAIN_AFTER
+            pause = min(2 * pause, _LONGEST_PAUSE)
+            self._unknown[type_hash] = self._now() + pause, pause
             return None
 
-    def _find(self, type_name: str, type_hash: str, topic: str) -> str | None:
-        """Find a description here or in the ROS graph. Called on a thread that may wait."""
+    def _is_settled(self, type_hash: str) -> bool:
+        """Whether a type's description is known, or is known to be with nobody."""
+        return self.known(type_hash) is not None or self._now() < self._unknown.get(type_hash, (0.0, 0.0))[0]
+
+    def _installed(self, type_name: str, type_hash: str) -> str | None:
+        """Find a description among the installed types. Called on a thread, as a type may have to be loaded."""
         ros = self._ros
-        if ros.installed_hash(type_name) == type_hash:
-            return ros.installed_description(type_name)
+        return ros.installed_description(type_name) if ros.installed_hash(type_name) == type_hash else None
+
+    def _ask_nodes(self, type_name: str, type_hash: str, topic: str) -> str | None:
+        """Ask the nodes that use a type. Called on a thread that may wait."""
+        ros = self._ros
         try:
             endpoints = [*ros.publishers(topic), *ros.subscriptions(topic)]
             nodes = dict.fromkeys(each.node for each in endpoints if each.node and each.type_hash == type_hash)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.streams import Address, Stream
 
 _LOOKED_UP_WITHIN = 3.0
-"""s for the address of a name, as on a client (`tcp.CONNECT_TIMEOUT`)."""
+"""s for the address of a name; a round figure."""
 _AT_ONCE = 16
 """Connections accepted before the I/O loop turns to other work. Two such batches later the first one has been read: few
 enough that a client which has spoken is read before those behind it are too many (`link.pending_connections`)."""

@@ -26,8 +26,9 @@ from rsb_bridge.transport.streams import (
 from rsb_bridge.transport.transport import Acceptor, Listener, StreamTransport
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
-CONNECT_TIMEOUT = 3.0
-"""s; a round figure."""
+CONNECT_TIMEOUT = 5.0
+"""s. On a path with 2 s each way, the first packet's answer takes 4 s. Linux before 6.5 sends the next ones after 1, 3
+and 7 s: with a longer timeout, a network that is back would be found later."""
 _NEXT_ADDRESS_AFTER = 0.25
 """s, the Connection Attempt Delay that RFC 8305 recommends."""
 _BACKLOG = 1024

@@ -5,16 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeVar, Union, get_args
 
 import msgspec
+import zstandard
 from msgspec import Meta, Raw
 
 from rsb_bridge.model.limits import ROUTES_PER_LINK
-from rsb_bridge.wire.fields import PRINTABLE, Count
-from rsb_bridge.wire.messages import ControlMessage, Hello, Report, TopicList, UrgentMessage, Welcome
+from rsb_bridge.wire.fields import PRINTABLE
+from rsb_bridge.wire.framing import CONTROL_LIMIT
+from rsb_bridge.wire.messages import ControlMessage, Hello, Report, UrgentMessage, Welcome
 from rsb_bridge.wire.protocol_error import Broken, ProtocolError
 from rsb_bridge.wire.records import CallsReport, FullRecord, PathRecord, ReceivedReport, SentReport, TopicEntry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
 # msgspec resolves the annotations at run time
 
@@ -34,17 +36,16 @@ class ReportParts(msgspec.Struct, frozen=True, tag_field="message", tag="report"
     path: PathRecord | None = None
 
 
-class TopicListParts(msgspec.Struct, frozen=True, tag_field="message", tag="topiclist"):
-    """A `rsb_bridge.wire.messages.TopicList` whose entries are not decoded."""
-
-    request: Count
-    topics: tuple[Raw, ...]
-
+MOST_TOPICS = 4000
+"""Entries of a list of topics. Its 1 MiB unpacked holds about 5,000 with usual names, or 1,400 with the longest."""
 
 _sent = msgspec.msgpack.Decoder(SentReport)
 _received = msgspec.msgpack.Decoder(ReceivedReport)
 _calls = msgspec.msgpack.Decoder(CallsReport)
 _topic = msgspec.msgpack.Decoder(TopicEntry)
+_topics: msgspec.msgpack.Decoder[tuple[Raw, ...]] = msgspec.msgpack.Decoder(
+    Annotated[tuple[Raw, ...], Meta(max_length=MOST_TOPICS)]
+)
 
 
 def report_entries(report: Report | ReportParts) -> Iterator[tuple[SentReport | ReceivedReport | CallsReport, int]]:
@@ -58,9 +59,34 @@ def report_entries(report: Report | ReportParts) -> Iterator[tuple[SentReport | 
     yield from _decoded(report.calls, _calls)
 
 
-def topic_entries(topics: TopicList | TopicListParts) -> Iterator[tuple[TopicEntry, int]]:
-    """Yield the entries of a list of topics, as `report_entries` does."""
-    yield from _decoded(topics.topics, _topic)
+def pack_topics(entries: Sequence[TopicEntry]) -> bytes:
+    """Return the entries of a `rsb_bridge.wire.messages.TopicList`."""
+    return zstandard.compress(_encoder.encode(entries))
+
+
+def topic_entries(packed: bytes) -> Iterator[tuple[TopicEntry, int]]:
+    """Yield the entries of a list of topics, as `report_entries` does.
+
+    Raises:
+        ProtocolError: they can't be unpacked.
+        msgspec.DecodeError: the next one is invalid, or there are too many.
+    """
+    yield from _decoded(_topics.decode(unpack(packed, CONTROL_LIMIT)), _topic)
+
+
+def unpack(packed: bytes, limit: int) -> bytes:
+    """Return the content of a zstd frame.
+
+    Raises:
+        ProtocolError: it is invalid, or its content is longer than the limit.
+    """
+    try:
+        # Before anything is unpacked: a few bytes can become gigabytes.
+        if 0 <= (size := zstandard.frame_content_size(packed)) <= limit:
+            return zstandard.ZstdDecompressor().decompress(packed)
+    except zstandard.ZstdError as error:
+        raise invalid(error) from None
+    raise invalid(ValueError(f"a zstd frame claims {size:,} bytes"))
 
 
 def _decoded(
@@ -82,9 +108,9 @@ _NOT_PRINTABLE = f"matching regex {PRINTABLE!r}"
 
 _encoder = msgspec.msgpack.Encoder()
 _control: msgspec.msgpack.Decoder[ControlMessage] = msgspec.msgpack.Decoder(ControlMessage)
-# Without `Report` and `TopicList`, whose tags the two forms in parts have: msgspec takes no tag twice.
-_parts: msgspec.msgpack.Decoder[ControlMessage | ReportParts | TopicListParts] = msgspec.msgpack.Decoder(
-    Union[*(each for each in get_args(ControlMessage) if each not in (Report, TopicList)), ReportParts, TopicListParts]
+# Without `Report`, whose tag the form in parts has: msgspec takes no tag twice.
+_parts: msgspec.msgpack.Decoder[ControlMessage | ReportParts] = msgspec.msgpack.Decoder(
+    Union[*(each for each in get_args(ControlMessage) if each is not Report), ReportParts]
 )
 _urgent: msgspec.msgpack.Decoder[UrgentMessage] = msgspec.msgpack.Decoder(UrgentMessage)
 _hello = msgspec.msgpack.Decoder(Hello)
@@ -96,8 +122,8 @@ def encode(message: ControlMessage | Hello | Welcome) -> bytes:
     return _encoder.encode(message)
 
 
-def decode(data: bytes) -> ControlMessage | ReportParts | TopicListParts:
-    """Return a control message from msgpack. Entries of a long report or list are decoded later.
+def decode(data: bytes) -> ControlMessage | ReportParts:
+    """Return a control message from msgpack. Entries of a long report are decoded later.
 
     Raises:
         ProtocolError: the message is invalid, or a field is out of its range.

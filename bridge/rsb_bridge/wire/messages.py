@@ -41,6 +41,7 @@ from rsb_bridge.wire.fields import (
     ViewedTopics,
     check_limits,
 )
+from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.headers import LeaseNumber
 from rsb_bridge.wire.records import (
     CallsReport,
@@ -50,7 +51,6 @@ from rsb_bridge.wire.records import (
     ReceivedReport,
     SentReport,
     Source,
-    TopicEntry,
     check_qos,
 )
 
@@ -369,10 +369,14 @@ class ListTopics(ControlMessageBase, frozen=True):
 
 
 class TopicList(ControlMessageBase, frozen=True):
-    """The answer to `ListTopics`."""
+    """The answer to `ListTopics`.
+
+    Attributes:
+        topics: the entries (`rsb_bridge.wire.codec.pack_topics`).
+    """
 
     request: Count
-    topics: tuple[TopicEntry, ...]
+    topics: Annotated[bytes, Meta(max_length=CONTROL_LIMIT)]
 
 
 class AskType(ControlMessageBase, frozen=True):

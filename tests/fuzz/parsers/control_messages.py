@@ -8,18 +8,22 @@ from functools import partial
 from typing import Any
 
 import msgspec
+import zstandard
 from tests.fuzz.editing import behind, edit_frames, edit_msgpack, split_frames
 from tests.fuzz.parser import Parser, check_text
 from tests.wire.links import CONTROL_HEADER, HELLO, WELCOME, established
 from tests.wire.test_messages import PLAIN
 
+from rsb_bridge.link.control_channel import in_slices
 from rsb_bridge.model.limits import REASON_LENGTH
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.text import is_clean
-from rsb_bridge.wire.codec import ReportParts, TopicListParts, decode, decode_hello, decode_welcome, encode
+from rsb_bridge.wire.codec import ReportParts, decode, decode_hello, decode_welcome, encode, topic_entries
 from rsb_bridge.wire.events import DataFrame, Event, Failed, MessageReceived, StreamRefused
 from rsb_bridge.wire.framing import HEADER, pack_frame
 from rsb_bridge.wire.messages import Report
 from rsb_bridge.wire.protocol_error import ProtocolError
+from rsb_bridge.wire.records import TopicEntry
 from rsb_bridge.wire.sealing import CipherSuite, Sealer
 
 _EXAMPLES: list[Any] = [decode(msgspec.msgpack.encode(each)) for each in PLAIN]
@@ -54,11 +58,22 @@ def _read(decode: Callable[[bytes], Any], data: bytes) -> None:
     except ProtocolError as error:
         check_text(str(error), REASON_LENGTH)
         return
-    if isinstance(message, ReportParts | TopicListParts):
+    if isinstance(message, ReportParts):
         return  # its entries are decoded later, by the decoders of short ones
     check_message(message)
     again = encode(message)
     assert encode(decode(again)) == again
+
+
+def _read_topics(data: bytes) -> None:
+    entries: list[TopicEntry] = []
+    try:
+        for _ in in_slices(topic_entries(zstandard.compress(data)), entries.append):
+            pass
+    except ProtocolError as error:
+        check_text(str(error), REASON_LENGTH)
+    for each in entries:
+        check_message(each)
 
 
 def _read_sealed(data: bytes) -> None:
@@ -99,10 +114,12 @@ def _framed(*contents: bytes) -> bytes:
 
 
 _DATA_FRAME = b"\1" + HEADER.pack(1, 0, 7, 8) + b"content" + bytes(4)
+_ENTRY = TopicEntry("/scan", "sensor_msgs/msg/LaserScan", "RIHS01_" + "5a" * 32, Qos(depth=1, deadline=0.1), 1, 2)
 _REFUSE = b"\1rsb\2\4\x08busy"
 
 PARSERS = (
     Parser("control_message", partial(_read, decode), tuple(encode(each) for each in _EXAMPLES), edit_msgpack),
+    Parser("topic_list", _read_topics, (msgspec.msgpack.encode([_ENTRY] * 3),), edit_msgpack),
     Parser("hello", partial(_read, decode_hello), (encode(HELLO),), edit_msgpack),
     Parser("welcome", partial(_read, decode_welcome), (encode(WELCOME),), edit_msgpack),
     Parser(

@@ -29,15 +29,18 @@ LAMP = Endpoint("/lamp", "std_srvs/srv/SetBool", "RIHS01_0", Qos(), b"lamp")
 class _Graph(NoRos):
     def __init__(self) -> None:
         self.found: list[Endpoint] = []
+        self.looks = 0
+        self.client = SimpleNamespace(ready=True, call=lambda request: 1, close=lambda: None)
 
     def servers(self, service: str) -> list[Endpoint]:
+        self.looks += 1
         return self.found
 
     def installed_service_hash(self, type_name: str) -> str | None:
         return LAMP.type_hash
 
     def call_service(self, *_: object) -> Any:
-        return SimpleNamespace(ready=True, call=lambda request: 1, close=lambda: None)
+        return self.client
 
 
 def _providing(ros: _Graph, make_context: Callable[..., Context]) -> ProvidingRoute:
@@ -84,4 +87,23 @@ def test_a_call_may_have_reached_a_server_that_was_not_seen_yet(
             route.deliver([(CallFrame(What.CALL, 0, 1, 0, bytes(4)).pack(), 0, 0)])
         in_flight.append(route.calls.in_flight)
     assert in_flight == [1, 1, 0]
+    route.close("over")
+
+
+def test_a_server_that_dds_does_not_match_is_looked_at_less_and_less_often(
+    make_context: Callable[..., Context], loop: VirtualLoop
+) -> None:
+    """DDS shows a killed server for up to 40 s."""
+    ros = _Graph()
+    ros.found, ros.client.ready = [LAMP], False
+    route = _providing(ros, make_context)
+    looks(route)
+    loop.run_until_complete(asyncio.sleep(40.0))
+    assert 40 < ros.looks < 100
+    ros.found = [LAMP, LAMP._replace(gid=b"next")]
+    looks(route)
+    ros.client.ready = True
+    loop.run_until_complete(asyncio.sleep(0.1))
+    assert route._last_sent is not None
+    assert route._last_sent.lanes, "and the next one soon again"
     route.close("over")

@@ -39,8 +39,11 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry
 
-_MATCHED_AGAIN = 0.05
-"""s until the next look whether DDS has matched a new client with its server."""
+_MATCHED_AGAIN, _LONGEST_MATCHED_AGAIN = 0.05, 1.0
+"""s until the next look whether DDS has matched a client with its server. A look asks the graph of all lanes, and DDS
+shows a killed server for up to 40 s."""
+_WAITED_PART = 0.1
+"""Part of the wait so far that a look may come later than the match."""
 _EXPLAINED_AGAIN = 0.5
 """s until the next look whether a bridge has announced where its answers come from."""
 
@@ -81,6 +84,7 @@ class ProvidingRoute(CallsRoute):
         self._by_number: dict[tuple[int, int], int] = {}  # the peer's call, by lane and the client's number
         self._highest = 0
         self._again: asyncio.TimerHandle | None = None
+        self._unmatched_since = 0.0
 
     # --- setting up
 
@@ -112,6 +116,8 @@ class ProvidingRoute(CallsRoute):
         self._provision = found = self._find()
         self.endpoints = found.servers
         present = {each.gid for each in found.servers}
+        if present != self._present:
+            self._unmatched_since = self.context.now()
         self._present |= present  # DDS may have given them calls before they were seen here
         self._present = present
         loop = found.unavailable is not None and found.unavailable.cause is Cause.LOOP
@@ -153,6 +159,7 @@ class ProvidingRoute(CallsRoute):
             if clients.types != clients.services_of(entries):
                 self._give_up_all("its servers have another type now")
                 clients.open(entries, self.local_names)
+                self._unmatched_since = self.context.now()
             clients.open_topics(entries)
         except RosError as error:
             self._no_clients(error)
@@ -167,15 +174,20 @@ class ProvidingRoute(CallsRoute):
             nodes = node_names(self.endpoints)
             provide = msgspec.structs.replace(provide, lanes=entries, nodes=nodes, via=self._loop_guard.via)
         if self._clients and not self._clients.ready:
-            self._advance_after(_MATCHED_AGAIN)
+            waited = self.context.now() - self._unmatched_since
+            self._advance_after(min(max(_MATCHED_AGAIN, _WAITED_PART * waited), _LONGEST_MATCHED_AGAIN))
         if provide != self._last_sent:
             self._last_sent = provide
             self.peer.send(provide)
 
     def _advance_after(self, seconds: float) -> None:
         """Advance again soon: no event announces what is waited for."""
+        due = self.context.now() + seconds
+        if self._again is not None and self._again.when() > due:
+            self._again.cancel()
+            self._again = None
         if self._again is None:
-            self._again = self.context.loop.call_later(seconds, self._advance_again)
+            self._again = self.context.loop.call_at(due, self._advance_again)
 
     def _advance_again(self) -> None:
         self._again = None
