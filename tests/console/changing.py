@@ -52,7 +52,7 @@ class ChangingEngine(ScriptedEngine):
             case AddTopic(topic):
                 self.show(*self.now.routes, route(topic.topic, spec=topic))
             case EditTopic(key, topic, _, seen):
-                if seen not in (None, self.spec(key)):
+                if seen is not None and any(each.key == key and each.spec != seen for each in self.now.routes):
                     return refused("it was changed meanwhile")
                 self.put(key, topic)
             case RemoveTopic(key):

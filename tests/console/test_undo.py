@@ -301,8 +301,9 @@ async def test_an_edit_ends_though_its_form_is_left_and_can_be_undone(
     await pilot.press("e")
     await fill(pilot, max_rate="2.5")
     await pilot.press("enter")
-    app.screen.dismiss(None)
-    await until(pilot, lambda: app.screen is app.main, "the form closed")
+    form = app.screen
+    form.dismiss(None)
+    await until(pilot, lambda: not form.is_running, "the form closed")
     under_way.set_result("/scan")
     await notified(pilot, OperationText.AFTER_ALL, topic="/scan")
     assert len(app.changes) == 1
