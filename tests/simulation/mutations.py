@@ -338,7 +338,7 @@ MUTATIONS = (
     Mutation(
         "a call that waited for the action to be reached again is not counted when it is given up",
         ((CallingActionRoute, "_give_up_waiting", nothing),),
-        "calls in flight, and has", replace(ACTIONS, faults=20.0), 4, 0.2,
+        "calls in flight, and has", replace(ACTIONS, faults=20.0), 3, 0.2,
     ),
     Mutation(
         "a call that waits for a goal's answer is not forgotten with its opening",
