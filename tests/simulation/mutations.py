@@ -268,7 +268,7 @@ MUTATIONS = (
              ((KeptCalls, "keep", _keep_no_cancel),), "is to be cancelled", _GOALS, 1, 0.05, cancelled_while_cut),
     Mutation("a call that waited for the action to be reached again is not counted when it is given up",
              ((CallingActionRoute, "_give_up_waiting", nothing),),
-             "calls in flight, and has", replace(ACTIONS, faults=20.0), 4, 0.2),
+             "calls in flight, and has", replace(ACTIONS, faults=20.0), 3, 0.2),
     Mutation("a call that waits for a goal's answer is not forgotten with its opening",
              ((KeptAnswers, "is_over", nothing),), "of calls that are over", replace(ACTIONS, faults=20.0), 4, 0.1),
 )
