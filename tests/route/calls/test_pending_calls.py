@@ -36,7 +36,7 @@ class Held:
         self.loop.run_until_complete(asyncio.sleep(seconds))
 
     def _expired(self, number: int, call: PendingCall) -> None:
-        assert self.calls.get(number) is None
+        assert number not in self.calls
         self.expired.append((number, self.loop.time()))
 
 

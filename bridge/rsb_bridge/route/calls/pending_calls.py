@@ -66,6 +66,9 @@ class PendingCalls(Generic[C]):
     def __len__(self) -> int:
         return len(self._calls)
 
+    def __contains__(self, number: int) -> bool:
+        return number in self._calls
+
     def get(self, number: int) -> C | None:
         """Return the call of a number, or None if it has ended or never began."""
         return self._calls.get(number)
