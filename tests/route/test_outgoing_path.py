@@ -5,19 +5,26 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.route.test_gates import armed
 from tests.route.test_loop_filter import FIRST, World, world
 
+from rsb_bridge.cdr.resting import DRIVING_TYPES
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.ros_interface import RawMessage
+from rsb_bridge.route.arming import Disarmed
 from rsb_bridge.route.lease import LeaseHalf
+from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rsb_bridge.route.sending import Outbox
 
 __all__ = ["world"]
 BEST_EFFORT = Qos(reliability="best_effort")
+FLOAT = "std_msgs/msg/Float64"
 SECOND = 10**9
 
 
@@ -54,6 +61,47 @@ def test_a_rate_limit_is_on_the_path_while_it_is_on(world: World) -> None:
     assert not path.gates.sourced
     assert publish(world, 10) == 10
     assert ledger.offered == 70 == ledger.sent_now + ledger.throttled
+
+
+@pytest.mark.parametrize("count", range(1, 8))  # so that the last one comes anywhere between two beats
+@pytest.mark.parametrize(
+    ("type_name", "arm", "passes"),
+    [*((each, False, True) for each in sorted(DRIVING_TYPES)), (FLOAT, True, True), (FLOAT, False, False)],
+)
+def test_the_last_message_of_what_may_move_a_robot_passes(
+    type_name: str, arm: bool, passes: bool, count: int, world: World
+) -> None:
+    """It may be the stop; it comes a beat later, and only if nothing follows it."""
+    world.route.type_name = type_name
+    if arm:
+        armed(world.route.arming, world.context)
+    limited(world)
+    for number in range(count):
+        world.path.offer([RawMessage(b"message %d" % number, world.context.stamps.now(), FIRST, lease=1)])
+        world.wait(0.02)
+    world.wait(0.2)
+    heard = [int(each.rpartition(b" ")[2]) for each in world.sent]
+    assert heard[-1] == count - 1 if passes else heard == [0, 5][: len(heard)]
+    assert heard == sorted(set(heard))
+    assert len(heard) <= 2 + passes
+    ledger = world.route.ledger()
+    assert (ledger.offered, ledger.throttled) == (count, count - len(heard))
+
+
+@pytest.mark.parametrize("ends", [OutgoingRoute.disarm, OutgoingRoute.close])
+def test_nothing_that_waits_for_its_rate_outlives_its_arming(ends: Callable[..., None], world: World) -> None:
+    armed(world.route.arming, world.context)
+    limited(world)
+    for payload in (b"moves", b"turns"):
+        world.path.offer([RawMessage(payload, world.context.stamps.now(), FIRST, lease=1)])
+    ends(world.route, Disarmed.OPERATOR)
+    world.route.open(2)
+    world.route.on_accepted()
+    world.peer.answer(world.route)
+    armed(world.route.arming, world.context)
+    world.wait(0.5)
+    assert [each[4:] for each in world.sent] == [b"moves"]
+    assert world.route.ledger().in_flight == 0
 
 
 def test_age_is_asked_again_when_a_message_leaves_the_queue(world: World) -> None:

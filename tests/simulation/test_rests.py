@@ -8,13 +8,14 @@ link was cut, and 0.1 s after the robot's bridge knows of any other end (docs/by
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
+import msgspec
 import pytest
 from tests.simulation.mutations import nothing
 from tests.simulation.ros import Writer, hash_of
-from tests.simulation.test_take_over import Drivers
+from tests.simulation.test_take_over import _LAYOUT, Drivers, _written
 from tests.simulation.world import Violation
 from tests.support.long import long_cases
 
@@ -24,7 +25,7 @@ from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.rest_message import RestMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Coroutine, Iterable, Sequence
 
     from tests.simulation.engine_host import Run
     from tests.simulation.test_take_over import Driver
@@ -152,6 +153,76 @@ def test_the_last_thing_that_motors_hear_is_a_rest(seed: int, protocol: Protocol
     motors = Motors(seed, protocol)
     motors.play()
     assert motors.ends >= _ENDS
+
+
+# --- one node, whose messages the motors hear
+
+
+class Heard(Drivers):
+    """A node on the control PC drives; nothing befalls anybody.
+
+    Attributes:
+        speeds: that the motors have heard.
+    """
+
+    def __init__(self, protocol: Protocol, **entry: Any) -> None:
+        self.speeds: list[float] = []
+        super().__init__(1, protocol)
+        (topic,) = self.robot.session.topics
+        topics = (msgspec.structs.replace(topic, **entry),)
+        self.robot.session = msgspec.structs.replace(self.robot.session, topics=topics)
+
+    def _hear(self, batch: Sequence[RawMessage]) -> None:
+        self.speeds += [_LAYOUT.unpack_from(each.payload, 4)[0] for each in batch]
+
+    def hear(self, life: Callable[[Writer], Coroutine[Any, Any, None]]) -> None:
+        """Live with the node's publisher, whose messages cross."""
+
+        async def live() -> None:
+            staying = asyncio.ensure_future(self.stay(self.drivers[0]))
+            await asyncio.sleep(8.0)
+            node = Writer(self.server.domain, "/nav", _NAME, _TWIST, hash_of(_TWIST), Qos(depth=10))
+            await asyncio.sleep(2.0)
+            await self.do(self.drivers[0], lambda route: ArmTopic(route.key))
+            await asyncio.sleep(1.0)  # until the bridge's subscription has found it
+            await life(node)
+            staying.cancel()
+
+        self.play(lambda _: live())
+
+    async def publish_speeds(self, node: Writer, speeds: Iterable[float], every: float) -> None:
+        for speed in speeds:
+            node.publish(_written({"linear": {"x": str(speed)}}))
+            await asyncio.sleep(every)
+
+
+@pytest.mark.parametrize("arm", [False, True])
+def test_a_stop_is_heard_wherever_it_falls_between_two_beats_of_a_rate_limit(arm: bool) -> None:
+    heard = Heard("tcp", max_rate=10.0, arm=arm, deadman=20.0 if arm else None)
+
+    async def live(node: Writer) -> None:
+        for motions in range(2, 12):
+            await heard.publish_speeds(node, [_SPEED] * motions + [0.0], 0.02)
+            await asyncio.sleep(0.2)  # before the hold of an armed topic ends
+            assert _SPEED in heard.speeds
+            assert heard.speeds[-1] == 0.0
+            heard.speeds.clear()
+
+    heard.hear(live)
+
+
+def test_no_motion_is_heard_that_a_later_message_has_overtaken() -> None:
+    heard = Heard("udp")
+
+    async def live(node: Writer) -> None:
+        path = heard.world.network.path(heard.server.machine, heard.robot.machine)
+        path.latency = (0.0, 0.2)
+        await heard.publish_speeds(node, [number / 1000 for number in range(1, 100)], 0.02)
+        moves = [each for each in heard.speeds if each]
+        assert len(moves) > 20
+        assert moves == sorted(moves)
+
+    heard.hear(live)
 
 
 # --- each rule is needed

@@ -19,7 +19,7 @@ from rsb_bridge.model.qos import AUTO_DEPTH, AUTO_SECONDS, QUEUE_BYTES
 from rsb_bridge.route.gates import NO_SAMPLE, chained, compose_when_switched, sending_gates, sifting
 from rsb_bridge.route.ledger import CAUSES
 from rsb_bridge.route.peeking import peeked
-from rsb_bridge.route.throttle import LatestLater, Throttle
+from rsb_bridge.route.throttle import LastLater, LatestLater, Throttle
 from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD, Message
 
 if TYPE_CHECKING:
@@ -325,6 +325,7 @@ class OutgoingPath:
         self._loop_filter = loop_filter
         self._throttle = Throttle(route.limit.rate)
         self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, lambda: route.paused)
+        self._last_later = LastLater(context.loop, self._throttle, self._pass_last)
         self._outbox = Outbox(route.transport, route.proposal, ledger, route.notices.message_error)
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if route.proposal.compression == "zstd" else None
         compose_when_switched(route, self._compose)
@@ -332,8 +333,11 @@ class OutgoingPath:
     def _compose(self) -> None:
         if (rate := self._route.limit.rate) != self._throttle.rate:
             # Only on a change: `limit` restarts the beat, and gates are composed for other reasons, too.
+            self._last_later.flush()
             self._throttle.limit(rate)
-        self.gates = gates = sending_gates(self._route, self._ledger, self._throttle, self._loop_filter, self._outbox)
+        self.gates = gates = sending_gates(
+            self._route, self._ledger, self._throttle, self._last_later, self._loop_filter, self._outbox
+        )
         self._batch = chained(gates.batch)
         self._arriving = sifting(*gates.arriving)
         self._kept = sifting(*gates.kept)
@@ -374,6 +378,20 @@ class OutgoingPath:
         self._ledger.offered += len(batch)
         if self._sourced is not None:
             batch = self._sourced(batch)
+        self._send_volatile(batch)
+
+    def _pass_last(self, message: RawMessage) -> None:
+        """Send a message that the rate limit has left out, as none has followed it."""
+        route, now = self._route, self._context.now()
+        stopped = self._batch is not None and self._batch(NO_SAMPLE, now) is not None
+        # Its publisher may have moved behind another bridge meanwhile.
+        if route.paused or stopped or message.gid not in self._loop_filter.table.flags:
+            self._ledger.throttled += 1
+        else:
+            self._send_volatile((message,))
+
+    def _send_volatile(self, batch: Sequence[RawMessage]) -> None:
+        route = self._route
         route.traffic.offered += len(batch)
         sources, arming = self._loop_filter.table.flags, route.arming
         # Asked once for the batch: nearly all topics are plain, and their messages save two calls.
@@ -489,13 +507,13 @@ class OutgoingPath:
         self._latest_later.resume()
 
     def clear_later(self) -> int:
-        """Drop the latched messages that wait for the rate limit, and return their number."""
-        return self._latest_later.clear()
+        """Drop the messages that wait for the rate limit, and return their number."""
+        return self._latest_later.clear() + self._last_later.follow(None)
 
     def clear(self) -> int:
-        """Drop the queued messages, and return their number."""
+        """Drop the queued messages, and the volatile one that waits for the rate limit, and return their number."""
         self._route.traffic.busy(False, self._context.now())
-        return self._outbox.clear()
+        return self._outbox.clear() + self._last_later.follow(None)
 
     def waits(self, now: float) -> float:
         """Return how long (s) messages have waited for the channel at `now` (s)."""

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Sequence
 
+    from rsb_bridge.ros.ros_interface import RawMessage
     from rsb_bridge.route.history_depth import Sample
 
 _MOST_PUBLISHERS = 4096  # of a latched topic, as in one control message (`wire.fields`)
@@ -55,6 +56,53 @@ class Throttle:
     def due(self, publisher: bytes) -> int:
         """Return when (ns, as stamps are) the next message of a publisher passes."""
         return self._due.get(publisher, 0)
+
+
+class LastLater:
+    """Has the last message that a throttle leaves out pass after all, if none follows it.
+
+    It may be the one that stops a robot. It passes one beat later, so that a stream is never delayed.
+
+    Args:
+        send: takes the message.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, throttle: Throttle, send: Callable[[RawMessage], None]) -> None:
+        self._loop = loop
+        self._throttle = throttle
+        self._send = send
+        self._waiting: RawMessage | None = None
+        self._passes_at = 0.0
+        self._timer: asyncio.TimerHandle | None = None
+
+    def follow(self, left_out: RawMessage | None) -> int:
+        """Note the newest message: one that is left out waits from now on, and one that passes leaves none waiting.
+
+        Returns:
+            How many messages wait no longer.
+        """
+        before, self._waiting = self._waiting, left_out
+        if left_out is not None:
+            self._passes_at = self._loop.time() + 1.0 / self._throttle.rate
+            # One timer that looks again when it ends, instead of a new one for each message.
+            if self._timer is None:
+                self._timer = self._loop.call_at(self._passes_at, self._end_wait)
+        return int(before is not None)
+
+    def flush(self) -> None:
+        """Send the message that waits, if one does."""
+        message, self._waiting = self._waiting, None
+        if message is not None:
+            # It passes anyway; the call sets when the next one is due.
+            self._throttle.passes(message.stamp + int(1e9 / self._throttle.rate))
+            self._send(message)
+
+    def _end_wait(self) -> None:
+        self._timer = None
+        if self._waiting is not None and self._loop.time() < self._passes_at:
+            self._timer = self._loop.call_at(self._passes_at, self._end_wait)
+        else:
+            self.flush()
 
 
 class LatestLater:
