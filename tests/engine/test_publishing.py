@@ -331,6 +331,25 @@ def driven(bridge: Bridge, pc: Domain, consoles: Consoles) -> tuple[Engine, Engi
 
 
 @pytest.mark.usefixtures("long_lease")
+@pytest.mark.parametrize(("on_end", "moves"), [({"linear": {"x": 0}}, True), ({"linera": {"x": 0}}, False)])
+def test_no_motion_begins_that_no_rest_can_follow(
+    bridge: Bridge, robot: Domain, consoles: Consoles, on_end: dict[str, Any], moves: bool
+) -> None:
+    """An operator drives beside the robot: no publisher on the other side has shown the type when the route opened."""
+    motors = robot.listener("/cmd", Twist)
+    server, client = bridge.both(replace(DRIVEN, on_end=on_end))
+    eventually(lambda: is_accepted(client, "/cmd") and is_accepted(server, "/cmd"))
+    consoles.arm(client)
+    for _ in range(3):
+        with contextlib.nullcontext() if moves else pytest.raises(EngineError):
+            drive(client, 0.1)
+    if moves:
+        eventually(lambda: changes(motors)[-2:] == [0.1, 0.0])
+    else:
+        holds(lambda: not motors.payloads, 0.5)
+
+
+@pytest.mark.usefixtures("long_lease")
 @pytest.mark.parametrize("type_name", ["auto", "Twist"])
 def test_a_topic_is_driven_whose_type_only_the_robot_knows(
     bridge: Bridge, robot: Domain, consoles: Consoles, type_name: str

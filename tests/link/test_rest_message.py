@@ -323,11 +323,16 @@ def test_a_robot_rests_though_the_other_side_s_publishers_have_changed_since_it_
     assert driven.payloads == [MOVES, RESTS]
 
 
+def move_by_hand(driven: Driven, qos: Qos) -> None:
+    driven.half.rest.prepare(PublicationSpec("/cmd_vel", TWIST, "RIHS01_" + "0" * 64, qos))
+    driven.half.rest.moved_by_hand(MOVES)
+
+
 def test_a_robot_that_a_hand_beside_it_has_moved_rests_though_a_node_came_on_the_other_side(
     make_driven: Callable[..., Driven],
 ) -> None:
     driven = make_driven()
-    driven.half.rest.moved_by_hand(PublicationSpec("/cmd_vel", TWIST, "RIHS01_" + "0" * 64, Qos(depth=7)), MOVES)
+    move_by_hand(driven, Qos(depth=7))
     driven.describe(Qos(depth=3, deadline=1.0))
     by_an_operator(driven, 0)
     assert driven.payloads == [RESTS]
@@ -359,7 +364,7 @@ def test_a_hand_and_nodes_with_other_depths_share_the_rest_s_publisher(driven: D
     """Subscriptions take some time to find a publisher, which a rest has not."""
     before = len(driven.robot.voices)
     for qos in (Qos(depth=3), Qos(depth=7, reliability="best_effort")):
-        driven.half.rest.moved_by_hand(PublicationSpec("/cmd_vel", TWIST, "RIHS01_" + "0" * 64, qos), MOVES)
+        move_by_hand(driven, qos)
     assert len(driven.robot.voices) == before
     by_an_operator(driven, 0)
     assert driven.payloads[-1] == RESTS

@@ -238,8 +238,13 @@ class Publishing:
         if armed and not 0 <= self._ticket() - command.ticket <= TICKET_LIFE * 1e3:
             return Published(is_done=False, ticket=self._ticket(), type_name=resolved.type_name)
         payload, rest = self._within_limits(command, resolved.type_name, routes, (payload, rest))
+        rests = [route.rest for route in armed if isinstance(route, IncomingRoute)]
+        # First: a motion that no rest can follow must not begin.
+        for each in rests:
+            each.prepare(PublicationSpec(topic, *resolved))
         publication.publisher.publish(payload)
-        self._note_moved(topic, resolved, payload, armed)
+        for each in rests:
+            each.moved_by_hand(payload)
         if driven:
             # Else the timer of the command before ends the motion that goes on.
             publication.take_rest()
@@ -249,15 +254,6 @@ class Publishing:
         self._record(publication, topic, command.fields, taking)
         links = tuple(sorted({route.peer.name for route in taking}))
         return Published(True, self._ticket(), resolved.type_name, publication.publisher.subscriber_count, links)
-
-    def _note_moved(
-        self, topic: str, resolved: _Resolved, payload: bytes, armed: Iterable[TopicRoute[DataChannel]]
-    ) -> None:
-        """Have a rest follow in this domain once the arming of a message ends that robots on this side have heard."""
-        spec = PublicationSpec(topic, *resolved)
-        for route in armed:
-            if isinstance(route, IncomingRoute):
-                route.rest.moved_by_hand(spec, payload)
 
     def _rest(self, publication: _Publication, topic: str) -> None:
         """Publish the message that ends a motion. Nothing of it crosses after the arming of the motion has ended."""

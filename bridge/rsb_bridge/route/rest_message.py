@@ -296,13 +296,8 @@ class RestAfterArming:
         lines = ", ".join(map(self._context.demands.origin, own.sources)) if own.on_end == on_end else ""
         return lines or PEER_DEMANDS
 
-    def moved_by_hand(self, spec: PublicationSpec, message: bytes) -> None:
-        """Note a message that an operator of this side has published by the route's arming.
-
-        Raises:
-            RosError: there can be no rest after it.
-        """
-        self.prepare(spec)
+    def moved_by_hand(self, message: bytes) -> None:
+        """Note a message that an operator of this side has published by the route's arming, after `prepare`."""
         if self.message is not None:
             self.message.moved(message)
 
