@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.route.calls.test_goal_cancels import Client
 from tests.route.calls.test_held import GOAL, providing
 from tests.route.test_gates import armed
 from tests.route.test_unpacking import OnePublisher, Published, opened
@@ -13,6 +14,8 @@ from tests.support.inside import outputs_of, provide, refusal_of
 from tests.support.offline import FakePeer
 
 from rsb_bridge.model.calls import SEND_GOAL, Refused
+from rsb_bridge.route.arming import Disarmed
+from rsb_bridge.route.calls.manual_call import CallError
 from rsb_bridge.route.lease import LASTS
 from rsb_bridge.route.source_publishers import FREE, VolatileTopic
 from rsb_bridge.wire.framing import LEASED, Budget
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
+    from rsb_bridge.route.calls.providing_action import ProvidingActionRoute
     from rsb_bridge.route.incoming import IncomingRoute
 
 LONG = bytes(4) + bytes(FREE)
@@ -105,6 +109,39 @@ def test_no_goal_begins_that_became_old_on_the_way_to_dds(
 
     route._malformed = slow  # type: ignore[method-assign]
     assert refusal_of(route, CallFrame(What.CALL, SEND_GOAL, 1, 0, GOAL, number)) is why
+
+
+def _disarmed(route: ProvidingActionRoute) -> None:
+    route.arming.end(Disarmed.OPERATOR)
+
+
+def _armed_by_another(route: ProvidingActionRoute) -> None:
+    _disarmed(route)
+    route.id += 1
+    route.arming.opened(required=True, deadman=0.0)
+    route.arming.arm_for_peer("bert", route.context.now())
+
+
+@pytest.mark.parametrize(("meanwhile", "sent"), [(_disarmed, []), (_armed_by_another, []), (lambda _: None, [GOAL])])
+def test_no_goal_by_hand_begins_whose_arming_has_ended(
+    meanwhile: Callable[[ProvidingActionRoute], None],
+    sent: list[bytes],
+    loop: VirtualLoop,
+    make_context: Callable[..., Context],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """DDS may take seconds to find the server."""
+    context, client = make_context(), Client()
+    route = providing(context)
+    armed(route.arming, context)
+    monkeypatch.setattr(route, "entry", lambda _: LaneEntry("a/action/B_SendGoal", "h", 1))
+    monkeypatch.setattr(context.ros, "call_service", lambda *_: client, raising=False)
+    client.ready = False
+    loop.call_later(0.1, meanwhile, route)
+    loop.call_later(0.2, setattr, client, "ready", True)
+    with pytest.raises(CallError):  # nobody answers, either
+        loop.run_until_complete(route.call_by_hand(SEND_GOAL, GOAL))
+    assert client.calls == sent
 
 
 def test_a_message_that_is_not_wanted_any_more_counts_as_no_more_memory(loop: VirtualLoop) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.ros.ros_interface import RosError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.ros.ros_interface import Response, ServiceClient
@@ -52,13 +52,19 @@ class ManualCall:
 
 
 async def call_directly(
-    context: Context, service: str, entry: LaneEntry, request: bytes, within: float | None
+    context: Context,
+    service: str,
+    entry: LaneEntry,
+    request: bytes,
+    within: float | None,
+    still_may: Callable[[], None],
 ) -> bytes:
     """Call a service of this side's domain, even if the link is lost.
 
     Args:
         entry: its type and hash.
         within: the timeout in s, or None to wait until the answer comes or the task is cancelled.
+        still_may: is called right before the request is sent; raises `CallError` if it may not be sent any more.
 
     Returns:
         The serialized response.
@@ -83,6 +89,7 @@ async def call_directly(
         raise CallError(str(error)) from None
     try:
         await _until_ready(context, client, service)
+        still_may()
         client.call(request)
         async with asyncio.timeout(within):
             return await _answer(client, call, service)

@@ -286,11 +286,21 @@ class ProvidingRoute(CallsRoute):
 
     async def call_by_hand(self, lane: int, request: bytes) -> bytes:
         """Call the node here. Arming applies, but neither pause nor counts do: it is no call of the other side's."""
-        why = why_not_by_hand(self, self.context.now()) if self.members[lane].limited else None
-        if why is not None:
-            raise CallError(f"{self.local_topic} cannot be called now: {REMEDIES[why]}")
+        opening = self.id
+
+        def may() -> None:
+            if not self.members[lane].limited:
+                return
+            why = why_not_by_hand(self, self.context.now())
+            # In another opening, somebody else may have armed it.
+            if why is None and self.arming.required and self.id != opening:
+                why = Refused.DISARMED
+            if why is not None:
+                raise CallError(f"{self.local_topic} cannot be called now: {REMEDIES[why]}")
+
+        may()
         name, within = self.local_names[lane], self.timeout_of(lane)
-        return await call_directly(self.context, name, self.entry(lane), request, within)
+        return await call_directly(self.context, name, self.entry(lane), request, within, may)
 
     def entry(self, lane: int) -> LaneEntry:
         """Return the type of a lane that can be called here, even if the link is down."""
