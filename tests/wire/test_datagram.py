@@ -17,7 +17,7 @@ from rsb_bridge.wire.datagram import (
     by_addressee,
     unpack_probe,
 )
-from rsb_bridge.wire.framing import SOURCE_FLAGS, SOURCE_SHIFT, ZSTD, Budget
+from rsb_bridge.wire.framing import LEASED, SOURCE_FLAGS, SOURCE_SHIFT, ZSTD, Budget
 from rsb_bridge.wire.protocol_error import Broken, Misuse, ProtocolError
 from rsb_bridge.wire.sealing import PROBE_ROUTE, CipherSuite, DatagramOpener, Sealer
 
@@ -90,6 +90,18 @@ def test_messages_come_whole_and_once_in_whatever_order(
     out = [message for datagram in shuffled + repeated if (message := reader.receive(datagram, 0.0)) is not None]
     assert sorted(out) == sorted(sent)
     assert (reader.newest, reader.pending, reader.expired) == (len(sent), 0, 0)
+
+
+@pytest.mark.parametrize(("flags", "out"), [(LEASED, [2, 3]), (LEASED | ZSTD, [2, 3]), (0, [2, 3, 0, 1])])
+@pytest.mark.parametrize("size", [1, 20], ids=["one datagram", "two datagrams"])
+def test_no_leased_message_comes_after_a_later_one(size: int, flags: int, out: list[int]) -> None:
+    """The later one may be the stop of its motion, and nothing else may follow."""
+    writer, reader = ends()
+    writer.number = reader.newest = 2**32 - 2
+    sent = [writer.write(bytes(size), stamp, flags, OVERHEAD + 10) for stamp in range(4)]
+    found = [reader.receive(each, 0.0) for at in (2, 3, 0, 1) for each in sent[at]]
+    assert [message[1] for message in found if message is not None] == out
+    assert (reader.pending, reader.expired) == (0, 0)
 
 
 @given(data=st.data(), sizes=st.lists(st.integers(0, 60), min_size=1, max_size=12))

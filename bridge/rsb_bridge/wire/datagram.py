@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
 from rsb_bridge.wire.framing import (
+    LEASED,
     MESSAGE_LIMIT,
     UNFINISHED_LIMIT,
     Budget,
@@ -269,7 +270,8 @@ class _Incomplete:
 class DatagramReader:
     """Opens a route's datagrams and reassembles their messages.
 
-    A message is returned as soon as it is whole, in any order. Message numbers continue beyond 2**32.
+    A message is returned as soon as it is whole, in any order; a leased one not after a later one. Message numbers
+    continue beyond 2**32.
 
     Attributes:
         expired: messages given up incomplete.
@@ -300,6 +302,7 @@ class DatagramReader:
         self._budget = budget or Budget(UNFINISHED_LIMIT)
         self._max_message = max_message
         self._incomplete: dict[int, _Incomplete] = {}  # by message number, in the order of the last fragments
+        self._handed_on = 0  # the highest number of a leased message that was returned
         self._given_up = 0  # the highest number that was given up: late fragments up to it are not kept
 
     @property
@@ -342,10 +345,17 @@ class DatagramReader:
             number = self.newest = self.newest + ahead
         else:
             number = self.newest + ahead - 2**32
-        if count == 1:
-            return content, stamp, flags
-        whole = self._gather(number, index, count, content, now)
-        return None if whole is None else (whole, stamp, flags)
+        if count > 1:
+            whole = self._gather(number, index, count, content, now)
+            if whole is None:
+                return None
+            content = whole
+        if flags & LEASED:
+            # A motion must not follow the stop that has overtaken it.
+            if number < self._handed_on:
+                return None
+            self._handed_on = number
+        return content, stamp, flags
 
     def expire(self, now: float, older_than: float = 1.0, newest_older_than: float | None = None) -> None:
         """Give up the incomplete messages of which nothing has come for more than `older_than` s.
