@@ -518,7 +518,7 @@ async def _at_once(self: Settling) -> None:
 
 _look = replaced.LEASE_END.value
 _marked = Marker.marked
-_ALIVE = property(lambda self: self._on)
+_ALIVE = property(lambda self: self.is_on)
 
 _OLD = "s old, more than"
 _AFTER = "after a disarm, made before it"

@@ -54,8 +54,6 @@ class LeaseHalf:
 
     Attributes:
         number: the newest that this side has sent.
-        begun: whether the two sides have answered each other in time since `begin`, as far as this one knows. The other
-            side has then heard that this one hears it, so it takes what is sent from now on.
         over: place where nothing moved, or None; the lease stays dead until `begin`.
         round_trip: s from the newest number that was answered to its answer.
     """
@@ -69,7 +67,7 @@ class LeaseHalf:
         self.is_on = False
         self._began = self._beaten = 0.0
         self._sent: dict[int, float] = {}  # when, by number
-        self._answered = self.begun = False
+        self._answered = self._begun = False
         self._newest_before = 0  # the newest number of this side before `begin`
         self._first_answer = 0  # the first number since `begin` that carried one of the other side's, or 0
         self._acknowledged = 0  # the newest number that the other side has heard
@@ -84,7 +82,7 @@ class LeaseHalf:
         self._turns.watch(self)
         self.is_on, self.over = True, None
         self._began = self._beaten = self._steady()
-        self._confirmed, self._answered, self.begun = float("-inf"), False, False
+        self._confirmed, self._answered, self._begun = float("-inf"), False, False
         self._first_answer = 0
         self._acknowledged = self._newest_before = self.number  # those up to this one do not count
 
@@ -126,9 +124,17 @@ class LeaseHalf:
             self._acknowledged, self._confirmed, self.round_trip = echo, sent, now - sent
             in_time = self.round_trip <= LASTS
             self._answered = self._answered or in_time
-            self.begun = self.begun or (in_time and 0 < self._first_answer <= echo)
+            self._begun = self._begun or (in_time and 0 < self._first_answer <= echo)
 
     # --- what it is asked
+
+    @property
+    def begun(self) -> bool:
+        """Whether the two sides have answered each other in time since `begin`, as far as this one knows.
+
+        The other side has then heard that this one hears it, so it takes what is sent from now on.
+        """
+        return self._begun
 
     @property
     def now(self) -> float:
