@@ -109,14 +109,14 @@ async def test_a_report_that_takes_long_is_waited_for(
     await pilot.press("h")
     await until(pilot, lambda: len(asked) == 1, "a question")
     assert isinstance(app.screen, HistoryScreen)
-    app.screen._renew()
+    app.screen.renew()
     await pilot.pause()
     assert len(asked) == 1
     await pilot.press("h")
     await until(pilot, lambda: len(asked) == 2, "a question about another span")
     asked[-1].set_result(REMEMBERED)
     await shown(pilot, "✗ DOWN")
-    app.screen._renew()
+    app.screen.renew()
     await until(pilot, lambda: len(asked) == 3, "a newer report")
 
 

@@ -57,6 +57,11 @@ def test_what_moves_a_robot_expires() -> None:
     assert {kind.__name__ for kind in kinds if "expires" in vars(kind)} == {type(each).__name__ for each in MOVING}
 
 
+def requests_of(remote: RemoteEngine) -> Any:
+    """Return the requests that wait for an answer."""
+    return remote._requests
+
+
 def slow_line(remote: RemoteEngine, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
     """Let the tickets that the console has grow old."""
     remote._ticket -= int(seconds * 1e3)
@@ -91,14 +96,14 @@ def test_a_command_that_was_given_long_ago_is_not_sent(machine: Machine, command
 def test_a_refused_command_that_is_given_up_is_not_repeated(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = ScriptedEngine()
     remote = machine.attach_to(engine)
-    again = remote._requests.again
+    again = requests_of(remote).again
 
     def give_up(message: Any) -> Any:
         waiting = again(message)
         waiting.future.cancel()
         return waiting
 
-    monkeypatch.setattr(remote._requests, "again", give_up)
+    monkeypatch.setattr(requests_of(remote), "again", give_up)
     slow_line(remote, monkeypatch, TICKET_LIFE + 0.5)
     eventually(remote.do(ArmTopic("/scan")).cancelled)
     remote.do(PauseTopics("/scan", paused=True)).result(60)
@@ -116,7 +121,7 @@ def test_a_refused_command_is_repeated_only_while_it_may_be_wanted(
     stood = (TICKET_LIFE if rest else OLD_AFTER) + 0.1
     now = [Clock.steady()]
     replaced.STEADY_CLOCK.set(monkeypatch, staticmethod(lambda: now[0]))
-    requests = remote._requests
+    requests = requests_of(remote)
     again = requests.again
 
     def stand_still(message: Any) -> Any:

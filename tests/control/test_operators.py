@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.console.scripted import ScriptedEngine
+from tests.console.scripted import ScriptedEngine, route
+from tests.support import replaced
 from tests.support.operators import ANNA, BOB, Reachable, granted
 from tests.support.waiting import eventually
 from tests.support.wording import pattern
@@ -14,7 +14,6 @@ from tests.support.wording import pattern
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import save
 from rsb_bridge.control.attached_console import RequestRefused
-from rsb_bridge.control.sealed import SealedConsole
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.wire.operator_connection import RECORD_CONTENT
 from rsb_console.session.attaching import attach, attached
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from tests.support.control import Machine
 
     from rsb_bridge.config.keys import Key
+    from rsb_bridge.control.sealed import SealedConsole
 
 
 def test_an_operator_attaches_and_changes(reachable: Reachable) -> None:
@@ -40,14 +40,25 @@ def test_an_operator_attaches_and_changes(reachable: Reachable) -> None:
     eventually(lambda: reachable.events(EventCode.ATTACH_OPERATOR_LEFT))
 
 
-def test_a_long_message_goes_record_by_record() -> None:
+def test_a_long_message_goes_record_by_record(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """Over Zenoh nothing of it would come before all of it: the console would call the bridge silent."""
-    written: list[bytes] = []
-    console: Any = SealedConsole.__new__(SealedConsole)
-    console._machine, console._transport = SimpleNamespace(send=bytes), SimpleNamespace(write=written.append)
-    console.write(content := bytes(range(256)) * 250)
-    assert b"".join(written) == content
-    assert max(map(len, written)) <= RECORD_CONTENT
+    lengths: list[int] = []
+    connected = replaced.CONSOLE_CONNECTED.value
+
+    def measured(console: SealedConsole, transport: Any) -> None:
+        write = transport.write
+
+        def measure(data: bytes) -> None:
+            lengths.append(len(data))
+            write(data)
+
+        transport.write = measure
+        connected(console, transport)
+
+    replaced.CONSOLE_CONNECTED.set(monkeypatch, measured)
+    engine = ScriptedEngine(routes=tuple(route(f"/{number}") for number in range(50)))
+    Reachable(machine, engine).attach()
+    assert max(lengths) < 2 * RECORD_CONTENT < sum(lengths)
 
 
 def test_only_who_may_take_takes_an_arming_without_asking(reachable: Reachable) -> None:

@@ -318,8 +318,9 @@ def test_a_view_that_was_given_up_while_it_opened_is_opened_again(
         opens.set()
         await asyncio.Event().wait()
 
+    owner, name = (LinkViews, "open") if link else (TopicView, "check")
     with monkeypatch.context() as patch:
-        patch.setattr(*((LinkViews, "open") if link else (TopicView, "check")), hang)
+        patch.setattr(owner, name, hang)
         given_up = server.next_picture("me", ("/pose",), WISH, link)
         assert opens.wait(60)
         given_up.cancel()

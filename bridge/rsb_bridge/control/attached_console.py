@@ -220,7 +220,7 @@ class AttachedConsole:
         elif isinstance(message, protocol.Watch):
             self._watching = True
             self._send_summary()
-        elif isinstance(message, protocol.Cancel):
+        elif isinstance(message, protocol.CommandWithdrawn):
             if (done := self._cancellable.get(message.id)) is not None:
                 done.cancel()
         else:
@@ -262,7 +262,7 @@ class AttachedConsole:
             self._tasks.spawn(self._answer(request, self._begin(request)))
 
     def _begin(self, request: protocol.CommandRequest) -> asyncio.Future[Any]:
-        """Give a command to the engine; not in a task, so that a `Cancel` that comes with it finds it."""
+        """Give a command to the engine; not in a task, so that a `CommandWithdrawn` that comes with it finds it."""
         with acting(self._operator), undoing(request.undo), on_console(self):
             done = asyncio.wrap_future(self._engine.do(request.command, lambda text: self._step(request.id, text)))
         if isinstance(request.command, Stop):
@@ -275,7 +275,7 @@ class AttachedConsole:
 
     async def _answer(self, request: protocol.CommandRequest, done: asyncio.Future[Any]) -> None:
         try:
-            await asyncio.wait((done,))  # the engine finishes most commands even if nobody waits for the result any more
+            await asyncio.wait((done,))  # if this console goes, the engine finishes most commands all the same
             await asyncio.sleep(0)  # steps that the engine's thread told before the result are sent before it, too
         finally:
             self._requests -= 1
@@ -286,7 +286,7 @@ class AttachedConsole:
             reply = protocol.CommandFailed(request.id, str(error), isinstance(error, InvalidRequestError))
         except asyncio.CancelledError:
             reply = protocol.CommandFailed(request.id, RequestRefused.WITHDRAWN())
-        except Exception as error:  # the end of the connection would disarm what this console has armed
+        except Exception as error:  # noqa: BLE001 -- the end of the connection would disarm what this console holds
             self._loop.call_exception_handler({"message": "a command failed", "exception": error})
             reply = protocol.CommandFailed(request.id, f"internal error, please report it: {error}")
         if (

@@ -179,10 +179,10 @@ class HistoryScreen(ModalScreen[None]):
         yield Dialog("What happened", *widgets, keys=HELP, shape="-history")
 
     def on_mount(self) -> None:
-        self.set_interval(_RENEWED_EVERY, self._renew)
+        self.set_interval(_RENEWED_EVERY, self.renew)
         self._ask()
 
-    def _renew(self) -> None:
+    def renew(self) -> None:
         """Ask again, unless the answer is still on its way, perhaps over a thin line."""
         if self._fetching.is_finished:
             self._ask()
