@@ -209,7 +209,7 @@ class AttachedConsole:
         elif isinstance(message, protocol.Watch):
             self._watching = True
             self._send_summary()
-        elif isinstance(message, protocol.Withdraw):
+        elif isinstance(message, protocol.CommandWithdrawn):
             if (done := self._cancellable.get(message.id)) is not None:
                 done.cancel()
         else:
@@ -251,7 +251,7 @@ class AttachedConsole:
             self._tasks.spawn(self._answer(request, self._begin(request)))
 
     def _begin(self, request: protocol.CommandRequest) -> asyncio.Future[Any]:
-        """Give a command to the engine; not in a task, so that a `Withdraw` that comes with it finds it."""
+        """Give a command to the engine; not in a task, so that a `CommandWithdrawn` that comes with it finds it."""
         with acting(self._operator), undoing(request.undo), on_console(self):
             done = asyncio.wrap_future(self._engine.do(request.command, lambda text: self._step(request.id, text)))
         if isinstance(request.command, Stop):

@@ -188,7 +188,7 @@ class CommandRequest(_Message, frozen=True, tag="request"):
     ticket: int = 0
 
 
-class Withdraw(_Message, frozen=True, tag="withdraw"):
+class CommandWithdrawn(_Message, frozen=True, tag="withdrawn"):
     """Ends the work on a command, if that is `cancellable`: nobody waits for it any more. It is answered all the same.
 
     Attributes:
@@ -216,7 +216,7 @@ class Watch(_Message, frozen=True, tag="watch"):
     """Asks for a `Summary` now and whenever it is another, for as long as the connection lasts."""
 
 
-ToBridge: TypeAlias = ConsoleHello | CommandRequest | Withdraw | PollState | FollowEvents | Watch
+ToBridge: TypeAlias = ConsoleHello | CommandRequest | CommandWithdrawn | PollState | FollowEvents | Watch
 
 
 # --- from a bridge

@@ -380,7 +380,7 @@ class RemoteEngine(EngineApi):
         """Tell the bridge that nobody waits for a command any more. Called on any thread."""
         if future.cancelled():
             with contextlib.suppress(RuntimeError):  # detached already
-                self._loop.call_soon_threadsafe(self._send, protocol.Withdraw(request))
+                self._loop.call_soon_threadsafe(self._send, protocol.CommandWithdrawn(request))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,9 @@ from tests.fuzz.parser import Parser
 from rsb_bridge.control import protocol
 from rsb_bridge.control.protocol import (
     BridgeInfo,
-    Withdraw,
     CommandFailed,
     CommandRequest,
+    CommandWithdrawn,
     ConsoleHello,
     ConsoleWelcome,
     ControlProtocolError,
@@ -76,7 +76,7 @@ _TO_BRIDGE = (
     CommandRequest(3, Restart()),
     CommandRequest(4, Topics()),
     CommandRequest(5, History(3600.0)),
-    Withdraw(5),
+    CommandWithdrawn(5),
     PollState(),
     FollowEvents(7),
     Watch(),
