@@ -21,13 +21,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench import bed
-from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import loopback
 from rsb_console.bench.results import BenchError
 from rsb_console.bench.robots import RobotTraffic
 from rsb_console.bench.simulated_fleet import USUAL, WAYS, SimulatedFleet, fleet, listening
 from rsb_console.command.shell import allow_many_descriptors
+from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -263,12 +263,8 @@ def _watch(running: SimulatedFleet, control: Process, listener: Process, seconds
 
 
 def _snapshot(running: SimulatedFleet) -> Snapshot:
-    engine = RemoteEngine(running.socket, read_only=True)
-    engine.start()
-    try:
+    with attach(running.socket, read_only=True) as engine:
         return engine.snapshot()
-    finally:
-        engine.stop()
 
 
 def _lost(running: SimulatedFleet, names: Sequence[str]) -> Counter[str]:

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 from bench.bed import FAR, NEAR, Process
 
-from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_console.bench.loopback import headless, listening, write_sessions
+from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Ledger
@@ -80,9 +80,7 @@ def _measure(options: argparse.Namespace, rate: float) -> str:
 
 
 def _ledger(socket: Path, topic: str) -> Ledger:
-    engine = RemoteEngine(socket, read_only=True)
-    engine.start()
-    try:
+    with attach(socket, read_only=True) as engine:
         deadline = time.monotonic() + 5
         while time.monotonic() < deadline:
             routes = [each for each in engine.snapshot().routes if each.topic == topic]
@@ -90,8 +88,6 @@ def _ledger(socket: Path, topic: str) -> Ledger:
                 time.sleep(1.1)
                 return next(each.ledger for each in engine.snapshot().routes if each.topic == topic)
             time.sleep(0.1)
-    finally:
-        engine.stop()
     raise SystemExit("the bridge has no ledger")
 
 

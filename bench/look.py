@@ -32,12 +32,13 @@ from tests.support.relay import Relay
 
 from bench import bed
 from rsb_bridge.control.bridges import running_bridges
-from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.pictures import Wish
+from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.pictures import Viewed
 
 ROUNDS = 3
@@ -125,14 +126,10 @@ def running(folder: Path, bytes_per_second: float = 0.0) -> Iterator[Bridge]:
             bed.Process("-m", "bench.look_robot") as robot,
             bed.headless(folder / "server.yaml", folder / "server.log") as server,
             bed.headless(folder / "client.yaml", folder / "client.log") as client,
+            attach(_socket("look-server"), read_only=True) as engine,
         ):
-            engine = RemoteEngine(_socket("look-server"), read_only=True)
-            engine.start()
-            try:
-                _until(lambda: any(route.ledger.delivered for route in engine.snapshot().routes), folder)
-                yield Bridge(client, server, robot, engine, relay)
-            finally:
-                engine.stop()
+            _until(lambda: any(route.ledger.delivered for route in engine.snapshot().routes), folder)
+            yield Bridge(client, server, robot, engine, relay)
 
 
 def _socket(name: str) -> Path:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from rsb_bridge.model import commands
 from rsb_bridge.model.by_hand import REST_AFTER
@@ -54,6 +54,12 @@ class EngineApi(ABC):
     read_only: bool = False
     may_take: bool = True
     same_machine: bool = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
 
     @property
     @abstractmethod

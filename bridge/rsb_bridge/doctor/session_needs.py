@@ -129,10 +129,8 @@ def _peers_clocks(path: Path, environ: Mapping[str, str]) -> Iterator[Finding]:
         return
     engine = RemoteEngine(bridge.path, read_only=True)
     engine.start()
-    try:
+    with engine:
         links = engine.snapshot().links
-    finally:
-        engine.stop()
     for link in links:
         if link.clock_offset is None:
             continue

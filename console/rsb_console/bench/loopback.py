@@ -14,17 +14,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control.control_sockets import ControlError
-from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.benchmark import BenchmarkStep
 from rsb_bridge.model.snapshot import State
 from rsb_console.bench.processes import Process, free_port
 from rsb_console.bench.results import BenchError, Many, Run, Side, Way
+from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from contextlib import AbstractContextManager
 
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.snapshot import Snapshot
     from rsb_console.bench.results import BenchEnds
 
@@ -125,14 +125,10 @@ def sent_bytes(socket: Path) -> int:
     Raises:
         BenchError: it does not answer.
     """
-    engine = RemoteEngine(socket, read_only=True)
     try:
-        engine.start()
-        try:
+        with attach(socket, read_only=True) as engine:
             return engine.bench(BenchmarkStep("measure")).result(_ANSWERS_WITHIN).usage.sent_bytes
-        finally:
-            engine.stop()
-    except (ControlError, EngineError, TimeoutError) as error:
+    except (EngineError, TimeoutError) as error:
         raise BenchError(f"a bridge on this machine does not answer: {error}") from None
 
 
@@ -352,12 +348,10 @@ def _carrying(snapshot: Snapshot) -> int:
 
 
 def _attached(socket: Path) -> RemoteEngine | None:
-    engine = RemoteEngine(socket, read_only=True)
     try:
-        engine.start()
-    except (ControlError, EngineError):
+        return attach(socket, read_only=True)
+    except EngineError:
         return None  # it has just started
-    return engine
 
 
 def machine() -> str:

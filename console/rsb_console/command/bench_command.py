@@ -11,6 +11,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Self, TextIO
 
+from rsb_bridge.api import EngineError
 from rsb_bridge.config.files import write_whole
 from rsb_bridge.config.session_file import SessionError, load
 from rsb_bridge.control.bridges import running_bridges
@@ -24,6 +25,7 @@ from rsb_console.bench.results import BenchError, BenchReport, as_json
 from rsb_console.bench.suite import FULL, QUICK, OverLink, Plan, Suite, loads_of, loads_of_all, ways_of
 from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, TERMINATED, USAGE, print_error, print_line, print_lines
 from rsb_console.command.target import UsageError, attached, check_link, failed
+from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -186,18 +188,10 @@ def _chosen_link(links: Sequence[LinkSnapshot], name: str) -> LinkSnapshot:
 
 def _loads_of_running_bridges() -> list[Load]:
     """Return the topics of the bridges that run here, to judge."""
-    from rsb_bridge.api import EngineError  # noqa: PLC0415 -- with the engine
-    from rsb_bridge.control.remote_engine import RemoteEngine  # noqa: PLC0415
-
     snapshots: list[Snapshot] = []
     for bridge in running_bridges():
-        engine = RemoteEngine(bridge.path, read_only=True)
-        with contextlib.suppress(EngineError, OSError):
-            engine.start()
-            try:
-                snapshots.append(engine.snapshot())
-            finally:
-                engine.stop()
+        with contextlib.suppress(EngineError, OSError), attach(bridge.path, read_only=True) as engine:
+            snapshots.append(engine.snapshot())
     return loads_of_all(snapshots)
 
 

@@ -14,7 +14,6 @@ from rsb_bridge.config.files import is_there, write_whole
 from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.config.rights import GrantError, typed_grants
 from rsb_bridge.control.bridges import ask, running_bridges
-from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.session import Client, Grant
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
@@ -23,6 +22,7 @@ from rsb_console.command.formatting import clock, json_line
 from rsb_console.command.shell import OK, print_error, print_line, print_lines
 from rsb_console.command.target import ANSWERED_WITHIN, Asking, NoBridgeError, UsageError, agreed, chosen_bridge
 from rsb_console.session import client_files
+from rsb_console.session.attaching import attach
 from rsb_console.session.client_files import begin_rotation, finish_rotation
 
 if TYPE_CHECKING:
@@ -370,16 +370,13 @@ def _tell(
     bridge = _server_of(path, arguments.control)
     if bridge is None:
         return ""
-    engine = RemoteEngine(bridge.path)
     try:
-        engine.start()
-        links = engine.snapshot().links
-        linked = any(link.name == arguments.name and link.state is State.OK for link in links)
-        command(engine).result(ANSWERED_WITHIN)
+        with attach(bridge.path, read_only=False) as engine:
+            links = engine.snapshot().links
+            linked = any(link.name == arguments.name and link.state is State.OK for link in links)
+            command(engine).result(ANSWERED_WITHIN)
     except EngineError as error:
         raise EngineError(ClientCommandProblem.BRIDGE_REFUSES(path=path, reason=error, name=bridge.name)) from None
-    finally:
-        engine.stop()
     return ClientEffect.RUNNING(name=bridge.name, pid=bridge.pid, effect=done(linked))
 
 
@@ -388,14 +385,11 @@ def _links(path: Path, control: Path | None) -> dict[str, LinkSnapshot]:
     bridge = _server_of(path, control)
     if bridge is None:
         return {}
-    engine = RemoteEngine(bridge.path, read_only=True)
     try:
-        engine.start()
-        return {link.name: link for link in engine.snapshot().links}
+        with attach(bridge.path, read_only=True) as engine:
+            return {link.name: link for link in engine.snapshot().links}
     except EngineError:  # the file alone answers, without states
         return {}
-    finally:
-        engine.stop()
 
 
 def _handed_out(arguments: Namespace, changed: ChangedFile, told: str) -> int:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.control_sockets import ControlError
-from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.faults import (
     link_is_wrong,
     link_needs_attention,
@@ -39,11 +38,13 @@ from rsb_console.command.formatting import (
 )
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, print_line
 from rsb_console.command.target import attached
+from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
     from rsb_bridge.control.bridges import RunningBridge
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.snapshot import Snapshot
 
 
@@ -108,12 +109,8 @@ def _status_of_all(bridges: list[RunningBridge], arguments: Namespace) -> int:
         try:
             if bridge.info is None:
                 raise ControlError(bridge.problem)
-            engine = RemoteEngine(bridge.path, read_only=True)
-            try:
-                engine.start()
+            with attach(bridge.path, read_only=True) as engine:
                 faults, lines, of_bridge = _status_of(engine)
-            finally:
-                engine.stop()
         except (ControlError, EngineError, TimeoutError) as error:
             codes.append(NOT_RUNNING)
             lines = [f"{bridge.name}: pid {bridge.pid}, {bridge.path}", f"  {str(error) or 'it does not answer'}"]

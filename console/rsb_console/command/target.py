@@ -23,7 +23,6 @@ from rsb_bridge.control.control_sockets import (
     run_as,
     user_name,
 )
-from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.model.calls import FIELDS_LENGTH
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.names import other_side as other_side_of
@@ -33,6 +32,7 @@ from rsb_bridge.model.text import join_first
 from rsb_bridge.model.wording import Wording
 from rsb_console.command.formatting import json_line
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, USAGE, print_error, print_line
+from rsb_console.session.attaching import attach
 from rsb_console.session.draft import suggestion
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.fleet_file import FleetFile
     from rsb_bridge.control.bridges import RunningBridge
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.snapshot import PatternSnapshot
@@ -180,19 +181,16 @@ def attached(arguments: Namespace, *, read_only: bool = False, expires: bool = F
     Args:
         expires: whether the command must not be carried out late, counted from the start of its process.
     """
-    if (attach := getattr(arguments, "attach", None)) is not None:
-        engine = attach(read_only=read_only)
+    if (open_it := getattr(arguments, "attach", None)) is not None:
+        engine = open_it(read_only=read_only)
     elif getattr(arguments, "fleet", None) is not None:
         engine = attach_in_fleet(arguments, read_only=read_only)
     else:
-        engine = RemoteEngine(chosen_bridge(arguments).path, read_only=read_only)
-        engine.start()
-    if expires:
-        engine.given_at = given_at(arguments)
-    try:
+        engine = attach(chosen_bridge(arguments).path, read_only=read_only)
+    with engine:
+        if expires:
+            engine.given_at = given_at(arguments)
         yield engine
-    finally:
-        engine.stop()
 
 
 def attach_in_fleet(arguments: Namespace, *, read_only: bool) -> RemoteEngine:
@@ -205,8 +203,7 @@ def attach_in_fleet(arguments: Namespace, *, read_only: bool) -> RemoteEngine:
     from rsb_bridge.control.zenoh_fleet import FleetConnector  # noqa: PLC0415 -- not needed elsewhere
 
     way = FleetConnector(fleet_file(arguments), arguments.bridge or "")
-    engine = RemoteEngine(way, read_only=read_only)
-    engine.start()
+    engine = attach(way, read_only=read_only)
     if way.warning:
         print_error(way.warning)
     return engine

@@ -38,11 +38,8 @@ def bridged_by(robot: Robot) -> list[Bridged]:
     Raises:
         EngineError: it does not answer.
     """
-    engine = robot.source.open(robot.summary.name, read_only=True)
-    try:
+    with robot.source.open(robot.summary.name, read_only=True) as engine:
         return [Bridged(robot.summary.name, route, engine.session) for route in engine.snapshot().routes]
-    finally:
-        engine.stop()
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,12 +139,11 @@ class Rollout:
             engine = robot.source.open(robot.summary.name, read_only=True)
         except EngineError as error:
             return RobotChange(robot, problem=str(error), reached=False)
-        try:
-            return self._step(robot, engine)
-        except (TypedError, EngineError) as error:
-            return RobotChange(robot, problem=str(error))
-        finally:
-            engine.stop()
+        with engine:
+            try:
+                return self._step(robot, engine)
+            except (TypedError, EngineError) as error:
+                return RobotChange(robot, problem=str(error))
 
     def _step(self, robot: Robot, engine: EngineApi) -> RobotChange:
         routes = [route for route in engine.snapshot().routes if self.topic in (route.spec.topic, route.topic)]
@@ -217,15 +213,12 @@ class Rollout:
             TimeoutError: the bridge does not answer.
         """
         assert topic is not None
-        engine = step.robot.source.open(step.name, read_only=False)
-        try:
+        with step.robot.source.open(step.name, read_only=False) as engine:
             routes = [route for route in engine.snapshot().routes if route.spec.identity == topic.identity]
             if not routes:
                 raise EngineError(f"{self.topic} is not bridged any more")
             drops = drop_arm and not topic.arm
             engine.edit_topic(routes[0].key, topic, drop_arm=drops).result(ANSWERED_WITHIN)
-        finally:
-            engine.stop()
 
     def _worse(self, step: RobotChange, before: RobotSummary) -> str:
         """Wait until a robot has been as well as before for long enough; return the problem if it has not."""

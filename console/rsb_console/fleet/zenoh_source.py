@@ -13,15 +13,16 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.control.control_sockets import ControlError
-from rsb_bridge.control.remote_engine import RemoteEngine
 from rsb_bridge.control.summaries import watch
 from rsb_bridge.control.zenoh_fleet import FleetConnector, FleetPresence
 from rsb_bridge.model.budgets import Backoff
 from rsb_bridge.model.robot_summary import WHY_LENGTH, RobotState, RobotSummary, decode
 from rsb_bridge.model.text import sanitize_text
+from rsb_console.session.attaching import attach
 
 if TYPE_CHECKING:
     from rsb_bridge.config.fleet_file import FleetFile
+    from rsb_bridge.control.remote_engine import RemoteEngine
     from rsb_bridge.control.zenoh_fleet import Member
 
 _ENDED_WITHIN = 5.0  # s; the thread is a daemon, so that a longer wait would only hold up the exit
@@ -92,9 +93,7 @@ class ZenohFleet:
         return list(self._robots.values())
 
     def open(self, robot: str, *, read_only: bool) -> RemoteEngine:
-        engine = RemoteEngine(FleetConnector(self._file, self._called.get(robot, robot)), read_only=read_only)
-        engine.start()
-        return engine
+        return attach(FleetConnector(self._file, self._called.get(robot, robot)), read_only=read_only)
 
     # --- on its thread
 
